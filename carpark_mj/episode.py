@@ -1,0 +1,142 @@
+"""How an agent's episode ends: parked, crashed, timed out or diverged."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import EpisodeConfig
+from carpark_mj.geometry import axis_angle_error, box_inside, boxes_overlap, rotate
+from carpark_mj.layouts.square import WORLD_UNIT
+from carpark_mj.layouts.types import Layout
+from carpark_mj.types import Events, VehicleState
+
+TANNER_TOLERANCE = 1.001 * WORLD_UNIT  # m, in x and in y (Tanner's code)
+STRICT_HEADING = math.radians(5.0)
+STRICT_SPEED = 0.2  # m/s
+PRECISE_DISTANCE = 0.2  # m
+PRECISE_HEADING = math.radians(3.0)
+PRECISE_SPEED = 0.05  # m/s
+
+
+def is_parked(
+    rule: str, vehicle: VehicleState, bay_pose: jax.Array, bay_size: jax.Array
+) -> jax.Array:
+    """Whether cars (...) stand parked in bays under a named rule.
+
+    Args:
+        rule: `tanner`, `strict` or `precise`; see `EpisodeConfig`.
+        vehicle: states of the cars (...).
+        bay_pose: (..., 3) each car's goal.
+        bay_size: (..., 2).
+    """
+    offset = jnp.abs(vehicle.pose_w[..., :2] - bay_pose[..., :2])
+    if rule == "tanner":
+        # Tanner compares along his lot's axes. All rows are axis-parallel there, so
+        # the bay's own axes give the same, and make the rule independent of the frame.
+        offset = jnp.abs(
+            rotate(vehicle.pose_w[..., :2] - bay_pose[..., :2], -bay_pose[..., 2])
+        )
+        return jnp.all(offset < TANNER_TOLERANCE, axis=-1)
+    heading = axis_angle_error(vehicle.pose_w[..., 2] - bay_pose[..., 2])
+    speed = jnp.linalg.norm(vehicle.velocity_b, axis=-1)
+    if rule == "strict":
+        inside = box_inside(vehicle.pose_w, vehicle.size, bay_pose, bay_size)
+        return inside & (heading < STRICT_HEADING) & (speed < STRICT_SPEED)
+    distance = jnp.linalg.norm(offset, axis=-1)
+    return (
+        (distance < PRECISE_DISTANCE)
+        & (heading < PRECISE_HEADING)
+        & (speed < PRECISE_SPEED)
+    )
+
+
+def find_hits(
+    layout: Layout,
+    vehicle: VehicleState,
+    parked_bay: jax.Array,
+    parked_size: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """What each agent's footprint overlapped at any traced instant of the step.
+
+    Args:
+        layout: the lot.
+        vehicle: the agents (num_agents,).
+        parked_bay: (num_parked_cars,) bays of the parked cars.
+        parked_size: (num_parked_cars, 2) footprints of the parked cars [m].
+
+    Returns:
+        (num_agents,) bool each: another agent, a parked car, a wall. In a collision of
+        two agents both are hit.
+    """
+    num_agents = vehicle.size.shape[0]
+    own = vehicle.trace_w[:, None]  # (agents, 1, traces, 3)
+    own_size = vehicle.size[:, None, None]
+    agents = boxes_overlap(
+        own, own_size, vehicle.trace_w[None], vehicle.size[None, :, None]
+    )
+    agents = agents & ~jnp.eye(num_agents, dtype=bool)[..., None]
+    parked = boxes_overlap(
+        own,
+        own_size,
+        layout.bay_pose[parked_bay][None, :, None],
+        parked_size[None, :, None],
+    )
+    walls = boxes_overlap(
+        own, own_size, layout.wall_pose[None, :, None], layout.wall_size[None, :, None]
+    )
+    walls = walls & layout.wall_mask[None, :, None]
+    return agents.any((1, 2)), parked.any((1, 2)), walls.any((1, 2))
+
+
+def judge(
+    config: EpisodeConfig,
+    layout: Layout,
+    vehicle: VehicleState,
+    goal: jax.Array,
+    parked_bay: jax.Array,
+    parked_size: jax.Array,
+    step: jax.Array,
+    active: jax.Array,
+) -> Events:
+    """Decides how each agent's episode stands after a step.
+
+    A diverged car is out before anything else is asked. Under `tanner` an agent that
+    parks cannot crash in the same step (his order of checks); under the other rules a
+    touch anywhere in the step is a crash.
+
+    Args:
+        config: rules.
+        layout: the lot.
+        vehicle: the agents (num_agents,).
+        goal: (num_agents,) bay indices.
+        parked_bay: (num_parked_cars,) bay indices.
+        parked_size: (num_parked_cars, 2) [m].
+        step: (num_agents,) int, control steps made in the episode, this one included.
+        active: (num_agents,) bool; finished agents have no events.
+    """
+    hit_agent, hit_parked_car, hit_wall = find_hits(
+        layout, vehicle, parked_bay, parked_size
+    )
+    hit = hit_agent | hit_parked_car | hit_wall
+    in_bay = is_parked(
+        config.parked_rule, vehicle, layout.bay_pose[goal], layout.bay_size[goal]
+    )
+    diverged = active & ~vehicle.finite
+    alive = active & vehicle.finite
+    if config.parked_rule == "tanner":
+        parked = alive & in_bay
+        crashed = alive & hit & ~parked
+    else:
+        crashed = alive & hit
+        parked = alive & in_bay & ~crashed
+    timed_out = alive & ~parked & ~crashed & (step >= config.max_steps)
+    return Events(
+        parked=parked,
+        crashed=crashed,
+        timed_out=timed_out,
+        diverged=diverged,
+        hit_agent=crashed & hit_agent,
+        hit_parked_car=crashed & hit_parked_car,
+        hit_wall=crashed & hit_wall,
+    )

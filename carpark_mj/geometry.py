@@ -1,0 +1,124 @@
+"""Plane geometry: poses in SE(2) and oriented boxes.
+
+A pose is `(x [m], y [m], yaw [rad])`, yaw counter-clockwise from +x. A box is a pose
+(its centre and heading) with a size `(length, width)` [m], length along the heading.
+Every function broadcasts over leading dimensions and is exact (no sampling).
+"""
+
+import jax
+import jax.numpy as jnp
+
+# Signs of the four corners in the box frame, counter-clockwise from front left.
+_CORNER_SIGNS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+
+
+def wrap_angle(angle: jax.Array) -> jax.Array:
+    """Wraps angles [rad] of any shape to [-pi, pi)."""
+    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
+
+
+def rotate(vector: jax.Array, yaw: jax.Array) -> jax.Array:
+    """Rotates vectors (..., 2) counter-clockwise by yaw (...) [rad]."""
+    cos, sin = jnp.cos(yaw), jnp.sin(yaw)
+    x, y = vector[..., 0], vector[..., 1]
+    return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
+def to_local(frame: jax.Array, pose: jax.Array) -> jax.Array:
+    """Expresses world poses (..., 3) in the frame of other poses (..., 3)."""
+    xy = rotate(pose[..., :2] - frame[..., :2], -frame[..., 2])
+    yaw = wrap_angle(pose[..., 2] - frame[..., 2])
+    return jnp.concatenate([xy, yaw[..., None]], axis=-1)
+
+
+def to_world(frame: jax.Array, pose: jax.Array) -> jax.Array:
+    """Maps poses (..., 3) given in the frame of other poses (..., 3) to the world."""
+    xy = frame[..., :2] + rotate(pose[..., :2], frame[..., 2])
+    yaw = wrap_angle(pose[..., 2] + frame[..., 2])
+    return jnp.concatenate([xy, yaw[..., None]], axis=-1)
+
+
+def axis_angle_error(yaw: jax.Array) -> jax.Array:
+    """Angle [rad] in [0, pi/2] between two undirected axes at a heading difference.
+
+    A car parked nose in and one parked nose out are both aligned with their bay.
+    """
+    return jnp.abs(wrap_angle(2.0 * yaw)) / 2.0
+
+
+def box_corners(pose: jax.Array, size: jax.Array) -> jax.Array:
+    """Corners (..., 4, 2) [m] of boxes, counter-clockwise from front left."""
+    signs = jnp.array(_CORNER_SIGNS, dtype=pose.dtype)
+    local = 0.5 * size[..., None, :] * signs
+    return pose[..., None, :2] + rotate(local, pose[..., None, 2])
+
+
+def boxes_overlap(
+    pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
+) -> jax.Array:
+    """Whether the interiors of oriented boxes intersect (separating axis theorem).
+
+    Args:
+        pose_a: (..., 3) centre poses [m, m, rad].
+        size_a: (..., 2) length and width [m].
+        pose_b: (..., 3) centre poses, broadcastable against `pose_a`.
+        size_b: (..., 2) length and width [m].
+
+    Returns:
+        (...) bool; boxes that only touch do not overlap. Any NaN gives False.
+    """
+    # Half extents of each box along the other's axes follow from |cos| and |sin| of
+    # the heading difference; the four axes of two rectangles are all that can separate.
+    local = to_local(pose_a, pose_b)
+    cos, sin = jnp.abs(jnp.cos(local[..., 2])), jnp.abs(jnp.sin(local[..., 2]))
+    half_a, half_b = 0.5 * size_a, 0.5 * size_b
+    reach_x = half_b[..., 0] * cos + half_b[..., 1] * sin
+    reach_y = half_b[..., 0] * sin + half_b[..., 1] * cos
+    hit_a = (jnp.abs(local[..., 0]) < half_a[..., 0] + reach_x) & (
+        jnp.abs(local[..., 1]) < half_a[..., 1] + reach_y
+    )
+    offset_b = rotate(local[..., :2], -local[..., 2])
+    reach_x = half_a[..., 0] * cos + half_a[..., 1] * sin
+    reach_y = half_a[..., 0] * sin + half_a[..., 1] * cos
+    hit_b = (jnp.abs(offset_b[..., 0]) < half_b[..., 0] + reach_x) & (
+        jnp.abs(offset_b[..., 1]) < half_b[..., 1] + reach_y
+    )
+    return hit_a & hit_b
+
+
+def box_inside(
+    pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
+) -> jax.Array:
+    """Whether box a lies wholly within box b (edges may touch); shapes as above."""
+    local = to_local(pose_b, pose_a)
+    cos, sin = jnp.abs(jnp.cos(local[..., 2])), jnp.abs(jnp.sin(local[..., 2]))
+    half_a, half_b = 0.5 * size_a, 0.5 * size_b
+    reach_x = half_a[..., 0] * cos + half_a[..., 1] * sin
+    reach_y = half_a[..., 0] * sin + half_a[..., 1] * cos
+    return (jnp.abs(local[..., 0]) + reach_x <= half_b[..., 0]) & (
+        jnp.abs(local[..., 1]) + reach_y <= half_b[..., 1]
+    )
+
+
+def point_box_distance(
+    point: jax.Array, pose: jax.Array, size: jax.Array
+) -> jax.Array:
+    """Distance [m] from points (..., 2) to boxes; 0 inside."""
+    local = rotate(point - pose[..., :2], -pose[..., 2])
+    gap = jnp.maximum(jnp.abs(local) - 0.5 * size, 0.0)
+    return jnp.sqrt(jnp.sum(gap**2, axis=-1))
+
+
+def box_distance(
+    pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
+) -> jax.Array:
+    """Clearance [m] between boxes (..., 3) and (..., 2); 0 where they overlap.
+
+    Two disjoint convex polygons are closest at a vertex of one of them, so the eight
+    corner-to-box distances suffice.
+    """
+    corners_a, corners_b = box_corners(pose_a, size_a), box_corners(pose_b, size_b)
+    to_b = point_box_distance(corners_a, pose_b[..., None, :], size_b[..., None, :])
+    to_a = point_box_distance(corners_b, pose_a[..., None, :], size_a[..., None, :])
+    gap = jnp.minimum(jnp.min(to_b, axis=-1), jnp.min(to_a, axis=-1))
+    return jnp.where(boxes_overlap(pose_a, size_a, pose_b, size_b), 0.0, gap)

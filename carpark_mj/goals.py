@@ -1,0 +1,120 @@
+"""Goals and parked cars: who heads for which bay, which bay holds a parked car.
+
+Goals are fixed for an episode. Bays hold at most one parked car, goals are distinct,
+and no agent's goal holds a parked car once `new_goal` has run for it.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.layouts.types import Layout
+
+
+@struct.dataclass
+class Occupancy:
+    """Who is where in the plan.
+
+    Attributes:
+        goal: (num_agents,) int32 index of each agent's goal bay.
+        parked_bay: (num_parked_cars,) int32 index of each parked car's bay.
+    """
+
+    goal: jax.Array
+    parked_bay: jax.Array
+
+
+def init_occupancy(
+    layout: Layout, num_agents: int, num_parked_cars: int, key: jax.Array
+) -> Occupancy:
+    """Distinct random goals, parked cars in distinct random bays among the rest."""
+    # A random order of the real bays: padding sorts last.
+    order = jnp.argsort(
+        jnp.where(layout.bay_mask, jax.random.uniform(key, layout.bay_mask.shape), 2.0)
+    ).astype(jnp.int32)
+    return Occupancy(
+        goal=order[:num_agents],
+        parked_bay=order[num_agents : num_agents + num_parked_cars],
+    )
+
+
+def evolve(
+    layout: Layout,
+    occupancy: Occupancy,
+    agent: jax.Array,
+    agent_xy: jax.Array,
+    parked: jax.Array,
+) -> Occupancy:
+    """Moves a parked car into the bay where an agent has just parked.
+
+    The car farthest from all agents moves (Tanner 2022, section 3.2.1), so that no
+    agent sees it go; the number of parked cars stays constant.
+
+    Args:
+        layout: the lot.
+        occupancy: before the move.
+        agent: () int index of the agent.
+        agent_xy: (num_agents, 2) centres of the agents [m].
+        parked: () bool; nothing moves where False.
+    """
+    if occupancy.parked_bay.shape[0] == 0:
+        return occupancy
+    car_xy = layout.bay_pose[occupancy.parked_bay, :2]
+    gap = jnp.linalg.norm(car_xy[:, None] - agent_xy, axis=-1).min(axis=-1)
+    farthest = jnp.argmax(gap)
+    moved = occupancy.parked_bay.at[farthest].set(occupancy.goal[agent])
+    return occupancy.replace(
+        parked_bay=jnp.where(parked, moved, occupancy.parked_bay)
+    )
+
+
+def new_goal(
+    layout: Layout,
+    occupancy: Occupancy,
+    agent: jax.Array,
+    agent_xy: jax.Array,
+    min_distance: float,
+    key: jax.Array,
+) -> Occupancy:
+    """Draws a new goal for one agent (Tanner 2022, fixed goals).
+
+    Uniform over the bays that are no agent's goal, those with a parked car included. A
+    parked car there makes way: to the agent's old goal if that is empty and farther
+    than `min_distance` from every other agent, otherwise to a random bay like that.
+    If there is none, the goal is drawn among the bays without parked cars.
+
+    Args:
+        layout: the lot.
+        occupancy: before the draw.
+        agent: () int index of the agent.
+        agent_xy: (num_agents, 2) centres of the agents [m].
+        min_distance: [m].
+        key: consumed.
+    """
+    goal_key, refuge_key = jax.random.split(key)
+    rows = jnp.arange(layout.num_bays)
+    old = occupancy.goal[agent]
+    is_goal = jnp.zeros(layout.num_bays, bool).at[occupancy.goal].set(True)
+    has_car = jnp.zeros(layout.num_bays, bool).at[occupancy.parked_bay].set(True)
+    other = jnp.arange(agent_xy.shape[0]) != agent
+    gap = jnp.linalg.norm(layout.bay_pose[:, None, :2] - agent_xy, axis=-1)
+    gap = jnp.where(other, gap, jnp.inf).min(axis=-1)
+
+    candidate = layout.bay_mask & ~is_goal
+    others_goal = (is_goal & (rows != old)) | ~layout.bay_mask
+    refuge = ~others_goal & ~has_car & (gap > min_distance)
+    # A refuge must not be the new goal itself, which has a car, so it never is.
+    can_move = refuge.any()
+    candidate = candidate & (can_move | ~has_car)
+    # With no bay to choose (every other bay taken) the agent keeps its goal.
+    candidate = candidate | ((rows == old) & ~candidate.any())
+    score = jax.random.uniform(goal_key, (layout.num_bays,))
+    goal = jnp.argmax(jnp.where(candidate, score, -1.0)).astype(jnp.int32)
+    score = jax.random.uniform(refuge_key, (layout.num_bays,))
+    score = jnp.where(rows == old, 2.0, score)
+    shelter = jnp.argmax(jnp.where(refuge, score, -1.0)).astype(jnp.int32)
+    evicted = occupancy.parked_bay == goal
+    return Occupancy(
+        goal=occupancy.goal.at[agent].set(goal),
+        parked_bay=jnp.where(evicted, shelter, occupancy.parked_bay),
+    )

@@ -1,0 +1,116 @@
+"""The square free-for-all lot: four rows of bays around an open square.
+
+Schematic (c) of Tanner 2022 (arXiv 2206.13338): no lanes, blocks in the corners, outer
+walls. `tanner` has his proportions, `compact` real German bays.
+"""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.layouts.types import Layout
+
+WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
+
+
+@dataclasses.dataclass(frozen=True)
+class SquareConfig:
+    """Dimensions of a square lot [m].
+
+    Attributes:
+        bays_per_side: bays in each of the four rows.
+        bay_width: across a parked car.
+        bay_length: along a parked car.
+        wall_gap: free strip between the bays' far ends and the outer walls.
+        block_inset: free strip between a corner block and the rows beside it.
+        wall_thickness: of the outer walls.
+        spawn_margin: between the open square's edge and the spawn region.
+    """
+
+    bays_per_side: int = 9
+    bay_width: float = 6 * WORLD_UNIT
+    bay_length: float = 10 * WORLD_UNIT
+    wall_gap: float = 0.5 * WORLD_UNIT
+    block_inset: float = 0.5 * WORLD_UNIT
+    wall_thickness: float = 10 * WORLD_UNIT
+    spawn_margin: float = 6 * WORLD_UNIT
+
+    def __post_init__(self) -> None:
+        if self.bays_per_side < 1:
+            raise ValueError(
+                f"bays_per_side must be at least 1, not {self.bays_per_side}"
+            )
+        for field in dataclasses.fields(self)[1:]:
+            value = getattr(self, field.name)
+            if not value >= 0:
+                raise ValueError(f"{field.name} must not be negative, not {value}")
+        if 2 * self.spawn_margin >= self.bays_per_side * self.bay_width:
+            raise ValueError(
+                f"spawn_margin {self.spawn_margin} m leaves no spawn region in a "
+                f"square of {self.bays_per_side * self.bay_width} m"
+            )
+
+
+# Wall faces are those of Tanner's colliders: corner blocks 9 x 9 and outer walls at
+# 37.5 world units (his drawing has 10 x 10 and 37).
+TANNER = SquareConfig()
+# Bays of 2.50 m x 5.00 m: EAR 23 (Germany), the common perpendicular bay.
+COMPACT = SquareConfig(
+    bay_width=2.5,
+    bay_length=5.0,
+    wall_gap=0.3,
+    block_inset=0.2,
+    wall_thickness=2.0,
+    spawn_margin=2.6,
+)
+
+
+def square(config: SquareConfig, key: jax.Array | None = None) -> Layout:
+    """Builds the square lot.
+
+    Args:
+        config: dimensions.
+        key: unused; a square lot has nothing random. Generators share this signature.
+    """
+    del key
+    half = config.bays_per_side * config.bay_width / 2
+    depth = config.bay_length
+    along = (np.arange(config.bays_per_side) + 0.5) * config.bay_width - half
+    row = half + depth / 2
+    # Bottom, right, top, left; parked cars point at the centre of the lot.
+    bays = [
+        *[(s, -row, math.pi / 2) for s in along],
+        *[(row, s, -math.pi) for s in along],
+        *[(s, row, -math.pi / 2) for s in along],
+        *[(-row, s, 0.0) for s in along],
+    ]
+    block = depth - config.block_inset
+    corner = half + config.block_inset + block / 2
+    face = half + depth + config.wall_gap
+    middle = face + config.wall_thickness / 2
+    span = 2 * (face + config.wall_thickness)
+    walls = [(sx * corner, sy * corner, 0.0) for sx in (-1, 1) for sy in (-1, 1)]
+    wall_sizes = [(block, block)] * 4
+    walls += [(0.0, s * middle, 0.0) for s in (-1, 1)]
+    walls += [(s * middle, 0.0, math.pi / 2) for s in (-1, 1)]
+    wall_sizes += [(span, config.wall_thickness)] * 4
+    side = 2 * (half - config.spawn_margin)
+
+    def array(rows: object) -> jax.Array:
+        return jnp.asarray(np.array(rows), jnp.float32)
+
+    return Layout(
+        bay_pose=array(bays),
+        bay_size=array([(depth, config.bay_width)] * len(bays)),
+        bay_mask=jnp.ones(len(bays), bool),
+        wall_pose=array(walls),
+        wall_size=array(wall_sizes),
+        wall_mask=jnp.ones(len(walls), bool),
+        spawn_pose=array([(0.0, 0.0, 0.0)]),
+        spawn_size=array([(side, side)]),
+        spawn_mask=jnp.ones(1, bool),
+        extent=array([face, face]),
+    )

@@ -1,0 +1,86 @@
+"""Per-agent episode statistics, carried in the state and read when an episode ends."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.geometry import axis_angle_error
+from carpark_mj.types import Events, VehicleState
+
+
+@struct.dataclass
+class EpisodeStats:
+    """Sums over the running episode; all (num_agents,) float32.
+
+    Attributes:
+        episode_return: undiscounted.
+        length: control steps.
+        path: driven length [m].
+        gear_changes: times the direction of travel changed.
+        direction: sign of the last motion, 0 before the first.
+    """
+
+    episode_return: jax.Array
+    length: jax.Array
+    path: jax.Array
+    gear_changes: jax.Array
+    direction: jax.Array
+
+
+MOVING = 0.05  # m/s, slower cars have no direction of travel
+
+
+def init_stats(num_agents: int) -> EpisodeStats:
+    """Statistics at the start of an episode."""
+    zero = jnp.zeros(num_agents, jnp.float32)
+    return EpisodeStats(zero, zero, zero, zero, zero)
+
+
+def update_stats(
+    stats: EpisodeStats,
+    before: VehicleState,
+    after: VehicleState,
+    reward: jax.Array,
+) -> EpisodeStats:
+    """Adds a step; states before and after it, the latter before any respawn."""
+    points = jnp.concatenate(
+        [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
+    )
+    path = jnp.linalg.norm(jnp.diff(points, axis=-2), axis=-1).sum(axis=-1)
+    direction = jnp.sign(after.speed) * (jnp.abs(after.speed) > MOVING)
+    changed = (direction * stats.direction) < 0
+    return EpisodeStats(
+        episode_return=stats.episode_return + reward,
+        length=stats.length + 1.0,
+        path=stats.path + path,
+        gear_changes=stats.gear_changes + changed,
+        direction=jnp.where(direction != 0, direction, stats.direction),
+    )
+
+
+def step_metrics(
+    stats: EpisodeStats,
+    events: Events,
+    after: VehicleState,
+    goal_pose: jax.Array,
+) -> dict[str, jax.Array]:
+    """Named metrics (num_agents,) float32, meant to be read where `events.done`."""
+    offset = after.pose_w[..., :2] - goal_pose[..., :2]
+    heading = axis_angle_error(after.pose_w[..., 2] - goal_pose[..., 2])
+    metrics = {
+        "parked": events.parked,
+        "crashed": events.crashed,
+        "timed_out": events.timed_out,
+        "diverged": events.diverged,
+        "hit_agent": events.hit_agent,
+        "hit_parked_car": events.hit_parked_car,
+        "hit_wall": events.hit_wall,
+        "episode_return": stats.episode_return,
+        "length": stats.length,
+        "path": stats.path,
+        "gear_changes": stats.gear_changes,
+        "final_distance": jnp.linalg.norm(offset, axis=-1),
+        "final_heading": heading,
+        "final_speed": jnp.abs(after.speed),
+    }
+    return {name: value.astype(jnp.float32) for name, value in metrics.items()}

@@ -1,0 +1,92 @@
+"""Puts the observation vector together in the order of `fields.make_fields`."""
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import ObservationConfig
+from carpark_mj.geometry import to_local
+from carpark_mj.layouts.types import Layout
+from carpark_mj.observations.ego import own_goal, own_motion
+from carpark_mj.observations.fields import FAR, make_fields
+from carpark_mj.observations.localised import localise, nearest
+from carpark_mj.observations.rings import wall_rings
+from carpark_mj.types import VehicleState
+
+
+def observe(
+    config: ObservationConfig,
+    layout: Layout,
+    vehicle: VehicleState,
+    goal: jax.Array,
+    parked_bay: jax.Array,
+    parked_size: jax.Array,
+    max_speed: jax.Array,
+    max_steering: jax.Array,
+) -> jax.Array:
+    """Observations of all agents of a lot.
+
+    Args:
+        config: what is observed.
+        layout: the lot.
+        vehicle: the agents (num_agents,).
+        goal: (num_agents,) bay indices.
+        parked_bay: (num_parked_cars,) bay indices.
+        parked_size: (num_parked_cars, 2) [m].
+        max_speed: (num_agents,) forward limits [m/s].
+        max_steering: (num_agents,) [rad].
+
+    Returns:
+        (num_agents, observation_size) float32.
+    """
+    goal_pose = layout.bay_pose[goal]
+    values = own_motion(vehicle, max_speed, max_steering)
+    values |= own_goal(vehicle, goal_pose, layout.bay_size[goal])
+    own_xy = vehicle.pose_w[:, :2]
+
+    if config.tracked_agents:
+        other = ~jnp.eye(own_xy.shape[0], dtype=bool)
+        index, present = nearest(own_xy, own_xy, other, config.tracked_agents)
+        agents = localise(
+            vehicle.pose_w, vehicle.pose_w[index], vehicle.size[index], present
+        )
+        their_goal = to_local(vehicle.pose_w[:, None], goal_pose[index])[..., :2] / FAR
+        speed = (vehicle.speed[index] / max_speed[:, None])[..., None]
+        agents["speed"] = jnp.where(present[..., None], speed, 0.0)
+        agents["goal"] = jnp.where(present[..., None], their_goal, 0.0)
+        values |= _numbered("agent", agents, config.tracked_agents)
+    if config.tracked_parked_cars:
+        pose = layout.bay_pose[parked_bay]
+        if pose.shape[0] == 0:  # nobody to track: a masked stand-in keeps the shapes
+            pose, parked_size = jnp.zeros((1, 3)), jnp.zeros((1, 2))
+        mask = jnp.full((own_xy.shape[0], pose.shape[0]), parked_bay.shape[0] > 0)
+        index, present = nearest(
+            own_xy, pose[:, :2], mask, config.tracked_parked_cars
+        )
+        cars = localise(vehicle.pose_w, pose[index], parked_size[index], present)
+        values |= _numbered("parked", cars, config.tracked_parked_cars)
+    if config.rings:
+        count = wall_rings(
+            own_xy,
+            layout.wall_pose,
+            layout.wall_size,
+            layout.wall_mask,
+            config.rings,
+            config.ring_cap,
+        )
+        for k, diameter in enumerate(config.rings):
+            values[f"ring_{diameter:g}m"] = count[:, k : k + 1]
+
+    ordered = [values.pop(field.name) for field in make_fields(config)]
+    if values:
+        raise AssertionError(f"undeclared observation fields: {sorted(values)}")
+    return jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
+
+
+def _numbered(
+    kind: str, fields: dict[str, jax.Array], count: int
+) -> dict[str, jax.Array]:
+    return {
+        f"{kind}_{k}_{name}": value[:, k]
+        for k in range(count)
+        for name, value in fields.items()
+    }

@@ -1,0 +1,55 @@
+"""Actor and critic: Brax's PPO networks, sized by a frozen config."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo import networks as ppo_networks
+
+Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]
+
+
+@dataclasses.dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of the networks; activations are swish.
+
+    Attributes:
+        policy_layers: hidden layers of the actor.
+        value_layers: hidden layers of the critic.
+    """
+
+    policy_layers: tuple[int, ...] = (128, 128)
+    value_layers: tuple[int, ...] = (128, 128)
+
+    def __post_init__(self) -> None:
+        for name in ("policy_layers", "value_layers"):
+            if any(size < 1 for size in getattr(self, name)):
+                raise ValueError(
+                    f"{name} must be positive sizes, not {getattr(self, name)}"
+                )
+
+
+def make_networks(
+    config: NetworkConfig, observation_size: int, action_size: int
+) -> ppo_networks.PPONetworks:
+    """Builds actor and critic over normalised observations; actions are tanh-normal."""
+    return ppo_networks.make_ppo_networks(
+        observation_size,
+        action_size,
+        preprocess_observations_fn=running_statistics.normalize,
+        policy_hidden_layer_sizes=config.policy_layers,
+        value_hidden_layer_sizes=config.value_layers,
+    )
+
+
+def make_policy(
+    networks: ppo_networks.PPONetworks,
+    normalizer: Any,
+    policy_params: Any,
+    deterministic: bool,
+) -> Policy:
+    """An acting function `(observation, key) -> (action, extras)`."""
+    make = ppo_networks.make_inference_fn(networks)
+    return make((normalizer, policy_params), deterministic=deterministic)

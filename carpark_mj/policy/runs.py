@@ -1,0 +1,154 @@
+"""The folder of a training run: `runs/<name>/` and what lies in it.
+
+    config.json             every setting, versions, device
+    checkpoints/step_N.npz  the last two training states
+    metrics.csv             one row per update
+    tensorboard/            the same as event files
+    learning_curve.png, evaluation.{csv,json}, video.mp4   at the end
+"""
+
+import dataclasses
+import json
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from brax.training.acme import running_statistics, specs
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.policy import checkpoints
+from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.networks import (
+    NetworkConfig,
+    Policy,
+    make_networks,
+    make_policy,
+)
+
+KEPT_CHECKPOINTS = 2
+
+
+def from_dict(cls: Any, data: Any) -> Any:
+    """Rebuilds a frozen dataclass from the dictionary `dataclasses.asdict` made.
+
+    Raises:
+        ValueError: unknown or missing names, or values the dataclass refuses.
+    """
+    if not isinstance(data, dict):
+        raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
+    fields = {field.name: field for field in dataclasses.fields(cls)}
+    unknown = sorted(set(data) - set(fields))
+    if unknown:
+        raise ValueError(f"{cls.__name__} has no {unknown}")
+    hints = typing.get_type_hints(cls)
+    values = {}
+    for name, value in data.items():
+        hint = hints[name]
+        if isinstance(hint, types.UnionType):
+            hint = next((h for h in hint.__args__ if h is not type(None)), hint)
+        if dataclasses.is_dataclass(hint) and value is not None:
+            value = from_dict(hint, value)
+        elif isinstance(value, list):
+            value = tuple(value)
+        values[name] = value
+    return cls(**values)
+
+
+def checkpoint_files(folder: Path) -> list[Path]:
+    """Checkpoints of a run, oldest first."""
+    return sorted((folder / "checkpoints").glob("step_*.npz"))
+
+
+def latest_checkpoint(run: Path) -> Path:
+    """The newest readable checkpoint of a run folder, or a checkpoint file itself.
+
+    Raises:
+        CheckpointError: there is none; the message of the newest if all are damaged.
+    """
+    if run.is_file():
+        checkpoints.read_header(run)
+        return run
+    if not run.is_dir():
+        raise CheckpointError(f"no run folder or checkpoint at {run}")
+    files = checkpoint_files(run)
+    if not files:
+        raise CheckpointError(f"{run} holds no checkpoint (checkpoints/step_*.npz)")
+    problem = None
+    for file in reversed(files):
+        try:
+            checkpoints.read_header(file)
+        except CheckpointError as error:
+            problem = problem or error
+        else:
+            return file
+    raise problem or CheckpointError(f"{run} holds no readable checkpoint")
+
+
+def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> Path:
+    """Saves a training state and removes all but the last two."""
+    folder = run / "checkpoints"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"step_{step:012d}.npz"
+    checkpoints.save(path, tree, header)
+    for old in checkpoint_files(run)[:-KEPT_CHECKPOINTS]:
+        old.unlink(missing_ok=True)
+    return path
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Writes JSON atomically."""
+    text = json.dumps(data, indent=2) + "\n"
+    checkpoints.write_atomically(path, lambda temporary: temporary.write_text(text))
+
+
+@dataclasses.dataclass(frozen=True)
+class LoadedPolicy:
+    """A policy with the environment it was trained in.
+
+    Attributes:
+        env: configuration of that environment.
+        policy: acting function.
+        steps: agent steps it was trained for.
+        path: the checkpoint.
+    """
+
+    env: EnvConfig
+    policy: Policy
+    steps: int
+    path: Path
+
+
+def normalizer_template(observation_size: int) -> Any:
+    """Running statistics of observations at the start of training."""
+    state = running_statistics.init_state(
+        specs.Array((observation_size,), np.dtype("float32"))
+    )
+    return jax.tree.map(np.asarray, state)
+
+
+def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
+    """Loads the policy of a run folder or checkpoint file.
+
+    Raises:
+        CheckpointError: missing, damaged or foreign checkpoint.
+    """
+    path = latest_checkpoint(run)
+    header = checkpoints.read_header(path)
+    try:
+        env_config = from_dict(EnvConfig, header["config"]["env"])
+        network_config = from_dict(NetworkConfig, header["config"]["networks"])
+        env = ParkingEnv(env_config)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{path} has an unusable config: {error}") from None
+    networks = make_networks(network_config, env.observation_size, env.action_size)
+    template = {
+        "normalizer": normalizer_template(env.observation_size),
+        "policy": networks.policy_network.init(jax.random.key(0)),
+    }
+    tree = checkpoints.load(path, template)
+    policy = make_policy(networks, tree["normalizer"], tree["policy"], deterministic)
+    return LoadedPolicy(env_config, policy, int(header["env_steps"]), path)

@@ -1,0 +1,74 @@
+"""Where an agent starts: at random in the spawn regions, or close to its goal."""
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import SpawnConfig
+from carpark_mj.geometry import rotate
+from carpark_mj.layouts.types import Layout
+
+
+def spawn_pose(
+    config: SpawnConfig,
+    layout: Layout,
+    goal_pose: jax.Array,
+    other_xy: jax.Array,
+    other_mask: jax.Array,
+    key: jax.Array,
+) -> jax.Array:
+    """Draws a start pose for one agent.
+
+    Headings are uniform. A random spawn is uniform over the spawn regions; a close
+    one lies on a walk of up to `close_distance` from the region's point nearest to
+    the goal. The first of `num_candidates` draws that keeps `min_distance` to every
+    other agent is taken, else the draw farthest from them.
+
+    Args:
+        config: spawning rules.
+        layout: the lot.
+        goal_pose: (3,) pose of the agent's goal.
+        other_xy: (num_agents, 2) centres of the agents [m].
+        other_mask: (num_agents,) bool, the agents to keep away from.
+        key: consumed.
+
+    Returns:
+        (3,) pose of the footprint's centre.
+    """
+    n = config.num_candidates
+    region_key, point_key, walk_key, yaw_key, close_key = jax.random.split(key, 5)
+    area = jnp.where(layout.spawn_mask, jnp.prod(layout.spawn_size, axis=-1), 0.0)
+    region = jax.random.categorical(region_key, jnp.log(area), shape=(n,))
+    pose, size = layout.spawn_pose[region], layout.spawn_size[region]
+    # local = U(-size / 2, size / 2) in the region's frame.
+    local = (jax.random.uniform(point_key, (n, 2)) - 0.5) * size
+    random_xy = pose[:, :2] + rotate(local, pose[:, 2])
+
+    close = jax.random.uniform(close_key) < config.close_ratio
+    close_xy = _close_points(config, layout, goal_pose[:2], n, walk_key)
+    xy = jnp.where(close, close_xy, random_xy)
+    yaw = jax.random.uniform(yaw_key, (n,), minval=-jnp.pi, maxval=jnp.pi)
+
+    gap = jnp.linalg.norm(xy[:, None] - other_xy, axis=-1)
+    gap = jnp.where(other_mask, gap, jnp.inf).min(axis=-1)
+    keeps = gap > config.min_distance
+    best = jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(gap))
+    return jnp.concatenate([xy[best], yaw[best][None]])
+
+
+def _close_points(
+    config: SpawnConfig, layout: Layout, goal_xy: jax.Array, n: int, key: jax.Array
+) -> jax.Array:
+    """Points (n, 2) near the goal within the spawn region closest to it."""
+    angle_key, reach_key = jax.random.split(key)
+    local = rotate(goal_xy - layout.spawn_pose[:, :2], -layout.spawn_pose[:, 2])
+    half = layout.spawn_size / 2
+    nearest = jnp.clip(local, -half, half)
+    gap = jnp.linalg.norm(local - nearest, axis=-1)
+    region = jnp.argmin(jnp.where(layout.spawn_mask, gap, jnp.inf))
+    angle = jax.random.uniform(angle_key, (n,), maxval=2 * jnp.pi)
+    reach = jax.random.uniform(reach_key, (n,), maxval=config.close_distance)
+    step = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1) * reach[:, None]
+    # Tanner walks on a grid; here the walk is one straight step, folded into the region.
+    point = jnp.clip(nearest[region] + step, -half[region], half[region])
+    pose = layout.spawn_pose[region]
+    return pose[:2] + rotate(point, pose[2])

@@ -1,0 +1,13 @@
+"""The car: parameters with sources, its MJCF, and the mapping from actions."""
+
+from carpark_mj.vehicle.parameters import COMPACT, PRESETS, VehicleParameters, preset
+from carpark_mj.vehicle.vehicle import Vehicle, make_vehicle
+
+__all__ = [
+    "COMPACT",
+    "PRESETS",
+    "Vehicle",
+    "VehicleParameters",
+    "make_vehicle",
+    "preset",
+]

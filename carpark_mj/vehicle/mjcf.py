@@ -1,0 +1,149 @@
+"""The car as MJCF: chassis, steered knuckles, four wheels, two steering servos.
+
+The body frame is the rear-axle centre projected on the ground, x forward. Degrees of
+freedom: root (0-5), steer and spin front left and right, spin rear left and right:
+12 in all. Steering joints carry no range: in MJX a joint limit is a permanent solver
+row, and the command is clipped before it gets there. The model has no contacts: tyre
+forces come from `carpark_mj.physics.tyres`.
+"""
+
+import mujoco
+import numpy as np
+
+from carpark_mj.vehicle.parameters import VehicleParameters
+
+WHEELS = ("fl", "fr", "rl", "rr")  # the order of every (4,) array of wheels
+STEERED = ("fl", "fr")
+
+# Steering servo: stiff against the scrub torque of a standing tyre (about 200 N m),
+# close to critically damped with the inertia below.
+STEER_STIFFNESS = 40_000.0  # N m/rad
+STEER_DAMPING = 550.0  # N m s/rad
+STEER_TORQUE = 1000.0  # N m per wheel
+STEER_ARMATURE = 1.0  # kg m^2, rack and column reflected to the wheel, estimated
+STEER_FRICTION_DAMPING = 5.0  # N m s/rad
+
+
+def hub_positions(params: VehicleParameters) -> np.ndarray:
+    """Wheel centres (4, 3) [m] in the body frame, in the order of `WHEELS`."""
+    x, y = params.wheelbase, params.track_width / 2
+    z = params.wheel_radius
+    return np.array([[x, y, z], [x, -y, z], [0.0, y, z], [0.0, -y, z]])
+
+
+def chassis_inertial(
+    params: VehicleParameters,
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """What remains of the car's mass properties without wheels and knuckles.
+
+    Returns:
+        Mass [kg], centre of gravity (3,) [m] in the body frame, principal inertia (3,)
+        [kg m^2] about it. Products of inertia are neglected.
+
+    Raises:
+        ValueError: the remainder is no rigid body (negative, or it violates the
+            triangle inequality of inertias).
+    """
+    hubs = hub_positions(params)
+    masses = np.full(4, params.wheel_mass)
+    masses[:2] += params.knuckle_mass
+    tilt, spin = params.wheel_tilt_inertia, params.wheel_inertia
+    own = np.tile([tilt, spin, tilt], (4, 1))
+    own[:2] += params.knuckle_inertia
+    mass = params.mass - masses.sum()
+    cg = np.array([params.cg_to_rear_axle, 0.0, params.cg_height])
+    com = (params.mass * cg - masses @ hubs) / mass
+
+    def about_cg(point: np.ndarray) -> np.ndarray:
+        x, y, z = point - cg
+        return np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+
+    inertia = np.array([params.roll_inertia, params.pitch_inertia, params.yaw_inertia])
+    for m, hub, i in zip(masses, hubs, own, strict=True):
+        inertia = inertia - i - m * about_cg(hub)
+    inertia = inertia - mass * about_cg(com)
+    largest = inertia.max()
+    if mass <= 0 or inertia.min() <= 0 or inertia.sum() < 2 * largest:
+        raise ValueError(
+            f"mass {params.mass} kg and inertias ({params.roll_inertia}, "
+            f"{params.pitch_inertia}, {params.yaw_inertia}) kg m^2 leave no possible "
+            f"chassis: mass {mass:.1f} kg, inertias {inertia.round(1).tolist()}"
+        )
+    return float(mass), com, inertia
+
+
+def add_car(
+    parent: mujoco.MjsBody, spec: mujoco.MjSpec, params: VehicleParameters, prefix: str
+) -> mujoco.MjsBody:
+    """Adds a car as a free body of `parent`; every name starts with `prefix`."""
+    mass, com, inertia = chassis_inertial(params)
+    car = parent.add_body(name=f"{prefix}car")
+    car.add_freejoint(name=f"{prefix}root")
+    _set_inertial(car, mass, com, inertia)
+    tilt, spin = params.wheel_tilt_inertia, params.wheel_inertia
+    for name, hub in zip(WHEELS, hub_positions(params), strict=True):
+        carrier, position = car, hub
+        if name in STEERED:
+            carrier = car.add_body(name=f"{prefix}knuckle_{name}", pos=hub)
+            _set_inertial(
+                carrier,
+                params.knuckle_mass,
+                np.zeros(3),
+                np.full(3, params.knuckle_inertia),
+            )
+            carrier.add_joint(
+                name=f"{prefix}steer_{name}",
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=[0, 0, 1],
+                armature=STEER_ARMATURE,
+                damping=STEER_FRICTION_DAMPING,
+            )
+            position = np.zeros(3)
+            servo = spec.add_actuator(
+                name=f"{prefix}steer_{name}",
+                target=f"{prefix}steer_{name}",
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            )
+            servo.set_to_position(kp=STEER_STIFFNESS, kv=STEER_DAMPING)
+            servo.forcelimited = True
+            servo.forcerange = [-STEER_TORQUE, STEER_TORQUE]
+        wheel = carrier.add_body(name=f"{prefix}wheel_{name}", pos=position)
+        _set_inertial(
+            wheel, params.wheel_mass, np.zeros(3), np.array([tilt, spin, tilt])
+        )
+        wheel.add_joint(
+            name=f"{prefix}spin_{name}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0, 1, 0],
+        )
+    return car
+
+
+def _set_inertial(
+    body: mujoco.MjsBody, mass: float, com: np.ndarray, inertia: np.ndarray
+) -> None:
+    body.mass = mass
+    body.ipos = com
+    body.inertia = inertia
+    body.explicitinertial = True
+
+
+def car_model(
+    params: VehicleParameters,
+    sim_dt: float,
+    gravity: tuple[float, float, float],
+) -> mujoco.MjModel:
+    """Compiles the car alone in its world, without ground or contacts.
+
+    Args:
+        params: the vehicle.
+        sim_dt: physics time step [s].
+        gravity: (3,) [m/s^2]; tilt it for a slope.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = "car"
+    spec.option.timestep = sim_dt
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.gravity = gravity
+    add_car(spec.worldbody, spec, params, prefix="")
+    return spec.compile()

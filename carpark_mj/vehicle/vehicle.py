@@ -1,0 +1,172 @@
+"""The per-car parameters as data: a pytree that travels in the physics state.
+
+Fleets and randomisation change these arrays, never the compiled program. Build one
+with `make_vehicle`, and batches of it with `jax.tree.map`.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.vehicle.mjcf import car_model, hub_positions
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+
+
+@struct.dataclass
+class Tyres:
+    """Brush tyre coefficients of one car; wheels in the order of `mjcf.WHEELS`.
+
+    Attributes:
+        static_load: (..., 4) vertical load at rest on level ground [N].
+        friction: (...) friction coefficient.
+        longitudinal_stiffness: (..., 4) bristle stiffness [N/m].
+        lateral_stiffness: (..., 4) bristle stiffness [N/m].
+        torsion_stiffness: (..., 4) scrub torque per twist at static load [N m/rad].
+        torsion_yield: (...) twist at which the patch slips [rad].
+        longitudinal_relaxation: (...) [m].
+        lateral_relaxation: (...) [m].
+        torsion_relaxation: (...) [m].
+        longitudinal_damping: (...) [N s/m].
+        lateral_damping: (...) [N s/m].
+        rolling_resistance: (...) force per load.
+        vertical_stiffness: (...) [N/m].
+        vertical_damping: (...) [N s/m].
+    """
+
+    static_load: jax.Array
+    friction: jax.Array
+    longitudinal_stiffness: jax.Array
+    lateral_stiffness: jax.Array
+    torsion_stiffness: jax.Array
+    torsion_yield: jax.Array
+    longitudinal_relaxation: jax.Array
+    lateral_relaxation: jax.Array
+    torsion_relaxation: jax.Array
+    longitudinal_damping: jax.Array
+    lateral_damping: jax.Array
+    rolling_resistance: jax.Array
+    vertical_stiffness: jax.Array
+    vertical_damping: jax.Array
+
+
+@struct.dataclass
+class Vehicle:
+    """Parameters of one car as the physics uses them.
+
+    Attributes:
+        size: (..., 2) length and width of the footprint [m].
+        centre_offset: (...) rear axle to footprint centre [m].
+        wheelbase: (...) [m].
+        track_width: (...) [m].
+        hub: (..., 4, 2) wheel centres in the body frame [m].
+        wheel_radius: (...) [m].
+        wheel_inertia: (...) [kg m^2].
+        mass: (...) whole car [kg].
+        ackermann: (...) Ackermann fraction.
+        max_steering: (...) [rad].
+        steering_rate: (...) [rad/s].
+        max_acceleration: (...) [m/s^2].
+        max_deceleration: (...) [m/s^2].
+        hold_deceleration: (...) [m/s^2].
+        max_speed: (...) [m/s].
+        max_reverse_speed: (...) [m/s].
+        speed_limit_time: (...) [s].
+        drive_share: (..., 4) share of the drive torque per wheel; sums to 1.
+        brake_share: (..., 4) share of the brake torque per wheel; sums to 1.
+        tyres: tyre coefficients.
+        body_mass: (..., 8) mass of each MuJoCo body [kg].
+        body_inertia: (..., 8, 3) principal inertias [kg m^2].
+        body_ipos: (..., 8, 3) centres of mass in the body frames [m].
+        body_pos: (..., 8, 3) body frames in their parents [m].
+    """
+
+    size: jax.Array
+    centre_offset: jax.Array
+    wheelbase: jax.Array
+    track_width: jax.Array
+    hub: jax.Array
+    wheel_radius: jax.Array
+    wheel_inertia: jax.Array
+    mass: jax.Array
+    ackermann: jax.Array
+    max_steering: jax.Array
+    steering_rate: jax.Array
+    max_acceleration: jax.Array
+    max_deceleration: jax.Array
+    hold_deceleration: jax.Array
+    max_speed: jax.Array
+    max_reverse_speed: jax.Array
+    speed_limit_time: jax.Array
+    drive_share: jax.Array
+    brake_share: jax.Array
+    tyres: Tyres
+    body_mass: jax.Array
+    body_inertia: jax.Array
+    body_ipos: jax.Array
+    body_pos: jax.Array
+
+
+def make_vehicle(params: VehicleParameters) -> Vehicle:
+    """Turns a parameter set into the arrays of one car (no batch dimension)."""
+    model = car_model(params, sim_dt=0.01, gravity=(0.0, 0.0, -GRAVITY))
+    array = jnp.asarray
+    return Vehicle(
+        size=array([params.length, params.width]),
+        centre_offset=array(params.centre_offset),
+        wheelbase=array(params.wheelbase),
+        track_width=array(params.track_width),
+        hub=array(hub_positions(params)[:, :2]),
+        wheel_radius=array(params.wheel_radius),
+        wheel_inertia=array(params.wheel_inertia),
+        mass=array(params.mass),
+        ackermann=array(params.ackermann),
+        max_steering=array(params.max_steering),
+        steering_rate=array(params.steering_rate),
+        max_acceleration=array(params.max_acceleration),
+        max_deceleration=array(params.max_deceleration),
+        hold_deceleration=array(params.hold_deceleration),
+        max_speed=array(params.max_speed),
+        max_reverse_speed=array(params.max_reverse_speed),
+        speed_limit_time=array(params.speed_limit_time),
+        drive_share=array(_per_wheel(params.front_drive)),
+        brake_share=array(_per_wheel(params.front_brake)),
+        tyres=_make_tyres(params),
+        body_mass=array(model.body_mass),
+        body_inertia=array(model.body_inertia),
+        body_ipos=array(model.body_ipos),
+        body_pos=array(model.body_pos),
+    )
+
+
+def _per_wheel(front_share: float) -> list[float]:
+    """An axle split as shares of the four wheels.
+
+    Equal torque on both wheels of an axle is what an open differential gives.
+    """
+    front, rear = front_share / 2, (1.0 - front_share) / 2
+    return [front, front, rear, rear]
+
+
+def _make_tyres(params: VehicleParameters) -> Tyres:
+    tyre = params.tyre
+    weight = params.mass * GRAVITY / params.wheelbase / 2
+    front, rear = weight * params.cg_to_rear_axle, weight * params.cg_to_front_axle
+    load = jnp.array([front, front, rear, rear])
+    # Scrub torque of a uniformly loaded disc: M = 2/3 mu Fz R_patch (Sharp & Granger).
+    torque_limit = tyre.friction * (2 / 3) * tyre.patch_radius * load
+    return Tyres(
+        static_load=load,
+        friction=jnp.asarray(tyre.friction),
+        longitudinal_stiffness=tyre.slip_stiffness * load / tyre.longitudinal_relaxation,
+        lateral_stiffness=tyre.cornering_stiffness * load / tyre.lateral_relaxation,
+        torsion_stiffness=torque_limit / tyre.torsion_yield,
+        torsion_yield=jnp.asarray(tyre.torsion_yield),
+        longitudinal_relaxation=jnp.asarray(tyre.longitudinal_relaxation),
+        lateral_relaxation=jnp.asarray(tyre.lateral_relaxation),
+        torsion_relaxation=jnp.asarray(tyre.torsion_relaxation),
+        longitudinal_damping=jnp.asarray(tyre.longitudinal_damping),
+        lateral_damping=jnp.asarray(tyre.lateral_damping),
+        rolling_resistance=jnp.asarray(tyre.rolling_resistance),
+        vertical_stiffness=jnp.asarray(tyre.vertical_stiffness),
+        vertical_damping=jnp.asarray(tyre.vertical_damping),
+    )

@@ -1,0 +1,90 @@
+"""A batch of lots as one Brax environment: `lots x agents` flattened to its batch.
+
+Brax's acting, loss and statistics then treat every agent as an environment of its own
+that shares the policy (IPPO).
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from brax.envs.base import Env
+from brax.envs.base import State as BraxState
+
+from carpark_mj.env import ParkingEnv, TimeStep
+
+
+class BraxParking(Env):
+    """`num_lots` lots of `env.num_agents` agents each.
+
+    `reset(keys)` takes (num_lots,) keys; observations, rewards, `done` and everything
+    in `info` but the state have the leading dimension num_lots * num_agents.
+    """
+
+    def __init__(self, env: ParkingEnv) -> None:
+        """Wraps one lot's environment."""
+        self.env = env
+
+    def reset(self, rng: jax.Array) -> BraxState:
+        """Starts the lots, one per key."""
+        state, observation = jax.vmap(self.env.reset)(rng)
+        observation = _flatten(observation)
+        zero = jnp.zeros(observation.shape[:1], jnp.float32)
+        lot = jax.eval_shape(
+            lambda s: self.env.step(s, jnp.zeros((self.env.num_agents, 2)))[1],
+            jax.tree.map(lambda x: x[0], state),
+        )
+        info = {
+            "truncation": zero,
+            "episode_done": zero,
+            "episode_metrics": {name: zero for name in lot.metrics},
+            "reward_terms": {name: zero for name in lot.reward_terms},
+        }
+        return BraxState(
+            pipeline_state=state,  # pyright: ignore[reportArgumentType]
+            obs=observation,
+            reward=zero,
+            done=zero,
+            metrics={},
+            info=info,
+        )
+
+    def step(self, state: BraxState, action: jax.Array) -> BraxState:
+        """Steps all lots; `action` (num_lots * num_agents, 2)."""
+        lots: Any = state.pipeline_state
+        action = action.reshape(-1, self.env.num_agents, self.env.action_size)
+        lots, timestep = jax.vmap(self.env.step)(lots, action)
+        timestep: TimeStep = jax.tree.map(_flatten, timestep)
+        done = (timestep.terminated | timestep.truncated).astype(jnp.float32)
+        info = {
+            "truncation": timestep.truncated.astype(jnp.float32),
+            "episode_done": done,
+            "episode_metrics": timestep.metrics,
+            "reward_terms": timestep.reward_terms,
+        }
+        return state.replace(  # pyright: ignore[reportAttributeAccessIssue]
+            pipeline_state=lots,
+            obs=timestep.observation,
+            reward=timestep.reward,
+            done=done,
+            info=info,
+        )
+
+    @property
+    def observation_size(self) -> int:
+        """Length of an agent's observation."""
+        return self.env.observation_size
+
+    @property
+    def action_size(self) -> int:
+        """Length of an agent's action."""
+        return self.env.action_size
+
+    @property
+    def backend(self) -> str:
+        """Physics back end."""
+        return type(self.env.physics).__name__
+
+
+def _flatten(x: jax.Array) -> jax.Array:
+    return x.reshape(-1, *x.shape[2:])

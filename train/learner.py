@@ -1,0 +1,293 @@
+"""The PPO learner: a training state and a pure update, over Brax's parts.
+
+Brax gives the networks, acting, running statistics, GAE and loss; this file owns the
+training state, the schedules and the division over devices (lots are sharded,
+parameters replicated, gradients averaged).
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from brax.training import acting, gradients
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo import losses as ppo_losses
+from brax.training.types import Transition
+from flax import struct
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from presets import PPOConfig
+
+from carpark_mj.env import ParkingEnv
+from carpark_mj.policy.networks import make_networks, make_policy
+from carpark_mj.policy.runs import normalizer_template
+from carpark_mj.wrappers.brax import BraxParking
+
+AXIS = "lots"
+
+
+@struct.dataclass
+class TrainingState:
+    """Everything an exact resume needs.
+
+    Attributes:
+        normalizer: running statistics of the observations.
+        policy: actor parameters.
+        value: critic parameters.
+        optimizer: Adam's moments.
+        key: randomness of acting and shuffling.
+        update: () int32 updates made.
+        skipped: () int32 updates dropped because they were not finite.
+        env: the Brax state of all lots.
+    """
+
+    normalizer: Any
+    policy: Any
+    value: Any
+    optimizer: Any
+    key: jax.Array
+    update: jax.Array
+    skipped: jax.Array
+    env: Any
+
+
+def num_devices(config: PPOConfig) -> int:
+    """The most local devices that lots and minibatches divide over evenly."""
+
+    def fits(n: int) -> bool:
+        agents = config.num_lots // n * config.env.num_agents
+        return config.num_lots % n == 0 and agents % config.num_minibatches == 0
+
+    return max(n for n in range(1, jax.local_device_count() + 1) if fits(n))
+
+
+def schedule(start: float, end: float, progress: jax.Array) -> jax.Array:
+    """Linear from `start` to `end` as `progress` goes from 0 to 1."""
+    return start + (end - start) * jnp.clip(progress, 0.0, 1.0)
+
+
+class Learner:
+    """Builds the initial training state and the compiled update of a config."""
+
+    def __init__(self, config: PPOConfig) -> None:
+        """Sets up environment, networks, optimiser and mesh."""
+        self.config = config
+        self.env = BraxParking(ParkingEnv(config.env))
+        self.networks = make_networks(
+            config.networks, self.env.observation_size, self.env.action_size
+        )
+        self.optimizer = optax.chain(
+            optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam()
+        )
+        devices = jax.local_devices()[: num_devices(config)]
+        self.mesh = Mesh(devices, (AXIS,))
+        self._loss_and_grad = gradients.loss_and_pgrad(
+            functools.partial(
+                ppo_losses.compute_ppo_loss,
+                ppo_network=self.networks,
+                discounting=config.discount,
+                gae_lambda=config.gae_lambda,
+            ),
+            pmap_axis_name=AXIS,
+            has_aux=True,
+        )
+
+    def init(self) -> TrainingState:
+        """The state before the first update, laid out over the devices."""
+        # fold_in 0 is training's half of the seed; evaluation uses 1.
+        key = jax.random.fold_in(jax.random.key(self.config.seed), 0)
+        policy_key, value_key, env_key, key = jax.random.split(key, 4)
+        params = ppo_losses.PPONetworkParams(
+            policy=self.networks.policy_network.init(policy_key),
+            value=self.networks.value_network.init(value_key),
+        )
+        state = TrainingState(
+            normalizer=jax.tree.map(
+                jnp.asarray, normalizer_template(self.env.observation_size)
+            ),
+            policy=params.policy,
+            value=params.value,
+            optimizer=self.optimizer.init(params),  # pyright: ignore
+            key=key,
+            update=jnp.zeros((), jnp.int32),
+            skipped=jnp.zeros((), jnp.int32),
+            env=jax.jit(self.env.reset)(
+                jax.random.split(env_key, self.config.num_lots)
+            ),
+        )
+        return self.place(jax.tree.map(_strong, state))
+
+    def place(self, state: TrainingState) -> TrainingState:
+        """Lays a state out over the devices: lots sharded, the rest replicated."""
+        specs = self._specs()
+        return jax.tree.map(
+            lambda spec, part: jax.device_put(part, NamedSharding(self.mesh, spec)),
+            specs,
+            state,
+            is_leaf=lambda x: isinstance(x, PartitionSpec),
+        )
+
+    def _specs(self) -> TrainingState:
+        whole, lots = PartitionSpec(), PartitionSpec(AXIS)
+        return TrainingState(
+            normalizer=whole,
+            policy=whole,
+            value=whole,
+            optimizer=whole,
+            key=whole,
+            update=whole,
+            skipped=whole,
+            env=lots,
+        )
+
+    def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
+        """The jitted update `state -> (state, metrics)`; it consumes the state."""
+        update = jax.shard_map(
+            self.update,
+            mesh=self.mesh,
+            in_specs=(self._specs(),),
+            out_specs=(self._specs(), PartitionSpec()),
+            check_vma=False,
+        )
+        return jax.jit(update, donate_argnums=0)
+
+    def update(
+        self, state: TrainingState
+    ) -> tuple[TrainingState, dict[str, jax.Array]]:
+        """Collects one unroll of every agent and learns from it (one device's share).
+
+        A result with any non-finite number is dropped whole: parameters, optimiser
+        and statistics stay as they were and `skipped` counts it.
+        """
+        key, act_key, learn_key = jax.random.split(state.key, 3)
+        local = jax.lax.axis_index(AXIS)
+        env_state, data = self._collect(state, jax.random.fold_in(act_key, local))
+        learned, losses = self._learn(
+            state, data, jax.random.fold_in(learn_key, local)
+        )
+        finite = jnp.stack(
+            [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((learned, losses))]
+        ).all()
+        old = (state.normalizer, state.policy, state.value, state.optimizer)
+        kept = jax.tree.map(lambda new, old: jnp.where(finite, new, old), learned, old)
+        normalizer, policy, value, optimizer = kept
+        new = TrainingState(
+            normalizer=normalizer,
+            policy=policy,
+            value=value,
+            optimizer=optimizer,
+            key=key,
+            update=state.update + 1,
+            skipped=state.skipped + ~finite,
+            env=env_state,
+        )
+        metrics = _episode_metrics(data) | {
+            f"loss/{name}": jax.lax.pmean(loss, AXIS) for name, loss in losses.items()
+        }
+        return jax.tree.map(_strong, (new, metrics | {"skipped": new.skipped}))
+
+    def _collect(
+        self, state: TrainingState, key: jax.Array
+    ) -> tuple[Any, Transition]:
+        """Drives all agents for one unroll; data is (agents, time, ...)."""
+        policy = make_policy(
+            self.networks, state.normalizer, state.policy, deterministic=False
+        )
+        env_state, data = acting.generate_unroll(
+            self.env,
+            state.env,
+            policy,
+            key,
+            self.config.unroll_length,
+            extra_fields=(
+                "truncation",
+                "episode_done",
+                "episode_metrics",
+                "reward_terms",
+            ),
+        )
+        return env_state, jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
+
+    def _learn(
+        self, state: TrainingState, data: Transition, key: jax.Array
+    ) -> tuple[tuple[Any, Any, Any, Any], dict[str, jax.Array]]:
+        """Epochs of minibatch steps; returns the new parameters and mean losses."""
+        config = self.config
+        progress = state.update / config.num_updates
+        learning_rate = schedule(
+            config.learning_rate, config.learning_rate_end, progress
+        )
+        entropy_cost = schedule(config.entropy_cost, config.entropy_cost_end, progress)
+        clip = schedule(config.clip, config.clip_end, progress)
+        normalizer = running_statistics.update(
+            state.normalizer, data.observation, pmap_axis_name=AXIS
+        )
+        # Logging fields need no shuffling.
+        data = data._replace(
+            extras={
+                "policy_extras": data.extras["policy_extras"],
+                "state_extras": {
+                    "truncation": data.extras["state_extras"]["truncation"]
+                },
+            }
+        )
+
+        def minibatch(carry, batch):
+            params, optimizer, key = carry
+            key, loss_key = jax.random.split(key)
+            (_, losses), grads = self._loss_and_grad(
+                params,
+                normalizer,
+                batch,
+                loss_key,
+                entropy_cost=entropy_cost,
+                clipping_epsilon=clip,
+            )
+            updates, optimizer = self.optimizer.update(grads, optimizer)
+            updates = jax.tree.map(lambda u: -learning_rate * u, updates)
+            params = optax.apply_updates(params, updates)
+            return (params, optimizer, key), losses
+
+        def epoch(carry, _):
+            params, optimizer, key = carry
+            key, shuffle_key, batch_key = jax.random.split(key, 3)
+            order = jax.random.permutation(shuffle_key, data.reward.shape[0])
+            batches = jax.tree.map(
+                lambda x: x[order].reshape(
+                    config.num_minibatches, -1, *x.shape[1:]
+                ),
+                data,
+            )
+            (params, optimizer, _), losses = jax.lax.scan(
+                minibatch, (params, optimizer, batch_key), batches
+            )
+            return (params, optimizer, key), losses
+
+        params = ppo_losses.PPONetworkParams(policy=state.policy, value=state.value)
+        (params, optimizer, _), losses = jax.lax.scan(
+            epoch, (params, state.optimizer, key), None, length=config.num_epochs
+        )
+        learned = (normalizer, params.policy, params.value, optimizer)
+        return learned, jax.tree.map(jnp.mean, losses)
+
+
+def _episode_metrics(data: Transition) -> dict[str, jax.Array]:
+    """Means over the episodes that ended in the unroll, and reward terms per step."""
+    extras = data.extras["state_extras"]
+    done = extras["episode_done"]
+    episodes = jax.lax.psum(jnp.sum(done), AXIS)
+    metrics = {"episodes": episodes}
+    for name, value in extras["episode_metrics"].items():
+        total = jax.lax.psum(jnp.sum(value * done), AXIS)
+        metrics[f"episode/{name}"] = total / jnp.maximum(episodes, 1.0)
+    for name, value in extras["reward_terms"].items():
+        metrics[f"reward/{name}"] = jax.lax.pmean(jnp.mean(value), AXIS)
+    return metrics
+
+
+def _strong(x: Any) -> jax.Array:
+    """The array without weak type, so that the second update does not recompile."""
+    x = jnp.asarray(x)
+    return x if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x.astype(x.dtype)

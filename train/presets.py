@@ -1,0 +1,130 @@
+"""Settings of PPO training: one frozen dataclass, and a preset per kind of hardware."""
+
+import dataclasses
+from typing import Literal
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.policy.networks import NetworkConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class PPOConfig:
+    """Settings of `python train/ppo.py`; every field is a flag.
+
+    Attributes:
+        preset: settings the other flags start from; `auto` asks JAX for a GPU.
+        name: folder under `runs_dir`; empty = preset and seed.
+        runs_dir: where runs are kept.
+        resume: folder of a run to continue; its own settings hold.
+        time_limit: stop with a checkpoint after so many minutes; 0 = no limit.
+        seed: of everything.
+        num_steps: agent steps in all.
+        num_lots: lots simulated at once.
+        unroll_length: control steps between updates.
+        num_minibatches: per epoch.
+        num_epochs: passes over the data of an update.
+        learning_rate: of Adam at the start.
+        learning_rate_end: at the end; linear in between.
+        entropy_cost: weight of the entropy bonus at the start.
+        entropy_cost_end: at the end.
+        clip: PPO's clipping of the probability ratio at the start.
+        clip_end: at the end.
+        discount: per control step.
+        gae_lambda: of generalised advantage estimation.
+        max_grad_norm: gradient clipping.
+        checkpoint_minutes: time between checkpoints.
+        checkpoint_updates: if positive, updates between checkpoints instead.
+        eval_episodes: episodes of the evaluation at the end; 0 = none.
+        video_seconds: length of the video at the end [s]; 0 = none.
+        networks: sizes of actor and critic.
+        env: the environment.
+    """
+
+    preset: Literal["auto", "cpu", "gpu"] = "auto"
+    name: str = ""
+    runs_dir: str = "runs"
+    resume: str = ""
+    time_limit: float = 0.0
+    seed: int = 0
+    num_steps: int = 5_500_000
+    num_lots: int = 64
+    unroll_length: int = 64
+    num_minibatches: int = 8
+    num_epochs: int = 4
+    learning_rate: float = 5e-4
+    learning_rate_end: float = 1e-4
+    entropy_cost: float = 5e-3
+    entropy_cost_end: float = 1e-3
+    clip: float = 0.2
+    clip_end: float = 0.2
+    discount: float = 0.99
+    gae_lambda: float = 0.95
+    max_grad_norm: float = 1.0
+    checkpoint_minutes: float = 1.0
+    checkpoint_updates: int = 0
+    eval_episodes: int = 1024
+    video_seconds: float = 20.0
+    networks: NetworkConfig = NetworkConfig()
+    env: EnvConfig = EnvConfig()
+
+    def __post_init__(self) -> None:
+        for name in (
+            "num_steps",
+            "num_lots",
+            "unroll_length",
+            "num_minibatches",
+            "num_epochs",
+        ):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("learning_rate", "max_grad_norm", "clip", "checkpoint_minutes"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        for name in ("discount", "gae_lambda"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(
+                    f"{name} must lie in [0, 1], not {getattr(self, name)}"
+                )
+        for name in (
+            "learning_rate_end",
+            "entropy_cost",
+            "entropy_cost_end",
+            "clip_end",
+            "time_limit",
+            "eval_episodes",
+            "video_seconds",
+            "checkpoint_updates",
+        ):
+            if getattr(self, name) < 0:
+                raise ValueError(
+                    f"{name} must not be negative, not {getattr(self, name)}"
+                )
+        agents = self.num_lots * self.env.num_agents
+        if agents % self.num_minibatches:
+            raise ValueError(
+                f"num_lots x num_agents = {agents} must be a multiple of "
+                f"num_minibatches {self.num_minibatches}"
+            )
+
+    @property
+    def steps_per_update(self) -> int:
+        """Agent steps collected for one update."""
+        return self.num_lots * self.env.num_agents * self.unroll_length
+
+    @property
+    def num_updates(self) -> int:
+        """Updates in all; the last may overshoot `num_steps`."""
+        return -(-self.num_steps // self.steps_per_update)
+
+
+PRESETS: dict[str, PPOConfig] = {
+    "cpu": PPOConfig(preset="cpu"),
+    "gpu": PPOConfig(
+        preset="gpu",
+        num_steps=100_000_000,
+        num_lots=512,
+        num_minibatches=64,
+        networks=NetworkConfig((256, 256), (256, 256)),
+        env=EnvConfig(num_agents=7),
+    ),
+}
