@@ -156,10 +156,10 @@ class RewardConfig:
     """
 
     park: float = 4.0
-    crash: float = 2.5
+    crash: float = 1.5
     time: float = 1.0
     progress: float = 0.2
-    alignment: float = 1.0
+    alignment: float = 0.5
     alignment_range: float = 4.0
     approach: float = 0.0
     smoothness: float = 0.0
@@ -209,7 +209,7 @@ class ObservationConfig:
     """
 
     tracked_agents: int = 2
-    tracked_parked_cars: int = 4
+    tracked_parked_cars: int = 2
     rings: tuple[float, ...] = (5.0, 6.2, 8.0)
     ring_cap: int = 2
 

@@ -64,6 +64,7 @@ class TimeStep:
         events: what happened.
         metrics: per-episode numbers, valid where `events.done`.
         reward_terms: the reward by term.
+        vehicle: motion at the end of the step, before any respawn.
     """
 
     observation: jax.Array
@@ -73,6 +74,7 @@ class TimeStep:
     events: Events
     metrics: dict[str, jax.Array]
     reward_terms: dict[str, jax.Array]
+    vehicle: VehicleState
 
 
 class ParkingEnv:
@@ -255,6 +257,7 @@ class ParkingEnv:
             events=events,
             metrics=named,
             reward_terms=terms,
+            vehicle=vehicle,
         )
 
     def _freeze(

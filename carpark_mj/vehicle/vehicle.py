@@ -7,6 +7,7 @@ with `make_vehicle`, and batches of it with `jax.tree.map`.
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jax.typing import ArrayLike
 
 from carpark_mj.vehicle.mjcf import car_model, hub_positions
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
@@ -109,33 +110,37 @@ class Vehicle:
 def make_vehicle(params: VehicleParameters) -> Vehicle:
     """Turns a parameter set into the arrays of one car (no batch dimension)."""
     model = car_model(params, sim_dt=0.01, gravity=(0.0, 0.0, -GRAVITY))
-    array = jnp.asarray
     return Vehicle(
-        size=array([params.length, params.width]),
-        centre_offset=array(params.centre_offset),
-        wheelbase=array(params.wheelbase),
-        track_width=array(params.track_width),
-        hub=array(hub_positions(params)[:, :2]),
-        wheel_radius=array(params.wheel_radius),
-        wheel_inertia=array(params.wheel_inertia),
-        mass=array(params.mass),
-        ackermann=array(params.ackermann),
-        max_steering=array(params.max_steering),
-        steering_rate=array(params.steering_rate),
-        max_acceleration=array(params.max_acceleration),
-        max_deceleration=array(params.max_deceleration),
-        hold_deceleration=array(params.hold_deceleration),
-        max_speed=array(params.max_speed),
-        max_reverse_speed=array(params.max_reverse_speed),
-        speed_limit_time=array(params.speed_limit_time),
-        drive_share=array(_per_wheel(params.front_drive)),
-        brake_share=array(_per_wheel(params.front_brake)),
+        size=_array([params.length, params.width]),
+        centre_offset=_array(params.centre_offset),
+        wheelbase=_array(params.wheelbase),
+        track_width=_array(params.track_width),
+        hub=_array(hub_positions(params)[:, :2]),
+        wheel_radius=_array(params.wheel_radius),
+        wheel_inertia=_array(params.wheel_inertia),
+        mass=_array(params.mass),
+        ackermann=_array(params.ackermann),
+        max_steering=_array(params.max_steering),
+        steering_rate=_array(params.steering_rate),
+        max_acceleration=_array(params.max_acceleration),
+        max_deceleration=_array(params.max_deceleration),
+        hold_deceleration=_array(params.hold_deceleration),
+        max_speed=_array(params.max_speed),
+        max_reverse_speed=_array(params.max_reverse_speed),
+        speed_limit_time=_array(params.speed_limit_time),
+        drive_share=_array(_per_wheel(params.front_drive)),
+        brake_share=_array(_per_wheel(params.front_brake)),
         tyres=_make_tyres(params),
-        body_mass=array(model.body_mass),
-        body_inertia=array(model.body_inertia),
-        body_ipos=array(model.body_ipos),
-        body_pos=array(model.body_pos),
+        body_mass=_array(model.body_mass),
+        body_inertia=_array(model.body_inertia),
+        body_ipos=_array(model.body_ipos),
+        body_pos=_array(model.body_pos),
     )
+
+
+def _array(value: ArrayLike) -> jax.Array:
+    """A strongly typed array of JAX's default float (float64 only under x64)."""
+    return jnp.array(value, dtype=jnp.result_type(float))
 
 
 def _per_wheel(front_share: float) -> list[float]:
@@ -151,22 +156,22 @@ def _make_tyres(params: VehicleParameters) -> Tyres:
     tyre = params.tyre
     weight = params.mass * GRAVITY / params.wheelbase / 2
     front, rear = weight * params.cg_to_rear_axle, weight * params.cg_to_front_axle
-    load = jnp.array([front, front, rear, rear])
+    load = _array([front, front, rear, rear])
     # Scrub torque of a uniformly loaded disc: M = 2/3 mu Fz R_patch (Sharp & Granger).
     torque_limit = tyre.friction * (2 / 3) * tyre.patch_radius * load
     return Tyres(
         static_load=load,
-        friction=jnp.asarray(tyre.friction),
+        friction=_array(tyre.friction),
         longitudinal_stiffness=tyre.slip_stiffness * load / tyre.longitudinal_relaxation,
         lateral_stiffness=tyre.cornering_stiffness * load / tyre.lateral_relaxation,
         torsion_stiffness=torque_limit / tyre.torsion_yield,
-        torsion_yield=jnp.asarray(tyre.torsion_yield),
-        longitudinal_relaxation=jnp.asarray(tyre.longitudinal_relaxation),
-        lateral_relaxation=jnp.asarray(tyre.lateral_relaxation),
-        torsion_relaxation=jnp.asarray(tyre.torsion_relaxation),
-        longitudinal_damping=jnp.asarray(tyre.longitudinal_damping),
-        lateral_damping=jnp.asarray(tyre.lateral_damping),
-        rolling_resistance=jnp.asarray(tyre.rolling_resistance),
-        vertical_stiffness=jnp.asarray(tyre.vertical_stiffness),
-        vertical_damping=jnp.asarray(tyre.vertical_damping),
+        torsion_yield=_array(tyre.torsion_yield),
+        longitudinal_relaxation=_array(tyre.longitudinal_relaxation),
+        lateral_relaxation=_array(tyre.lateral_relaxation),
+        torsion_relaxation=_array(tyre.torsion_relaxation),
+        longitudinal_damping=_array(tyre.longitudinal_damping),
+        lateral_damping=_array(tyre.lateral_damping),
+        rolling_resistance=_array(tyre.rolling_resistance),
+        vertical_stiffness=_array(tyre.vertical_stiffness),
+        vertical_damping=_array(tyre.vertical_damping),
     )

@@ -1,0 +1,38 @@
+"""Colours of the scene, RGBA in [0, 1]."""
+
+ASPHALT = (0.23, 0.24, 0.26, 1.0)
+LINE = (0.93, 0.93, 0.90, 1.0)
+CONCRETE = (0.62, 0.61, 0.58, 1.0)
+GLASS = (0.10, 0.13, 0.17, 1.0)
+TYRE = (0.06, 0.06, 0.06, 1.0)
+RIM = (0.70, 0.71, 0.73, 1.0)
+HEADLIGHT = (1.0, 0.97, 0.80, 1.0)
+TAIL_LIGHT = (0.75, 0.05, 0.05, 1.0)
+
+# Greys of parked cars, taken in turn.
+PARKED = (
+    (0.80, 0.81, 0.82, 1.0),
+    (0.55, 0.56, 0.58, 1.0),
+    (0.38, 0.39, 0.41, 1.0),
+    (0.67, 0.66, 0.63, 1.0),
+)
+
+# Agents: ten hues that stay apart, also for most colour-blind viewers (Tol, "bright"
+# and "vibrant" schemes), taken in turn.
+AGENTS = (
+    (0.27, 0.47, 0.85, 1.0),
+    (0.93, 0.47, 0.20, 1.0),
+    (0.13, 0.65, 0.30, 1.0),
+    (0.80, 0.73, 0.27, 1.0),
+    (0.67, 0.20, 0.47, 1.0),
+    (0.40, 0.80, 0.93, 1.0),
+    (0.93, 0.20, 0.30, 1.0),
+    (0.55, 0.40, 0.85, 1.0),
+    (0.93, 0.55, 0.70, 1.0),
+    (0.00, 0.60, 0.53, 1.0),
+)
+
+
+def agent_colour(agent: int) -> tuple[float, float, float, float]:
+    """RGBA of an agent, by index."""
+    return AGENTS[agent % len(AGENTS)]

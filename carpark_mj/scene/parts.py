@@ -1,0 +1,165 @@
+"""The parts of a lot's scene; each function adds one kind of thing to a spec."""
+
+import math
+
+import mujoco
+import numpy as np
+
+from carpark_mj.layouts.types import Layout
+from carpark_mj.scene import car_look, materials
+from carpark_mj.vehicle.mjcf import WHEELS, add_car
+from carpark_mj.vehicle.parameters import VehicleParameters
+
+LINE_WIDTH = 0.10  # m, painted bay lines
+LINE_HEIGHT = 0.004  # m, above the asphalt so that it is not hidden
+WALL_HEIGHT = 0.9  # m, low enough for the cameras
+
+
+def _yaw_quat(yaw: float) -> list[float]:
+    return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+
+
+def add_ground(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
+    """An asphalt plane somewhat larger than the lot."""
+    spec.add_texture(
+        name="asphalt",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        mark=mujoco.mjtMark.mjMARK_RANDOM,
+        random=0.08,
+        markrgb=[0.30, 0.31, 0.33],
+        rgb1=materials.ASPHALT[:3],
+        rgb2=materials.ASPHALT[:3],
+        width=256,
+        height=256,
+    )
+    asphalt = spec.add_material(name="asphalt", texrepeat=[0.25, 0.25])
+    asphalt.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "asphalt"
+    asphalt.texuniform = True
+    spec.worldbody.add_geom(
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[*(extent + 8.0), 1.0],
+        material="asphalt",
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def add_bay_lines(spec: mujoco.MjSpec, layout: Layout) -> None:
+    """Paints both long sides of every bay and its far end."""
+    for bay in np.flatnonzero(np.asarray(layout.bay_mask)):
+        x, y, yaw = np.asarray(layout.bay_pose[bay], float)
+        length, width = np.asarray(layout.bay_size[bay], float)
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        half = LINE_WIDTH / 2
+        lines = {
+            "left": (0.0, width / 2, length / 2, half),
+            "right": (0.0, -width / 2, length / 2, half),
+            "end": (-length / 2 + half, 0.0, half, width / 2),
+        }
+        for name, (dx, dy, half_x, half_y) in lines.items():
+            spec.worldbody.add_geom(
+                name=f"bay{bay}/{name}",
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[x + cos * dx - sin * dy, y + sin * dx + cos * dy, 0.0],
+                quat=_yaw_quat(yaw),
+                size=[half_x, half_y, LINE_HEIGHT],
+                rgba=materials.LINE,
+                contype=0,
+                conaffinity=0,
+                group=1,
+            )
+
+
+def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
+    """Outer walls and blocks as boxes."""
+    for wall in np.flatnonzero(np.asarray(layout.wall_mask)):
+        x, y, yaw = np.asarray(layout.wall_pose[wall], float)
+        length, width = np.asarray(layout.wall_size[wall], float)
+        spec.worldbody.add_geom(
+            name=f"wall{wall}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[x, y, WALL_HEIGHT / 2],
+            quat=_yaw_quat(yaw),
+            size=[length / 2, width / 2, WALL_HEIGHT / 2],
+            rgba=materials.CONCRETE,
+            group=1,
+        )
+
+
+def add_parked_cars(
+    spec: mujoco.MjSpec, params: VehicleParameters, count: int
+) -> None:
+    """Parked cars as mocap bodies `parked0`..., placed by `mocap_pos`."""
+    for k in range(count):
+        body = spec.worldbody.add_body(name=f"parked{k}", mocap=True)
+        colour = materials.PARKED[k % len(materials.PARKED)]
+        car_look.add_standing_car(body, params, colour)
+
+
+def add_agents(spec: mujoco.MjSpec, params: VehicleParameters, count: int) -> None:
+    """Agents' cars with prefixes `agent0/`..., each with a chase camera."""
+    for k in range(count):
+        prefix = f"agent{k}/"
+        car = add_car(spec.worldbody, spec, params, prefix)
+        car_look.add_body_look(car, params, materials.agent_colour(k))
+        for name in WHEELS:
+            car_look.add_wheel_look(spec.body(f"{prefix}wheel_{name}"), params)
+        add_camera(
+            car, f"{prefix}chase", eye=(-7.0, 0.0, 4.2), target=(3.0, 0.0, 0.3), fovy=60
+        )
+
+
+def add_lights(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
+    """A sun with shadows and a weak sky."""
+    spec.worldbody.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0.0, 0.0, 30.0],
+        dir=[0.35, 0.25, -0.9],
+        diffuse=[0.65, 0.65, 0.62],
+        specular=[0.1, 0.1, 0.1],
+        castshadow=True,
+    )
+    spec.visual.headlight.ambient = [0.42, 0.42, 0.44]
+    spec.visual.headlight.diffuse = [0.18, 0.18, 0.18]
+    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+    spec.visual.quality.shadowsize = 4096
+    spec.visual.map.shadowclip = 1.0
+    spec.stat.center = [0.0, 0.0, 0.0]
+    spec.stat.extent = float(np.max(extent))
+
+
+def add_cameras(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
+    """`topdown` and `overview`, both showing the whole lot."""
+    reach = float(np.max(extent))
+    fovy = 30.0
+    height = 1.04 * reach / math.tan(math.radians(fovy / 2))
+    world = spec.worldbody
+    world.add_camera(name="topdown", pos=[0, 0, height], fovy=fovy)
+    add_camera(
+        world,
+        "overview",
+        eye=(0.0, -2.35 * reach, 2.15 * reach),
+        target=(0.0, -0.10 * reach, 0.0),
+        fovy=38,
+    )
+
+
+def add_camera(
+    body: mujoco.MjsBody,
+    name: str,
+    eye: tuple[float, float, float],
+    target: tuple[float, float, float],
+    fovy: float,
+) -> None:
+    """A camera at `eye` looking at `target` in the body's frame, z up."""
+    back = np.subtract(eye, target)
+    back = back / np.linalg.norm(back)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right = right / np.linalg.norm(right)
+    up = np.cross(back, right)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.stack([right, up, back], axis=1).ravel())
+    body.add_camera(name=name, pos=eye, quat=quat, fovy=fovy)
