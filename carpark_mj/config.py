@@ -218,6 +218,8 @@ class ObservationConfig:
         _at_least(self, 1, "ring_cap")
         if any(not d > 0 for d in self.rings):
             raise ValueError(f"rings must be positive diameters, not {self.rings}")
+        if len({f"{d:g}" for d in self.rings}) < len(self.rings):  # the fields' names
+            raise ValueError(f"rings must be different diameters, not {self.rings}")
 
 
 @dataclasses.dataclass(frozen=True)

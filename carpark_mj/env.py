@@ -19,6 +19,7 @@ from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.physics.base import Physics
 from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.precision import full_float32
 from carpark_mj.spawn import spawn_pose
 from carpark_mj.types import Events, VehicleState
 from carpark_mj.vehicle import make_vehicle, preset
@@ -111,9 +112,14 @@ class ParkingEnv:
         self._layout = make_layout(self.config.layout)
         bays = int(self._layout.bay_mask.sum())
         free = bays - self.config.num_agents
+        if free < 0:
+            raise ValueError(
+                f"num_agents must be at most {bays} (a goal bay each), not "
+                f"{self.config.num_agents}"
+            )
         if self.config.num_parked_cars > free:
             raise ValueError(
-                f"num_parked_cars must be at most {max(free, 0)} ({bays} bays less "
+                f"num_parked_cars must be at most {free} ({bays} bays less "
                 f"{self.config.num_agents} agents' goals), not "
                 f"{self.config.num_parked_cars}"
             )
@@ -144,6 +150,7 @@ class ParkingEnv:
         """
         return self.reset_to_layout(self._layout, key)
 
+    @full_float32
     def reset_to_layout(
         self, layout: Layout, key: jax.Array
     ) -> tuple[State, jax.Array]:
@@ -191,6 +198,7 @@ class ParkingEnv:
         )
         return state, self._observe(state)
 
+    @full_float32
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         """Advances the lot by one control step.
 

@@ -22,7 +22,7 @@ from presets import PPOConfig
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import make_networks, make_policy
-from carpark_mj.policy.runs import normalizer_template
+from carpark_mj.policy.runs import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
 
 AXIS = "lots"
@@ -96,6 +96,10 @@ class Learner:
 
     def init(self) -> TrainingState:
         """The state before the first update, laid out over the devices."""
+        return self.place(jax.jit(self.build)())
+
+    def build(self) -> TrainingState:
+        """The state before the first update (pure)."""
         # fold_in 0 is training's half of the seed; evaluation uses 1.
         key = jax.random.fold_in(jax.random.key(self.config.seed), 0)
         policy_key, value_key, env_key, key = jax.random.split(key, 4)
@@ -104,20 +108,16 @@ class Learner:
             value=self.networks.value_network.init(value_key),
         )
         state = TrainingState(
-            normalizer=jax.tree.map(
-                jnp.asarray, normalizer_template(self.env.observation_size)
-            ),
+            normalizer=init_normalizer(self.env.observation_size),
             policy=params.policy,
             value=params.value,
             optimizer=self.optimizer.init(params),  # pyright: ignore
             key=key,
             update=jnp.zeros((), jnp.int32),
             skipped=jnp.zeros((), jnp.int32),
-            env=jax.jit(self.env.reset)(
-                jax.random.split(env_key, self.config.num_lots)
-            ),
+            env=self.env.reset(jax.random.split(env_key, self.config.num_lots)),
         )
-        return self.place(jax.tree.map(_strong, state))
+        return jax.tree.map(_strong, state)
 
     def place(self, state: TrainingState) -> TrainingState:
         """Lays a state out over the devices: lots sharded, the rest replicated."""

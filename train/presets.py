@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, RewardConfig
 from carpark_mj.policy.networks import NetworkConfig
 
 
@@ -124,7 +124,9 @@ PRESETS: dict[str, PPOConfig] = {
         num_steps=100_000_000,
         num_lots=512,
         num_minibatches=64,
+        learning_rate=1e-3,
+        learning_rate_end=1e-4,
         networks=NetworkConfig((256, 256), (256, 256)),
-        env=EnvConfig(num_agents=7),
+        env=EnvConfig(num_agents=7, reward=RewardConfig(crash=2.5)),
     ),
 }

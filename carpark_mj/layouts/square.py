@@ -25,7 +25,8 @@ class SquareConfig:
         bay_width: across a parked car.
         bay_length: along a parked car.
         wall_gap: free strip between the bays' far ends and the outer walls.
-        block_inset: free strip between a corner block and the rows beside it.
+        block_inset: free strip about a corner block, towards the rows beside it and
+            towards the outer walls' corner.
         wall_thickness: of the outer walls.
         spawn_margin: between the open square's edge and the spawn region.
     """
@@ -35,7 +36,7 @@ class SquareConfig:
     bay_length: float = 10 * WORLD_UNIT
     wall_gap: float = 0.5 * WORLD_UNIT
     block_inset: float = 0.5 * WORLD_UNIT
-    wall_thickness: float = 10 * WORLD_UNIT
+    wall_thickness: float = 2.0
     spawn_margin: float = 6 * WORLD_UNIT
 
     def __post_init__(self) -> None:
@@ -87,7 +88,7 @@ def square(config: SquareConfig, key: jax.Array | None = None) -> Layout:
         *[(s, row, -math.pi / 2) for s in along],
         *[(-row, s, 0.0) for s in along],
     ]
-    block = depth - config.block_inset
+    block = depth - 2 * config.block_inset
     corner = half + config.block_inset + block / 2
     face = half + depth + config.wall_gap
     middle = face + config.wall_thickness / 2
@@ -96,7 +97,8 @@ def square(config: SquareConfig, key: jax.Array | None = None) -> Layout:
     wall_sizes = [(block, block)] * 4
     walls += [(0.0, s * middle, 0.0) for s in (-1, 1)]
     walls += [(s * middle, 0.0, math.pi / 2) for s in (-1, 1)]
-    wall_sizes += [(span, config.wall_thickness)] * 4
+    wall_sizes += [(span, config.wall_thickness)] * 2
+    wall_sizes += [(2 * face, config.wall_thickness)] * 2
     side = 2 * (half - config.spawn_margin)
 
     def array(rows: object) -> jax.Array:

@@ -68,6 +68,12 @@ class Layout:
                 continue
             if mask.dtype != jnp.bool_:
                 problems.append(f"{name}_mask must be bool, not {mask.dtype}")
+                continue
+            for part, array in (("pose", pose), ("size", size)):
+                if array.dtype != jnp.float32:
+                    problems.append(
+                        f"{name}_{part} must be float32, not {array.dtype}"
+                    )
             if not bool(jnp.isfinite(pose).all() & jnp.isfinite(size).all()):
                 problems.append(f"{name} holds a non-finite number")
             if bool(jnp.any((size <= 0) & mask[:, None])):

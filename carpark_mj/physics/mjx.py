@@ -23,6 +23,7 @@ from carpark_mj.physics.tyres import (
     init_tyres,
     tyre_forces,
 )
+from carpark_mj.precision import full_float32
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, car_model
@@ -192,10 +193,12 @@ class MjxPhysics:
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(model)
 
+    @full_float32
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> CarState:
         """Cars at rest on relaxed tyres; see `Physics.init`."""
         return _batched(self._init, pose_w.ndim - 1)(pose_w, vehicle)
 
+    @full_float32
     def step(self, state: CarState, controls: jax.Array) -> CarState:
         """Advances by one control step; see `Physics.step`.
 

@@ -44,7 +44,8 @@ def _named_leaves(tree: Any) -> dict[str, Any]:
 
 
 def _is_key(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    dtype = getattr(leaf, "dtype", None)
+    return dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key)
 
 
 def _to_numpy(leaf: Any) -> np.ndarray:
@@ -126,8 +127,9 @@ def load(path: Path, template: Any) -> Any:
             value = _read(file, path, name)
             if _is_key(leaf):
                 value = jax.random.wrap_key_data(jnp.asarray(value))
-            expected = np.shape(leaf)
-            dtype = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
+            if not hasattr(leaf, "dtype"):
+                leaf = np.asarray(leaf)
+            expected, dtype = leaf.shape, leaf.dtype
             if value.shape != expected or value.dtype != dtype:
                 raise CheckpointError(
                     f"{path} holds {name} as {value.dtype}{list(value.shape)}, "

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from brax.training.acme import running_statistics, specs
 
@@ -122,12 +123,12 @@ class LoadedPolicy:
     path: Path
 
 
-def normalizer_template(observation_size: int) -> Any:
+def init_normalizer(observation_size: int) -> Any:
     """Running statistics of observations at the start of training."""
     state = running_statistics.init_state(
         specs.Array((observation_size,), np.dtype("float32"))
     )
-    return jax.tree.map(np.asarray, state)
+    return jax.tree.map(jnp.asarray, state)
 
 
 def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
@@ -146,7 +147,7 @@ def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
         raise CheckpointError(f"{path} has an unusable config: {error}") from None
     networks = make_networks(network_config, env.observation_size, env.action_size)
     template = {
-        "normalizer": normalizer_template(env.observation_size),
+        "normalizer": init_normalizer(env.observation_size),
         "policy": networks.policy_network.init(jax.random.key(0)),
     }
     tree = checkpoints.load(path, template)

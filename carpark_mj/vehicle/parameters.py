@@ -151,6 +151,11 @@ class VehicleParameters:
                 f"cg_to_front_axle must be less than the wheelbase "
                 f"{self.wheelbase} m, not {self.cg_to_front_axle}"
             )
+        if self.wheel_inertia > 2 * self.wheel_tilt_inertia:
+            raise ValueError(
+                f"wheel_inertia must be at most twice the wheel_tilt_inertia "
+                f"{self.wheel_tilt_inertia} kg m^2, not {self.wheel_inertia}"
+            )
         if self.max_steering >= math.pi / 3:
             raise ValueError(
                 f"max_steering must be below 60 deg, not "

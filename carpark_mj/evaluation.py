@@ -1,0 +1,162 @@
+"""Evaluation of a policy: whole episodes on held-out seeds, rates with intervals.
+
+Of every agent the first few episodes count, however long they are, so that short
+episodes are not over-represented.
+"""
+
+import dataclasses
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.env import ParkingEnv, State
+from carpark_mj.policy.networks import Policy
+
+OUTCOMES = ("parked", "crashed", "timed_out", "diverged")
+HITS = ("hit_agent", "hit_parked_car", "hit_wall")
+CHUNK = 50  # control steps per compiled call
+
+
+def evaluation_key(seed: int) -> jax.Array:
+    """The key of an evaluation; training uses `fold_in(..., 0)`, so they never meet."""
+    return jax.random.fold_in(jax.random.key(seed), 1)
+
+
+def wilson_interval(successes: float, trials: float) -> tuple[float, float]:
+    """Wilson score interval of a rate at 95 % confidence.
+
+    Wilson 1927; keeps sensible bounds near 0 and 1. (0, 1) without trials.
+    """
+    if trials <= 0:
+        return 0.0, 1.0
+    z = 1.959964
+    rate = successes / trials
+    centre = rate + z * z / (2 * trials)
+    spread = z * math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials * trials))
+    scale = 1 + z * z / trials
+    return max(0.0, (centre - spread) / scale), min(1.0, (centre + spread) / scale)
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """What an evaluation found.
+
+    Attributes:
+        episodes: a row per episode: lot, agent, episode, outcome flags, numbers.
+        summary: episodes, rates with Wilson 95 % intervals, means.
+    """
+
+    episodes: list[dict[str, float]]
+    summary: dict[str, Any]
+
+
+def evaluate(
+    env: ParkingEnv, policy: Policy, num_episodes: int, seed: int, num_lots: int = 128
+) -> Evaluation:
+    """Runs at least `num_episodes` whole episodes and sums them up.
+
+    Args:
+        env: with respawning agents.
+        policy: acting function over observations (agents, size).
+        num_episodes: rounded up to the same number for every agent.
+        seed: of the held-out lots, goals and spawns.
+        num_lots: lots run side by side; fewer if the episodes do not fill them.
+
+    Raises:
+        ValueError: no episodes, or an environment without respawn.
+    """
+    if num_episodes < 1:
+        raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
+    if not env.config.episode.respawn:
+        raise ValueError("evaluation needs episode.respawn = True")
+    num_lots = min(num_lots, -(-num_episodes // env.num_agents))
+    quota = -(-num_episodes // (num_lots * env.num_agents))
+    reset_key, act_key = jax.random.split(evaluation_key(seed))
+    state, observation = jax.jit(jax.vmap(env.reset))(
+        jax.random.split(reset_key, num_lots)
+    )
+    chunk = jax.jit(lambda carry: _chunk(env, policy, carry))
+    carry = (state, observation, act_key)
+    finished = np.zeros((num_lots, env.num_agents), int)
+    rows: list[dict[str, float]] = []
+    while finished.min() < quota:
+        carry, (done, metrics) = chunk(carry)
+        done = np.asarray(done)
+        metrics = {name: np.asarray(value) for name, value in metrics.items()}
+        for t, lot, agent in np.argwhere(done):
+            if finished[lot, agent] < quota:
+                row = {"lot": lot, "agent": agent, "episode": finished[lot, agent]}
+                row |= {name: value[t, lot, agent] for name, value in metrics.items()}
+                rows.append({name: float(value) for name, value in row.items()})
+            finished[lot, agent] += 1
+    rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
+    return Evaluation(rows, summarise(rows, env.config.sim.ctrl_dt))
+
+
+def _chunk(
+    env: ParkingEnv, policy: Policy, carry: tuple[State, jax.Array, jax.Array]
+) -> tuple[Any, tuple[jax.Array, dict[str, jax.Array]]]:
+    def step(carry, _):
+        state, observation, key = carry
+        key, act_key = jax.random.split(key)
+        flat = observation.reshape(-1, observation.shape[-1])
+        action, _ = policy(flat, act_key)
+        action = action.reshape(*observation.shape[:2], -1)
+        state, timestep = jax.vmap(env.step)(state, action)
+        return (state, timestep.observation, key), (
+            timestep.events.done,
+            timestep.metrics,
+        )
+
+    return jax.lax.scan(step, carry, None, length=CHUNK)
+
+
+def summarise(rows: list[dict[str, float]], ctrl_dt: float) -> dict[str, Any]:
+    """Rates with intervals and means of episode rows; times in seconds."""
+    count = len(rows)
+
+    def rate(name: str) -> dict[str, float]:
+        total = sum(row[name] for row in rows)
+        low, high = wilson_interval(total, count)
+        share = total / count if count else float("nan")
+        return {"rate": share, "low": low, "high": high, "count": total}
+
+    def mean(name: str, among: list[dict[str, float]]) -> float:
+        values = [row[name] for row in among]
+        return float(np.mean(values)) if values else float("nan")
+
+    parked = [row for row in rows if row["parked"]]
+    return {
+        "episodes": count,
+        **{name: rate(name) for name in OUTCOMES + HITS},
+        "mean_return": mean("episode_return", rows),
+        "parked_time": mean("length", parked) * ctrl_dt,
+        "parked_path": mean("path", parked),
+        "parked_gear_changes": mean("gear_changes", parked),
+        "parked_distance_error": mean("final_distance", parked),
+        "parked_heading_error_deg": math.degrees(mean("final_heading", parked)),
+        "parked_speed": mean("final_speed", parked),
+    }
+
+
+def zero_policy(action_size: int) -> Policy:
+    """Stands on the brake."""
+
+    def policy(observation: jax.Array, key: jax.Array):
+        del key
+        return jnp.zeros((*observation.shape[:-1], action_size)), {}
+
+    return policy
+
+
+def random_policy(action_size: int) -> Policy:
+    """Draws every action uniformly."""
+
+    def policy(observation: jax.Array, key: jax.Array):
+        shape = (*observation.shape[:-1], action_size)
+        return jax.random.uniform(key, shape, minval=-1.0, maxval=1.0), {}
+
+    return policy

@@ -1,0 +1,75 @@
+"""Records what a policy does in one lot, for the renderer."""
+
+import dataclasses
+
+import jax
+import numpy as np
+
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation import evaluation_key
+from carpark_mj.layouts.types import Layout
+from carpark_mj.policy.networks import Policy
+
+
+@dataclasses.dataclass(frozen=True)
+class Recording:
+    """A stretch of driving in one lot; `t` control steps, `k` poses in each.
+
+    Attributes:
+        layout: the lot.
+        ctrl_dt: control period [s].
+        pose_w: (t, k, agents, 3) footprint centres; the last of each step is the
+            pose at its end, before any respawn.
+        steering: (t, agents) bicycle angles at the end of the steps [rad].
+        goal: (t, agents) bays aimed at during the steps.
+        parked_bay: (t, parked cars) bays of the parked cars during the steps.
+        active: (t, agents) bool.
+        parked: (t, agents) bool, parked in this step; likewise the others.
+        crashed: see `parked`.
+        timed_out: see `parked`.
+        step: (t, agents) control steps made in the episode, this one included.
+    """
+
+    layout: Layout
+    ctrl_dt: float
+    pose_w: np.ndarray
+    steering: np.ndarray
+    goal: np.ndarray
+    parked_bay: np.ndarray
+    active: np.ndarray
+    parked: np.ndarray
+    crashed: np.ndarray
+    timed_out: np.ndarray
+    step: np.ndarray
+
+
+def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Recording:
+    """Drives one held-out lot for `num_steps` control steps."""
+    reset_key, act_key = jax.random.split(evaluation_key(seed))
+    state, observation = jax.jit(env.reset)(reset_key)
+
+    def step(carry, key):
+        state, observation = carry
+        action, _ = policy(observation, key)
+        after, timestep = env.step(state, action)
+        events = timestep.events
+        frame = {
+            "pose_w": timestep.vehicle.trace_w.swapaxes(0, 1),
+            "steering": timestep.vehicle.steering,
+            "goal": state.occupancy.goal,
+            "parked_bay": state.occupancy.parked_bay,
+            "active": state.active,
+            "parked": events.parked,
+            "crashed": events.crashed,
+            "timed_out": events.timed_out,
+            "step": state.step + 1,
+        }
+        return (after, timestep.observation), frame
+
+    run = jax.jit(lambda carry, keys: jax.lax.scan(step, carry, keys))
+    _, frames = run((state, observation), jax.random.split(act_key, num_steps))
+    return Recording(
+        layout=state.layout,
+        ctrl_dt=env.config.sim.ctrl_dt,
+        **{name: np.asarray(value) for name, value in frames.items()},
+    )

@@ -1,0 +1,81 @@
+"""Frames of a recording, and writing them as mp4."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.rendering.overlays import draw_labels, draw_status
+from carpark_mj.rendering.renderer import LotRenderer
+from carpark_mj.rendering.rollout import Recording
+
+
+def draw_frame(
+    recording: Recording, renderer: LotRenderer, step: int, trace: int
+) -> np.ndarray:
+    """Draws one traced pose of a recording, (height, width, 3) uint8."""
+    traces = recording.pose_w.shape[1]
+    trace %= traces
+    pose, goal = recording.pose_w[step, trace], recording.goal[step]
+    frame = renderer.render(
+        pose, recording.steering[step], goal, recording.parked_bay[step]
+    )
+    bay_pose = np.asarray(recording.layout.bay_pose)
+    frame = draw_labels(frame, renderer, pose, bay_pose[goal])
+    # What happens in a step is counted when it is over.
+    over = step + (trace == traces - 1)
+    counts = "   ".join(
+        f"{name} {events[:over].sum()}"
+        for name, events in (
+            ("parked", recording.parked),
+            ("crashed", recording.crashed),
+            ("timed out", recording.timed_out),
+        )
+    )
+    seconds = (step + (trace + 1) / traces) * recording.ctrl_dt
+    return draw_status(frame, [f"{seconds:5.1f} s", counts])
+
+
+def frames(recording: Recording, renderer: LotRenderer) -> Iterator[np.ndarray]:
+    """Draws every traced pose of a recording in turn."""
+    steps, traces = recording.pose_w.shape[:2]
+    for step in range(steps):
+        for trace in range(traces):
+            yield draw_frame(recording, renderer, step, trace)
+
+
+def frames_per_second(recording: Recording) -> float:
+    """Frame rate at which a recording plays in real time."""
+    return recording.pose_w.shape[1] / recording.ctrl_dt
+
+
+def write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
+    """Encodes frames as H.264 and returns their number; the file appears whole."""
+    import imageio_ffmpeg
+
+    first = next(pictures)
+    count = 1
+
+    def write(temporary: Path) -> None:
+        nonlocal count
+        writer = imageio_ffmpeg.write_frames(
+            str(temporary),
+            (first.shape[1], first.shape[0]),
+            fps=fps,
+            codec="libx264",
+            quality=None,
+            output_params=["-crf", "23", "-preset", "veryfast"],
+            macro_block_size=2,
+        )
+        writer.send(None)
+        try:
+            writer.send(np.ascontiguousarray(first))
+            for picture in pictures:
+                writer.send(np.ascontiguousarray(picture))
+                count += 1
+        finally:
+            writer.close()
+
+    write_atomically(path, write)
+    return count

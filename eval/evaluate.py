@@ -1,0 +1,152 @@
+"""Evaluates a policy on held-out seeds: a table, `evaluation.csv`, `evaluation.json`.
+
+    python eval/evaluate.py runs/cpu-0
+    python eval/evaluate.py --policy random --episodes 500
+"""
+
+import csv
+import dataclasses
+import io
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from carpark_mj.config import EnvConfig, ParkedRule
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation import (
+    HITS,
+    OUTCOMES,
+    Evaluation,
+    evaluate,
+    random_policy,
+    zero_policy,
+)
+from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
+from carpark_mj.policy.runs import load_policy, write_json
+
+BASELINES = {"zero": zero_policy, "random": random_policy}
+
+
+@dataclasses.dataclass(frozen=True)
+class EvaluateConfig:
+    """Settings of `python eval/evaluate.py`.
+
+    Attributes:
+        run: run folder or checkpoint file; or give `--policy`.
+        policy: `zero`, `random`, or a run folder or checkpoint file.
+        episodes: whole episodes, rounded up to the same number per agent.
+        seed: of the held-out lots; training never uses these keys.
+        rule: judge by another parked rule than the run was trained under.
+        num_agents: another number of agents than the run was trained with.
+        stochastic: sample actions instead of taking the distribution's mode.
+        out: folder of the CSV and JSON; default: the run folder, or `runs/NAME` for
+            a baseline.
+    """
+
+    run: Annotated[str, tyro.conf.Positional] = ""
+    policy: str = ""
+    episodes: int = 1024
+    seed: int = 0
+    rule: ParkedRule | None = None
+    num_agents: int | None = None
+    stochastic: bool = False
+    out: str = ""
+
+
+def main(config: EvaluateConfig) -> Evaluation:
+    """Evaluates, prints the table and writes the files.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        ValueError: impossible settings.
+        OSError: the output folder cannot be written.
+    """
+    if bool(config.run) == bool(config.policy):
+        raise ValueError(
+            "give either a run folder or --policy zero|random|RUN, "
+            f"not {'both' if config.run else 'neither'}"
+        )
+    name = config.run or config.policy
+    if name in BASELINES:
+        env_config, folder, policy = EnvConfig(), Path("runs") / name, None
+    else:
+        loaded = load_policy(Path(name), deterministic=not config.stochastic)
+        env_config, policy = loaded.env, loaded.policy
+        folder = loaded.path.parent
+        folder = folder.parent if folder.name == "checkpoints" else folder
+    folder = Path(config.out) if config.out else folder
+    folder.mkdir(parents=True, exist_ok=True)
+    env_config = adapt(env_config, config.rule, config.num_agents)
+    env = ParkingEnv(env_config)
+    policy = policy or BASELINES[name](env.action_size)
+    result = evaluate(env, policy, config.episodes, config.seed)
+    title = f"{name}: {env_config.num_agents} agents, {env_config.episode.parked_rule}"
+    print_table(result.summary, f"{title} rule, seed {config.seed}")
+    write_evaluation(folder, result, {"policy": name, **dataclasses.asdict(config)})
+    print(f"wrote {folder / 'evaluation.csv'} and {folder / 'evaluation.json'}")
+    return result
+
+
+def adapt(env: EnvConfig, rule: ParkedRule | None, num_agents: int | None) -> EnvConfig:
+    """The environment with another rule or number of agents, where given."""
+    if rule is not None:
+        episode = dataclasses.replace(env.episode, parked_rule=rule)
+        env = dataclasses.replace(env, episode=episode)
+    if num_agents is not None:
+        env = dataclasses.replace(env, num_agents=num_agents)
+    return env
+
+
+def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> None:
+    """Writes `evaluation.csv` (episodes) and `evaluation.json` (summary)."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(result.episodes[0]))
+    writer.writeheader()
+    writer.writerows(result.episodes)
+    path = folder / "evaluation.csv"
+    write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))
+    summary = {
+        "settings": settings,
+        "device": jax.devices()[0].device_kind,
+        "summary": result.summary,
+    }
+    write_json(folder / "evaluation.json", summary)
+
+
+def print_table(summary: dict[str, Any], title: str) -> None:
+    """Prints rates with 95 % intervals and means."""
+    table = Table(title=f"{title}: {summary['episodes']} episodes")
+    for column in ("outcome", "rate", "95 % interval", "episodes"):
+        table.add_column(column, justify="left" if column == "outcome" else "right")
+    for name in OUTCOMES + HITS:
+        row = summary[name]
+        label = name.replace("_", " ")
+        table.add_row(
+            f"  {label}" if name in HITS else label,
+            f"{row['rate']:.1%}",
+            f"{row['low']:.1%} … {row['high']:.1%}",
+            f"{row['count']:.0f}",
+        )
+    console = Console()
+    console.print(table)
+    console.print(
+        f"parked episodes: {summary['parked_time']:.1f} s, "
+        f"{summary['parked_path']:.1f} m driven, "
+        f"{summary['parked_gear_changes']:.1f} gear changes; off by "
+        f"{summary['parked_distance_error']:.2f} m, "
+        f"{summary['parked_heading_error_deg']:.1f} deg at "
+        f"{summary['parked_speed']:.2f} m/s"
+    )
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(EvaluateConfig, description=__doc__))
+    except (CheckpointError, ValueError, OSError) as error:
+        print(f"evaluate: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -1,0 +1,148 @@
+"""Renders a policy's evaluation episodes off-screen to an mp4 or a still.
+
+    python eval/render.py runs/cpu-0
+    python eval/render.py runs/cpu-0 --camera chase:0 --seconds 30
+    python eval/render.py runs/cpu-0 --frame 12 --out frame.png
+"""
+
+import dataclasses
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+from carpark_mj.rendering.gl import choose_gl
+
+missing_gl = choose_gl()  # before MuJoCo is imported
+
+import tyro
+from evaluate import BASELINES, adapt
+from rich.progress import track
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
+from carpark_mj.policy.runs import load_policy
+from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_name
+from carpark_mj.rendering.rollout import record
+from carpark_mj.rendering.video import draw_frame, frames, frames_per_second, write_mp4
+from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
+from carpark_mj.vehicle import preset
+
+
+@dataclasses.dataclass(frozen=True)
+class RenderConfig:
+    """Settings of `python eval/render.py`.
+
+    Attributes:
+        run: run folder, checkpoint file, or `zero` or `random`.
+        out: file to write, .mp4 or .png; default `video.mp4` in the run folder.
+        camera: `topdown`, `overview` or `chase:K` behind agent K.
+        seconds: length of the video [s].
+        frame: write a still at this time [s] instead of a video.
+        width: of a frame [pixels], even.
+        height: of a frame [pixels], even.
+        seed: of the held-out lot.
+        num_agents: another number of agents than the run was trained with.
+        respawn: whether finished agents start anew; `--no-respawn` tells one story.
+    """
+
+    run: Annotated[str, tyro.conf.Positional]
+    out: str = ""
+    camera: str = "topdown"
+    seconds: float = 20.0
+    frame: float | None = None
+    width: int = 1280
+    height: int = 720
+    seed: int = 0
+    num_agents: int | None = None
+    respawn: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0 < self.seconds <= 3600:
+            raise ValueError(f"seconds must lie in (0, 3600], not {self.seconds}")
+        if self.frame is not None and not 0 <= self.frame <= 3600:
+            raise ValueError(f"frame must lie in [0, 3600] s, not {self.frame}")
+        for name, limit in (("width", OFFSCREEN_WIDTH), ("height", OFFSCREEN_HEIGHT)):
+            value = getattr(self, name)
+            if not 2 <= value <= limit or value % 2:
+                raise ValueError(
+                    f"{name} must be even and within 2 to {limit}, not {value}"
+                )
+
+
+def main(config: RenderConfig) -> Path:
+    """Drives, draws and writes; returns the file.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        RenderingError: no GL or no such camera.
+        ValueError: impossible settings.
+        OSError: the file cannot be written.
+    """
+    if config.run in BASELINES:
+        env_config, folder = EnvConfig(), Path("runs") / config.run
+        policy = BASELINES[config.run](2)
+    else:
+        loaded = load_policy(Path(config.run))
+        env_config, policy = loaded.env, loaded.policy
+        folder = loaded.path.parent
+        folder = folder.parent if folder.name == "checkpoints" else folder
+    still = config.frame is not None
+    out = Path(config.out) if config.out else folder / ("frame.png" if still else "video.mp4")
+    suffix = ".png" if still else ".mp4"
+    if out.suffix != suffix:
+        raise ValueError(f"out must end in {suffix}, not {out.name!r}")
+    env_config = adapt(env_config, None, config.num_agents)
+    episode = dataclasses.replace(env_config.episode, respawn=config.respawn)
+    env_config = dataclasses.replace(env_config, episode=episode)
+    camera_name(config.camera, env_config.num_agents)  # refuse before the work
+    if missing_gl:
+        raise RenderingError(missing_gl)
+    out.parent.mkdir(parents=True, exist_ok=True)
+
+    env = ParkingEnv(env_config)
+    seconds = config.frame if config.frame is not None else config.seconds
+    num_steps = max(1, round(seconds / env_config.sim.ctrl_dt))
+    recording = record(env, policy, num_steps, config.seed)
+    renderer = LotRenderer(
+        recording.layout,
+        preset(env_config.vehicle),
+        env_config.num_agents,
+        env_config.num_parked_cars,
+        config.camera,
+        (config.width, config.height),
+    )
+    try:
+        if still:
+            _write_png(out, draw_frame(recording, renderer, num_steps - 1, -1))
+            print(f"wrote {out}: {seconds:g} s, camera {config.camera}")
+            return out
+        total = num_steps * recording.pose_w.shape[1]
+        begun = time.monotonic()
+        pictures = frames(recording, renderer)
+        pictures = iter(track(pictures, "rendering", total=total, transient=True))
+        count = write_mp4(out, pictures, frames_per_second(recording))
+        speed = count / (time.monotonic() - begun)
+    finally:
+        renderer.close()
+    print(
+        f"wrote {out}: {seconds:g} s, {count} frames at {speed:.1f} frames/s, "
+        f"camera {config.camera}"
+    )
+    return out
+
+
+def _write_png(path: Path, picture: object) -> None:
+    from PIL import Image
+
+    image = Image.fromarray(picture)  # pyright: ignore[reportArgumentType]
+    write_atomically(path, lambda temporary: image.save(temporary, optimize=True))
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(RenderConfig, description=__doc__))
+    except (CheckpointError, RenderingError, ValueError, OSError) as error:
+        print(f"render: {error}", file=sys.stderr)
+        sys.exit(2)

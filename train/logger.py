@@ -1,0 +1,93 @@
+"""Where the numbers of a training run go: CSV, TensorBoard and a progress bar."""
+
+import csv
+import io
+import math
+from pathlib import Path
+
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from tensorboardX import SummaryWriter
+
+from carpark_mj.policy.checkpoints import write_atomically
+
+
+class MetricsLog:
+    """One row per update in `metrics.csv`, the same as TensorBoard scalars.
+
+    On a resume the rows after the checkpoint are cut, so that the curve has no
+    doubled piece.
+    """
+
+    def __init__(self, folder: Path, resume_update: int) -> None:
+        """Opens the log of a run that stands at `resume_update` updates."""
+        self._path = folder / "metrics.csv"
+        rows = [row for row in read_metrics(folder) if row["update"] <= resume_update]
+        self._columns = list(rows[0]) if rows else []
+        text = io.StringIO(newline="")
+        if rows:
+            writer = csv.DictWriter(text, self._columns)
+            writer.writeheader()
+            writer.writerows(rows)
+        write_atomically(self._path, lambda tmp: tmp.write_text(text.getvalue()))
+        self._file = self._path.open("a", newline="")
+        last_step = int(rows[-1]["env_steps"]) if rows else 0
+        self._board = SummaryWriter(
+            str(folder / "tensorboard"), purge_step=last_step + 1, flush_secs=20
+        )
+
+    def write(self, row: dict[str, float]) -> None:
+        """Adds the row of an update; the first row fixes the columns."""
+        writer = csv.DictWriter(self._file, self._columns or list(row))
+        if not self._columns:
+            self._columns = list(row)
+            writer.writeheader()
+        writer.writerow(row)
+        self._file.flush()
+        step = int(row["env_steps"])
+        for name, value in row.items():
+            if name not in ("update", "env_steps") and math.isfinite(value):
+                self._board.add_scalar(name, value, step)
+
+    def close(self) -> None:
+        """Flushes and closes both."""
+        self._file.close()
+        self._board.close()
+
+
+def read_metrics(folder: Path) -> list[dict[str, float]]:
+    """Rows of a run's `metrics.csv`; a half-written last line is ignored."""
+    path = folder / "metrics.csv"
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        reader = csv.DictReader(file)
+        rows = []
+        for row in reader:
+            try:
+                rows.append({name: float(value) for name, value in row.items()})
+            except (TypeError, ValueError):
+                break  # killed in the middle of this line
+    return rows
+
+
+def progress_bar() -> Progress:
+    """A bar over agent steps with rates; fill `task.fields` on update."""
+    return Progress(
+        TextColumn("[bold]PPO"),
+        BarColumn(bar_width=24),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[steps]}"),
+        TextColumn("{task.fields[rate]:>7,.0f} steps/s"),
+        TextColumn("[green]parked {task.fields[parked]:5.1%}"),
+        TextColumn("[red]crashed {task.fields[crashed]:5.1%}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )

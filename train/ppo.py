@@ -1,0 +1,328 @@
+"""Trains one shared parking policy for all agents with PPO (IPPO).
+
+    python train/ppo.py                      # preset by hardware, runs/cpu-0 or gpu-0
+    python train/ppo.py --resume runs/cpu-0  # goes on exactly where it was
+    python train/ppo.py --help               # every setting
+
+Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at once.
+"""
+
+import dataclasses
+import json
+import os
+import platform
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from carpark_mj.rendering.gl import choose_gl
+
+choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
+
+import jax
+import tyro
+from learner import Learner, TrainingState
+from logger import MetricsLog, progress_bar
+from presets import PRESETS, PPOConfig
+
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy.checkpoints import CheckpointError
+
+# What may differ when a run is resumed.
+RESUME_FLAGS = ("resume", "time_limit")
+MAX_SKIPPED = 5  # updates in a row that may come out non-finite
+LINE_SECONDS = 20.0  # between lines of progress where there is no terminal
+
+
+class TrainingDivergedError(Exception):
+    """Updates keep coming out non-finite."""
+
+
+def configure_jax() -> None:
+    """One CPU device per core for sharded lots, and a persistent compilation cache."""
+    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
+    # jaxlib 0.11.2 crashes compiling a program for several CPU devices; 0.10.2 is fine.
+    if jax.__version_info__ < (0, 11):
+        jax.config.update("jax_num_cpu_devices", cores or 1)
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        cache = Path.home() / ".cache" / "carpark_mj" / "jax"
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+
+
+def parse(arguments: Sequence[str] | None = None) -> PPOConfig:
+    """Reads the flags; the preset gives their defaults.
+
+    Raises:
+        ValueError: impossible settings.
+        CheckpointError: `--resume` names no run.
+    """
+    hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
+    first = tyro.cli(
+        PPOConfig, args=arguments, default=PRESETS[hardware], description=__doc__
+    )
+    preset = PRESETS[hardware if first.preset == "auto" else first.preset]
+    config = tyro.cli(PPOConfig, args=arguments, default=preset)
+    if not config.resume:
+        return dataclasses.replace(config, preset=preset.preset)
+    changed = [
+        field.name
+        for field in dataclasses.fields(config)
+        if getattr(config, field.name) != getattr(preset, field.name)
+        and field.name not in RESUME_FLAGS
+    ]
+    if changed:
+        raise ValueError(
+            f"a resumed run keeps its own settings: drop {', '.join(changed)} "
+            f"(allowed with --resume: --time-limit)"
+        )
+    path = Path(config.resume) / "config.json"
+    try:
+        stored = runs.from_dict(PPOConfig, json.loads(path.read_text())["config"])
+    except FileNotFoundError:
+        raise CheckpointError(f"no run at {config.resume} (no {path})") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{path} is no config of a run: {error}") from None
+    return dataclasses.replace(
+        stored, resume=config.resume, time_limit=config.time_limit
+    )
+
+
+def open_run(config: PPOConfig) -> Path:
+    """Creates the run folder with `config.json`, or finds the one to resume.
+
+    Raises:
+        ValueError: the given name is taken.
+        OSError: the folder cannot be written.
+    """
+    if config.resume:
+        return Path(config.resume)
+    name = config.name or f"{config.preset}-{config.seed}"
+    folder = Path(config.runs_dir) / name
+    if config.name and folder.exists():
+        raise ValueError(
+            f"{folder} exists: choose another --name, or go on with --resume {folder}"
+        )
+    number = 2
+    while folder.exists():  # an unnamed run never touches an older one
+        folder = folder.with_name(f"{name}-{number}")
+        number += 1
+    folder.mkdir(parents=True)
+    try:
+        runs.write_json(folder / "config.json", describe(config))
+    except OSError:
+        folder.rmdir()
+        raise
+    return folder
+
+
+def describe(config: PPOConfig) -> dict[str, Any]:
+    """Everything needed to know what ran: settings, versions, device."""
+    packages = ("carpark_mj", "mujoco", "mujoco-mjx", "jax", "brax", "numpy")
+    return {
+        "config": dataclasses.asdict(config),
+        "versions": {name: _version(name) for name in packages},
+        "python": platform.python_version(),
+        "device": jax.devices()[0].device_kind,
+        "num_devices": jax.local_device_count(),
+        "matmul_precision": "highest in the environment, default in the networks",
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def print_settings(config: PPOConfig, folder: Path, learner: Learner) -> None:
+    """Prints every setting, one a line."""
+    device = jax.devices()[0]
+    print(f"run {folder} on {learner.mesh.size} x {device.device_kind}")
+
+    def lines(prefix: str, settings: dict[str, Any]) -> None:
+        for name, value in settings.items():
+            if isinstance(value, dict):
+                lines(f"{prefix}{name}.", value)
+            else:
+                print(f"  {prefix}{name} = {value}")
+
+    lines("", dataclasses.asdict(config))
+
+
+class StopRequest:
+    """Turns the first Ctrl-C or SIGTERM into a request to stop after the update."""
+
+    def __init__(self) -> None:
+        """Installs the handlers."""
+        self.requested = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def _handle(self, number: int, frame: object) -> None:
+        del frame
+        self.requested = True
+        signal.signal(number, signal.default_int_handler)
+        print("stopping after this update (again: at once)", file=sys.stderr)
+
+
+def load_or_init(learner: Learner, folder: Path) -> TrainingState:
+    """The newest checkpoint of the run, or a fresh state if it has none."""
+    if not runs.checkpoint_files(folder):
+        return learner.init()
+    path = runs.latest_checkpoint(folder)
+    template = vars(jax.eval_shape(learner.build))
+    return learner.place(TrainingState(**checkpoints.load(path, template)))
+
+
+def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
+    """Writes a checkpoint of the state."""
+    update = int(state.update)
+    steps = update * config.steps_per_update
+    header = {
+        "config": dataclasses.asdict(config),
+        "update": update,
+        "env_steps": steps,
+    }
+    return runs.save_checkpoint(folder, vars(jax.device_get(state)), header, steps)
+
+
+def train(config: PPOConfig, folder: Path) -> bool:
+    """Trains until done, stopped or out of time; True when done.
+
+    Raises:
+        TrainingDivergedError: the updates keep coming out non-finite.
+        CheckpointError: a checkpoint to resume from is damaged.
+    """
+    started = time.monotonic()
+    learner = Learner(config)
+    print_settings(config, folder, learner)
+    print("compiling ...", flush=True)
+    state = load_or_init(learner, folder)
+    update = learner.compile()
+    done = int(state.update)
+    first, skipped = done, int(state.skipped)
+    log = MetricsLog(folder, done)
+    stop = StopRequest()
+    saved_at = time.monotonic()
+    printed_at, begun = saved_at, 0.0
+    in_a_row = 0
+    with progress_bar() as progress:
+        task = progress.add_task(
+            "train",
+            total=config.num_updates,
+            completed=done,
+            steps="",
+            rate=0.0,
+            parked=0.0,
+            crashed=0.0,
+        )
+        while done < config.num_updates:
+            state, metrics = update(state)
+            row = {name: float(x) for name, x in jax.device_get(metrics).items()}
+            done += 1
+            now = time.monotonic()
+            begun = begun or now  # the first update includes compilation
+            made = (done - first - 1) * config.steps_per_update
+            rate = made / (now - begun) if made else 0.0
+            in_a_row = in_a_row + 1 if row["skipped"] > skipped else 0
+            skipped = int(row["skipped"])
+            if in_a_row >= MAX_SKIPPED:
+                raise TrainingDivergedError(
+                    f"{in_a_row} updates in a row came out non-finite; the checkpoints "
+                    f"in {folder} are from before"
+                )
+            steps = done * config.steps_per_update
+            log.write(
+                {
+                    "update": done,
+                    "env_steps": steps,
+                    "seconds": now - started,
+                    "steps_per_second": rate,
+                    **row,
+                }
+            )
+            shown = {
+                "steps": f"{steps / 1e6:.2f} M",
+                "rate": rate,
+                "parked": row["episode/parked"],
+                "crashed": row["episode/crashed"],
+            }
+            progress.update(task, completed=done, **shown)
+            if not progress.console.is_terminal and now - printed_at > LINE_SECONDS:
+                printed_at = now
+                left = (config.num_updates - done) * config.steps_per_update
+                print(
+                    f"{shown['steps']}  {rate:,.0f} steps/s  "
+                    f"parked {shown['parked']:.1%}  crashed {shown['crashed']:.1%}  "
+                    f"{left / rate / 60 if rate else float('nan'):.1f} min left",
+                    flush=True,
+                )
+            out_of_time = 0 < config.time_limit * 60 <= now - started
+            due = now - saved_at > config.checkpoint_minutes * 60
+            if config.checkpoint_updates:
+                due = done % config.checkpoint_updates == 0
+            finished = done == config.num_updates
+            if due or out_of_time or stop.requested or finished:
+                save(folder, config, state)
+                saved_at = time.monotonic()
+            if out_of_time or stop.requested:
+                break
+    log.close()
+    return done == config.num_updates
+
+
+def finish(config: PPOConfig, folder: Path) -> None:
+    """Learning curve, evaluation on held-out seeds and a video of the trained policy.
+
+    Every part is made anew from what lies in the folder.
+    """
+    from curve import plot_learning_curve
+
+    print(f"wrote {plot_learning_curve(folder)}")
+    root = Path(__file__).resolve().parents[1]
+    sys.path.insert(0, str(root / "eval"))
+    if config.eval_episodes:
+        import evaluate
+
+        evaluate.main(
+            evaluate.EvaluateConfig(run=str(folder), episodes=config.eval_episodes)
+        )
+    if config.video_seconds:
+        import render
+
+        try:
+            render.main(
+                render.RenderConfig(run=str(folder), seconds=config.video_seconds)
+            )
+        except render.RenderingError as error:
+            print(f"no video: {error}", file=sys.stderr)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    configure_jax()
+    try:
+        config = parse(arguments)
+        folder = open_run(config)
+        if not train(config, folder):
+            print(f"stopped; go on with: python train/ppo.py --resume {folder}")
+            return 0
+        finish(config, folder)
+    except (CheckpointError, ValueError, OSError) as error:
+        print(f"ppo: {error}", file=sys.stderr)
+        return 2
+    except TrainingDivergedError as error:
+        print(f"ppo: {error}", file=sys.stderr)
+        return 1
+    print(f"done: {folder}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
