@@ -1,0 +1,30 @@
+"""carpark_mj: a physics-accurate MuJoCo parking gym with Ackermann cars.
+
+Importing the package imports nothing else: the names below load on first use, so that
+MuJoCo's OpenGL can still be chosen (`carpark_mj.rendering.gl`).
+"""
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "EnvConfig": "carpark_mj.config",
+    "EpisodeConfig": "carpark_mj.config",
+    "ObservationConfig": "carpark_mj.config",
+    "ParkingEnv": "carpark_mj.env",
+    "RewardConfig": "carpark_mj.config",
+    "SimConfig": "carpark_mj.config",
+    "SpawnConfig": "carpark_mj.config",
+    "load_policy": "carpark_mj.policy.runs",
+    "make_layout": "carpark_mj.layouts",
+}
+
+__all__ = [*sorted(_HOMES), "__version__"]  # pyright: ignore
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'carpark_mj' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

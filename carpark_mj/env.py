@@ -241,15 +241,12 @@ class ParkingEnv:
                 config.episode.max_steps,
             )
             terms = {
-                name: jnp.where(state.active, term, 0.0)
-                for name, term in terms.items()
+                name: jnp.where(state.active, term, 0.0) for name, term in terms.items()
             }
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
         stats = metrics.update_stats(state.stats, state.vehicle, vehicle, reward)
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
-        state = state.replace(
-            physics=physics, vehicle=vehicle, step=step, stats=stats
-        )
+        state = state.replace(physics=physics, vehicle=vehicle, step=step, stats=stats)
         if config.episode.respawn:
             with jax.named_scope("respawn"):
                 state = self._respawn(state, events)
@@ -330,9 +327,7 @@ class ParkingEnv:
 
         return state.replace(
             physics=jax.tree.map(select, fresh, state.physics),
-            vehicle=jax.tree.map(
-                select, self.physics.read(fresh), state.vehicle
-            ),
+            vehicle=jax.tree.map(select, self.physics.read(fresh), state.vehicle),
             occupancy=occupancy,
             step=jnp.where(done, 0, state.step),
             stats=jax.tree.map(

@@ -100,9 +100,7 @@ def box_inside(
     )
 
 
-def point_box_distance(
-    point: jax.Array, pose: jax.Array, size: jax.Array
-) -> jax.Array:
+def point_box_distance(point: jax.Array, pose: jax.Array, size: jax.Array) -> jax.Array:
     """Distance [m] from points (..., 2) to boxes; 0 inside."""
     local = rotate(point - pose[..., :2], -pose[..., 2])
     gap = jnp.maximum(jnp.abs(local) - 0.5 * size, 0.0)

@@ -63,9 +63,7 @@ def evolve(
     gap = jnp.linalg.norm(car_xy[:, None] - agent_xy, axis=-1).min(axis=-1)
     farthest = jnp.argmax(gap)
     moved = occupancy.parked_bay.at[farthest].set(occupancy.goal[agent])
-    return occupancy.replace(
-        parked_bay=jnp.where(parked, moved, occupancy.parked_bay)
-    )
+    return occupancy.replace(parked_bay=jnp.where(parked, moved, occupancy.parked_bay))
 
 
 def new_goal(

@@ -24,9 +24,7 @@ def goal_potential(
     distance = jnp.linalg.norm(pose_w[..., :2] - goal_pose[..., :2], axis=-1)
     misalignment = axis_angle_error(pose_w[..., 2] - goal_pose[..., 2])
     fading = jnp.exp(-distance / config.alignment_range)
-    return -(
-        config.progress * distance + config.alignment * misalignment * fading
-    )
+    return -(config.progress * distance + config.alignment * misalignment * fading)
 
 
 def reward_terms(
@@ -55,9 +53,7 @@ def reward_terms(
     share = 1.0 / max_steps
 
     def distance(vehicle: VehicleState) -> jax.Array:
-        return jnp.linalg.norm(
-            vehicle.pose_w[..., :2] - goal_pose[..., :2], axis=-1
-        )
+        return jnp.linalg.norm(vehicle.pose_w[..., :2] - goal_pose[..., :2], axis=-1)
 
     potential = goal_potential(config, after.pose_w, goal_pose) - goal_potential(
         config, before.pose_w, goal_pose

@@ -68,7 +68,7 @@ def _close_points(
     angle = jax.random.uniform(angle_key, (n,), maxval=2 * jnp.pi)
     reach = jax.random.uniform(reach_key, (n,), maxval=config.close_distance)
     step = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1) * reach[:, None]
-    # Tanner walks on a grid; here the walk is one straight step, folded into the region.
+    # Tanner walks on a grid; here it is one straight step, clipped to the region.
     point = jnp.clip(nearest[region] + step, -half[region], half[region])
     pose = layout.spawn_pose[region]
     return pose[:2] + rotate(point, pose[2])

@@ -1,7 +1,7 @@
 """Evaluates a policy on held-out seeds: a table, `evaluation.csv`, `evaluation.json`.
 
-    python eval/evaluate.py runs/cpu-0
-    python eval/evaluate.py --policy random --episodes 500
+python eval/evaluate.py runs/cpu-0
+python eval/evaluate.py --policy random --episodes 500
 """
 
 import csv

@@ -1,8 +1,8 @@
 """Renders a policy's evaluation episodes off-screen to an mp4 or a still.
 
-    python eval/render.py runs/cpu-0
-    python eval/render.py runs/cpu-0 --camera chase:0 --seconds 30
-    python eval/render.py runs/cpu-0 --frame 12 --out frame.png
+python eval/render.py runs/cpu-0
+python eval/render.py runs/cpu-0 --camera chase:0 --seconds 30
+python eval/render.py runs/cpu-0 --frame 12 --out frame.png
 """
 
 import dataclasses
@@ -16,7 +16,6 @@ from carpark_mj.rendering.gl import choose_gl
 missing_gl = choose_gl()  # before MuJoCo is imported
 
 import tyro
-from evaluate import BASELINES, adapt
 from rich.progress import track
 
 from carpark_mj.config import EnvConfig
@@ -25,9 +24,17 @@ from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
 from carpark_mj.policy.runs import load_policy
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_name
 from carpark_mj.rendering.rollout import record
-from carpark_mj.rendering.video import draw_frame, frames, frames_per_second, write_mp4
+from carpark_mj.rendering.video import (
+    draw_frame,
+    frame_stride,
+    frames_per_second,
+    num_frames,
+    write_mp4,
+)
 from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 from carpark_mj.vehicle import preset
+
+from evaluate import BASELINES, adapt
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +46,7 @@ class RenderConfig:
         out: file to write, .mp4 or .png; default `video.mp4` in the run folder.
         camera: `topdown`, `overview` or `chase:K` behind agent K.
         seconds: length of the video [s].
+        fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
         frame: write a still at this time [s] instead of a video.
         width: of a frame [pixels], even.
         height: of a frame [pixels], even.
@@ -51,6 +59,7 @@ class RenderConfig:
     out: str = ""
     camera: str = "topdown"
     seconds: float = 20.0
+    fps: float = 10.0
     frame: float | None = None
     width: int = 1280
     height: int = 720
@@ -63,6 +72,8 @@ class RenderConfig:
             raise ValueError(f"seconds must lie in (0, 3600], not {self.seconds}")
         if self.frame is not None and not 0 <= self.frame <= 3600:
             raise ValueError(f"frame must lie in [0, 3600] s, not {self.frame}")
+        if not self.fps > 0:
+            raise ValueError(f"fps must be positive, not {self.fps}")
         for name, limit in (("width", OFFSCREEN_WIDTH), ("height", OFFSCREEN_HEIGHT)):
             value = getattr(self, name)
             if not 2 <= value <= limit or value % 2:
@@ -89,7 +100,11 @@ def main(config: RenderConfig) -> Path:
         folder = loaded.path.parent
         folder = folder.parent if folder.name == "checkpoints" else folder
     still = config.frame is not None
-    out = Path(config.out) if config.out else folder / ("frame.png" if still else "video.mp4")
+    out = (
+        Path(config.out)
+        if config.out
+        else folder / ("frame.png" if still else "video.mp4")
+    )
     suffix = ".png" if still else ".mp4"
     if out.suffix != suffix:
         raise ValueError(f"out must end in {suffix}, not {out.name!r}")
@@ -115,14 +130,17 @@ def main(config: RenderConfig) -> Path:
     )
     try:
         if still:
-            _write_png(out, draw_frame(recording, renderer, num_steps - 1, -1))
+            _write_png(out, draw_frame(recording, renderer, num_frames(recording) - 1))
             print(f"wrote {out}: {seconds:g} s, camera {config.camera}")
             return out
-        total = num_steps * recording.pose_w.shape[1]
+        stride = frame_stride(recording, config.fps)
+        indices = range(stride - 1, num_frames(recording), stride)
         begun = time.monotonic()
-        pictures = frames(recording, renderer)
-        pictures = iter(track(pictures, "rendering", total=total, transient=True))
-        count = write_mp4(out, pictures, frames_per_second(recording))
+        pictures = (
+            draw_frame(recording, renderer, index)
+            for index in track(indices, "rendering", transient=True)
+        )
+        count = write_mp4(out, pictures, frames_per_second(recording) / stride)
         speed = count / (time.monotonic() - begun)
     finally:
         renderer.close()

@@ -18,12 +18,13 @@ from brax.training.agents.ppo import losses as ppo_losses
 from brax.training.types import Transition
 from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from presets import PPOConfig
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import make_networks, make_policy
 from carpark_mj.policy.runs import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
+
+from presets import PPOConfig
 
 AXIS = "lots"
 
@@ -164,9 +165,7 @@ class Learner:
         key, act_key, learn_key = jax.random.split(state.key, 3)
         local = jax.lax.axis_index(AXIS)
         env_state, data = self._collect(state, jax.random.fold_in(act_key, local))
-        learned, losses = self._learn(
-            state, data, jax.random.fold_in(learn_key, local)
-        )
+        learned, losses = self._learn(state, data, jax.random.fold_in(learn_key, local))
         finite = jnp.stack(
             [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((learned, losses))]
         ).all()
@@ -188,9 +187,7 @@ class Learner:
         }
         return jax.tree.map(_strong, (new, metrics | {"skipped": new.skipped}))
 
-    def _collect(
-        self, state: TrainingState, key: jax.Array
-    ) -> tuple[Any, Transition]:
+    def _collect(self, state: TrainingState, key: jax.Array) -> tuple[Any, Transition]:
         """Drives all agents for one unroll; data is (agents, time, ...)."""
         policy = make_policy(
             self.networks, state.normalizer, state.policy, deterministic=False
@@ -255,9 +252,7 @@ class Learner:
             key, shuffle_key, batch_key = jax.random.split(key, 3)
             order = jax.random.permutation(shuffle_key, data.reward.shape[0])
             batches = jax.tree.map(
-                lambda x: x[order].reshape(
-                    config.num_minibatches, -1, *x.shape[1:]
-                ),
+                lambda x: x[order].reshape(config.num_minibatches, -1, *x.shape[1:]),
                 data,
             )
             (params, optimizer, _), losses = jax.lax.scan(

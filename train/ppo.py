@@ -25,12 +25,13 @@ choose_gl()  # before MuJoCo is imported; without GL there is no video at the en
 
 import jax
 import tyro
-from learner import Learner, TrainingState
-from logger import MetricsLog, progress_bar
-from presets import PRESETS, PPOConfig
 
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
+
+from learner import Learner, TrainingState
+from logger import MetricsLog, progress_bar
+from presets import PRESETS, PPOConfig
 
 # What may differ when a run is resumed.
 RESUME_FLAGS = ("resume", "time_limit")

@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config import EnvConfig, RewardConfig
+from carpark_mj.config import EnvConfig, ObservationConfig, RewardConfig
 from carpark_mj.policy.networks import NetworkConfig
 
 
@@ -76,7 +76,9 @@ class PPOConfig:
             "num_epochs",
         ):
             if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+                raise ValueError(
+                    f"{name} must be at least 1, not {getattr(self, name)}"
+                )
         for name in ("learning_rate", "max_grad_norm", "clip", "checkpoint_minutes"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
@@ -127,6 +129,10 @@ PRESETS: dict[str, PPOConfig] = {
         learning_rate=1e-3,
         learning_rate_end=1e-4,
         networks=NetworkConfig((256, 256), (256, 256)),
-        env=EnvConfig(num_agents=7, reward=RewardConfig(crash=2.5)),
+        env=EnvConfig(
+            num_agents=7,
+            reward=RewardConfig(crash=2.5),
+            observation=ObservationConfig(tracked_agents=4),
+        ),
     ),
 }

@@ -71,9 +71,7 @@ class Layout:
                 continue
             for part, array in (("pose", pose), ("size", size)):
                 if array.dtype != jnp.float32:
-                    problems.append(
-                        f"{name}_{part} must be float32, not {array.dtype}"
-                    )
+                    problems.append(f"{name}_{part} must be float32, not {array.dtype}")
             if not bool(jnp.isfinite(pose).all() & jnp.isfinite(size).all()):
                 problems.append(f"{name} holds a non-finite number")
             if bool(jnp.any((size <= 0) & mask[:, None])):

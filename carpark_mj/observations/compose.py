@@ -50,18 +50,22 @@ def observe(
             vehicle.pose_w, vehicle.pose_w[index], vehicle.size[index], present
         )
         their_goal = to_local(vehicle.pose_w[:, None], goal_pose[index])[..., :2] / FAR
-        speed = (vehicle.speed[index] / max_speed[:, None])[..., None]
-        agents["speed"] = jnp.where(present[..., None], speed, 0.0)
-        agents["goal"] = jnp.where(present[..., None], their_goal, 0.0)
+        motion = {
+            "speed": (vehicle.speed[index] / max_speed[:, None])[..., None],
+            "yaw_rate": vehicle.yaw_rate[index][..., None],
+            "goal": their_goal,
+        }
+        agents |= {
+            name: jnp.where(present[..., None], value, 0.0)
+            for name, value in motion.items()
+        }
         values |= _numbered("agent", agents, config.tracked_agents)
     if config.tracked_parked_cars:
         pose = layout.bay_pose[parked_bay]
         if pose.shape[0] == 0:  # nobody to track: a masked stand-in keeps the shapes
             pose, parked_size = jnp.zeros((1, 3)), jnp.zeros((1, 2))
         mask = jnp.full((own_xy.shape[0], pose.shape[0]), parked_bay.shape[0] > 0)
-        index, present = nearest(
-            own_xy, pose[:, :2], mask, config.tracked_parked_cars
-        )
+        index, present = nearest(own_xy, pose[:, :2], mask, config.tracked_parked_cars)
         cars = localise(vehicle.pose_w, pose[index], parked_size[index], present)
         values |= _numbered("parked", cars, config.tracked_parked_cars)
     if config.rings:

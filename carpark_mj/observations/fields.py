@@ -42,6 +42,7 @@ _CAR = (
 )
 _AGENT = (
     ("speed", 1, -1.5, 1.5, "its signed speed [own forward limit]"),
+    ("yaw_rate", 1, -2.0, 2.0, "its yaw rate [rad/s], left > 0"),
     ("goal", 2, -4.0, 4.0, f"centre of its goal, body frame [{FAR:g} m]"),
 )
 
@@ -52,9 +53,7 @@ def make_fields(config: ObservationConfig) -> tuple[Field, ...]:
         Field("speed", 1, -1.5, 1.5, "own signed speed [forward limit]"),
         Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
         Field("yaw_rate", 1, -2.0, 2.0, "own yaw rate [rad/s], left > 0"),
-        Field(
-            "goal_position", 2, -4.0, 4.0, f"goal centre, body frame [{FAR:g} m]"
-        ),
+        Field("goal_position", 2, -4.0, 4.0, f"goal centre, body frame [{FAR:g} m]"),
         Field(
             "goal_near", 2, -1.0, 1.0, f"goal centre, body frame [{NEAR:g} m], clipped"
         ),
@@ -71,16 +70,10 @@ def make_fields(config: ObservationConfig) -> tuple[Field, ...]:
     for k in range(config.tracked_parked_cars):
         for name, size, low, high, meaning in _CAR:
             fields.append(Field(f"parked_{k}_{name}", size, low, high, meaning))
-    for diameter in config.rings:
-        fields.append(
-            Field(
-                f"ring_{diameter:g}m",
-                1,
-                0.0,
-                1.0,
-                f"walls within the circle about the car [{config.ring_cap}], capped",
-            )
-        )
+    meaning = f"walls within the circle about the car [{config.ring_cap}], capped"
+    fields.extend(
+        Field(f"ring_{diameter:g}m", 1, 0.0, 1.0, meaning) for diameter in config.rings
+    )
     return tuple(fields)
 
 

@@ -56,9 +56,7 @@ def localise(
         "present": jnp.ones_like(local[..., :1]),
         "position": xy / FAR,
         "near_position": jnp.clip(xy / (2 * NEAR), -1.0, 1.0),
-        "heading": jnp.stack(
-            [jnp.cos(local[..., 2]), jnp.sin(local[..., 2])], axis=-1
-        ),
+        "heading": jnp.stack([jnp.cos(local[..., 2]), jnp.sin(local[..., 2])], axis=-1),
         "size": size / 5.0,
     }
     return {

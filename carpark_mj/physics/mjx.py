@@ -173,9 +173,15 @@ def _rotation_matrix(quat: jax.Array) -> jax.Array:
     w, x, y, z = quat[0], quat[1], quat[2], quat[3]
     return jnp.stack(
         [
-            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
-            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
-            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+            jnp.stack(
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
+            ),
+            jnp.stack(
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
+            ),
+            jnp.stack(
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+            ),
         ]
     )
 
@@ -220,9 +226,7 @@ class MjxPhysics:
         y = pose_w[1] - vehicle.centre_offset * jnp.sin(yaw)
         zero = jnp.zeros((), dtype)
         quat = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
-        qpos = jnp.concatenate(
-            [jnp.stack([x, y, zero]), quat, jnp.zeros(6, dtype)]
-        )
+        qpos = jnp.concatenate([jnp.stack([x, y, zero]), quat, jnp.zeros(6, dtype)])
         pose = jnp.stack([pose_w[0], pose_w[1], wrap_angle(yaw)])
         return CarState(
             qpos=qpos,

@@ -1,0 +1,1 @@
+"""Policies: networks, checkpoints and run folders."""

@@ -5,6 +5,7 @@ checks the header, the names, shapes and dtypes; whatever is wrong is one
 `CheckpointError` in one line.
 """
 
+import io
 import json
 import os
 import zipfile
@@ -68,7 +69,8 @@ def save(path: Path, tree: Any, header: dict[str, Any]) -> None:
 
 def _open(path: Path) -> Any:
     try:
-        file = np.load(path, allow_pickle=False)
+        # Read whole (a few MB), so that no handle stays open on a damaged file.
+        file = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
     except FileNotFoundError:
         raise CheckpointError(f"no checkpoint at {path}") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:

@@ -1,10 +1,10 @@
 """The folder of a training run: `runs/<name>/` and what lies in it.
 
-    config.json             every setting, versions, device
-    checkpoints/step_N.npz  the last two training states
-    metrics.csv             one row per update
-    tensorboard/            the same as event files
-    learning_curve.png, evaluation.{csv,json}, video.mp4   at the end
+config.json             every setting, versions, device
+checkpoints/step_N.npz  the last two training states
+metrics.csv             one row per update
+tensorboard/            the same as event files
+learning_curve.png, evaluation.{csv,json}, video.mp4   at the end
 """
 
 import dataclasses

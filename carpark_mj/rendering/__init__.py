@@ -1,0 +1,1 @@
+"""Off-screen rendering; nothing is imported until it is used."""

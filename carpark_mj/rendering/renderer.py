@@ -198,5 +198,3 @@ def camera_name(camera: str, num_agents: int) -> str:
         f"no camera {camera!r}; choose topdown, overview or chase:K with K from 0 to "
         f"{num_agents - 1}"
     )
-
-

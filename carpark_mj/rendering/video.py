@@ -11,12 +11,14 @@ from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.rollout import Recording
 
 
-def draw_frame(
-    recording: Recording, renderer: LotRenderer, step: int, trace: int
-) -> np.ndarray:
-    """Draws one traced pose of a recording, (height, width, 3) uint8."""
-    traces = recording.pose_w.shape[1]
-    trace %= traces
+def num_frames(recording: Recording) -> int:
+    """Poses recorded, one after every traced instant."""
+    return recording.pose_w.shape[0] * recording.pose_w.shape[1]
+
+
+def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.ndarray:
+    """Draws one recorded instant, (height, width, 3) uint8."""
+    step, trace = divmod(index, recording.pose_w.shape[1])
     pose, goal = recording.pose_w[step, trace], recording.goal[step]
     frame = renderer.render(
         pose, recording.steering[step], goal, recording.parked_bay[step]
@@ -24,7 +26,7 @@ def draw_frame(
     bay_pose = np.asarray(recording.layout.bay_pose)
     frame = draw_labels(frame, renderer, pose, bay_pose[goal])
     # What happens in a step is counted when it is over.
-    over = step + (trace == traces - 1)
+    over = (index + 1) // recording.pose_w.shape[1]
     counts = "   ".join(
         f"{name} {events[:over].sum()}"
         for name, events in (
@@ -33,21 +35,18 @@ def draw_frame(
             ("timed out", recording.timed_out),
         )
     )
-    seconds = (step + (trace + 1) / traces) * recording.ctrl_dt
+    seconds = (index + 1) / frames_per_second(recording)
     return draw_status(frame, [f"{seconds:5.1f} s", counts])
 
 
-def frames(recording: Recording, renderer: LotRenderer) -> Iterator[np.ndarray]:
-    """Draws every traced pose of a recording in turn."""
-    steps, traces = recording.pose_w.shape[:2]
-    for step in range(steps):
-        for trace in range(traces):
-            yield draw_frame(recording, renderer, step, trace)
-
-
 def frames_per_second(recording: Recording) -> float:
-    """Frame rate at which a recording plays in real time."""
+    """Frame rate at which all frames of a recording play in real time."""
     return recording.pose_w.shape[1] / recording.ctrl_dt
+
+
+def frame_stride(recording: Recording, fps: float) -> int:
+    """Every how many frames to draw to come closest to a wanted rate."""
+    return max(1, round(frames_per_second(recording) / fps))
 
 
 def write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:

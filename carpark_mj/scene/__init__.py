@@ -33,7 +33,7 @@ def build_scene(
     spec.visual.global_.offheight = OFFSCREEN_HEIGHT
     extent = np.asarray(layout.extent, float)
     car_look.add_meshes(spec, params)
-    parts.add_ground(spec, extent)
+    parts.add_ground(spec)
     parts.add_bay_lines(spec, layout)
     parts.add_walls(spec, layout)
     parts.add_parked_cars(spec, params, num_parked_cars)

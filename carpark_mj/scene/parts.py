@@ -19,8 +19,17 @@ def _yaw_quat(yaw: float) -> list[float]:
     return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
 
 
-def add_ground(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
-    """An asphalt plane somewhat larger than the lot."""
+def add_ground(spec: mujoco.MjSpec) -> None:
+    """An endless asphalt plane under a pale sky."""
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=materials.ZENITH[:3],
+        rgb2=materials.HORIZON[:3],
+        width=128,
+        height=128,
+    )
     spec.add_texture(
         name="asphalt",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -39,7 +48,7 @@ def add_ground(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
     spec.worldbody.add_geom(
         name="ground",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[*(extent + 8.0), 1.0],
+        size=[0.0, 0.0, 1.0],
         material="asphalt",
         contype=0,
         conaffinity=0,
@@ -88,9 +97,7 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
         )
 
 
-def add_parked_cars(
-    spec: mujoco.MjSpec, params: VehicleParameters, count: int
-) -> None:
+def add_parked_cars(spec: mujoco.MjSpec, params: VehicleParameters, count: int) -> None:
     """Parked cars as mocap bodies `parked0`..., placed by `mocap_pos`."""
     for k in range(count):
         body = spec.worldbody.add_body(name=f"parked{k}", mocap=True)
@@ -116,7 +123,7 @@ def add_lights(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
     spec.worldbody.add_light(
         name="sun",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0.0, 0.0, 30.0],
+        pos=[-8.0, -6.0, 20.0],
         dir=[0.35, 0.25, -0.9],
         diffuse=[0.65, 0.65, 0.62],
         specular=[0.1, 0.1, 0.1],
@@ -126,7 +133,8 @@ def add_lights(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
     spec.visual.headlight.diffuse = [0.18, 0.18, 0.18]
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
     spec.visual.quality.shadowsize = 4096
-    spec.visual.map.shadowclip = 1.0
+    # A tight shadow map shows stripes on the ground where it ends.
+    spec.visual.map.shadowclip = 3.0
     spec.stat.center = [0.0, 0.0, 0.0]
     spec.stat.extent = float(np.max(extent))
 

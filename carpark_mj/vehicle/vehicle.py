@@ -162,7 +162,9 @@ def _make_tyres(params: VehicleParameters) -> Tyres:
     return Tyres(
         static_load=load,
         friction=_array(tyre.friction),
-        longitudinal_stiffness=tyre.slip_stiffness * load / tyre.longitudinal_relaxation,
+        longitudinal_stiffness=tyre.slip_stiffness
+        * load
+        / tyre.longitudinal_relaxation,
         lateral_stiffness=tyre.cornering_stiffness * load / tyre.lateral_relaxation,
         torsion_stiffness=torque_limit / tyre.torsion_yield,
         torsion_yield=_array(tyre.torsion_yield),

@@ -1,0 +1,143 @@
+"""Checkpoints: exact round trips, whole files only, one clear line when it fails."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy.checkpoints import CheckpointError
+
+
+def tree():
+    return {
+        "weights": {"kernel": jax.random.normal(jax.random.key(3), (4, 5))},
+        "count": jnp.array(7, jnp.int32),
+        "keys": jax.random.split(jax.random.key(1), 3),
+        "flags": jnp.array([True, False]),
+    }
+
+
+def assert_same(a, b):
+    jax.tree.map(
+        lambda x, y: np.testing.assert_array_equal(
+            checkpoints._to_numpy(x), checkpoints._to_numpy(y)
+        ),
+        a,
+        b,
+    )
+
+
+def test_a_round_trip_is_exact_and_keeps_keys_and_header(tmp_path):
+    path = tmp_path / "a.npz"
+    checkpoints.save(path, tree(), {"steps": 12})
+    loaded = checkpoints.load(path, jax.eval_shape(tree))
+    assert_same(loaded, tree())
+    draws = [jax.random.uniform(t["keys"][2]) for t in (loaded, tree())]
+    assert draws[0] == draws[1]
+    assert checkpoints.read_header(path)["steps"] == 12
+
+
+def test_a_part_of_a_checkpoint_can_be_read_alone(tmp_path):
+    path = tmp_path / "a.npz"
+    checkpoints.save(path, tree(), {})
+    part = checkpoints.load(path, {"weights": tree()["weights"]})
+    assert_same(part, {"weights": tree()["weights"]})
+
+
+def test_no_array_is_pickled(tmp_path):
+    path = tmp_path / "a.npz"
+    checkpoints.save(path, tree(), {})
+    with np.load(path, allow_pickle=False) as file:
+        assert {file[name].dtype.kind for name in file.files} <= set("fiub")
+
+
+def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "a.npz"
+    checkpoints.save(path, tree(), {"steps": 1})
+
+    def fail(temporary):
+        temporary.write_bytes(b"half")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        checkpoints.write_atomically(path, fail)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+    assert checkpoints.read_header(path)["steps"] == 1
+
+
+@pytest.mark.parametrize("kept", [0, 1, 100, 0.5, 0.98])
+def test_a_truncated_checkpoint_is_one_clear_error(tmp_path, kept):
+    path = tmp_path / "a.npz"
+    checkpoints.save(path, tree(), {})
+    data = path.read_bytes()
+    path.write_bytes(data[: int(kept * len(data)) if kept < 1 else kept])
+    with pytest.raises(CheckpointError) as caught:
+        checkpoints.load(path, tree())
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_flipped_byte_in_the_data_is_noticed(tmp_path):
+    path = tmp_path / "a.npz"
+    checkpoints.save(path, tree(), {})
+    data = bytearray(path.read_bytes())
+    at = data.find(np.asarray(tree()["weights"]["kernel"]).tobytes())
+    assert at > 0
+    data[at + 8] ^= 0xFF
+    path.write_bytes(bytes(data))
+    with pytest.raises(CheckpointError, match="damaged"):
+        checkpoints.load(path, tree())
+
+
+def test_foreign_files_are_refused_by_name(tmp_path):
+    text, archive, array = (tmp_path / n for n in ("a.txt", "b.npz", "c.npy"))
+    text.write_text("hello")
+    np.savez(archive, x=np.zeros(3))
+    np.save(array, np.zeros(3))
+    for path in (text, archive, array, tmp_path / "missing.npz"):
+        with pytest.raises(CheckpointError, match=path.name):
+            checkpoints.read_header(path)
+
+
+def test_another_format_version_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "a.npz"
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoints, "FORMAT", "carpark_mj checkpoint 99")
+        checkpoints.save(path, tree(), {})
+    with pytest.raises(CheckpointError, match="99"):
+        checkpoints.read_header(path)
+
+
+def test_misfits_name_the_array_and_both_shapes(tmp_path):
+    path = tmp_path / "a.npz"
+    checkpoints.save(path, tree(), {})
+    with pytest.raises(CheckpointError, match=r"kernel.*\[4, 5\].*\[4, 6\]"):
+        checkpoints.load(path, {"weights": {"kernel": jnp.zeros((4, 6))}})
+    with pytest.raises(CheckpointError, match="lacks.*bias"):
+        checkpoints.load(path, {"weights": {"bias": jnp.zeros(5)}})
+
+
+def test_only_the_last_two_checkpoints_are_kept(tmp_path):
+    for step in (10, 200, 3000):
+        runs.save_checkpoint(tmp_path, tree(), {}, step)
+    names = [path.name for path in runs.checkpoint_files(tmp_path)]
+    assert names == ["step_000000000200.npz", "step_000000003000.npz"]
+
+
+def test_the_newest_readable_checkpoint_is_found(tmp_path):
+    for step in (1, 2):
+        newest = runs.save_checkpoint(tmp_path, tree(), {"step": step}, step)
+    newest.write_bytes(b"PK half")
+    path = runs.latest_checkpoint(tmp_path)
+    assert checkpoints.read_header(path)["step"] == 1
+    path.write_bytes(b"")
+    with pytest.raises(CheckpointError, match=newest.name):
+        runs.latest_checkpoint(tmp_path)
+
+
+def test_folders_without_a_checkpoint_are_said_to_be_so(tmp_path):
+    with pytest.raises(CheckpointError, match="holds no checkpoint"):
+        runs.latest_checkpoint(tmp_path)
+    with pytest.raises(CheckpointError, match="nowhere"):
+        runs.latest_checkpoint(tmp_path / "nowhere")
