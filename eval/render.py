@@ -33,7 +33,6 @@ from carpark_mj.rendering.video import (
 )
 from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 from carpark_mj.vehicle import preset
-
 from evaluate import BASELINES, adapt
 
 

@@ -23,7 +23,6 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import make_networks, make_policy
 from carpark_mj.policy.runs import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
-
 from presets import PPOConfig
 
 AXIS = "lots"

@@ -28,7 +28,9 @@ class MetricsLog:
     def __init__(self, folder: Path, resume_update: int) -> None:
         """Opens the log of a run that stands at `resume_update` updates."""
         self._path = folder / "metrics.csv"
-        rows = [row for row in read_metrics(folder) if row["update"] <= resume_update]
+        rows = [
+            row for row in _read_rows(folder) if float(row["update"]) <= resume_update
+        ]
         self._columns = list(rows[0]) if rows else []
         text = io.StringIO(newline="")
         if rows:
@@ -61,20 +63,29 @@ class MetricsLog:
         self._board.close()
 
 
-def read_metrics(folder: Path) -> list[dict[str, float]]:
-    """Rows of a run's `metrics.csv`; a half-written last line is ignored."""
+def _read_rows(folder: Path) -> list[dict[str, str]]:
+    """Rows of `metrics.csv` as text; a line half-written by a kill ends them."""
     path = folder / "metrics.csv"
     if not path.exists():
         return []
+    rows = []
     with path.open(newline="") as file:
-        reader = csv.DictReader(file)
-        rows = []
-        for row in reader:
+        for row in csv.DictReader(file):
             try:
-                rows.append({name: float(value) for name, value in row.items()})
+                for value in row.values():
+                    float(value)
             except (TypeError, ValueError):
-                break  # killed in the middle of this line
+                break
+            rows.append(row)
     return rows
+
+
+def read_metrics(folder: Path) -> list[dict[str, float]]:
+    """Rows of a run's `metrics.csv` as numbers."""
+    return [
+        {name: float(value) for name, value in row.items()}
+        for row in _read_rows(folder)
+    ]
 
 
 def progress_bar() -> Progress:

@@ -28,7 +28,6 @@ import tyro
 
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
-
 from learner import Learner, TrainingState
 from logger import MetricsLog, progress_bar
 from presets import PRESETS, PPOConfig
@@ -193,7 +192,7 @@ def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
     return runs.save_checkpoint(folder, vars(jax.device_get(state)), header, steps)
 
 
-def train(config: PPOConfig, folder: Path) -> bool:
+def train(config: PPOConfig, learner: Learner, folder: Path) -> bool:
     """Trains until done, stopped or out of time; True when done.
 
     Raises:
@@ -201,7 +200,6 @@ def train(config: PPOConfig, folder: Path) -> bool:
         CheckpointError: a checkpoint to resume from is damaged.
     """
     started = time.monotonic()
-    learner = Learner(config)
     print_settings(config, folder, learner)
     print("compiling ...", flush=True)
     state = load_or_init(learner, folder)
@@ -310,8 +308,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     configure_jax()
     try:
         config = parse(arguments)
+        learner = Learner(config)  # refuses impossible lots before a folder is made
         folder = open_run(config)
-        if not train(config, folder):
+        if not train(config, learner, folder):
             print(f"stopped; go on with: python train/ppo.py --resume {folder}")
             return 0
         finish(config, folder)

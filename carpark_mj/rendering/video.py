@@ -1,5 +1,6 @@
 """Frames of a recording, and writing them as mp4."""
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -76,5 +77,8 @@ def write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         finally:
             writer.close()
 
-    write_atomically(path, write)
+    with warnings.catch_warnings():
+        # JAX warns of forks; the encoder is another program and touches no JAX.
+        warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called")
+        write_atomically(path, write)
     return count

@@ -1,0 +1,280 @@
+"""`python train/ppo.py` as a user runs it: a whole tiny run, kills, resumes, errors."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TINY = (
+    *("--preset", "cpu", "--num-lots", "4", "--num-minibatches", "2"),
+    *("--unroll-length", "4", "--num-steps", "640", "--checkpoint-updates", "3"),
+    *("--env.num-parked-cars", "4", "--env.sim.sim-dt", "0.02"),
+    *("--networks.policy-layers", "16", "--networks.value-layers", "16"),
+    *("--eval-episodes", "0", "--video-seconds", "0"),
+)
+UPDATES = 20  # 640 steps / (4 lots x 2 agents x 4 control steps)
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory):
+    """A compilation cache of their own, so that restarts are quick."""
+    cache = tmp_path_factory.mktemp("cache")
+    return os.environ | {"JAX_COMPILATION_CACHE_DIR": str(cache), "COLUMNS": "200"}
+
+
+def command(script: str, *arguments: str) -> list[str]:
+    return [sys.executable, str(ROOT / script), *arguments]
+
+
+def run(environment, script: str, *arguments: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        command(script, *arguments),
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+
+
+def metrics(folder: Path) -> list[dict[str, str]]:
+    with (folder / "metrics.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def checkpoint(folder: Path) -> Path:
+    return sorted((folder / "checkpoints").glob("*.npz"))[-1]
+
+
+@pytest.fixture(scope="module")
+def finished(environment, tmp_path_factory):
+    """An undisturbed tiny run."""
+    runs = tmp_path_factory.mktemp("runs")
+    done = run(
+        environment, "train/ppo.py", *TINY, "--runs-dir", str(runs), "--name", "whole"
+    )
+    assert done.returncode == 0, done.stderr
+    return runs / "whole", done
+
+
+def test_a_run_leaves_everything_it_promises(finished):
+    folder, done = finished
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        "checkpoints",
+        "config.json",
+        "learning_curve.png",
+        "metrics.csv",
+        "tensorboard",
+    }
+    assert len(list((folder / "checkpoints").iterdir())) == 2
+    assert (folder / "learning_curve.png").read_bytes()[:4] == b"\x89PNG"
+    assert any((folder / "tensorboard").iterdir())
+    described = json.loads((folder / "config.json").read_text())
+    assert described["config"]["num_lots"] == 4
+    assert described["versions"]["mujoco"]
+    # Every setting is printed, nested ones with their path.
+    for line in ("num_lots = 4", "env.sim.sim_dt = 0.02", "env.reward.park = 4.0"):
+        assert line in done.stdout
+
+
+def test_there_is_one_row_per_update_and_rates_are_rates(finished):
+    rows = metrics(finished[0])
+    assert [int(row["update"]) for row in rows] == list(range(1, UPDATES + 1))
+    assert int(rows[-1]["env_steps"]) == 640
+    for row in rows:
+        assert 0 <= float(row["episode/parked"]) <= 1
+        assert np.isfinite([float(value) for value in row.values()]).all()
+
+
+def kill_after(process: subprocess.Popen, folder: Path, rows: int) -> None:
+    """Kills -9 once the run has logged so many updates."""
+    deadline = time.monotonic() + 300
+    while time.monotonic() < deadline and process.poll() is None:
+        path = folder / "metrics.csv"
+        if path.exists() and path.read_text().count("\n") > rows:
+            break
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+def test_a_run_killed_twice_ends_like_an_undisturbed_one(finished, environment):
+    runs = finished[0].parent
+    folder = runs / "killed"
+    start = (*TINY, "--runs-dir", str(runs), "--name", "killed")
+    for arguments, rows in ((start, 7), (("--resume", str(folder)), 13)):
+        process = subprocess.Popen(
+            command("train/ppo.py", *arguments),
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        kill_after(process, folder, rows)
+        assert process.returncode == -signal.SIGKILL
+    done = run(environment, "train/ppo.py", "--resume", str(folder))
+    assert done.returncode == 0, done.stderr
+
+    whole = np.load(checkpoint(finished[0]))
+    killed = np.load(checkpoint(folder))
+    assert set(whole.files) == set(killed.files)
+    for name in whole.files:
+        if name != "header":  # it holds the run's name
+            np.testing.assert_array_equal(killed[name], whole[name], err_msg=name)
+    clock = ("seconds", "steps_per_second")
+    for ours, theirs in zip(metrics(folder), metrics(finished[0]), strict=True):
+        for name in clock:
+            del ours[name], theirs[name]
+        assert ours == theirs
+
+
+def test_ctrl_c_leaves_a_checkpoint_that_resumes(finished, environment):
+    folder = finished[0].parent / "stopped"
+    arguments = (*TINY, "--num-steps", "100000", "--checkpoint-updates", "100000")
+    process = subprocess.Popen(
+        command(
+            "train/ppo.py",
+            *arguments,
+            "--runs-dir",
+            str(folder.parent),
+            "--name",
+            "stopped",
+        ),
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 300
+    path = folder / "metrics.csv"
+    while time.monotonic() < deadline and process.poll() is None:
+        if path.exists() and path.read_text().count("\n") > 3:
+            break
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert f"--resume {folder}" in out
+    rows = metrics(folder)
+    steps = int(rows[-1]["env_steps"])
+    assert checkpoint(folder).name == f"step_{steps:012d}.npz"
+
+
+def test_evaluation_of_a_run_is_the_same_bit_for_bit(finished, environment, tmp_path):
+    outputs = []
+    for name in ("a", "b"):
+        out = tmp_path / name
+        done = run(
+            environment,
+            "eval/evaluate.py",
+            str(finished[0]),
+            *("--episodes", "8", "--out", str(out)),
+        )
+        assert done.returncode == 0, done.stderr
+        assert "95 % interval" in done.stdout
+        outputs.append((out / "evaluation.csv").read_bytes())
+    assert outputs[0] == outputs[1]
+    assert outputs[0].count(b"\n") == 9  # a header and 8 episodes
+    summary = json.loads((tmp_path / "a" / "evaluation.json").read_text())["summary"]
+    shares = [summary[k]["rate"] for k in ("parked", "crashed", "timed_out")]
+    assert sum(shares) + summary["diverged"]["rate"] == pytest.approx(1.0)
+
+
+def test_a_run_renders_to_a_still_and_a_video(finished, environment, tmp_path):
+    size = ("--width", "320", "--height", "240")
+    png, mp4 = tmp_path / "a.png", tmp_path / "a.mp4"
+    for arguments in (
+        ("--frame", "1", "--out", str(png)),
+        ("--seconds", "1", "--out", str(mp4), "--camera", "chase:1"),
+    ):
+        done = run(environment, "eval/render.py", str(finished[0]), *size, *arguments)
+        assert done.returncode == 0, done.stderr
+    assert png.read_bytes()[:4] == b"\x89PNG"
+    assert mp4.read_bytes()[4:8] == b"ftyp"
+
+
+BAD = {
+    "unknown layout": (("--env.layout", "round"), "tanner"),
+    "no agents": (("--env.num-agents", "0"), "num_agents must be at least 1, not 0"),
+    "too many parked cars": (("--env.num-parked-cars", "35"), "at most 34"),
+    "time steps": (("--env.sim.ctrl-dt", "0.015"), "multiple of sim_dt"),
+    "negative time step": (("--env.sim.sim-dt", "-1"), "sim_dt must be positive"),
+    "minibatches": (("--num-minibatches", "7"), "multiple of num_minibatches 7"),
+    "no run": (("--resume", "nowhere"), "no run at nowhere"),
+    "settings on resume": (("--resume", "nowhere", "--seed", "1"), "drop seed"),
+    "unwritable": (("--runs-dir", "/proc/runs"), "/proc/runs"),
+}
+
+
+@pytest.mark.parametrize("case", sorted(BAD))
+def test_bad_input_is_one_clear_sentence_and_leaves_nothing(
+    case, capsys, monkeypatch, tmp_path
+):
+    import ppo
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ppo, "configure_jax", lambda: None)  # JAX is running here
+    arguments, message = BAD[case]
+    try:
+        code = ppo.main(["--preset", "cpu", *arguments])
+    except SystemExit as stop:  # tyro's own way out
+        code = stop.code
+    assert code == 2
+    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert message in told
+    assert "Traceback" not in told
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):
+    import ppo
+    from presets import PRESETS, PPOConfig
+
+    def config(**changes) -> PPOConfig:
+        import dataclasses
+
+        return dataclasses.replace(PRESETS["cpu"], runs_dir=str(tmp_path), **changes)
+
+    assert ppo.open_run(config(name="mine")).name == "mine"
+    with pytest.raises(ValueError, match=r"mine exists.*--resume"):
+        ppo.open_run(config(name="mine"))
+    names = [ppo.open_run(config()).name for _ in range(3)]
+    assert names == ["cpu-0", "cpu-0-2", "cpu-0-3"]
+
+
+EVALUATION_BAD = {
+    "nothing": ((), "give either a run folder or --policy"),
+    "missing run": (("nowhere",), "no run folder or checkpoint at nowhere"),
+    "no episodes": (("--policy", "zero", "--episodes", "0"), "num_episodes"),
+    "unwritable": (
+        ("--policy", "zero", "--out", "/proc/x"),
+        "/proc/x",
+    ),
+    "unknown rule": (("--policy", "zero", "--rule", "lax"), "strict"),
+}
+
+
+@pytest.mark.parametrize("case", sorted(EVALUATION_BAD))
+def test_bad_evaluations_exit_with_2_and_one_line(case, environment, tmp_path):
+    arguments, message = EVALUATION_BAD[case]
+    done = subprocess.run(
+        command("eval/evaluate.py", *arguments),
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 2, done.stdout
+    assert message in " ".join(done.stderr.replace("│", " ").split())
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "evaluation.csv").exists()

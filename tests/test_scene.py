@@ -1,0 +1,113 @@
+"""The scene of a lot: everything named, placed as the layout says, cameras that see."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from carpark_mj.layouts import make_layout
+from carpark_mj.scene import build_scene
+from carpark_mj.scene.car_look import body_hulls
+from carpark_mj.vehicle import COMPACT
+
+AGENTS, PARKED = 3, 4
+
+
+@pytest.fixture(scope="module", params=["tanner", "compact"])
+def layout(request):
+    return make_layout(request.param)
+
+
+@pytest.fixture(scope="module")
+def model(layout):
+    return build_scene(layout, COMPACT, AGENTS, PARKED).compile()
+
+
+def test_all_bodies_joints_cameras_and_lights_are_named(model):
+    for kind, count in (
+        (mujoco.mjtObj.mjOBJ_BODY, model.nbody),
+        (mujoco.mjtObj.mjOBJ_JOINT, model.njnt),
+        (mujoco.mjtObj.mjOBJ_CAMERA, model.ncam),
+        (mujoco.mjtObj.mjOBJ_LIGHT, model.nlight),
+        (mujoco.mjtObj.mjOBJ_ACTUATOR, model.nu),
+    ):
+        names = [mujoco.mj_id2name(model, kind, k) for k in range(count)]
+        assert all(names), kind
+        assert len(set(names)) == count
+
+
+def test_the_cast_is_complete(model, layout):
+    assert model.nmocap == PARKED
+    assert model.nq == 13 * AGENTS
+    cameras = {model.camera(k).name for k in range(model.ncam)}
+    assert cameras == {
+        "topdown",
+        "overview",
+        *(f"agent{k}/chase" for k in range(AGENTS)),
+    }
+    walls = [k for k in range(model.ngeom) if model.geom(k).name.startswith("wall")]
+    assert len(walls) == int(layout.wall_mask.sum())
+
+
+def test_walls_and_bay_lines_lie_where_the_layout_says(model, layout):
+    for wall in range(len(layout.wall_mask)):
+        geom = model.geom(f"wall{wall}")
+        np.testing.assert_allclose(geom.pos[:2], layout.wall_pose[wall, :2], atol=1e-5)
+        np.testing.assert_allclose(2 * geom.size[:2], layout.wall_size[wall], atol=1e-5)
+        assert geom.pos[2] - geom.size[2] == pytest.approx(0.0)
+    for bay in range(layout.num_bays):
+        left, right = (model.geom(f"bay{bay}/{side}").pos for side in ("left", "right"))
+        np.testing.assert_allclose(
+            (left + right)[:2] / 2, layout.bay_pose[bay, :2], atol=1e-5
+        )
+        width = np.linalg.norm(left - right)
+        assert width == pytest.approx(float(layout.bay_size[bay, 1]), abs=1e-5)
+
+
+def test_an_agent_s_car_has_the_vehicle_s_mass_and_looks_weigh_nothing(model):
+    for k in range(AGENTS):
+        body = model.body(f"agent{k}/car")
+        assert model.body_subtreemass[body.id] == pytest.approx(COMPACT.mass)
+
+
+@pytest.mark.parametrize("part", ["body", "cabin", "roof"])
+def test_car_bodies_are_watertight_and_inside_the_footprint(part):
+    hull = body_hulls(COMPACT)[part]
+    assert hull.is_watertight
+    low, high = hull.bounds
+    rear = -COMPACT.rear_overhang
+    assert low[0] >= rear - 1e-9
+    assert high[0] <= rear + COMPACT.length + 1e-9
+    assert max(-low[1], high[1]) <= COMPACT.width / 2 + 1e-9
+    assert high[2] <= COMPACT.height + 1e-9
+
+
+def test_the_body_spans_the_footprint():
+    low, high = body_hulls(COMPACT)["body"].bounds
+    assert high[0] - low[0] == pytest.approx(COMPACT.length)
+    assert high[1] - low[1] == pytest.approx(COMPACT.width)
+
+
+@pytest.mark.parametrize("camera", ["topdown", "overview"])
+def test_fixed_cameras_see_every_corner_of_the_lot(model, layout, camera):
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    index = model.camera(camera).id
+    axes = data.cam_xmat[index].reshape(3, 3)
+    tangent = np.tan(np.radians(model.cam_fovy[index]) / 2)
+    x, y = np.asarray(layout.extent)
+    for corner in ((x, y), (-x, y), (x, -y), (-x, -y)):
+        local = axes.T @ (np.array([*corner, 0.0]) - data.cam_xpos[index])
+        assert local[2] < 0  # in front: cameras look along -z
+        assert abs(local[1] / local[2]) < tangent
+        assert abs(local[0] / local[2]) < tangent * 4 / 3  # fits a 4:3 frame
+
+
+def test_the_scene_survives_a_round_trip_through_xml(layout):
+    spec = build_scene(layout, COMPACT, 1, 1)
+    model = spec.compile()
+    again = mujoco.MjModel.from_xml_string(spec.to_xml())
+    assert (again.nbody, again.ngeom, again.nq) == (
+        model.nbody,
+        model.ngeom,
+        model.nq,
+    )
