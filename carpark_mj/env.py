@@ -244,7 +244,11 @@ class ParkingEnv:
                 name: jnp.where(state.active, term, 0.0) for name, term in terms.items()
             }
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
-        stats = metrics.update_stats(state.stats, state.vehicle, vehicle, reward)
+        stats = jax.tree.map(
+            lambda new, old: jnp.where(state.active, new, old),
+            metrics.update_stats(state.stats, state.vehicle, vehicle, reward),
+            state.stats,
+        )
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
         state = state.replace(physics=physics, vehicle=vehicle, step=step, stats=stats)
         if config.episode.respawn:

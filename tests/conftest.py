@@ -4,6 +4,10 @@ import os
 
 os.environ["JAX_PLATFORMS"] = "cpu"
 
+from carpark_mj.rendering.gl import choose_gl
+
+choose_gl()  # before anything imports MuJoCo
+
 import pytest
 
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle

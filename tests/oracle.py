@@ -21,7 +21,10 @@ class CCar:
     """
 
     def __init__(
-        self, params: VehicleParameters, pose: tuple[float, float, float], sim: SimConfig
+        self,
+        params: VehicleParameters,
+        pose: tuple[float, float, float],
+        sim: SimConfig,
     ) -> None:
         """Places a car at rest; `pose` is that of its footprint's centre."""
         self.params = params

@@ -106,7 +106,9 @@ def polygons(pose: Any, size: Any) -> np.ndarray:
     along = np.exp(1j * pose[..., 2])
     ahead = along * size[..., 0] / 2
     left = 1j * along * size[..., 1] / 2
-    ring = [centre + a * ahead + b * left for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    ring = [
+        centre + a * ahead + b * left for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    ]
     ring = np.stack(ring, axis=-1)
     return shapely.polygons(np.stack([ring.real, ring.imag], axis=-1))
 

@@ -114,7 +114,7 @@ def test_misfits_name_the_array_and_both_shapes(tmp_path):
     checkpoints.save(path, tree(), {})
     with pytest.raises(CheckpointError, match=r"kernel.*\[4, 5\].*\[4, 6\]"):
         checkpoints.load(path, {"weights": {"kernel": jnp.zeros((4, 6))}})
-    with pytest.raises(CheckpointError, match="lacks.*bias"):
+    with pytest.raises(CheckpointError, match=r"lacks.*bias"):
         checkpoints.load(path, {"weights": {"bias": jnp.zeros(5)}})
 
 

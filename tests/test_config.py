@@ -52,9 +52,7 @@ IMPOSSIBLE = [
 
 
 @pytest.mark.parametrize(("make", "change", "message"), IMPOSSIBLE)
-def test_impossible_settings_raise_one_sentence_naming_the_value(
-    make, change, message
-):
+def test_impossible_settings_raise_one_sentence_naming_the_value(make, change, message):
     with pytest.raises(ValueError, match=message) as caught:
         make(**change)
     assert "\n" not in str(caught.value)
@@ -62,7 +60,10 @@ def test_impossible_settings_raise_one_sentence_naming_the_value(
 
 IMPOSSIBLE_LOTS = [
     ({"num_agents": 2, "num_parked_cars": 35}, "num_parked_cars .* 34 .* not 35"),
-    ({"num_agents": 37, "num_parked_cars": 0}, "num_agents must be at most 36.* not 37"),
+    (
+        {"num_agents": 37, "num_parked_cars": 0},
+        "num_agents must be at most 36.* not 37",
+    ),
     ({"vehicle": "bus"}, r"unknown vehicle 'bus'; choose from \['compact'\]"),
 ]
 

@@ -99,7 +99,9 @@ def test_steering_commands_beyond_the_lock_are_clipped(compact: Vehicle):
 
 
 def test_a_pedal_against_the_motion_brakes_in_proportion(torques):
-    pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-1.9, -1, -0.3, -SWITCH_SPEED]))
+    pedal, speed = grid(
+        np.linspace(0.1, 1, 7), np.array([-1.9, -1, -0.3, -SWITCH_SPEED])
+    )
     for sign in (1, -1):
         drive, brake = torques(sign * pedal, sign * speed)
         expected = pedal * COMPACT.max_deceleration * FORCE_TO_TORQUE

@@ -2,9 +2,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from scenes import moved, overlap_oracle, polygons
 
 from carpark_mj import geometry
+from scenes import moved, overlap_oracle, polygons
 
 PAIRS = 6000
 

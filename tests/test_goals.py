@@ -2,10 +2,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import check_occupancy, lot
 
 from carpark_mj.goals import Occupancy, evolve, init_occupancy, new_goal
 from carpark_mj.layouts import make_layout, pad
+from scenes import check_occupancy, lot
 
 MIN_DISTANCE = 7.38  # m
 LOTS = 8

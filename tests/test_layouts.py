@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from scenes import moved, polygons
 
 from carpark_mj.layouts import COMPACT, SQUARES, SquareConfig, make_layout, pad, square
+from scenes import moved, polygons
 
 WU = 0.5625  # m per world unit of Tanner's scene
 NAMES = sorted(SQUARES)
@@ -121,12 +121,8 @@ def broken(name):
         "infinite wall": layout.replace(wall_size=wall.at[0, 0].set(jnp.inf)),
         "NaN extent": layout.replace(extent=jnp.array([jnp.nan, 20.0])),
         "bay outside": layout.replace(bay_pose=bay.at[0, 1].add(-0.5)),
-        "bay in a wall": layout.replace(
-            wall_pose=layout.wall_pose.at[0].set(bay[5])
-        ),
-        "spawn region in a wall": layout.replace(
-            spawn_size=jnp.array([[32.0, 32.0]])
-        ),
+        "bay in a wall": layout.replace(wall_pose=layout.wall_pose.at[0].set(bay[5])),
+        "spawn region in a wall": layout.replace(spawn_size=jnp.array([[32.0, 32.0]])),
         "no bay": layout.replace(bay_mask=jnp.zeros(36, bool)),
         "no spawn region": layout.replace(spawn_mask=jnp.zeros(1, bool)),
         "mask of numbers": layout.replace(bay_mask=jnp.ones(36)),

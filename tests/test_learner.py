@@ -13,11 +13,11 @@ from brax.training.agents.ppo import losses as ppo_losses
 from brax.training.agents.ppo import train as brax_ppo
 from brax.training.types import Transition
 from jax.sharding import PartitionSpec
-from learner import AXIS, Learner, num_devices, schedule
-from presets import PRESETS
 
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.policy.networks import NetworkConfig, make_networks
+from learner import AXIS, Learner, num_devices, schedule
+from presets import PRESETS
 
 TINY = dataclasses.replace(
     PRESETS["cpu"],

@@ -4,10 +4,10 @@ import dataclasses
 import json
 
 import pytest
-from presets import PRESETS, PPOConfig
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.policy import runs
+from presets import PRESETS, PPOConfig
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))

@@ -69,7 +69,7 @@ def random_torques(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 def roll_to_steady_state(
     vehicle: Vehicle, slip_angle: float, speed: float = 3.0
 ) -> np.ndarray:
-    """Forces (4, 3) on wheels that roll freely at a slip angle until nothing changes."""
+    """Forces (4, 3) on wheels that have long rolled freely at a slip angle."""
 
     @jax.jit
     def run(spin: jax.Array) -> jax.Array:
@@ -199,7 +199,7 @@ def test_lateral_force_is_proportional_to_a_small_slip_angle(compact: Vehicle):
     force = roll_to_steady_state(compact, angle)
     load = np.asarray(compact.tyres.static_load)
     expected = -COMPACT.tyre.cornering_stiffness * load * np.tan(angle)
-    # Fiala's curvature takes s/3 = 0.8 % off at 0.1 deg; measured -0.8 %.
+    # Fiala's curvature takes s/3 = 0.8 % off at 0.1 deg; measured -0.9 %.
     assert force[:, 1] == pytest.approx(expected, rel=0.01)
 
 
@@ -213,14 +213,14 @@ def test_lateral_force_follows_fiala_up_to_full_sliding(
     friction = COMPACT.tyre.friction
     s = min(COMPACT.tyre.cornering_stiffness * abs(np.tan(angle)) / friction, 3.0)
     expected = -np.sign(angle) * friction * load * (s - s**2 / 3 + s**3 / 27)
-    # Rolling resistance takes its small share of the friction; measured below 0.1 %.
-    assert force[:, 1] == pytest.approx(expected, rel=0.003)
+    # Rolling resistance takes its small share of the friction; measured below 1e-4.
+    assert force[:, 1] == pytest.approx(expected, rel=5e-4)
 
 
 def test_a_freely_rolling_wheel_only_feels_rolling_resistance(compact: Vehicle):
     force = roll_to_steady_state(compact, 0.0)
     expected = -COMPACT.tyre.rolling_resistance * np.asarray(compact.tyres.static_load)
-    assert force[:, 0] == pytest.approx(expected, rel=1e-3)  # measured 2e-5
+    assert force[:, 0] == pytest.approx(expected, rel=1e-4)  # measured 3e-6
     assert force[:, 1].tolist() == [0.0] * 4
 
 
@@ -248,17 +248,18 @@ def test_a_locked_wheel_holds_up_to_the_friction_limit(
             return (velocity, position, state), position
 
         start = (jnp.zeros((4, 2)), jnp.zeros((4, 2)), init_tyres())
-        return jax.lax.scan(substep, start, jnp.arange(800))[1]
+        return jax.lax.scan(substep, start, jnp.arange(1200))[1]
 
     path = np.asarray(run())
     late = np.linalg.norm(path[-1] - path[-201], axis=-1)  # travel of the last 2 s
     if slides:
-        # 5 % of mu g for 4 s: 3.5 m in all; measured 2.2 m and more in the last 2 s.
-        assert (late > 1.0).all()
+        # The surplus is 5 % of mu g, for 8 s: measured 6.3 m in the last 2 s.
+        assert (late > 5.0).all()
     else:
-        # True hold without creep: measured below 0.03 mm of remaining oscillation.
-        assert (late < 1e-4).all()
-        assert np.linalg.norm(path[-1], axis=-1).max() < 0.1
+        # True hold without creep: measured 0 in float32. Until then the bristles
+        # give way by 32 mm along and 71 mm across the wheel, as they must at 95 %.
+        assert (late < 1e-5).all()
+        assert np.linalg.norm(path[-1], axis=-1).max() < 0.08
 
 
 @pytest.mark.parametrize("inertia", [0.4, 0.5, 1.0, 2.0])
@@ -267,8 +268,8 @@ def test_a_locked_wheel_holds_up_to_the_friction_limit(
 def test_a_disturbed_wheel_spin_comes_to_rest_without_chatter(
     inertia: float, stiffer: float, speed: float
 ):
-    # The explicit spin loop is stable only for dt^2 k r^2 / I < 4, which the stiff
-    # or light ones of these wheels exceed up to fivefold.
+    # An explicit spin loop is stable only for about dt^2 k r^2 / I < 4; the lightest
+    # and stiffest of these wheels have 11.
     params = dataclasses.replace(
         COMPACT,
         wheel_inertia=inertia,
@@ -286,7 +287,9 @@ def test_a_disturbed_wheel_spin_comes_to_rest_without_chatter(
         spin = spin + np.float32(DT) * np.asarray(forces.spin) / np.float32(inertia)
         spins.append(spin)
     jerk = np.abs(np.diff(spins, n=2, axis=0))
-    # The disturbance itself gives 0.2 rad/s in one step; measured afterwards below
-    # 2e-4 rad/s, and above 1 rad/s where the explicit loop is unstable.
-    assert jerk[30:].max() < 1e-3
-    assert np.abs(spins[-1] - speed / RADIUS).max() < 0.05
+    # The disturbance itself gives 0.2 rad/s in one step. Measured afterwards: 4e-6
+    # rad/s, and 10 to 58 rad/s in the unstable cases of the explicit loop. Rolling
+    # resistance leaves a steady slip of up to 0.011 rad/s.
+    assert jerk.max() < 0.25
+    assert jerk[30:].max() < 1e-4
+    assert np.abs(spins[-1] - speed / RADIUS).max() < 0.015

@@ -5,6 +5,8 @@ parameters lie in the state too, so a batch may mix cars without recompiling. Wi
 joint limits and contacts the model has no constraint row, and MJX skips its solver.
 """
 
+import contextlib
+import io
 import math
 from functools import partial
 
@@ -13,7 +15,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from flax import struct
-from mujoco import mjx
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
@@ -29,6 +30,10 @@ from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, car_model
 from carpark_mj.vehicle.parameters import COMPACT, GRAVITY
 from carpark_mj.vehicle.vehicle import Vehicle
+
+with contextlib.redirect_stdout(io.StringIO()):
+    # It prints that NVIDIA Warp, which it does not need, is missing.
+    from mujoco import mjx
 
 
 @struct.dataclass
@@ -308,7 +313,7 @@ class MjxPhysics:
             [
                 qpos[0] + vehicle.centre_offset * jnp.cos(yaw),
                 qpos[1] + vehicle.centre_offset * jnp.sin(yaw),
-                yaw,
+                wrap_angle(yaw),
             ]
         )
 
