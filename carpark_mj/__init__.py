@@ -21,7 +21,7 @@ _HOMES = {
     "make_layout": "carpark_mj.layouts",
 }
 
-__all__ = [*sorted(_HOMES), "__version__"]  # pyright: ignore
+__all__ = [*sorted(_HOMES), "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

@@ -153,10 +153,13 @@ class RewardConfig:
             taken when it does not (Tanner's "move towards goal").
         smoothness: taken over a whole episode, times the steering change used.
         reverse: taken over a whole episode, for each step in reverse.
+        closeness: taken over a whole episode, for each step times the share of
+            `closeness_range` by which the nearest other agent is too close.
+        closeness_range: clearance between agents at which closeness begins [m].
     """
 
     park: float = 4.0
-    crash: float = 1.5
+    crash: float = 2.0
     time: float = 1.0
     progress: float = 0.2
     alignment: float = 0.5
@@ -164,11 +167,13 @@ class RewardConfig:
     approach: float = 0.0
     smoothness: float = 0.0
     reverse: float = 0.0
+    closeness: float = 10.0
+    closeness_range: float = 3.0
 
     def __post_init__(self) -> None:
         names = [f.name for f in dataclasses.fields(self)]
         _at_least(self, 0.0, *names)
-        _positive(self, "alignment_range")
+        _positive(self, "alignment_range", "closeness_range")
 
 
 REWARDS: dict[str, RewardConfig] = {
@@ -183,6 +188,7 @@ REWARDS: dict[str, RewardConfig] = {
         approach=0.15,
         smoothness=0.05,
         reverse=0.1,
+        closeness=0.0,
     ),
 }
 

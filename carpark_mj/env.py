@@ -5,6 +5,7 @@ gives a batch, in which every lot may have another layout of the same padded sha
 The object holds constants only; everything that changes is in `State`.
 """
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -250,12 +251,14 @@ class ParkingEnv:
             state.stats,
         )
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
-        state = state.replace(physics=physics, vehicle=vehicle, step=step, stats=stats)
+        state = dataclasses.replace(
+            state, physics=physics, vehicle=vehicle, step=step, stats=stats
+        )
         if config.episode.respawn:
             with jax.named_scope("respawn"):
                 state = self._respawn(state, events)
         else:
-            state = state.replace(active=state.active & ~events.done)
+            state = dataclasses.replace(state, active=state.active & ~events.done)
         with jax.named_scope("observations"):
             observation = self._observe(state)
         return state, TimeStep(
@@ -281,7 +284,8 @@ class ParkingEnv:
         physics = jax.tree.map(keep, physics, state.physics)
         vehicle = jax.tree.map(keep, vehicle, state.vehicle)
         still = jnp.broadcast_to(vehicle.pose_w[:, None], vehicle.trace_w.shape)
-        return physics, vehicle.replace(trace_w=keep(vehicle.trace_w, still))
+        trace_w = keep(vehicle.trace_w, still)
+        return physics, dataclasses.replace(vehicle, trace_w=trace_w)
 
     def _respawn(self, state: State, events: Events) -> State:
         """Starts new episodes, one agent after the other so that goals stay apart."""
@@ -329,7 +333,8 @@ class ParkingEnv:
         def select(new: jax.Array, old: jax.Array) -> jax.Array:
             return jnp.where(done.reshape(-1, *([1] * (new.ndim - 1))), new, old)
 
-        return state.replace(
+        return dataclasses.replace(
+            state,
             physics=jax.tree.map(select, fresh, state.physics),
             vehicle=jax.tree.map(select, self.physics.read(fresh), state.vehicle),
             occupancy=occupancy,

@@ -4,6 +4,8 @@ Goals are fixed for an episode. Bays hold at most one parked car, goals are dist
 and no agent's goal holds a parked car once `new_goal` has run for it.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -63,7 +65,8 @@ def evolve(
     gap = jnp.linalg.norm(car_xy[:, None] - agent_xy, axis=-1).min(axis=-1)
     farthest = jnp.argmax(gap)
     moved = occupancy.parked_bay.at[farthest].set(occupancy.goal[agent])
-    return occupancy.replace(parked_bay=jnp.where(parked, moved, occupancy.parked_bay))
+    parked_bay = jnp.where(parked, moved, occupancy.parked_bay)
+    return dataclasses.replace(occupancy, parked_bay=parked_bay)
 
 
 def new_goal(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import RewardConfig
-from carpark_mj.geometry import axis_angle_error
+from carpark_mj.geometry import axis_angle_error, box_distance
 from carpark_mj.types import Events, VehicleState
 
 
@@ -25,6 +25,15 @@ def goal_potential(
     misalignment = axis_angle_error(pose_w[..., 2] - goal_pose[..., 2])
     fading = jnp.exp(-distance / config.alignment_range)
     return -(config.progress * distance + config.alignment * misalignment * fading)
+
+
+def agent_clearance(vehicle: VehicleState) -> jax.Array:
+    """Gap (num_agents,) [m] from each agent to the nearest other; inf if alone."""
+    gap = box_distance(
+        vehicle.pose_w[:, None], vehicle.size[:, None], vehicle.pose_w, vehicle.size
+    )
+    own = jnp.eye(gap.shape[0], dtype=bool)
+    return jnp.min(jnp.where(own, jnp.inf, gap), axis=1)
 
 
 def reward_terms(
@@ -59,6 +68,7 @@ def reward_terms(
         config, before.pose_w, goal_pose
     )
     nearer = distance(after) < distance(before)
+    too_close = jnp.maximum(1.0 - agent_clearance(after) / config.closeness_range, 0.0)
     steered = jnp.abs(after.steering - before.steering) / max_steering_change
     terms = {
         "park": config.park * events.parked,
@@ -67,6 +77,7 @@ def reward_terms(
         "progress": potential,
         "approach": config.approach * share * jnp.where(nearer, 1.0, -1.0),
         "smoothness": -config.smoothness * share * steered,
+        "closeness": -config.closeness * share * too_close,
         "reverse": -config.reverse * share * (after.speed < 0.0),
     }
     return {

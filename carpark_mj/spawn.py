@@ -20,7 +20,8 @@ def spawn_pose(
 
     Headings are uniform. A random spawn is uniform over the spawn regions; a close
     one lies on a walk of up to `close_distance` from the region's point nearest to
-    the goal. The first of `num_candidates` draws that keeps `min_distance` to every
+    the goal, or is random if other agents leave no room there. The first of
+    `num_candidates` draws that keeps `min_distance` to every
     other agent is taken, else the draw farthest from them.
 
     Args:
@@ -43,13 +44,18 @@ def spawn_pose(
     local = (jax.random.uniform(point_key, (n, 2)) - 0.5) * size
     random_xy = pose[:, :2] + rotate(local, pose[:, 2])
 
-    close = jax.random.uniform(close_key) < config.close_ratio
     close_xy = _close_points(config, layout, goal_pose[:2], n, walk_key)
-    xy = jnp.where(close, close_xy, random_xy)
     yaw = jax.random.uniform(yaw_key, (n,), minval=-jnp.pi, maxval=jnp.pi)
 
-    gap = jnp.linalg.norm(xy[:, None] - other_xy, axis=-1)
-    gap = jnp.where(other_mask, gap, jnp.inf).min(axis=-1)
+    def room(xy: jax.Array) -> jax.Array:
+        gap = jnp.linalg.norm(xy[:, None] - other_xy, axis=-1)
+        return jnp.where(other_mask, gap, jnp.inf).min(axis=-1)
+
+    # Close to the goal only if somebody else is not: Tanner falls back likewise.
+    close = jax.random.uniform(close_key) < config.close_ratio
+    close = close & (room(close_xy) > config.min_distance).any()
+    xy = jnp.where(close, close_xy, random_xy)
+    gap = room(xy)
     keeps = gap > config.min_distance
     best = jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(gap))
     return jnp.concatenate([xy[best], yaw[best][None]])

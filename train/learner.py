@@ -83,15 +83,14 @@ class Learner:
         )
         devices = jax.local_devices()[: num_devices(config)]
         self.mesh = Mesh(devices, (AXIS,))
+        loss: Any = functools.partial(
+            ppo_losses.compute_ppo_loss,
+            ppo_network=self.networks,
+            discounting=config.discount,
+            gae_lambda=config.gae_lambda,
+        )
         self._loss_and_grad = gradients.loss_and_pgrad(
-            functools.partial(
-                ppo_losses.compute_ppo_loss,
-                ppo_network=self.networks,
-                discounting=config.discount,
-                gae_lambda=config.gae_lambda,
-            ),
-            pmap_axis_name=AXIS,
-            has_aux=True,
+            loss, pmap_axis_name=AXIS, has_aux=True
         )
 
     def init(self) -> TrainingState:
@@ -103,15 +102,15 @@ class Learner:
         # fold_in 0 is training's half of the seed; evaluation uses 1.
         key = jax.random.fold_in(jax.random.key(self.config.seed), 0)
         policy_key, value_key, env_key, key = jax.random.split(key, 4)
-        params = ppo_losses.PPONetworkParams(
-            policy=self.networks.policy_network.init(policy_key),
-            value=self.networks.value_network.init(value_key),
+        params = _network_params(
+            self.networks.policy_network.init(policy_key),
+            self.networks.value_network.init(value_key),
         )
         state = TrainingState(
             normalizer=init_normalizer(self.env.observation_size),
             policy=params.policy,
             value=params.value,
-            optimizer=self.optimizer.init(params),  # pyright: ignore
+            optimizer=self.optimizer.init(params),
             key=key,
             update=jnp.zeros((), jnp.int32),
             skipped=jnp.zeros((), jnp.int32),
@@ -130,7 +129,8 @@ class Learner:
         )
 
     def _specs(self) -> TrainingState:
-        whole, lots = PartitionSpec(), PartitionSpec(AXIS)
+        whole: Any = PartitionSpec()
+        lots: Any = PartitionSpec(AXIS)
         return TrainingState(
             normalizer=whole,
             policy=whole,
@@ -188,7 +188,7 @@ class Learner:
 
     def _collect(self, state: TrainingState, key: jax.Array) -> tuple[Any, Transition]:
         """Drives all agents for one unroll; data is (agents, time, ...)."""
-        policy = make_policy(
+        policy: Any = make_policy(
             self.networks, state.normalizer, state.policy, deterministic=False
         )
         env_state, data = acting.generate_unroll(
@@ -230,7 +230,7 @@ class Learner:
             }
         )
 
-        def minibatch(carry, batch):
+        def minibatch(carry: Any, batch: Any) -> tuple[Any, Any]:
             params, optimizer, key = carry
             key, loss_key = jax.random.split(key)
             (_, losses), grads = self._loss_and_grad(
@@ -246,7 +246,7 @@ class Learner:
             params = optax.apply_updates(params, updates)
             return (params, optimizer, key), losses
 
-        def epoch(carry, _):
+        def epoch(carry: Any, _: Any) -> tuple[Any, Any]:
             params, optimizer, key = carry
             key, shuffle_key, batch_key = jax.random.split(key, 3)
             order = jax.random.permutation(shuffle_key, data.reward.shape[0])
@@ -259,7 +259,7 @@ class Learner:
             )
             return (params, optimizer, key), losses
 
-        params = ppo_losses.PPONetworkParams(policy=state.policy, value=state.value)
+        params = _network_params(state.policy, state.value)
         (params, optimizer, _), losses = jax.lax.scan(
             epoch, (params, state.optimizer, key), None, length=config.num_epochs
         )
@@ -267,9 +267,15 @@ class Learner:
         return learned, jax.tree.map(jnp.mean, losses)
 
 
+def _network_params(policy: Any, value: Any) -> Any:
+    """Actor and critic as Brax's loss takes them."""
+    params: Any = ppo_losses.PPONetworkParams  # its fields are hidden from Pyright
+    return params(policy=policy, value=value)
+
+
 def _episode_metrics(data: Transition) -> dict[str, jax.Array]:
     """Means over the episodes that ended in the unroll, and reward terms per step."""
-    extras = data.extras["state_extras"]
+    extras: Any = data.extras["state_extras"]
     done = extras["episode_done"]
     episodes = jax.lax.psum(jnp.sum(done), AXIS)
     metrics = {"episodes": episodes}

@@ -246,7 +246,7 @@ def train(config: PPOConfig, learner: Learner, folder: Path) -> bool:
                     **row,
                 }
             )
-            shown = {
+            shown: dict[str, Any] = {
                 "steps": f"{steps / 1e6:.2f} M",
                 "rate": rate,
                 "parked": row["episode/parked"],

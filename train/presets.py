@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config import EnvConfig, ObservationConfig, RewardConfig
+from carpark_mj.config import EnvConfig, RewardConfig
 from carpark_mj.policy.networks import NetworkConfig
 
 
@@ -123,7 +123,7 @@ PRESETS: dict[str, PPOConfig] = {
     "cpu": PPOConfig(preset="cpu"),
     "gpu": PPOConfig(
         preset="gpu",
-        num_steps=200_000_000,
+        num_steps=100_000_000,
         num_lots=512,
         num_minibatches=64,
         learning_rate=1e-3,
@@ -131,8 +131,7 @@ PRESETS: dict[str, PPOConfig] = {
         networks=NetworkConfig((256, 256), (256, 256)),
         env=EnvConfig(
             num_agents=7,
-            reward=RewardConfig(crash=3.0),
-            observation=ObservationConfig(tracked_agents=4),
+            reward=RewardConfig(crash=2.5, closeness=0.0),
         ),
     ),
 }

@@ -129,4 +129,4 @@ def pad(layout: Layout, bays: int, walls: int, regions: int) -> Layout:
                 f"{rows[name]}"
             )
         changes[field.name] = jnp.pad(array, [(0, extra)] + [(0, 0)] * (array.ndim - 1))
-    return layout.replace(**changes)
+    return dataclasses.replace(layout, **changes)

@@ -52,7 +52,6 @@ def observe(
         their_goal = to_local(vehicle.pose_w[:, None], goal_pose[index])[..., :2] / FAR
         motion = {
             "speed": (vehicle.speed[index] / max_speed[:, None])[..., None],
-            "yaw_rate": vehicle.yaw_rate[index][..., None],
             "goal": their_goal,
         }
         agents |= {

@@ -42,7 +42,6 @@ _CAR = (
 )
 _AGENT = (
     ("speed", 1, -1.5, 1.5, "its signed speed [own forward limit]"),
-    ("yaw_rate", 1, -2.0, 2.0, "its yaw rate [rad/s], left > 0"),
     ("goal", 2, -4.0, 4.0, f"centre of its goal, body frame [{FAR:g} m]"),
 )
 

@@ -6,6 +6,7 @@ joint limits and contacts the model has no constraint row, and MJX skips its sol
 """
 
 import contextlib
+import dataclasses
 import io
 import math
 from functools import partial
@@ -280,10 +281,14 @@ class MjxPhysics:
         stay = jnp.tile(
             self._centre_pose(state.qpos, vehicle), (self.sim.num_traces, 1)
         )
-        fallback = state.replace(
-            qvel=jnp.zeros_like(state.qvel), trace_w=stay, finite=jnp.zeros((), bool)
+        fallback = dataclasses.replace(
+            state,
+            qvel=jnp.zeros_like(state.qvel),
+            trace_w=stay,
+            finite=jnp.zeros((), bool),
         )
-        stepped = state.replace(
+        stepped = dataclasses.replace(
+            state,
             qpos=qpos,
             qvel=qvel,
             tyres=tyres,

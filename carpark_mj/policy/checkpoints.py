@@ -61,7 +61,9 @@ def save(path: Path, tree: Any, header: dict[str, Any]) -> None:
         tree: pytree of arrays, numbers and PRNG keys.
         header: what `read_header` gives back.
     """
-    arrays = {name: _to_numpy(leaf) for name, leaf in _named_leaves(tree).items()}
+    arrays: dict[str, Any] = {
+        name: _to_numpy(leaf) for name, leaf in _named_leaves(tree).items()
+    }
     text = json.dumps({"format": FORMAT, **header})
     arrays[_HEADER] = np.frombuffer(text.encode(), np.uint8)
     write_atomically(path, lambda temporary: np.savez(temporary, **arrays))

@@ -35,10 +35,11 @@ def make_networks(
     config: NetworkConfig, observation_size: int, action_size: int
 ) -> ppo_networks.PPONetworks:
     """Builds actor and critic over normalised observations; actions are tanh-normal."""
+    normalize: Any = running_statistics.normalize  # wider than Brax asks for
     return ppo_networks.make_ppo_networks(
         observation_size,
         action_size,
-        preprocess_observations_fn=running_statistics.normalize,
+        preprocess_observations_fn=normalize,
         policy_hidden_layer_sizes=config.policy_layers,
         value_hidden_layer_sizes=config.value_layers,
     )
@@ -51,5 +52,5 @@ def make_policy(
     deterministic: bool,
 ) -> Policy:
     """An acting function `(observation, key) -> (action, extras)`."""
-    make = ppo_networks.make_inference_fn(networks)
+    make: Any = ppo_networks.make_inference_fn(networks)
     return make((normalizer, policy_params), deterministic=deterministic)

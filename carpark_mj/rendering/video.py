@@ -62,9 +62,9 @@ def write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         writer = imageio_ffmpeg.write_frames(
             str(temporary),
             (first.shape[1], first.shape[0]),
-            fps=fps,
+            fps=fps,  # pyright: ignore[reportArgumentType]
             codec="libx264",
-            quality=None,
+            quality=None,  # pyright: ignore[reportArgumentType]
             output_params=["-crf", "23", "-preset", "veryfast"],
             macro_block_size=2,
         )

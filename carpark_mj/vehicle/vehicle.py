@@ -138,7 +138,7 @@ def make_vehicle(params: VehicleParameters) -> Vehicle:
     )
 
 
-def _array(value: ArrayLike) -> jax.Array:
+def _array(value: ArrayLike | list[float]) -> jax.Array:
     """A strongly typed array of JAX's default float (float64 only under x64)."""
     return jnp.array(value, dtype=jnp.result_type(float))
 
