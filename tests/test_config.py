@@ -151,6 +151,7 @@ def test_the_tanner_reward_preset_has_the_numbers_of_table_c9():
     # Tanner 2022, table C.9 (PPO): sums over an episode, paid a share each step.
     weights = dataclasses.asdict(reward_preset("tanner"))
     del weights["alignment_range"]  # without effect at an alignment weight of 0
+    del weights["closeness_range"]  # likewise
     assert weights == {
         "park": 1.0,
         "crash": 1.0,
@@ -160,6 +161,7 @@ def test_the_tanner_reward_preset_has_the_numbers_of_table_c9():
         "reverse": 0.1,
         "progress": 0.0,
         "alignment": 0.0,
+        "closeness": 0.0,
     }
 
 

@@ -113,7 +113,6 @@ def test_a_hand_worked_scene():
         "agent_0_heading": [0.0, 1.0],
         "agent_0_size": [1.0, 0.3],
         "agent_0_speed": [-0.2],
-        "agent_0_yaw_rate": [0.1],
         "agent_0_goal": [-1 / 20, 6 / 20],
         # Agent 2 is 5 m to the left facing right, its goal (2, 2) 1 m ahead.
         "agent_1_present": [1.0],
@@ -122,7 +121,6 @@ def test_a_hand_worked_scene():
         "agent_1_heading": [0.0, -1.0],
         "agent_1_size": [0.8, 0.4],
         "agent_1_speed": [1.0],
-        "agent_1_yaw_rate": [-0.5],
         "agent_1_goal": [1 / 20, 0.0],
         # Parked cars stand in bays 2 and 3, 1 m and 8 m ahead, facing right.
         "parked_0_present": [1.0],
@@ -323,7 +321,7 @@ def test_moving_a_pose_by_hand_agrees_with_the_scene_helper():
 @pytest.mark.parametrize(
     ("change", "numbers"),
     [
-        ({"tracked_agents": 1}, -13),  # present, 4 x 2, speed, yaw rate, 2 of its goal
+        ({"tracked_agents": 1}, -12),  # present, 4 x 2, speed, 2 of its goal
         ({"tracked_parked_cars": 3}, +9),  # present, 4 x 2
         ({"rings": (5.0,)}, -2),
         ({"ring_cap": 1}, 0),

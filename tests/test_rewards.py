@@ -55,6 +55,7 @@ def test_every_term_of_a_hand_worked_step():
         approach=0.15,
         smoothness=0.05,
         reverse=0.1,
+        closeness=0.0,  # below
     )
     # Agent 0 comes 1 m nearer on the axis; agent 1 reverses from 3 m to 5 m, turning
     # from along the bay to 60 deg across it, with half the possible steering change.
@@ -74,11 +75,25 @@ def test_every_term_of_a_hand_worked_step():
         "approach": [0.15 / 200, -0.15 / 200],
         "smoothness": [0.0, -0.05 / 200 * 0.5],
         "reverse": [0.0, -0.1 / 200],
+        "closeness": [0.0, 0.0],
     }
     assert got.keys() == expected.keys()
     for name, value in expected.items():
         # float32 sums of numbers up to 4.
         np.testing.assert_allclose(got[name], value, atol=1e-6, err_msg=name)
+
+
+def test_closeness_looks_at_the_nearest_other_agent_and_begins_at_its_range():
+    config = RewardConfig(closeness=10.0, closeness_range=3.0)
+    size = np.asarray(cars([(0.0, 0.0, 0.0)]).size[0], np.float64)
+    # In a row, nose to tail with gaps of 1.5 m and 2.99 m; the fourth stands alone.
+    x = [0.0, size[0] + 1.5, 2 * size[0] + 4.49, 60.0]
+    state = cars([(value, 0.0, 0.0) for value in x])
+    got = terms(config, state, state, GOAL)["closeness"]
+    near, far = -10 / 200 * 0.5, -10 / 200 * (1 - 2.99 / 3)
+    np.testing.assert_allclose(got, [near, near, far, 0.0], atol=1e-6)
+    alone = cars([(0.0, 0.0, 0.0)])
+    assert terms(config, alone, alone, GOAL)["closeness"] == 0.0
 
 
 def test_the_potential_is_minus_the_weighted_way_and_misalignment_left():
