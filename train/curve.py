@@ -49,6 +49,8 @@ def plot_learning_curve(folder: Path) -> Path:
 
 def smooth(values: np.ndarray, weights: np.ndarray, window: int = 21) -> np.ndarray:
     """Centred moving average, weighted; narrower at the ends."""
-    kernel = np.ones(min(window, max(len(values), 1)))
+    if not len(values):  # a run so short that no episode ended
+        return values
+    kernel = np.ones(min(window, len(values)))
     total = np.convolve(values * weights, kernel, mode="same")
     return total / np.maximum(np.convolve(weights, kernel, mode="same"), 1e-9)
