@@ -10,6 +10,7 @@ from typing import Literal, get_args
 LayoutName = Literal["tanner", "compact"]
 ParkedRule = Literal["tanner", "strict", "precise"]
 RewardName = Literal["shaped", "tanner"]
+PhysicsName = Literal["mjx", "scene"]
 
 
 def _choose(name: str, value: str, literal: object) -> None:
@@ -238,6 +239,8 @@ class EnvConfig:
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: cars that act.
         num_parked_cars: cars standing in bays.
+        physics: back end. `mjx`: every car alone, crashes by box tests. `scene`: the
+            whole lot in one C MuJoCo world, crashes by its contacts; slow.
         sim: time steps and ground.
         spawn: where episodes start.
         episode: when they end.
@@ -249,6 +252,7 @@ class EnvConfig:
     vehicle: str = "compact"
     num_agents: int = 2
     num_parked_cars: int = 16
+    physics: PhysicsName = "mjx"
     sim: SimConfig = SimConfig()
     spawn: SpawnConfig = SpawnConfig()
     episode: EpisodeConfig = EpisodeConfig()
@@ -257,5 +261,6 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         _choose("layout", self.layout, LayoutName)
+        _choose("physics", self.physics, PhysicsName)
         _at_least(self, 1, "num_agents")
         _at_least(self, 0, "num_parked_cars")

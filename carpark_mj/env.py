@@ -20,10 +20,11 @@ from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.physics.base import Physics
 from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.precision import full_float32
 from carpark_mj.spawn import spawn_pose
 from carpark_mj.types import Events, VehicleState
-from carpark_mj.vehicle import make_vehicle, preset
+from carpark_mj.vehicle import drive, make_vehicle, preset
 
 
 @struct.dataclass
@@ -100,15 +101,12 @@ class ParkingEnv:
 
         Args:
             config: the environment; defaults to `EnvConfig()`.
-            physics: back end; defaults to MJX with brush tyres.
+            physics: back end; defaults to the one that `config.physics` names.
 
         Raises:
             ValueError: the lot cannot hold the cars asked for.
         """
         self.config = config if config is not None else EnvConfig()
-        self.physics: Any = (
-            physics if physics is not None else MjxPhysics(self.config.sim)
-        )
         self._vehicle = make_vehicle(preset(self.config.vehicle))
         self._layout = make_layout(self.config.layout)
         bays = int(self._layout.bay_mask.sum())
@@ -124,6 +122,18 @@ class ParkingEnv:
                 f"{self.config.num_agents} agents' goals), not "
                 f"{self.config.num_parked_cars}"
             )
+        self.physics: Any = physics if physics is not None else self._make_physics()
+
+    def _make_physics(self) -> Physics:
+        if self.config.physics == "mjx":
+            return MjxPhysics(self.config.sim)
+        return ScenePhysics(
+            self.config.sim,
+            self._layout,
+            preset(self.config.vehicle),
+            self.config.num_agents,
+            self.config.num_parked_cars,
+        )
 
     @property
     def num_agents(self) -> int:
@@ -184,6 +194,7 @@ class ParkingEnv:
             self._vehicle,
         )
         physics = self.physics.init(pose, fleet)
+        physics = self.physics.arrange(physics, layout.bay_pose[occupancy.parked_bay])
         state = State(
             physics=physics,
             vehicle=self.physics.read(physics),
@@ -205,17 +216,18 @@ class ParkingEnv:
 
         Args:
             state: current state.
-            action: (num_agents, 2) steer and pedal in [-1, 1]; ignored for agents
-                that have finished.
+            action: (num_agents, 2) steer and pedal in [-1, 1]; agents that have
+                finished brake instead.
 
         Returns:
             The next state and what the agents learn.
         """
         config = self.config
-        action = jnp.where(state.active[:, None], action, 0.0).astype(jnp.float32)
+        stop = drive.stopping_action(state.vehicle.speed)
+        action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
         physics = self.physics.step(state.physics, action)
         vehicle = self.physics.read(physics)
-        if not config.episode.respawn:
+        if not (config.episode.respawn or self.physics.contacts):
             physics, vehicle = self._freeze(state, physics, vehicle)
         step = state.step + state.active
         goal_pose = state.layout.bay_pose[state.occupancy.goal]
@@ -271,6 +283,12 @@ class ParkingEnv:
             reward_terms=terms,
             vehicle=vehicle,
         )
+
+    def parked_pose(self, state: State) -> jax.Array:
+        """Poses (num_parked_cars, 3) of the parked cars: their bays, or where pushed."""
+        if self.physics.contacts:
+            return self.physics.parked_pose(state.physics)
+        return state.layout.bay_pose[state.occupancy.parked_bay]
 
     def _freeze(
         self, state: State, physics: Any, vehicle: VehicleState
@@ -328,15 +346,18 @@ class ParkingEnv:
             (state.occupancy, state.vehicle.pose_w),
             jnp.arange(config.num_agents),
         )
-        fresh = self.physics.init(pose, state.physics.vehicle)
+        physics = self.physics.place(state.physics, done, pose)
+        physics = self.physics.arrange(
+            physics, state.layout.bay_pose[occupancy.parked_bay]
+        )
 
         def select(new: jax.Array, old: jax.Array) -> jax.Array:
             return jnp.where(done.reshape(-1, *([1] * (new.ndim - 1))), new, old)
 
         return dataclasses.replace(
             state,
-            physics=jax.tree.map(select, fresh, state.physics),
-            vehicle=jax.tree.map(select, self.physics.read(fresh), state.vehicle),
+            physics=physics,
+            vehicle=jax.tree.map(select, self.physics.read(physics), state.vehicle),
             occupancy=occupancy,
             step=jnp.where(done, 0, state.step),
             stats=jax.tree.map(

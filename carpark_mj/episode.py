@@ -57,7 +57,10 @@ def find_hits(
     parked_bay: jax.Array,
     parked_size: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """What each agent's footprint overlapped at any traced instant of the step.
+    """What each agent touched during the step.
+
+    Physics with contacts says so itself; otherwise its footprint overlapped the
+    other's at a traced instant.
 
     Args:
         layout: the lot.
@@ -69,6 +72,9 @@ def find_hits(
         (num_agents,) bool each: another agent, a parked car, a wall. In a collision of
         two agents both are hit.
     """
+    if vehicle.touched is not None:
+        agent, parked_car, wall = jnp.moveaxis(vehicle.touched, -1, 0)
+        return agent, parked_car, wall
     num_agents = vehicle.size.shape[0]
     own = vehicle.trace_w[:, None]  # (agents, 1, traces, 3)
     own_size = vehicle.size[:, None, None]

@@ -24,6 +24,9 @@ class VehicleState:
             step, at most `SimConfig.trace_dt` apart; the last equals `pose_w`.
         finite: (...) bool; False where the physics produced a non-finite number in
             the last step and the car was put back to its last finite state.
+        touched: (..., 3) bool, whether the car touched another agent, a parked car, a
+            wall at any substep of the last step; None where the physics has no
+            contacts and the task finds them by box tests.
     """
 
     pose_w: jax.Array
@@ -33,6 +36,7 @@ class VehicleState:
     size: jax.Array
     trace_w: jax.Array
     finite: jax.Array
+    touched: jax.Array | None = None
 
     @property
     def speed(self) -> jax.Array:

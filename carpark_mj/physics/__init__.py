@@ -2,5 +2,6 @@
 
 from carpark_mj.physics.base import Physics
 from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.physics.scene import ScenePhysics
 
-__all__ = ["MjxPhysics", "Physics"]
+__all__ = ["MjxPhysics", "Physics", "ScenePhysics"]

@@ -15,7 +15,14 @@ PhysicsState = TypeVar("PhysicsState")
 
 
 class Physics(Protocol[PhysicsState]):
-    """A physics back end."""
+    """A physics back end.
+
+    Attributes:
+        contacts: whether cars push each other. If so, `read` reports what they
+            touched, and a car that has crashed goes on being simulated.
+    """
+
+    contacts: bool
 
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> PhysicsState:
         """Cars at rest.
@@ -32,6 +39,27 @@ class Physics(Protocol[PhysicsState]):
         Args:
             state: current state.
             controls: (..., 2) steer and pedal in [-1, 1].
+        """
+        ...
+
+    def place(
+        self, state: PhysicsState, mask: jax.Array, pose_w: jax.Array
+    ) -> PhysicsState:
+        """Puts some cars elsewhere, at rest, and leaves the others alone.
+
+        Args:
+            state: current state.
+            mask: (...) bool, which cars.
+            pose_w: (..., 3) poses of the footprints' centres.
+        """
+        ...
+
+    def arrange(self, state: PhysicsState, parked_pose: jax.Array) -> PhysicsState:
+        """Tells where the parked cars stand: at the start, and when one has moved.
+
+        Args:
+            state: current state.
+            parked_pose: (num_parked_cars, 3) poses of their footprints' centres.
         """
         ...
 

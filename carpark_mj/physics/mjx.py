@@ -195,6 +195,8 @@ def _rotation_matrix(quat: jax.Array) -> jax.Array:
 class MjxPhysics:
     """MJX with brush tyres behind the `Physics` interface."""
 
+    contacts = False
+
     def __init__(self, sim: SimConfig) -> None:
         """Compiles the car model for the given time steps and slope."""
         self.sim = sim
@@ -219,6 +221,23 @@ class MjxPhysics:
         """
         with jax.named_scope("physics"):
             return _batched(self._step, controls.ndim - 1)(state, controls)
+
+    @full_float32
+    def place(self, state: CarState, mask: jax.Array, pose_w: jax.Array) -> CarState:
+        """Puts some cars elsewhere, at rest; see `Physics.place`."""
+        fresh = self.init(pose_w, state.vehicle)
+
+        def select(new: jax.Array, old: jax.Array) -> jax.Array:
+            return jnp.where(
+                jnp.expand_dims(mask, range(mask.ndim, new.ndim)), new, old
+            )
+
+        return jax.tree.map(select, fresh, state)
+
+    def arrange(self, state: CarState, parked_pose: jax.Array) -> CarState:
+        """Nothing: cars live alone; see `Physics.arrange`."""
+        del parked_pose
+        return state
 
     def read(self, state: CarState) -> VehicleState:
         """Reads the motion out of fresh `qpos` and `qvel`; see `Physics.read`."""
@@ -270,7 +289,7 @@ class MjxPhysics:
         def stretch(carry, _):
             stride = self.sim.num_substeps // self.sim.num_traces
             carry, _ = jax.lax.scan(substep, carry, None, length=stride)
-            return carry, self._centre_pose(carry[0], vehicle)
+            return carry, centre_pose(carry[0], vehicle)
 
         carry = (state.qpos, state.qvel, state.tyres, state.steering)
         (qpos, qvel, tyres, steering), trace = jax.lax.scan(
@@ -278,9 +297,7 @@ class MjxPhysics:
         )
         leaves = jax.tree.leaves((qpos, qvel, tyres, steering, trace))
         finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]).all()
-        stay = jnp.tile(
-            self._centre_pose(state.qpos, vehicle), (self.sim.num_traces, 1)
-        )
+        stay = jnp.tile(centre_pose(state.qpos, vehicle), (self.sim.num_traces, 1))
         fallback = dataclasses.replace(
             state,
             qvel=jnp.zeros_like(state.qvel),
@@ -311,16 +328,18 @@ class MjxPhysics:
             finite=state.finite,
         )
 
-    def _centre_pose(self, qpos: jax.Array, vehicle: Vehicle) -> jax.Array:
-        w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
-        yaw = jnp.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
-        return jnp.stack(
-            [
-                qpos[0] + vehicle.centre_offset * jnp.cos(yaw),
-                qpos[1] + vehicle.centre_offset * jnp.sin(yaw),
-                wrap_angle(yaw),
-            ]
-        )
+
+def centre_pose(qpos: jax.Array, vehicle: Vehicle) -> jax.Array:
+    """Pose (3,) of the footprint's centre from one car's `qpos`."""
+    w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
+    yaw = jnp.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+    return jnp.stack(
+        [
+            qpos[0] + vehicle.centre_offset * jnp.cos(yaw),
+            qpos[1] + vehicle.centre_offset * jnp.sin(yaw),
+            wrap_angle(yaw),
+        ]
+    )
 
 
 def _batched(function, num_dims: int):

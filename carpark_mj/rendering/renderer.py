@@ -66,7 +66,7 @@ class LotRenderer:
         self.data = mujoco.MjData(self.model)
         self._renderer = _mujoco_renderer(self.model, *size)
         self._parked = [
-            self.model.body(f"parked{k}").mocapid[0] for k in range(num_parked_cars)
+            self.model.joint(f"parked{k}/x").qposadr[0] for k in range(num_parked_cars)
         ]
         self._spin = np.zeros(num_agents)
         self._last = np.full((num_agents, 3), np.nan)
@@ -76,7 +76,7 @@ class LotRenderer:
         pose_w: np.ndarray,
         steering: np.ndarray,
         goal: np.ndarray,
-        parked_bay: np.ndarray,
+        parked_pose: np.ndarray,
     ) -> np.ndarray:
         """Draws one frame.
 
@@ -84,7 +84,7 @@ class LotRenderer:
             pose_w: (agents, 3) footprint centres.
             steering: (agents,) bicycle angles [rad].
             goal: (agents,) bay indices.
-            parked_bay: (parked cars,) bay indices.
+            parked_pose: (parked cars, 3) footprint centres.
 
         Returns:
             (height, width, 3) uint8.
@@ -92,10 +92,8 @@ class LotRenderer:
         self._roll(pose_w)
         for k in range(self._num_agents):
             self._place_agent(k, pose_w[k], float(steering[k]))
-        for mocap, bay in zip(self._parked, parked_bay, strict=True):
-            x, y, yaw = self._rear_axle(self._bay_pose[bay])
-            self.data.mocap_pos[mocap] = [x, y, 0.0]
-            self.data.mocap_quat[mocap] = _yaw_quat(yaw)
+        for address, pose in zip(self._parked, parked_pose, strict=True):
+            self.data.qpos[address : address + 3] = self._rear_axle(pose)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         self._renderer.update_scene(self.data, camera=self.camera)

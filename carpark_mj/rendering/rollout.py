@@ -22,7 +22,7 @@ class Recording:
             pose at its end, before any respawn.
         steering: (t, agents) bicycle angles at the end of the steps [rad].
         goal: (t, agents) bays aimed at during the steps.
-        parked_bay: (t, parked cars) bays of the parked cars during the steps.
+        parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends.
         active: (t, agents) bool.
         parked: (t, agents) bool, parked in this step; likewise the others.
         crashed: see `parked`.
@@ -35,7 +35,7 @@ class Recording:
     pose_w: np.ndarray
     steering: np.ndarray
     goal: np.ndarray
-    parked_bay: np.ndarray
+    parked_pose: np.ndarray
     active: np.ndarray
     parked: np.ndarray
     crashed: np.ndarray
@@ -57,7 +57,7 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
             "pose_w": timestep.vehicle.trace_w.swapaxes(0, 1),
             "steering": timestep.vehicle.steering,
             "goal": state.occupancy.goal,
-            "parked_bay": state.occupancy.parked_bay,
+            "parked_pose": env.parked_pose(state),
             "active": state.active,
             "parked": events.parked,
             "crashed": events.crashed,

@@ -22,7 +22,7 @@ def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.nd
     step, trace = divmod(index, recording.pose_w.shape[1])
     pose, goal = recording.pose_w[step, trace], recording.goal[step]
     frame = renderer.render(
-        pose, recording.steering[step], goal, recording.parked_bay[step]
+        pose, recording.steering[step], goal, recording.parked_pose[step]
     )
     bay_pose = np.asarray(recording.layout.bay_pose)
     frame = draw_labels(frame, renderer, pose, bay_pose[goal])

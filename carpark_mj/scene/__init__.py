@@ -1,10 +1,20 @@
-"""The MuJoCo scene of a lot: what the renderer shows, built with `MjSpec`."""
+"""The MuJoCo scene of a lot, built with `MjSpec`.
+
+One builder serves three purposes: the renderer's pictures, the `scene` back end in
+which everything touches everything, and exported models that drive in the viewer.
+"""
 
 import mujoco
 import numpy as np
 
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import car_look, parts
+from carpark_mj.scene.numbers import add_bay_numbers
+from carpark_mj.vehicle.contact_wheels import (
+    add_contact_wheels,
+    add_controls,
+    set_contact_options,
+)
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 OFFSCREEN_WIDTH, OFFSCREEN_HEIGHT = 1920, 1080  # largest frame the renderer may ask for
@@ -15,14 +25,20 @@ def build_scene(
     params: VehicleParameters,
     num_agents: int,
     num_parked_cars: int,
+    contact_wheels: bool = False,
 ) -> mujoco.MjSpec:
-    """Builds the scene of one lot.
+    """Builds the scene of one lot, all cars at the origin.
+
+    Hulls of agents' cars, parked cars and walls collide with each other.
 
     Args:
         layout: one layout (no batch dimension).
         params: the vehicle of all cars.
         num_agents: cars `agent0/car`... with free joints.
-        num_parked_cars: mocap bodies `parked0`...
+        num_parked_cars: cars `parked0`... with joints `parked0/x`, `/y` and `/yaw`.
+        contact_wheels: tyres that touch the ground and the controls `agentK/steer`,
+            `/drive` and `/brake`. Without them a car has steering servos only, and
+            its tyres are forces that the physics applies.
 
     Returns:
         A spec; cameras are `topdown`, `overview` and `agentK/chase`.
@@ -35,9 +51,15 @@ def build_scene(
     car_look.add_meshes(spec, params)
     parts.add_ground(spec)
     parts.add_bay_lines(spec, layout)
+    add_bay_numbers(spec, layout)
     parts.add_walls(spec, layout)
     parts.add_parked_cars(spec, params, num_parked_cars)
-    parts.add_agents(spec, params, num_agents)
+    parts.add_agents(spec, params, num_agents, servos=not contact_wheels)
+    if contact_wheels:
+        set_contact_options(spec)
+        for k in range(num_agents):
+            add_contact_wheels(spec, params, f"agent{k}/", parts.GROUND)
+            add_controls(spec, params, f"agent{k}/")
     parts.add_lights(spec, extent)
     parts.add_cameras(spec, extent)
     return spec

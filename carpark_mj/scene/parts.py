@@ -8,11 +8,15 @@ import numpy as np
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import car_look, materials
 from carpark_mj.vehicle.mjcf import WHEELS, add_car
-from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 LINE_WIDTH = 0.10  # m, painted bay lines
 LINE_HEIGHT = 0.004  # m, above the asphalt so that it is not hidden
 WALL_HEIGHT = 0.9  # m, low enough for the cameras
+GROUND = "ground"
+HULL_GROUP = 3  # hidden by default, like all collision geoms
+# Cars, walls and parked cars touch each other; sheet metal slides on sheet metal.
+_COLLIDES = {"contype": 1, "conaffinity": 1, "friction": [0.4, 0.005, 0.0001]}
 
 
 def _yaw_quat(yaw: float) -> list[float]:
@@ -46,7 +50,7 @@ def add_ground(spec: mujoco.MjSpec) -> None:
     asphalt.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "asphalt"
     asphalt.texuniform = True
     spec.worldbody.add_geom(
-        name="ground",
+        name=GROUND,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 1.0],
         material="asphalt",
@@ -94,22 +98,62 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
             size=[length / 2, width / 2, WALL_HEIGHT / 2],
             rgba=materials.CONCRETE,
             group=1,
+            **_COLLIDES,
         )
 
 
+def add_hull(body: mujoco.MjsBody, params: VehicleParameters, name: str) -> None:
+    """The box with which a car touches others: its footprint, up to its roof."""
+    low, high = car_look.GROUND_CLEARANCE, params.height
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[params.centre_offset, 0.0, (low + high) / 2],
+        size=[params.length / 2, params.width / 2, (high - low) / 2],
+        mass=0.0,
+        group=HULL_GROUP,
+        **_COLLIDES,
+    )
+
+
 def add_parked_cars(spec: mujoco.MjSpec, params: VehicleParameters, count: int) -> None:
-    """Parked cars as mocap bodies `parked0`..., placed by `mocap_pos`."""
+    """Parked cars `parked0`... that slide on locked tyres when they are pushed.
+
+    Each moves in the plane only: two slides and a hinge, whose coordinates are the pose
+    of its rear axle's centre, with the dry friction of four locked wheels. (Friction
+    acts per axis: a push across the diagonal meets up to 1.4 times as much.)
+    """
+    slip = params.tyre.friction * params.mass * GRAVITY  # N
+    wheel_distance = math.hypot(params.wheelbase, params.track_width) / 2
     for k in range(count):
-        body = spec.worldbody.add_body(name=f"parked{k}", mocap=True)
+        name = f"parked{k}"
+        body = spec.worldbody.add_body(name=name)
+        body.mass = params.mass
+        body.ipos = [params.cg_to_rear_axle, 0.0, params.cg_height]
+        body.inertia = [params.roll_inertia, params.pitch_inertia, params.yaw_inertia]
+        body.explicitinertial = True
+        slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+        for suffix, kind, axis, loss in (
+            ("x", slide, [1, 0, 0], slip),
+            ("y", slide, [0, 1, 0], slip),
+            ("yaw", hinge, [0, 0, 1], slip * wheel_distance),
+        ):
+            body.add_joint(
+                name=f"{name}/{suffix}", type=kind, axis=axis, frictionloss=loss
+            )
+        add_hull(body, params, f"{name}/hull")
         colour = materials.PARKED[k % len(materials.PARKED)]
         car_look.add_standing_car(body, params, colour)
 
 
-def add_agents(spec: mujoco.MjSpec, params: VehicleParameters, count: int) -> None:
+def add_agents(
+    spec: mujoco.MjSpec, params: VehicleParameters, count: int, servos: bool = True
+) -> None:
     """Agents' cars with prefixes `agent0/`..., each with a chase camera."""
     for k in range(count):
         prefix = f"agent{k}/"
-        car = add_car(spec.worldbody, spec, params, prefix)
+        car = add_car(spec.worldbody, spec, params, prefix, servos)
+        add_hull(car, params, f"{prefix}hull")
         car_look.add_body_look(car, params, materials.agent_colour(k))
         for name in WHEELS:
             car_look.add_wheel_look(spec.body(f"{prefix}wheel_{name}"), params)

@@ -68,3 +68,9 @@ def wheel_torques(
     drive = acceleration * force_to_torque * vehicle.drive_share
     brake = deceleration * force_to_torque * vehicle.brake_share
     return drive, brake
+
+
+def stopping_action(speed: jax.Array) -> jax.Array:
+    """The action (..., 2) that stops cars of speed (...) [m/s] and then holds them."""
+    pedal = jnp.where(jnp.abs(speed) < HOLD_SPEED, 0.0, -jnp.sign(speed))
+    return jnp.stack([jnp.zeros_like(pedal), pedal], axis=-1)

@@ -24,6 +24,15 @@ STEER_ARMATURE = 1.0  # kg m^2, rack and column reflected to the wheel, estimate
 STEER_FRICTION_DAMPING = 5.0  # N m s/rad
 
 
+def per_wheel(front_share: float) -> list[float]:
+    """An axle split as shares of the four wheels, in the order of `WHEELS`.
+
+    Equal torque on both wheels of an axle is what an open differential gives.
+    """
+    front, rear = front_share / 2, (1.0 - front_share) / 2
+    return [front, front, rear, rear]
+
+
 def hub_positions(params: VehicleParameters) -> np.ndarray:
     """Wheel centres (4, 3) [m] in the body frame, in the order of `WHEELS`."""
     x, y = params.wheelbase, params.track_width / 2
@@ -73,9 +82,21 @@ def chassis_inertial(
 
 
 def add_car(
-    parent: mujoco.MjsBody, spec: mujoco.MjSpec, params: VehicleParameters, prefix: str
+    parent: mujoco.MjsBody,
+    spec: mujoco.MjSpec,
+    params: VehicleParameters,
+    prefix: str,
+    servos: bool = True,
 ) -> mujoco.MjsBody:
-    """Adds a car as a free body of `parent`; every name starts with `prefix`."""
+    """Adds a car as a free body of `parent`; every name starts with `prefix`.
+
+    Args:
+        parent: body to add it to.
+        spec: the model of `parent`.
+        params: the vehicle.
+        prefix: of all names.
+        servos: whether each front wheel gets a steering servo.
+    """
     mass, com, inertia = chassis_inertial(params)
     car = parent.add_body(name=f"{prefix}car")
     car.add_freejoint(name=f"{prefix}root")
@@ -99,14 +120,8 @@ def add_car(
                 damping=STEER_FRICTION_DAMPING,
             )
             position = np.zeros(3)
-            servo = spec.add_actuator(
-                name=f"{prefix}steer_{name}",
-                target=f"{prefix}steer_{name}",
-                trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            )
-            servo.set_to_position(kp=STEER_STIFFNESS, kv=STEER_DAMPING)
-            servo.forcelimited = True
-            servo.forcerange = [-STEER_TORQUE, STEER_TORQUE]
+            if servos:
+                _add_servo(spec, f"{prefix}steer_{name}")
         wheel = carrier.add_body(name=f"{prefix}wheel_{name}", pos=position)
         _set_inertial(
             wheel, params.wheel_mass, np.zeros(3), np.array([tilt, spin, tilt])
@@ -117,6 +132,15 @@ def add_car(
             axis=[0, 1, 0],
         )
     return car
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: str) -> None:
+    servo = spec.add_actuator(
+        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
+    servo.set_to_position(kp=STEER_STIFFNESS, kv=STEER_DAMPING)
+    servo.forcelimited = True
+    servo.forcerange = [-STEER_TORQUE, STEER_TORQUE]
 
 
 def _set_inertial(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
 
-from carpark_mj.vehicle.mjcf import car_model, hub_positions
+from carpark_mj.vehicle.mjcf import car_model, hub_positions, per_wheel
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 
@@ -128,8 +128,8 @@ def make_vehicle(params: VehicleParameters) -> Vehicle:
         max_speed=_array(params.max_speed),
         max_reverse_speed=_array(params.max_reverse_speed),
         speed_limit_time=_array(params.speed_limit_time),
-        drive_share=_array(_per_wheel(params.front_drive)),
-        brake_share=_array(_per_wheel(params.front_brake)),
+        drive_share=_array(per_wheel(params.front_drive)),
+        brake_share=_array(per_wheel(params.front_brake)),
         tyres=_make_tyres(params),
         body_mass=_array(model.body_mass),
         body_inertia=_array(model.body_inertia),
@@ -141,15 +141,6 @@ def make_vehicle(params: VehicleParameters) -> Vehicle:
 def _array(value: ArrayLike | list[float]) -> jax.Array:
     """A strongly typed array of JAX's default float (float64 only under x64)."""
     return jnp.array(value, dtype=jnp.result_type(float))
-
-
-def _per_wheel(front_share: float) -> list[float]:
-    """An axle split as shares of the four wheels.
-
-    Equal torque on both wheels of an axle is what an open differential gives.
-    """
-    front, rear = front_share / 2, (1.0 - front_share) / 2
-    return [front, front, rear, rear]
 
 
 def _make_tyres(params: VehicleParameters) -> Tyres:

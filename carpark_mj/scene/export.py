@@ -1,0 +1,110 @@
+"""Scenes that leave the house: self-contained MJCF that drives in any MuJoCo viewer."""
+
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from carpark_mj.layouts.types import Layout
+from carpark_mj.scene import build_scene, parts
+from carpark_mj.vehicle.contact_wheels import (
+    add_contact_wheels,
+    add_controls,
+    set_contact_options,
+)
+from carpark_mj.vehicle.mjcf import add_car
+from carpark_mj.vehicle.parameters import VehicleParameters
+
+SETTLING = 5.0  # s, after which a car that was put on the ground is at rest
+
+_GUIDE = """
+  A car park with {agents} to drive, made by carpark_mj.
+  Open it:  python -m mujoco.viewer --mjcf={name}
+
+  Sliders of car K (panel "Control"):
+    agentK/steer  target angle of the bicycle model's wheel [rad], left positive,
+                  reached at {rate:g} rad/s; two joint equalities turn the wheels
+    agentK/drive  {reverse:.2f} to 1: motor torque with engine braking; the car settles
+                  at about this times {speed:g} m/s
+    agentK/brake  0 to 1: a viscous damper on the four wheels, up to {stop:g} m/s^2.
+                  It stops the car on this level ground; on a slope it would creep.
+
+  Contact wheels roll without slip up to a friction of {friction:g}. Cars, parked cars
+  (on locked wheels) and walls collide. Cameras: topdown, overview, agentK/chase.
+"""
+
+
+def drivable_scene(
+    layout: Layout,
+    params: VehicleParameters,
+    agent_pose: np.ndarray,
+    parked_pose: np.ndarray,
+) -> mujoco.MjSpec:
+    """Builds a scene on contact wheels with everything in its place, at rest.
+
+    Args:
+        layout: the lot.
+        params: the vehicle of all cars.
+        agent_pose: (num_agents, 3) footprint centres of the cars to drive.
+        parked_pose: (num_parked_cars, 3) footprint centres of the parked cars.
+    """
+    spec = build_scene(
+        layout, params, len(agent_pose), len(parked_pose), contact_wheels=True
+    )
+    height, pitch = rest_attitude(params)
+    for k, pose in enumerate(agent_pose):
+        _put(spec.body(f"agent{k}/car"), params, pose, height, pitch)
+    for k, pose in enumerate(parked_pose):
+        _put(spec.body(f"parked{k}"), params, pose)
+    return spec
+
+
+def rest_attitude(params: VehicleParameters) -> tuple[float, float]:
+    """Height [m] and pitch [rad] at which a car on contact wheels is at rest."""
+    spec = mujoco.MjSpec()
+    set_contact_options(spec)
+    parts.add_ground(spec)
+    add_car(spec.worldbody, spec, params, "", servos=False)
+    add_contact_wheels(spec, params, "", parts.GROUND)
+    add_controls(spec, params, "")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for _ in range(round(SETTLING / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    w, _, y, _ = data.qpos[3:7]
+    return float(data.qpos[2]), 2.0 * math.atan2(y, w)
+
+
+def _put(
+    body: mujoco.MjsBody,
+    params: VehicleParameters,
+    centre: np.ndarray,
+    height: float = 0.0,
+    pitch: float = 0.0,
+) -> None:
+    x, y, yaw = (float(value) for value in centre)
+    offset = params.centre_offset
+    body.pos = [x - offset * math.cos(yaw), y - offset * math.sin(yaw), height]
+    turn, tilt = np.zeros(4), np.zeros(4)
+    mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), yaw)
+    mujoco.mju_axisAngle2Quat(tilt, np.array([0.0, 1.0, 0.0]), pitch)
+    quat = np.zeros(4)
+    mujoco.mju_mulQuat(quat, turn, tilt)
+    body.quat = quat
+
+
+def scene_xml(spec: mujoco.MjSpec, params: VehicleParameters, name: str) -> str:
+    """The scene as MJCF text, with a guide to its controls at the top."""
+    spec.compile()
+    agents = sum(body.name.startswith("agent") for body in spec.worldbody.bodies)
+    guide = _GUIDE.format(
+        agents="1 car" if agents == 1 else f"{agents} cars",
+        name=Path(name).name,
+        rate=params.steering_rate,
+        reverse=-params.max_reverse_speed / params.max_speed,
+        speed=params.max_speed,
+        stop=params.max_deceleration,
+        friction=params.tyre.friction,
+    )
+    return f"<!--{guide}-->\n{spec.to_xml()}"

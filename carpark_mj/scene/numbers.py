@@ -1,0 +1,87 @@
+"""Bay numbers painted on the ground: seven-segment stencils as flat meshes."""
+
+import math
+
+import mujoco
+import numpy as np
+import trimesh
+
+from carpark_mj.layouts.types import Layout
+from carpark_mj.scene import materials
+
+HEIGHT, WIDTH = 0.42, 0.24  # m, of a digit
+STROKE = 0.06  # m
+SPACING = 0.32  # m, from digit to digit
+THICKNESS = 0.008  # m
+EDGE_DISTANCE = 0.30  # m, from the open end of the bay to the middle of its number
+
+# Segments in units of a digit's half width and half height: (x, y, horizontal).
+_SEGMENTS = {
+    "a": (0, 1, True),
+    "b": (1, 0.5, False),
+    "c": (1, -0.5, False),
+    "d": (0, -1, True),
+    "e": (-1, -0.5, False),
+    "f": (-1, 0.5, False),
+    "g": (0, 0, True),
+}
+_DIGITS = (
+    "abcdef",
+    "bc",
+    "abged",
+    "abgcd",
+    "fgbc",
+    "afgcd",
+    "afgedc",
+    "abc",
+    "abcdefg",
+    "abcdfg",
+)
+
+
+def digit_mesh(digit: int) -> trimesh.Trimesh:
+    """One digit in the xy-plane, upright along +y, centred on the origin."""
+    strokes = []
+    for name in _DIGITS[digit]:
+        x, y, horizontal = _SEGMENTS[name]
+        long, across = (WIDTH, HEIGHT / 2)[not horizontal], STROKE
+        extent = (long, across) if horizontal else (across, long)
+        stroke = trimesh.creation.box((*extent, THICKNESS))
+        stroke.apply_translation(
+            (x * (WIDTH - STROKE) / 2, y * (HEIGHT - STROKE) / 2, 0.0)
+        )
+        strokes.append(stroke)
+    return trimesh.util.concatenate(strokes)
+
+
+def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:
+    """Paints every bay's index at its open end, to be read from the aisle."""
+    for digit in range(10):
+        mesh = digit_mesh(digit)
+        spec.add_mesh(
+            name=f"digit{digit}",
+            uservert=np.asarray(mesh.vertices).ravel().tolist(),
+            userface=np.asarray(mesh.faces).ravel().tolist(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+            smoothnormal=False,
+        )
+    for bay in np.flatnonzero(np.asarray(layout.bay_mask)):
+        x, y, yaw = np.asarray(layout.bay_pose[bay], float)
+        reach = float(layout.bay_size[bay, 0]) / 2 - EDGE_DISTANCE
+        x, y = x + reach * math.cos(yaw), y + reach * math.sin(yaw)
+        # Up on the page is into the bay, against its heading.
+        turn = yaw + math.pi / 2
+        text = str(bay)
+        for place, digit in enumerate(text):
+            along = (place - (len(text) - 1) / 2) * SPACING
+            spec.worldbody.add_geom(
+                name=f"bay{bay}/digit{place}",
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=f"digit{digit}",
+                pos=[x + along * math.cos(turn), y + along * math.sin(turn), 0.0],
+                quat=[math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)],
+                rgba=materials.LINE,
+                contype=0,
+                conaffinity=0,
+                group=1,
+            )
