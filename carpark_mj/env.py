@@ -18,7 +18,7 @@ from carpark_mj.episode import judge
 from carpark_mj.goals import Occupancy, evolve, init_occupancy, new_goal
 from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.observations import observation_size, observe
-from carpark_mj.physics.base import Physics
+from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.precision import full_float32
@@ -285,7 +285,7 @@ class ParkingEnv:
         )
 
     def parked_pose(self, state: State) -> jax.Array:
-        """Poses (num_parked_cars, 3) of the parked cars: their bays, or where pushed."""
+        """Poses (num_parked_cars, 3) of the parked cars, pushed or in their bays."""
         if self.physics.contacts:
             return self.physics.parked_pose(state.physics)
         return state.layout.bay_pose[state.occupancy.parked_bay]
@@ -294,15 +294,10 @@ class ParkingEnv:
         self, state: State, physics: Any, vehicle: VehicleState
     ) -> tuple[Any, VehicleState]:
         """Keeps finished agents exactly where they stopped."""
-
-        def keep(new: jax.Array, old: jax.Array) -> jax.Array:
-            active = state.active.reshape(-1, *([1] * (new.ndim - 1)))
-            return jnp.where(active, new, old)
-
-        physics = jax.tree.map(keep, physics, state.physics)
-        vehicle = jax.tree.map(keep, vehicle, state.vehicle)
+        physics = where_cars(state.active, physics, state.physics)
+        vehicle = where_cars(state.active, vehicle, state.vehicle)
         still = jnp.broadcast_to(vehicle.pose_w[:, None], vehicle.trace_w.shape)
-        trace_w = keep(vehicle.trace_w, still)
+        trace_w = where_cars(state.active, vehicle.trace_w, still)
         return physics, dataclasses.replace(vehicle, trace_w=trace_w)
 
     def _respawn(self, state: State, events: Events) -> State:
@@ -351,18 +346,13 @@ class ParkingEnv:
             physics, state.layout.bay_pose[occupancy.parked_bay]
         )
 
-        def select(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where(done.reshape(-1, *([1] * (new.ndim - 1))), new, old)
-
         return dataclasses.replace(
             state,
             physics=physics,
-            vehicle=jax.tree.map(select, self.physics.read(physics), state.vehicle),
+            vehicle=where_cars(done, self.physics.read(physics), state.vehicle),
             occupancy=occupancy,
             step=jnp.where(done, 0, state.step),
-            stats=jax.tree.map(
-                select, metrics.init_stats(config.num_agents), state.stats
-            ),
+            stats=where_cars(done, metrics.init_stats(config.num_agents), state.stats),
             key=key,
         )
 

@@ -16,7 +16,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.config import EnvConfig, ParkedRule
+from carpark_mj.config import EnvConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation import (
     HITS,
@@ -43,6 +43,8 @@ class EvaluateConfig:
         seed: of the held-out lots; training never uses these keys.
         rule: judge by another parked rule than the run was trained under.
         num_agents: another number of agents than the run was trained with.
+        physics: another back end: `scene` judges crashes by the contacts of one MuJoCo
+            world.
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder of the CSV and JSON; default: the run folder, or `runs/NAME` for
             a baseline.
@@ -54,6 +56,7 @@ class EvaluateConfig:
     seed: int = 0
     rule: ParkedRule | None = None
     num_agents: int | None = None
+    physics: PhysicsName | None = None
     stochastic: bool = False
     out: str = ""
 
@@ -81,24 +84,32 @@ def main(config: EvaluateConfig) -> Evaluation:
         folder = folder.parent if folder.name == "checkpoints" else folder
     folder = Path(config.out) if config.out else folder
     folder.mkdir(parents=True, exist_ok=True)
-    env_config = adapt(env_config, config.rule, config.num_agents)
+    env_config = adapt(env_config, config.rule, config.num_agents, config.physics)
     env = ParkingEnv(env_config)
     policy = policy or BASELINES[name](env.action_size)
     result = evaluate(env, policy, config.episodes, config.seed)
     title = f"{name}: {env_config.num_agents} agents, {env_config.episode.parked_rule}"
-    print_table(result.summary, f"{title} rule, seed {config.seed}")
+    title = f"{title} rule, {env_config.physics} physics, seed {config.seed}"
+    print_table(result.summary, title)
     write_evaluation(folder, result, {"policy": name, **dataclasses.asdict(config)})
     print(f"wrote {folder / 'evaluation.csv'} and {folder / 'evaluation.json'}")
     return result
 
 
-def adapt(env: EnvConfig, rule: ParkedRule | None, num_agents: int | None) -> EnvConfig:
-    """The environment with another rule or number of agents, where given."""
+def adapt(
+    env: EnvConfig,
+    rule: ParkedRule | None = None,
+    num_agents: int | None = None,
+    physics: PhysicsName | None = None,
+) -> EnvConfig:
+    """The environment with another rule, number of agents or back end, where given."""
     if rule is not None:
         episode = dataclasses.replace(env.episode, parked_rule=rule)
         env = dataclasses.replace(env, episode=episode)
     if num_agents is not None:
         env = dataclasses.replace(env, num_agents=num_agents)
+    if physics is not None:
+        env = dataclasses.replace(env, physics=physics)
     return env
 
 

@@ -13,6 +13,7 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv, State, TimeStep
 from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.observations import make_fields
+from carpark_mj.physics.base import where_cars
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle import Vehicle
 
@@ -163,6 +164,8 @@ class SlidePhysics:
     stands for a car that diverges.
     """
 
+    contacts = False
+
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SlideState:
         zero = jnp.zeros(pose_w.shape[:-1], jnp.float32)
         return SlideState(
@@ -191,6 +194,12 @@ class SlidePhysics:
             trace_w=trace,
             finite=finite,
         )
+
+    def place(self, state: SlideState, mask: jax.Array, pose_w: jax.Array):
+        return where_cars(mask, self.init(pose_w, state.vehicle), state)
+
+    def arrange(self, state: SlideState, parked_pose: jax.Array) -> SlideState:
+        return state
 
     def read(self, state: SlideState) -> VehicleState:
         return VehicleState(

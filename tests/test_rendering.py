@@ -26,7 +26,7 @@ from carpark_mj.vehicle import COMPACT
 LAYOUT = make_layout("tanner")
 POSE = np.array([[5.0, 3.0, 0.4], [-6.0, -4.0, 2.0]])
 GOAL = np.array([3, 20])
-PARKED = np.array([10, 30])
+PARKED = np.asarray(LAYOUT.bay_pose)[[10, 30]]
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_goals_are_filled_with_the_agent_s_colour_and_free_bays_are_not(renderer
 
 def test_parked_cars_stand_in_their_bays_and_move_when_told(renderer):
     before = draw(renderer).astype(int)
-    after = draw(renderer, parked=np.array([10, 12])).astype(int)
+    after = draw(renderer, parked=np.asarray(LAYOUT.bay_pose)[[10, 12]]).astype(int)
 
     def change(bay):
         centre = np.array([*np.asarray(LAYOUT.bay_pose[bay])[:2], 0.0])
@@ -153,7 +153,7 @@ def recording(steps=3, traces=4):
         pose_w=pose,
         steering=np.zeros((steps, 2)),
         goal=np.tile(GOAL, (steps, 1)),
-        parked_bay=np.tile(PARKED, (steps, 1)),
+        parked_pose=np.tile(PARKED, (steps, 1, 1)),
         active=~no,
         parked=no,
         crashed=no,

@@ -52,7 +52,9 @@ def part_of(path):
 
 
 def sources(parts):
-    return [path for path in FILES if part_of(path) in parts]
+    """Modules of some parts; a part's command line stands on top of everything."""
+    modules = [path for path in FILES if path.name != "__main__.py"]
+    return [path for path in modules if part_of(path) in parts]
 
 
 def parts_imported(path):

@@ -4,9 +4,10 @@ One car is one MuJoCo world: cars meet only in the task layer, which detects
 collisions with exact box tests. Every function takes any leading batch shape.
 """
 
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import jax
+import jax.numpy as jnp
 
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle.vehicle import Vehicle
@@ -66,3 +67,12 @@ class Physics(Protocol[PhysicsState]):
     def read(self, state: PhysicsState) -> VehicleState:
         """What the task may know of the state."""
         ...
+
+
+def where_cars(mask: jax.Array, new: Any, old: Any) -> Any:
+    """Takes cars from the tree `new` where `mask` (...) is true, else from `old`."""
+
+    def select(a: jax.Array, b: jax.Array) -> jax.Array:
+        return jnp.where(jnp.expand_dims(mask, range(mask.ndim, a.ndim)), a, b)
+
+    return jax.tree.map(select, new, old)

@@ -19,6 +19,7 @@ from flax import struct
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
+from carpark_mj.physics.base import where_cars
 from carpark_mj.physics.tyres import (
     TyreState,
     WheelMotion,
@@ -225,14 +226,7 @@ class MjxPhysics:
     @full_float32
     def place(self, state: CarState, mask: jax.Array, pose_w: jax.Array) -> CarState:
         """Puts some cars elsewhere, at rest; see `Physics.place`."""
-        fresh = self.init(pose_w, state.vehicle)
-
-        def select(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where(
-                jnp.expand_dims(mask, range(mask.ndim, new.ndim)), new, old
-            )
-
-        return jax.tree.map(select, fresh, state)
+        return where_cars(mask, self.init(pose_w, state.vehicle), state)
 
     def arrange(self, state: CarState, parked_pose: jax.Array) -> CarState:
         """Nothing: cars live alone; see `Physics.arrange`."""

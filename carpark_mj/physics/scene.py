@@ -10,35 +10,28 @@ and brakes follow each car's `Vehicle`, as in `mjx`.
 """
 
 import dataclasses
-import os
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import jax
 import jax.numpy as jnp
-import mujoco
-import numpy as np
 from flax import struct
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.layouts.types import Layout
+from carpark_mj.physics.base import where_cars
+from carpark_mj.physics.lot_model import LotModel
 from carpark_mj.physics.mjx import (
-    CarIndex,
     CarState,
     MjxPhysics,
     centre_pose,
-    gravity_vector,
     substep_forces,
 )
 from carpark_mj.precision import full_float32
-from carpark_mj.scene import build_scene
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.vehicle import Vehicle
 
-CAR_NQ, CAR_NV = 13, 12
-AGENT, PARKED_CAR, WALL = range(3)  # columns of `VehicleState.touched`
 MOVED = 1e-3  # m or rad, by which `arrange` knows a parked car stands elsewhere
 
 
@@ -49,7 +42,7 @@ class SceneState:
     Attributes:
         cars: the agents' cars, (num_agents,).
         parked_told: (num_parked_cars, 3) footprint poses last given to `arrange`.
-        parked_qpos: (num_parked_cars, 3) x, y [m], yaw [rad] of the rear axles' centres.
+        parked_qpos: (num_parked_cars, 3) rear axles' centres: x, y [m], yaw [rad].
         parked_qvel: (num_parked_cars, 3) their rates.
         touched: (num_agents, 3) bool, see `VehicleState.touched`.
     """
@@ -93,40 +86,7 @@ class ScenePhysics:
         self._num_agents = num_agents
         self._num_parked_cars = num_parked_cars
         self._centre_offset = params.centre_offset
-        spec = build_scene(layout, params, num_agents, num_parked_cars)
-        spec.option.timestep = sim.sim_dt
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.option.gravity = gravity_vector(sim)
-        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        # A blown-up car must stay visible as non-finite, not be put back silently.
-        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self.model = spec.compile()
-        self._kind, self._agent = _classify_geoms(self.model)
-        self._qpos = self._addresses("jnt_qposadr", CAR_NQ)
-        self._qvel = self._addresses("jnt_dofadr", CAR_NV)
-        self._ctrl = np.array(
-            [
-                [self.model.actuator(f"agent{k}/steer_{w}").id for w in ("fl", "fr")]
-                for k in range(num_agents)
-            ]
-        )
-        self._workers = ThreadPoolExecutor(os.cpu_count())
-
-    def _addresses(self, field: str, car_size: int) -> np.ndarray:
-        """Where the agents' blocks and then the parked cars' lie in qpos or qvel."""
-        table = getattr(self.model, field)
-        # The dofs of a car follow each other as in the car's own model.
-        starts = [
-            table[self.model.joint(f"agent{k}/root").id]
-            for k in range(self._num_agents)
-        ]
-        cars = [np.arange(start, start + car_size) for start in starts]
-        parked = [
-            table[self.model.joint(f"parked{k}/{axis}").id]
-            for k in range(self._num_parked_cars)
-            for axis in ("x", "y", "yaw")
-        ]
-        return np.concatenate([*cars, np.array(parked, int)])
+        self.lot = LotModel(sim, layout, params, num_agents, num_parked_cars)
 
     @full_float32
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SceneState:
@@ -211,7 +171,7 @@ class ScenePhysics:
                 lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), moving
             )
             *moving, hit = jax.pure_callback(
-                self._advance,
+                self.lot.advance,
                 (*shapes, jax.ShapeDtypeStruct(touched.shape, touched.dtype)),
                 *moving,
                 qfrc,
@@ -272,80 +232,4 @@ class ScenePhysics:
             trace_w=jnp.broadcast_to(here[:, None], before.trace_w.shape),
             finite=jnp.zeros_like(finite),
         )
-
-        def select(new: jax.Array, old: jax.Array) -> jax.Array:
-            keep = jnp.expand_dims(finite, range(1, new.ndim))
-            return jnp.where(keep, new, old)
-
-        return jax.tree.map(select, after, fallback)
-
-    def _advance(
-        self,
-        qpos: np.ndarray,
-        qvel: np.ndarray,
-        parked_qpos: np.ndarray,
-        parked_qvel: np.ndarray,
-        qfrc: np.ndarray,
-        ctrl: np.ndarray,
-    ) -> tuple[np.ndarray, ...]:
-        """Steps the models of a batch of lots by one substep, on the host."""
-        arrays = [
-            np.array(x) for x in (qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl)
-        ]
-        lead = arrays[0].shape[:-2]
-        flat = [x.reshape(-1, *x.shape[len(lead) :]) for x in arrays]
-        lots = len(flat[0])
-        touched = np.zeros((lots, self._num_agents, 3), bool)
-        parts = min(lots, os.cpu_count() or 1)
-        chunks = np.array_split(np.arange(lots), parts)
-        list(self._workers.map(lambda c: self._advance_lots(c, flat, touched), chunks))
-        outputs = [
-            x.reshape(old.shape) for x, old in zip(flat[:4], arrays[:4], strict=True)
-        ]
-        return (*outputs, touched.reshape(*lead, self._num_agents, 3))
-
-    def _advance_lots(
-        self, lots: np.ndarray, arrays: list[np.ndarray], touched: np.ndarray
-    ) -> None:
-        """Steps some lots, writing the results into the arrays given."""
-        qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl = arrays
-        data = mujoco.MjData(self.model)
-        for lot in lots:
-            data.qpos[self._qpos] = np.append(qpos[lot], parked_qpos[lot])
-            data.qvel[self._qvel] = np.append(qvel[lot], parked_qvel[lot])
-            data.qfrc_applied[self._qvel[: qfrc[lot].size]] = qfrc[lot].ravel()
-            data.ctrl[self._ctrl] = ctrl[lot]
-            data.qacc_warmstart[:] = 0.0  # the result depends on the state alone
-            mujoco.mj_step(self.model, data)
-            cars = qpos[lot].size
-            qpos[lot].flat = data.qpos[self._qpos[:cars]]
-            parked_qpos[lot].flat = data.qpos[self._qpos[cars:]]
-            cars = qvel[lot].size
-            qvel[lot].flat = data.qvel[self._qvel[:cars]]
-            parked_qvel[lot].flat = data.qvel[self._qvel[cars:]]
-            self._find_touches(data, touched[lot])
-
-    def _find_touches(self, data: mujoco.MjData, touched: np.ndarray) -> None:
-        if data.ncon == 0:
-            return
-        first, second = data.contact.geom.T
-        for a, b in ((first, second), (second, first)):
-            agents = self._kind[a] == AGENT
-            touched[self._agent[a[agents]], self._kind[b[agents]]] = True
-
-
-def _classify_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Kind of each geom (`AGENT`, `PARKED_CAR`, `WALL`, or -1), and its agent's index."""
-    kind = np.full(model.ngeom, -1)
-    agent = np.full(model.ngeom, -1)
-    for geom in range(model.ngeom):
-        name = model.geom(geom).name
-        if name.endswith("/hull"):
-            owner = name.removesuffix("/hull")
-            if owner.startswith("agent"):
-                kind[geom], agent[geom] = AGENT, int(owner.removeprefix("agent"))
-            else:
-                kind[geom] = PARKED_CAR
-        elif name.startswith("wall"):
-            kind[geom] = WALL
-    return kind, agent
+        return where_cars(finite, after, fallback)

@@ -185,7 +185,7 @@ def _add_steering(spec: mujoco.MjSpec, params: VehicleParameters, prefix: str) -
 
 
 def _add_axle(spec: mujoco.MjSpec, name: str, prefix: str, shares: list[float]) -> str:
-    """A fixed tendon that deals torque to wheels in fixed shares: open differentials."""
+    """A fixed tendon dealing torque in fixed shares, as open differentials do."""
     tendon = spec.add_tendon(name=name)
     for wheel, share in zip(WHEELS, shares, strict=True):
         if share:
