@@ -1,6 +1,8 @@
-"""Renders a policy's evaluation episodes off-screen to an mp4 or a still.
+"""Renders a policy's evaluation episodes off-screen to an mp4, a GIF or a still.
 
 python eval/render.py runs/cpu-0
+python eval/render.py runs/cpu-0 --camera split:1 --show tracked,rings
+python eval/render.py runs/cpu-0 --physics scene --respawn false
 python eval/render.py runs/cpu-0 --camera chase:0 --seconds 30
 python eval/render.py runs/cpu-0 --frame 12 --out frame.png
 """
@@ -9,7 +11,7 @@ import dataclasses
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from carpark_mj.rendering.gl import choose_gl
 
@@ -18,19 +20,19 @@ missing_gl = choose_gl()  # before MuJoCo is imported
 import tyro
 from rich.progress import track
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
 from carpark_mj.policy.runs import load_policy
-from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_name
-from carpark_mj.rendering.rollout import record
-from carpark_mj.rendering.video import (
-    draw_frame,
-    frame_stride,
-    frames_per_second,
-    num_frames,
-    write_mp4,
+from carpark_mj.rendering.renderer import (
+    LotRenderer,
+    RenderingError,
+    Show,
+    camera_names,
 )
+from carpark_mj.rendering.rollout import record
+from carpark_mj.rendering.snapshot import frames_per_second, num_frames
+from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 from carpark_mj.vehicle import preset
 from evaluate import BASELINES, adapt
@@ -42,8 +44,12 @@ class RenderConfig:
 
     Attributes:
         run: run folder, checkpoint file, or `zero` or `random`.
-        out: file to write, .mp4 or .png; default `video.mp4` in the run folder.
-        camera: `topdown`, `overview` or `chase:K` behind agent K.
+        out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
+            `frame.png` in the run folder.
+        camera: `topdown`, `overview`, `chase:K` behind agent K, or `split:K`: topdown
+            and chase:K side by side.
+        show: extras, with commas between: `tracked` links every agent to the cars it
+            tracks, `rings` draws the circles in which it counts walls.
         seconds: length of the video [s].
         fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
         frame: write a still at this time [s] instead of a video.
@@ -51,12 +57,15 @@ class RenderConfig:
         height: of a frame [pixels], even.
         seed: of the held-out lot.
         num_agents: another number of agents than the run was trained with.
-        respawn: whether finished agents start anew; `--no-respawn` tells one story.
+        physics: another back end than the run's: in `scene` crashed cars push each
+            other, spin and stop.
+        respawn: whether finished agents start anew; `false` tells one whole story.
     """
 
     run: Annotated[str, tyro.conf.Positional]
     out: str = ""
     camera: str = "topdown"
+    show: str = ""
     seconds: float = 20.0
     fps: float = 10.0
     frame: float | None = None
@@ -64,7 +73,8 @@ class RenderConfig:
     height: int = 720
     seed: int = 0
     num_agents: int | None = None
-    respawn: bool = True
+    physics: PhysicsName | None = None
+    respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:
         if not 0 < self.seconds <= 3600:
@@ -73,12 +83,23 @@ class RenderConfig:
             raise ValueError(f"frame must lie in [0, 3600] s, not {self.frame}")
         if not self.fps > 0:
             raise ValueError(f"fps must be positive, not {self.fps}")
+        unknown = set(self.extras) - {"tracked", "rings"}
+        if unknown:
+            raise ValueError(
+                f"show takes tracked and rings, with a comma between, not "
+                f"{', '.join(sorted(unknown))!r}"
+            )
         for name, limit in (("width", OFFSCREEN_WIDTH), ("height", OFFSCREEN_HEIGHT)):
             value = getattr(self, name)
             if not 2 <= value <= limit or value % 2:
                 raise ValueError(
                     f"{name} must be even and within 2 to {limit}, not {value}"
                 )
+
+    @property
+    def extras(self) -> list[str]:
+        """The names in `show`."""
+        return [name.strip() for name in self.show.split(",") if name.strip()]
 
 
 def main(config: RenderConfig) -> Path:
@@ -104,13 +125,13 @@ def main(config: RenderConfig) -> Path:
         if config.out
         else folder / ("frame.png" if still else "video.mp4")
     )
-    suffix = ".png" if still else ".mp4"
-    if out.suffix != suffix:
-        raise ValueError(f"out must end in {suffix}, not {out.name!r}")
-    env_config = adapt(env_config, None, config.num_agents)
-    episode = dataclasses.replace(env_config.episode, respawn=config.respawn)
+    suffixes = (".png",) if still else (".mp4", ".gif")
+    if out.suffix not in suffixes:
+        raise ValueError(f"out must end in {' or '.join(suffixes)}, not {out.name!r}")
+    env_config = adapt(env_config, num_agents=config.num_agents, physics=config.physics)
+    episode = dataclasses.replace(env_config.episode, respawn=config.respawn == "true")
     env_config = dataclasses.replace(env_config, episode=episode)
-    camera_name(config.camera, env_config.num_agents)  # refuse before the work
+    camera_names(config.camera, env_config.num_agents)  # refuse before the work
     if missing_gl:
         raise RenderingError(missing_gl)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -126,6 +147,7 @@ def main(config: RenderConfig) -> Path:
         env_config.num_parked_cars,
         config.camera,
         (config.width, config.height),
+        _show(config, env_config),
     )
     try:
         if still:
@@ -139,7 +161,7 @@ def main(config: RenderConfig) -> Path:
             draw_frame(recording, renderer, index)
             for index in track(indices, "rendering", transient=True)
         )
-        count = write_mp4(out, pictures, frames_per_second(recording) / stride)
+        count = write_video(out, pictures, frames_per_second(recording) / stride)
         speed = count / (time.monotonic() - begun)
     finally:
         renderer.close()
@@ -148,6 +170,15 @@ def main(config: RenderConfig) -> Path:
         f"camera {config.camera}"
     )
     return out
+
+
+def _show(config: RenderConfig, env: EnvConfig) -> Show:
+    tracked = "tracked" in config.extras
+    return Show(
+        tracked_agents=env.observation.tracked_agents if tracked else 0,
+        tracked_parked_cars=env.observation.tracked_parked_cars if tracked else 0,
+        rings=env.observation.rings if "rings" in config.extras else (),
+    )
 
 
 def _write_png(path: Path, picture: object) -> None:

@@ -1,5 +1,6 @@
 """Off-screen pictures: things are where they should be, and say what they are."""
 
+import dataclasses
 import os
 
 import numpy as np
@@ -9,24 +10,47 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.rendering import gl
 from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.renderer import (
+    FLASH_COLOURS,
     LotRenderer,
     RenderingError,
-    camera_name,
+    Show,
+    camera_names,
 )
 from carpark_mj.rendering.rollout import Recording
-from carpark_mj.rendering.video import (
-    draw_frame,
-    frame_stride,
+from carpark_mj.rendering.snapshot import (
+    FLASH_SECONDS,
+    Flash,
+    Snapshot,
     frames_per_second,
-    write_mp4,
+    snapshot,
+    tracked_points,
 )
+from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene.materials import agent_colour
 from carpark_mj.vehicle import COMPACT
 
 LAYOUT = make_layout("tanner")
 POSE = np.array([[5.0, 3.0, 0.4], [-6.0, -4.0, 2.0]])
 GOAL = np.array([3, 20])
-PARKED = np.asarray(LAYOUT.bay_pose)[[10, 30]]
+BAYS = np.asarray(LAYOUT.bay_pose)
+PARKED = BAYS[[10, 30]]
+
+
+def seen(pose=POSE, goal=GOAL, parked=PARKED, **changes):
+    """A snapshot of two agents on their way."""
+    made = Snapshot(
+        seconds=1.0,
+        pose_w=pose,
+        steering=np.zeros(len(pose)),
+        goal_pose=BAYS[goal],
+        goal_size=np.asarray(LAYOUT.bay_size)[goal],
+        parked_pose=parked,
+        active=np.ones(len(pose), bool),
+        state=("drives",) * len(pose),
+        tally={"parked": 3, "crashed": 0},
+        flashes=(),
+    )
+    return dataclasses.replace(made, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +61,14 @@ def renderer():
     made.close()
 
 
-def draw(renderer, pose=POSE, goal=GOAL, parked=PARKED):
-    return renderer.render(pose, np.zeros(len(pose)), goal, parked)
+def draw(renderer, **changes):
+    what = seen(**changes)
+    renderer.place(what)
+    return renderer.draw(what, "topdown")
+
+
+def project(renderer, point):
+    return renderer.project(np.asarray(point, float), "topdown")
 
 
 def hue_distance(pixel, colour):
@@ -61,7 +91,7 @@ def ahead(pose, distance):
 def test_cars_are_drawn_in_their_colour_where_their_poses_are(renderer):
     frame = draw(renderer)
     for agent in (0, 1):
-        bonnet = renderer.project(ahead(POSE[agent], 1.65))
+        bonnet = project(renderer, ahead(POSE[agent], 1.65))
         assert hue_distance(patch(frame, bonnet), agent_colour(agent)) < 10
 
 
@@ -71,7 +101,7 @@ def test_a_car_is_centred_on_its_footprint(renderer):
     body = agent_colour(0)
     for reach, drawn in ((1.9, True), (2.35, False), (-1.9, True), (-2.35, False)):
         found = hue_distance(
-            patch(frame, renderer.project(ahead(POSE[0], reach))), body
+            patch(frame, project(renderer, ahead(POSE[0], reach))), body
         )
         assert (found < 20) == drawn, (reach, found)
 
@@ -82,21 +112,21 @@ def test_goals_are_filled_with_the_agent_s_colour_and_free_bays_are_not(renderer
         # Off the centre: the line from the car ends there.
         x, y, yaw = np.asarray(LAYOUT.bay_pose[bay])
         spot = (x + 0.9 * np.cos(yaw + 1.2), y + 0.9 * np.sin(yaw + 1.2), 0.0)
-        pixel = patch(frame, renderer.project(np.array(spot)))
+        pixel = patch(frame, project(renderer, spot))
         assert hue_distance(pixel, agent_colour(agent)) < 15
-        free = patch(frame, renderer.project(np.array([*LAYOUT.bay_pose[15][:2], 0])))
+        free = patch(frame, project(renderer, [*BAYS[15][:2], 0]))
         assert hue_distance(free, agent_colour(agent)) > 12
 
 
 def test_parked_cars_stand_in_their_bays_and_move_when_told(renderer):
     before = draw(renderer).astype(int)
-    after = draw(renderer, parked=np.asarray(LAYOUT.bay_pose)[[10, 12]]).astype(int)
+    after = draw(renderer, parked=BAYS[[10, 12]]).astype(int)
 
     def change(bay):
         centre = np.array([*np.asarray(LAYOUT.bay_pose[bay])[:2], 0.0])
         return np.abs(
-            patch(after, renderer.project(centre))
-            - patch(before, renderer.project(centre))
+            patch(after, project(renderer, centre))
+            - patch(before, project(renderer, centre))
         ).sum()
 
     assert change(30) > 60
@@ -106,12 +136,12 @@ def test_parked_cars_stand_in_their_bays_and_move_when_told(renderer):
 
 def test_labels_carry_the_agents_colours_at_cars_and_goals(renderer):
     frame = draw(renderer)
-    bay_pose = np.asarray(LAYOUT.bay_pose)[GOAL]
-    labelled = draw_labels(frame, renderer, POSE, bay_pose)
+    bay_pose = BAYS[GOAL]
+    labelled = draw_labels(frame, renderer, seen(), "topdown")
     changed = (labelled != frame).any(axis=-1)
     for agent in (0, 1):
         for point, height in ((POSE[agent], 1.7), (bay_pose[agent], 0.0)):
-            x, y = renderer.project(np.array([point[0], point[1], height]))
+            x, y = project(renderer, [point[0], point[1], height])
             assert changed[round(y), round(x) - 6]
             colour = tuple(round(255 * c) for c in agent_colour(agent)[:3])
             box = labelled[round(y) - 9 : round(y) + 10, round(x) - 9 : round(x) + 10]
@@ -120,7 +150,7 @@ def test_labels_carry_the_agents_colours_at_cars_and_goals(renderer):
 
 def test_the_status_is_written_in_the_top_left_corner_only(renderer):
     frame = draw(renderer)
-    changed = (draw_status(frame, ["12.0 s", "parked 3"]) != frame).any(axis=-1)
+    changed = (draw_status(frame, seen()) != frame).any(axis=-1)
     rows, columns = np.nonzero(changed)
     assert rows.max() < 80
     assert columns.max() < 200
@@ -128,10 +158,12 @@ def test_the_status_is_written_in_the_top_left_corner_only(renderer):
 
 
 def test_cameras_are_refused_by_name():
-    assert camera_name("chase:1", 2) == "agent1/chase"
-    for name in ("chase:2", "chase:", "chase:-1", "top", ""):
-        with pytest.raises(RenderingError, match="choose topdown, overview or chase:K"):
-            camera_name(name, 2)
+    assert camera_names("chase:1", 2) == ("agent1/chase",)
+    assert camera_names("split", 2) == ("topdown", "agent0/chase")
+    assert camera_names("split:1", 2) == ("topdown", "agent1/chase")
+    for name in ("chase:2", "chase:", "chase:-1", "top", "", "split:", "split:2"):
+        with pytest.raises(RenderingError, match="choose topdown, overview, chase:K"):
+            camera_names(name, 2)
 
 
 def test_missing_gl_is_one_sentence_with_the_package_to_install(monkeypatch):
@@ -144,7 +176,7 @@ def test_missing_gl_is_one_sentence_with_the_package_to_install(monkeypatch):
         assert "MUJOCO_GL" not in os.environ
 
 
-def recording(steps=3, traces=4):
+def recording(steps=3, traces=4, **events):
     pose = np.tile(POSE, (steps, traces, 1, 1))
     no = np.zeros((steps, 2), bool)
     return Recording(
@@ -152,12 +184,10 @@ def recording(steps=3, traces=4):
         ctrl_dt=0.2,
         pose_w=pose,
         steering=np.zeros((steps, 2)),
+        speed=np.tile([1.0, -1.0], (steps, 1)),
         goal=np.tile(GOAL, (steps, 1)),
         parked_pose=np.tile(PARKED, (steps, 1, 1)),
-        active=~no,
-        parked=no,
-        crashed=no,
-        timed_out=no,
+        **{"active": ~no, "parked": no, "crashed": no, "timed_out": no} | events,
         step=np.ones((steps, 2), int),
     )
 
@@ -170,7 +200,7 @@ def test_videos_play_in_real_time(renderer, tmp_path):
     assert [frame_stride(story, fps) for fps in (60, 20, 10, 5)] == [1, 1, 2, 4]
     path = tmp_path / "a.mp4"
     pictures = (draw_frame(story, renderer, k) for k in range(12))
-    assert write_mp4(path, pictures, 20.0) == 12
+    assert write_video(path, pictures, 20.0) == 12
     reader = imageio_ffmpeg.read_frames(str(path))
     meta = next(reader)
     assert meta["size"] == (640, 360)
@@ -185,5 +215,118 @@ def test_a_failing_picture_leaves_no_half_video(tmp_path):
         raise RuntimeError("no more")
 
     with pytest.raises(RuntimeError, match="no more"):
-        write_mp4(tmp_path / "a.mp4", pictures(), 10.0)
+        write_video(tmp_path / "a.mp4", pictures(), 10.0)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_gif_plays_in_real_time_and_loops(renderer, tmp_path):
+    from PIL import Image, ImageSequence
+
+    story = recording()
+    path = tmp_path / "a.gif"
+    pictures = [draw_frame(story, renderer, k) for k in range(4)]
+    assert write_video(path, iter(pictures), 10.0) == 4
+    with Image.open(path) as gif:
+        assert gif.size == (640, 360)
+        assert gif.info["loop"] == 0
+        shown = np.asarray(gif.convert("RGB")).astype(int)
+    # Equal frames are merged, and last longer.
+    with Image.open(path) as gif:
+        lasts = [f.info["duration"] for f in ImageSequence.Iterator(gif)]
+    assert sum(lasts) == 4 * 100
+    # A palette of 96 colours moves no pixel far.
+    assert np.abs(shown - pictures[0]).mean() < 6
+    with pytest.raises(ValueError, match=r"\.mp4 or \.gif"):
+        write_video(tmp_path / "a.avi", iter(pictures), 10.0)
+
+
+def test_a_split_frame_is_two_views_side_by_side(renderer):
+    made = LotRenderer(LAYOUT, COMPACT, 2, 2, "split:1", (640, 360))
+    try:
+        frame = draw_frame(recording(), made, 0)
+        assert frame.shape == (360, 640, 3)
+        # The left view shows the whole lot although it is narrower than high.
+        for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            corner = np.append(np.asarray(LAYOUT.extent) * (x, y), 0.0)
+            px, py = made.project(corner, "topdown")
+            assert 0 <= px <= 320
+            assert 0 <= py <= 360
+        right = frame[:, 320:].astype(int)
+        assert np.abs(right - frame[:, :320]).mean() > 20
+    finally:
+        made.close()
+
+
+def test_links_and_rings_are_drawn_when_asked_for(renderer):
+    show = Show(tracked_agents=1, tracked_parked_cars=1, rings=(8.0,))
+    made = LotRenderer(LAYOUT, COMPACT, 2, 2, "topdown", (640, 360), show)
+    try:
+        plain, extra = draw(renderer), draw(made)
+    finally:
+        made.close()
+    changed = np.abs(extra.astype(int) - plain).sum(-1) > 40
+
+    def near(point):
+        x, y = (round(v) for v in project(renderer, [*point, 0.03]))
+        return changed[y - 2 : y + 3, x - 2 : x + 3].any()
+
+    assert near(POSE[0, :2] + (0.0, 4.0))  # on the ring
+    assert not near(POSE[0, :2] + (-3.0, 4.5))
+    assert near((POSE[0, :2] + POSE[1, :2]) / 2)  # between the agents
+
+
+def test_tracked_points_are_the_nearest_cars_of_each_agent():
+    pose = np.array([[0.0, 0, 0], [3, 0, 0], [10, 0, 0]])
+    parked = np.array([[0.0, 5, 0], [9, 5, 0]])
+    what = seen(pose=pose, goal=np.array([1, 2, 3]), parked=parked)
+    found = [(agent, tuple(point)) for agent, point in tracked_points(what, 1, 1)]
+    assert sorted(found) == [
+        (0, (0.0, 5.0)),
+        (0, (3.0, 0.0)),
+        (1, (0.0, 0.0)),
+        (1, (0.0, 5.0)),
+        (2, (3.0, 0.0)),
+        (2, (9.0, 5.0)),
+    ]
+    assert tracked_points(what, 0, 0) == []
+    empty = dataclasses.replace(what, parked_pose=np.zeros((0, 3)))
+    assert len(tracked_points(empty, 5, 2)) == 6  # two others each, no parked car
+
+
+@pytest.mark.parametrize("outcome", ["parked", "crashed"])
+def test_an_ended_episode_flashes_in_its_colour_and_fades(renderer, outcome):
+    away = np.array([0.0, 8.0, 0.0])
+
+    def ring(age):
+        flash = Flash(away, 0, outcome, age)
+        frame = draw(renderer, flashes=(flash,))
+        radius = COMPACT.length * (0.6 + 0.5 * age)
+        return patch(frame, project(renderer, (radius, *away[1:])))
+
+    assert hue_distance(ring(0.0), FLASH_COLOURS[outcome]) < 12
+    bare = patch(draw(renderer), project(renderer, (COMPACT.length, *away[1:])))
+    assert np.abs(ring(1.0) - bare).sum() < np.abs(ring(0.0) - bare).sum()
+
+
+def test_snapshots_tell_states_tallies_and_flashes():
+    parked = np.zeros((12, 2), bool)
+    parked[1, 0] = True  # agent 0 parks in the second step
+    active = np.ones((12, 2), bool)
+    active[2:, 0] = False
+    story = recording(steps=12, parked=parked, active=active)
+    before = snapshot(story, 6)  # within the second step
+    assert before.state == ("drives", "reverses")
+    assert before.tally == {"parked": 0, "crashed": 0, "timed_out": 0}
+    assert before.flashes == ()
+    at = snapshot(story, 7)  # its end
+    assert at.seconds == pytest.approx(0.4)
+    assert at.tally["parked"] == 1
+    (flash,) = at.flashes
+    assert (flash.agent, flash.outcome, flash.age) == (0, "parked", 0.0)
+    np.testing.assert_array_equal(flash.pose_w, POSE[0])
+    later = snapshot(story, 7 + round(FLASH_SECONDS * frames_per_second(story)) - 1)
+    assert 0.9 < later.flashes[0].age < 1.0
+    gone = snapshot(story, 47)
+    assert gone.flashes == ()
+    assert gone.state == ("parked", "reverses")
+    assert gone.tally["parked"] == 1

@@ -1,5 +1,6 @@
 """Off-screen pictures of a lot through MuJoCo's own renderer."""
 
+import dataclasses
 import math
 import os
 from typing import Any
@@ -9,16 +10,39 @@ import numpy as np
 
 from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.gl import MISSING_GL
+from carpark_mj.rendering.markers import Markers
+from carpark_mj.rendering.snapshot import Snapshot, tracked_points
 from carpark_mj.scene import build_scene
 from carpark_mj.scene.materials import agent_colour
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS
 from carpark_mj.vehicle.parameters import VehicleParameters
 
-GOAL_HEIGHT = 0.01  # m, goal markers lie on the asphalt
+FLASH_COLOURS = {
+    "parked": (0.20, 0.85, 0.35),
+    "crashed": (0.95, 0.15, 0.15),
+    "timed_out": (0.75, 0.75, 0.75),
+}
+# The narrowest frame, width over height, in which a fixed camera still shows the lot.
+_LEAST_ASPECT = {"topdown": 1.0, "overview": 4 / 3}
 
 
 class RenderingError(Exception):
     """No picture can be made on this machine, or none of what was asked for."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Show:
+    """Extras to draw.
+
+    Attributes:
+        tracked_agents: nearest agents linked to each agent.
+        tracked_parked_cars: nearest parked cars linked to each agent.
+        rings: diameters of the circles about each agent [m].
+    """
+
+    tracked_agents: int = 0
+    tracked_parked_cars: int = 0
+    rings: tuple[float, ...] = ()
 
 
 def _mujoco_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:
@@ -32,7 +56,7 @@ def _mujoco_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:
 
 
 class LotRenderer:
-    """Draws poses of agents and parked cars in the scene of one lot."""
+    """Draws instants of driving in one lot, by one camera or two side by side."""
 
     def __init__(
         self,
@@ -42,6 +66,7 @@ class LotRenderer:
         num_parked_cars: int,
         camera: str = "topdown",
         size: tuple[int, int] = (1280, 720),
+        show: Show | None = None,
     ) -> None:
         """Compiles the scene and opens a GL context.
 
@@ -50,68 +75,81 @@ class LotRenderer:
             params: vehicle of all cars.
             num_agents: agents.
             num_parked_cars: parked cars.
-            camera: `topdown`, `overview` or `chase:K` behind agent K.
+            camera: see `camera_names`.
             size: width and height of a frame [pixels].
+            show: extras to draw.
 
         Raises:
             RenderingError: no GL, or no such camera.
         """
         self._params = params
         self._num_agents = num_agents
-        self._bay_pose = np.asarray(layout.bay_pose, float)
-        self._bay_size = np.asarray(layout.bay_size, float)
-        self.camera = camera_name(camera, num_agents)
-        self.width, self.height = size
+        self._show = show or Show()
+        self.cameras = camera_names(camera, num_agents)
+        self.width, self.height = size[0] // len(self.cameras), size[1]
         self.model = build_scene(layout, params, num_agents, num_parked_cars).compile()
+        for name, aspect in _LEAST_ASPECT.items():
+            self._widen(self.model.camera(name).id, aspect)
         self.data = mujoco.MjData(self.model)
-        self._renderer = _mujoco_renderer(self.model, *size)
+        self._renderer = _mujoco_renderer(self.model, self.width, self.height)
         self._parked = [
             self.model.joint(f"parked{k}/x").qposadr[0] for k in range(num_parked_cars)
         ]
         self._spin = np.zeros(num_agents)
         self._last = np.full((num_agents, 3), np.nan)
 
-    def render(
-        self,
-        pose_w: np.ndarray,
-        steering: np.ndarray,
-        goal: np.ndarray,
-        parked_pose: np.ndarray,
-    ) -> np.ndarray:
-        """Draws one frame.
+    def _widen(self, camera: int, least_aspect: float) -> None:
+        """Opens the vertical field of view until a narrow frame shows all the lot."""
+        short = least_aspect * self.height / self.width
+        if short > 1.0:
+            half = math.radians(self.model.cam_fovy[camera]) / 2
+            self.model.cam_fovy[camera] = 2 * math.degrees(
+                math.atan(math.tan(half) * short)
+            )
 
-        Args:
-            pose_w: (agents, 3) footprint centres.
-            steering: (agents,) bicycle angles [rad].
-            goal: (agents,) bay indices.
-            parked_pose: (parked cars, 3) footprint centres.
-
-        Returns:
-            (height, width, 3) uint8.
-        """
-        self._roll(pose_w)
+    def place(self, seen: Snapshot) -> None:
+        """Puts all cars where they are; wheels roll by the way since the last call."""
+        self._roll(seen.pose_w)
         for k in range(self._num_agents):
-            self._place_agent(k, pose_w[k], float(steering[k]))
-        for address, pose in zip(self._parked, parked_pose, strict=True):
+            self._place_agent(k, seen.pose_w[k], float(seen.steering[k]))
+        for address, pose in zip(self._parked, seen.parked_pose, strict=True):
             self.data.qpos[address : address + 3] = self._rear_axle(pose)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
-        self._renderer.update_scene(self.data, camera=self.camera)
+
+    def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
+        """Draws what was placed, (height, width, 3) uint8, by one of `cameras`."""
+        self._renderer.update_scene(self.data, camera=camera)
+        markers = Markers(self._renderer.scene)
         for k in range(self._num_agents):
-            self._mark_goal(k, self._bay_pose[goal[k]], self._bay_size[goal[k]])
-            self._mark_way(k, pose_w[k], self._bay_pose[goal[k]])
+            rgb = agent_colour(k)[:3]
+            goal, here = seen.goal_pose[k], seen.pose_w[k]
+            markers.bay(goal, seen.goal_size[k], (*rgb, 0.45))
+            if seen.active[k]:
+                markers.line(here, goal, (*rgb, 0.9), 0.07, 0.05)
+            for diameter in self._show.rings:
+                markers.circle(here, diameter / 2, (*rgb, 0.5), 0.05)
+        if self._show.tracked_agents or self._show.tracked_parked_cars:
+            links = tracked_points(
+                seen, self._show.tracked_agents, self._show.tracked_parked_cars
+            )
+            for agent, point in links:
+                rgb = agent_colour(agent)[:3]
+                markers.line(seen.pose_w[agent], point, (*rgb, 0.6), 0.025, 0.04)
+        for flash in seen.flashes:
+            rgba = (*FLASH_COLOURS[flash.outcome], 1.0 - 0.8 * flash.age)
+            radius = self._params.length * (0.6 + 0.5 * flash.age)
+            markers.circle(flash.pose_w, radius, rgba, 0.25)
         return self._renderer.render()
 
-    def project(self, point: np.ndarray) -> tuple[float, float] | None:
-        """Pixel (x, y) of a world point (3,) in the last frame; None behind it."""
-        camera = self.model.camera(self.camera).id
-        axes = self.data.cam_xmat[camera].reshape(3, 3)
-        x, y, z = axes.T @ (point - self.data.cam_xpos[camera])
+    def project(self, point: np.ndarray, camera: str) -> tuple[float, float] | None:
+        """Pixel (x, y) of a world point (3,) seen by a camera; None behind it."""
+        index = self.model.camera(camera).id
+        axes = self.data.cam_xmat[index].reshape(3, 3)
+        x, y, z = axes.T @ (point - self.data.cam_xpos[index])
         if z > -0.1:
             return None
-        focal = (
-            self.height / 2 / math.tan(math.radians(self.model.cam_fovy[camera]) / 2)
-        )
+        focal = self.height / 2 / math.tan(math.radians(self.model.cam_fovy[index]) / 2)
         return self.width / 2 - focal * x / z, self.height / 2 + focal * y / z
 
     def close(self) -> None:
@@ -134,8 +172,8 @@ class LotRenderer:
 
     def _place_agent(self, agent: int, centre: np.ndarray, steering: float) -> None:
         x, y, yaw = self._rear_axle(centre)
-        root = self.data.joint(f"agent{agent}/root")
-        root.qpos = [x, y, 0.0, *_yaw_quat(yaw)]
+        turn = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+        self.data.joint(f"agent{agent}/root").qpos = [x, y, 0.0, *turn]
         tan = math.tan(steering)
         skew = self._params.track_width / (2 * self._params.wheelbase) * tan
         for name, sign in zip(STEERED, (-1.0, 1.0), strict=True):
@@ -144,55 +182,25 @@ class LotRenderer:
         for name in WHEELS:
             self.data.joint(f"agent{agent}/spin_{name}").qpos = self._spin[agent]
 
-    def _add_geom(self, kind: Any, rgba: tuple[float, ...]) -> Any:
-        scene = self._renderer.scene
-        if scene.ngeom >= scene.maxgeom:
-            raise RenderingError("the scene holds too many geoms to add markers")
-        geom = scene.geoms[scene.ngeom]
-        mujoco.mjv_initGeom(
-            geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(rgba)
-        )
-        scene.ngeom += 1
-        return geom
 
-    def _mark_goal(self, agent: int, pose: np.ndarray, size: np.ndarray) -> None:
-        """Fills the goal bay with the agent's colour."""
-        rgba = (*agent_colour(agent)[:3], 0.45)
-        geom = self._add_geom(mujoco.mjtGeom.mjGEOM_BOX, rgba)
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
-        geom.pos[:] = [pose[0], pose[1], GOAL_HEIGHT]
-        geom.mat[:] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
-        geom.size[:] = [size[0] / 2 - 0.15, size[1] / 2 - 0.15, GOAL_HEIGHT / 2]
+def camera_names(camera: str, num_agents: int) -> tuple[str, ...]:
+    """Names in the scene of what a camera flag asks for, left to right.
 
-    def _mark_way(self, agent: int, pose: np.ndarray, goal: np.ndarray) -> None:
-        """A thin line from the car to its goal."""
-        rgba = (*agent_colour(agent)[:3], 0.9)
-        geom = self._add_geom(mujoco.mjtGeom.mjGEOM_CAPSULE, rgba)
-        mujoco.mjv_connector(
-            geom,
-            mujoco.mjtGeom.mjGEOM_CAPSULE,
-            0.05,
-            np.array([pose[0], pose[1], 0.05]),
-            np.array([goal[0], goal[1], 0.05]),
-        )
-
-
-def _yaw_quat(yaw: float) -> list[float]:
-    return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
-
-
-def camera_name(camera: str, num_agents: int) -> str:
-    """The camera's name in the scene.
+    `topdown`, `overview`, `chase:K` behind agent K, `split` (topdown and chase:0) or
+    `split:K`.
 
     Raises:
         RenderingError: no such camera; the message lists them.
     """
+    kind, colon, agent = camera.partition(":")
+    known = agent.isdecimal() and int(agent) < num_agents
     if camera in ("topdown", "overview"):
-        return camera
-    kind, _, agent = camera.partition(":")
-    if kind == "chase" and agent.isdecimal() and int(agent) < num_agents:
-        return f"agent{int(agent)}/chase"
+        return (camera,)
+    if kind == "chase" and known:
+        return (f"agent{int(agent)}/chase",)
+    if kind == "split" and (known or not colon):
+        return ("topdown", f"agent{int(agent or 0)}/chase")
     raise RenderingError(
-        f"no camera {camera!r}; choose topdown, overview or chase:K with K from 0 to "
-        f"{num_agents - 1}"
+        f"no camera {camera!r}; choose topdown, overview, chase:K, split or split:K "
+        f"with K from 0 to {num_agents - 1}"
     )

@@ -21,6 +21,7 @@ class Recording:
         pose_w: (t, k, agents, 3) footprint centres; the last of each step is the
             pose at its end, before any respawn.
         steering: (t, agents) bicycle angles at the end of the steps [rad].
+        speed: (t, agents) signed speeds at the end of the steps [m/s].
         goal: (t, agents) bays aimed at during the steps.
         parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends.
         active: (t, agents) bool.
@@ -34,6 +35,7 @@ class Recording:
     ctrl_dt: float
     pose_w: np.ndarray
     steering: np.ndarray
+    speed: np.ndarray
     goal: np.ndarray
     parked_pose: np.ndarray
     active: np.ndarray
@@ -56,6 +58,7 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
         frame = {
             "pose_w": timestep.vehicle.trace_w.swapaxes(0, 1),
             "steering": timestep.vehicle.steering,
+            "speed": timestep.vehicle.speed,
             "goal": state.occupancy.goal,
             "parked_pose": env.parked_pose(state),
             "active": state.active,

@@ -1,4 +1,4 @@
-"""Frames of a recording, and writing them as mp4."""
+"""Frames of a recording, and writing them as mp4 or GIF."""
 
 import warnings
 from collections.abc import Iterator
@@ -10,39 +10,21 @@ from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.rollout import Recording
+from carpark_mj.rendering.snapshot import frames_per_second, snapshot
 
-
-def num_frames(recording: Recording) -> int:
-    """Poses recorded, one after every traced instant."""
-    return recording.pose_w.shape[0] * recording.pose_w.shape[1]
+GIF_COLOURS = 96
 
 
 def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.ndarray:
-    """Draws one recorded instant, (height, width, 3) uint8."""
-    step, trace = divmod(index, recording.pose_w.shape[1])
-    pose, goal = recording.pose_w[step, trace], recording.goal[step]
-    frame = renderer.render(
-        pose, recording.steering[step], goal, recording.parked_pose[step]
-    )
-    bay_pose = np.asarray(recording.layout.bay_pose)
-    frame = draw_labels(frame, renderer, pose, bay_pose[goal])
-    # What happens in a step is counted when it is over.
-    over = (index + 1) // recording.pose_w.shape[1]
-    counts = "   ".join(
-        f"{name} {events[:over].sum()}"
-        for name, events in (
-            ("parked", recording.parked),
-            ("crashed", recording.crashed),
-            ("timed out", recording.timed_out),
-        )
-    )
-    seconds = (index + 1) / frames_per_second(recording)
-    return draw_status(frame, [f"{seconds:5.1f} s", counts])
-
-
-def frames_per_second(recording: Recording) -> float:
-    """Frame rate at which all frames of a recording play in real time."""
-    return recording.pose_w.shape[1] / recording.ctrl_dt
+    """Draws one recorded instant with its labels, (height, width, 3) uint8."""
+    seen = snapshot(recording, index)
+    renderer.place(seen)
+    views = [
+        draw_labels(renderer.draw(seen, camera), renderer, seen, camera)
+        for camera in renderer.cameras
+    ]
+    views[-1] = draw_status(views[-1], seen)
+    return np.concatenate(views, axis=1)
 
 
 def frame_stride(recording: Recording, fps: float) -> int:
@@ -50,8 +32,23 @@ def frame_stride(recording: Recording, fps: float) -> int:
     return max(1, round(frames_per_second(recording) / fps))
 
 
-def write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
-    """Encodes frames as H.264 and returns their number; the file appears whole."""
+def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
+    """Writes frames as `.mp4` or `.gif` by the path's suffix; returns their number.
+
+    The file appears whole or not at all.
+
+    Raises:
+        ValueError: another suffix.
+    """
+    if path.suffix == ".mp4":
+        return _write_mp4(path, pictures, fps)
+    if path.suffix == ".gif":
+        return _write_gif(path, pictures, fps)
+    raise ValueError(f"a video ends in .mp4 or .gif, not {path.name!r}")
+
+
+def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
+    """Encodes frames as H.264."""
     import imageio_ffmpeg
 
     first = next(pictures)
@@ -82,3 +79,28 @@ def write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called")
         write_atomically(path, write)
     return count
+
+
+def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
+    """Writes a looping GIF; all frames share the palette of a few of them."""
+    from PIL import Image
+
+    images = [Image.fromarray(picture) for picture in pictures]
+    few = images[:: max(1, len(images) // 4)]
+    sample = Image.fromarray(np.concatenate([np.asarray(i) for i in few]))
+    palette = sample.quantize(GIF_COLOURS, dither=Image.Dither.NONE)
+    flat = [i.quantize(palette=palette, dither=Image.Dither.NONE) for i in images]
+    duration = round(1000 / fps)  # ms per frame; GIF counts in hundredths of a second
+    write_atomically(
+        path,
+        lambda temporary: flat[0].save(
+            temporary,
+            format="GIF",
+            save_all=True,
+            append_images=flat[1:],
+            duration=duration,
+            loop=0,
+            optimize=True,
+        ),
+    )
+    return len(flat)

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 
 from carpark_mj.scene import materials
-from carpark_mj.vehicle.mjcf import WHEELS, hub_positions
+from carpark_mj.vehicle.mjcf import hub_positions
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 Colour = tuple[float, float, float, float]
@@ -61,13 +61,47 @@ def body_hulls(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
     }
 
 
+def _boxes(centres: list[tuple[float, ...]], size: tuple[float, ...]):
+    parts = []
+    for centre in centres:
+        part = trimesh.creation.box(size)
+        part.apply_translation(centre)
+        parts.append(part)
+    return trimesh.util.concatenate(parts)
+
+
+def details(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
+    """Pairs of `headlights` and `tail_lights`, and four standing `wheels`."""
+    front = params.length - params.rear_overhang
+    y, z = params.width / 2 - 0.24, 0.44 * params.height
+    size = (0.12, 0.34, 0.12)
+    wheels = []
+    for hub in hub_positions(params):
+        wheel = trimesh.creation.cylinder(
+            params.wheel_radius, params.tyre_width, sections=16
+        )
+        wheel.apply_transform(
+            trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0))
+        )
+        wheel.apply_translation(hub)
+        wheels.append(wheel)
+    return {
+        "headlights": _boxes([(front - 0.05, y, z), (front - 0.05, -y, z)], size),
+        "tail_lights": _boxes(
+            [(0.04 - params.rear_overhang, side * y, z) for side in (1, -1)], size
+        ),
+        "wheels": trimesh.util.concatenate(wheels),
+    }
+
+
 def add_meshes(spec: mujoco.MjSpec, params: VehicleParameters) -> None:
     """Adds the car's meshes to a spec, once for all cars."""
-    for name, hull in body_hulls(params).items():
+    for name, mesh in (body_hulls(params) | details(params)).items():
         spec.add_mesh(
             name=f"car_{name}",
-            uservert=np.asarray(hull.vertices).ravel().tolist(),
-            userface=np.asarray(hull.faces).ravel().tolist(),
+            uservert=np.asarray(mesh.vertices).ravel().tolist(),
+            userface=np.asarray(mesh.faces).ravel().tolist(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
             smoothnormal=False,
         )
 
@@ -77,24 +111,16 @@ def _look(body: mujoco.MjsBody, **fields: object) -> None:
     body.add_geom(contype=0, conaffinity=0, group=2, mass=0.0, **fields)
 
 
-def add_body_look(
-    car: mujoco.MjsBody, params: VehicleParameters, colour: Colour
-) -> None:
+def add_body_look(car: mujoco.MjsBody, colour: Colour) -> None:
     """Adds body, windows and lights to a car's body."""
-    mesh = mujoco.mjtGeom.mjGEOM_MESH
-    _look(car, type=mesh, meshname="car_body", rgba=colour)
-    _look(car, type=mesh, meshname="car_cabin", rgba=materials.GLASS)
-    _look(car, type=mesh, meshname="car_roof", rgba=colour)
-    box = mujoco.mjtGeom.mjGEOM_BOX
-    front = params.length - params.rear_overhang
-    for side in (-1, 1):
-        y = side * (params.width / 2 - 0.24)
-        z = 0.44 * params.height
-        for x, rgba in (
-            (front - 0.05, materials.HEADLIGHT),
-            (-params.rear_overhang + 0.04, materials.TAIL_LIGHT),
-        ):
-            _look(car, type=box, pos=[x, y, z], size=[0.06, 0.17, 0.06], rgba=rgba)
+    for name, rgba in (
+        ("body", colour),
+        ("cabin", materials.GLASS),
+        ("roof", colour),
+        ("headlights", materials.HEADLIGHT),
+        ("tail_lights", materials.TAIL_LIGHT),
+    ):
+        _look(car, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"car_{name}", rgba=rgba)
 
 
 def add_wheel_look(wheel: mujoco.MjsBody, params: VehicleParameters) -> None:
@@ -121,11 +147,12 @@ def add_wheel_look(wheel: mujoco.MjsBody, params: VehicleParameters) -> None:
     )
 
 
-def add_standing_car(
-    body: mujoco.MjsBody, params: VehicleParameters, colour: Colour
-) -> None:
+def add_standing_car(body: mujoco.MjsBody, colour: Colour) -> None:
     """Everything of a car that does not move; the frame is the rear axle's."""
-    add_body_look(body, params, colour)
-    for name, hub in zip(WHEELS, hub_positions(params), strict=True):
-        wheel = body.add_body(name=f"{body.name}/wheel_{name}", pos=hub)
-        add_wheel_look(wheel, params)
+    add_body_look(body, colour)
+    _look(
+        body,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="car_wheels",
+        rgba=materials.TYRE,
+    )

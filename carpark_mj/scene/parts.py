@@ -143,7 +143,7 @@ def add_parked_cars(spec: mujoco.MjSpec, params: VehicleParameters, count: int) 
             )
         add_hull(body, params, f"{name}/hull")
         colour = materials.PARKED[k % len(materials.PARKED)]
-        car_look.add_standing_car(body, params, colour)
+        car_look.add_standing_car(body, colour)
 
 
 def add_agents(
@@ -154,7 +154,7 @@ def add_agents(
         prefix = f"agent{k}/"
         car = add_car(spec.worldbody, spec, params, prefix, servos)
         add_hull(car, params, f"{prefix}hull")
-        car_look.add_body_look(car, params, materials.agent_colour(k))
+        car_look.add_body_look(car, materials.agent_colour(k))
         for name in WHEELS:
             car_look.add_wheel_look(spec.body(f"{prefix}wheel_{name}"), params)
         add_camera(

@@ -1,0 +1,59 @@
+"""Things drawn into the scene that are not there: goals, ways, links, circles."""
+
+import itertools
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+Rgba = tuple[float, float, float, float]
+
+GROUND = 0.01  # m, height of markers that lie on the asphalt
+CIRCLE_SIDES = 40
+
+
+class Markers:
+    """Adds geoms to an `MjvScene` for one frame."""
+
+    def __init__(self, scene: Any) -> None:
+        """Draws into `scene`, after what the model has put there."""
+        self._scene = scene
+
+    def _add(self, kind: Any, rgba: Rgba) -> Any:
+        scene = self._scene
+        if scene.ngeom >= scene.maxgeom:
+            raise RuntimeError(f"the scene is full: {scene.maxgeom} geoms")
+        geom = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(
+            geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(rgba)
+        )
+        scene.ngeom += 1
+        return geom
+
+    def bay(self, pose: np.ndarray, size: np.ndarray, rgba: Rgba) -> None:
+        """Fills a bay of pose (3,) and size (2,)."""
+        # A plane throws no shadow on itself.
+        geom = self._add(mujoco.mjtGeom.mjGEOM_PLANE, rgba)
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        geom.pos[:] = [pose[0], pose[1], GROUND]
+        geom.mat[:] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
+        geom.size[:] = [size[0] / 2 - 0.15, size[1] / 2 - 0.15, 0.0]
+
+    def line(
+        self, start: np.ndarray, end: np.ndarray, rgba: Rgba, radius: float, z: float
+    ) -> None:
+        """A line between two points (2,) at height `z`."""
+        kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+        geom = self._add(kind, rgba)
+        ends = [np.array([p[0], p[1], z], float) for p in (start, end)]
+        mujoco.mjv_connector(geom, kind, radius, *ends)
+
+    def circle(
+        self, centre: np.ndarray, radius: float, rgba: Rgba, width: float
+    ) -> None:
+        """A circle about a point (2,) on the ground."""
+        angle = np.linspace(0.0, 2 * math.pi, CIRCLE_SIDES + 1)
+        points = centre[:2] + radius * np.stack([np.cos(angle), np.sin(angle)], -1)
+        for start, end in itertools.pairwise(points):
+            self.line(start, end, rgba, width / 2, 0.03)

@@ -1,0 +1,135 @@
+"""What there is to see at one instant of a recording."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.observations.localised import nearest
+from carpark_mj.rendering.rollout import Recording
+
+FLASH_SECONDS = 0.8  # how long an ended episode flashes
+OUTCOMES = ("parked", "crashed", "timed_out")
+STANDING = 0.1  # m/s, slower cars stand
+
+
+@dataclasses.dataclass(frozen=True)
+class Flash:
+    """An episode that has just ended.
+
+    Attributes:
+        pose_w: (3,) where the car was.
+        agent: whose it was.
+        outcome: one of `OUTCOMES`.
+        age: 0 when it ended, 1 when the flash is over.
+    """
+
+    pose_w: np.ndarray
+    agent: int
+    outcome: str
+    age: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Snapshot:
+    """One instant.
+
+    Attributes:
+        seconds: since the start.
+        pose_w: (agents, 3) footprint centres.
+        steering: (agents,) bicycle angles [rad].
+        goal_pose: (agents, 3) bays aimed at.
+        goal_size: (agents, 2) their sizes [m].
+        parked_pose: (parked cars, 3) footprint centres.
+        active: (agents,) bool, the agent's episode is running.
+        state: a word or two per agent: what it does, or how its episode ended.
+        tally: episodes ended so far, by outcome.
+        flashes: episodes that ended a moment ago.
+    """
+
+    seconds: float
+    pose_w: np.ndarray
+    steering: np.ndarray
+    goal_pose: np.ndarray
+    goal_size: np.ndarray
+    parked_pose: np.ndarray
+    active: np.ndarray
+    state: tuple[str, ...]
+    tally: dict[str, int]
+    flashes: tuple[Flash, ...]
+
+
+def num_frames(recording: Recording) -> int:
+    """Poses recorded, one after every traced instant."""
+    return recording.pose_w.shape[0] * recording.pose_w.shape[1]
+
+
+def frames_per_second(recording: Recording) -> float:
+    """Frame rate at which all frames of a recording play in real time."""
+    return recording.pose_w.shape[1] / recording.ctrl_dt
+
+
+def snapshot(recording: Recording, index: int) -> Snapshot:
+    """The recorded instant `index`, from 0 to `num_frames(recording)` - 1."""
+    traces = recording.pose_w.shape[1]
+    step, trace = divmod(index, traces)
+    goal = recording.goal[step]
+    # What happens in a step is known when it is over.
+    over = (index + 1) // traces
+    ended = {name: getattr(recording, name) for name in OUTCOMES}
+    seconds = (index + 1) / frames_per_second(recording)
+    flashes = []
+    for name, events in ended.items():
+        for when, agent in np.argwhere(events[:over]):
+            age = (seconds - (when + 1) * recording.ctrl_dt) / FLASH_SECONDS
+            if age < 1.0:
+                pose = recording.pose_w[when, -1, agent]
+                flashes.append(Flash(pose, int(agent), name, float(max(age, 0.0))))
+    return Snapshot(
+        seconds=seconds,
+        pose_w=recording.pose_w[step, trace],
+        steering=recording.steering[step],
+        goal_pose=np.asarray(recording.layout.bay_pose)[goal],
+        goal_size=np.asarray(recording.layout.bay_size)[goal],
+        parked_pose=recording.parked_pose[step],
+        active=recording.active[step],
+        state=tuple(_state(recording, step, agent) for agent in range(len(goal))),
+        tally={name: int(events[:over].sum()) for name, events in ended.items()},
+        flashes=tuple(flashes),
+    )
+
+
+def _state(recording: Recording, step: int, agent: int) -> str:
+    if not recording.active[step, agent]:
+        for name in OUTCOMES:
+            if getattr(recording, name)[:step, agent].any():
+                return name.replace("_", " ")
+        return "diverged"
+    speed = recording.speed[step, agent]
+    if abs(speed) < STANDING:
+        return "stands"
+    return "drives" if speed > 0 else "reverses"
+
+
+def tracked_points(
+    snapshot: Snapshot, num_agents: int, num_parked_cars: int
+) -> list[tuple[int, np.ndarray]]:
+    """(agent, point (2,)) for every car an agent tracks, as its observation has it."""
+    own = jnp.asarray(snapshot.pose_w[:, :2])
+    pairs = []
+    for others, count, mask in (
+        (snapshot.pose_w, num_agents, ~jnp.eye(len(own), dtype=bool)),
+        (
+            snapshot.parked_pose,
+            num_parked_cars,
+            jnp.ones((len(own), len(snapshot.parked_pose)), bool),
+        ),
+    ):
+        if not count or not len(others):
+            continue
+        index, present = nearest(own, jnp.asarray(others[:, :2]), mask, count)
+        pairs += [
+            (int(agent), others[int(index[agent, slot]), :2])
+            for agent, slot in np.argwhere(np.asarray(present))
+        ]
+    return pairs
