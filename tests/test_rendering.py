@@ -234,8 +234,10 @@ def test_a_gif_plays_in_real_time_and_loops(renderer, tmp_path):
     with Image.open(path) as gif:
         lasts = [f.info["duration"] for f in ImageSequence.Iterator(gif)]
     assert sum(lasts) == 4 * 100
-    # A palette of 96 colours moves no pixel far.
-    assert np.abs(shown - pictures[0]).mean() < 6
+    # The palette moves no pixel far, least of all the cars.
+    error = np.abs(shown - pictures[0])
+    assert error.mean() < 4
+    assert error[np.ptp(pictures[0].astype(int), axis=2) > 60].mean() < 6
     with pytest.raises(ValueError, match=r"\.mp4 or \.gif"):
         write_video(tmp_path / "a.avi", iter(pictures), 10.0)
 

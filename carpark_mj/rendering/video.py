@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.rollout import Recording
 from carpark_mj.rendering.snapshot import frames_per_second, snapshot
 
-GIF_COLOURS = 96
+GIF_GREYS, GIF_COLOURS = 48, 144  # palette entries
+CHROMA = 40  # of 255; less is grey
 
 
 def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.ndarray:
@@ -85,11 +87,12 @@ def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
     """Writes a looping GIF; all frames share the palette of a few of them."""
     from PIL import Image
 
-    images = [Image.fromarray(picture) for picture in pictures]
-    few = images[:: max(1, len(images) // 4)]
-    sample = Image.fromarray(np.concatenate([np.asarray(i) for i in few]))
-    palette = sample.quantize(GIF_COLOURS, dither=Image.Dither.NONE)
-    flat = [i.quantize(palette=palette, dither=Image.Dither.NONE) for i in images]
+    frames = list(pictures)
+    palette = _palette(np.concatenate(frames[:: max(1, len(frames) // 4)]))
+    flat = [
+        Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE)
+        for f in frames
+    ]
     duration = round(1000 / fps)  # ms per frame; GIF counts in hundredths of a second
     write_atomically(
         path,
@@ -104,3 +107,19 @@ def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         ),
     )
     return len(flat)
+
+
+def _palette(picture: np.ndarray) -> Any:
+    """A palette with a share of its own for colours: a car park is mostly grey."""
+    from PIL import Image
+
+    pixels = picture.reshape(-1, 3)
+    grey = np.ptp(pixels.astype(int), axis=1) < CHROMA
+    entries = []
+    for some, count in ((pixels[grey], GIF_GREYS), (pixels[~grey], GIF_COLOURS)):
+        if len(some):
+            part = Image.fromarray(some[None]).quantize(count)
+            entries += (part.getpalette() or [])[: 3 * count]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(entries)
+    return palette
