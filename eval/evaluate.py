@@ -16,6 +16,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from carpark_mj.command_line import USER_ERRORS, one_line
 from carpark_mj.config import EnvConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation import (
@@ -50,7 +51,7 @@ class EvaluateConfig:
             a baseline.
     """
 
-    run: Annotated[str, tyro.conf.Positional] = ""
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
     policy: str = ""
     episodes: int = 1024
     seed: int = 0
@@ -59,6 +60,10 @@ class EvaluateConfig:
     physics: PhysicsName | None = None
     stochastic: bool = False
     out: str = ""
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1:
+            raise ValueError(f"episodes must be at least 1, not {self.episodes}")
 
 
 def main(config: EvaluateConfig) -> Evaluation:
@@ -145,6 +150,9 @@ def print_table(summary: dict[str, Any], title: str) -> None:
         )
     console = Console()
     console.print(table)
+    if not summary["parked"]["count"]:
+        console.print("no parked episode to describe")
+        return
     console.print(
         f"parked episodes: {summary['parked_time']:.1f} s, "
         f"{summary['parked_path']:.1f} m driven, "
@@ -158,6 +166,6 @@ def print_table(summary: dict[str, Any], title: str) -> None:
 if __name__ == "__main__":
     try:
         main(tyro.cli(EvaluateConfig, description=__doc__))
-    except (CheckpointError, ValueError, OSError) as error:
-        print(f"evaluate: {error}", file=sys.stderr)
+    except (CheckpointError, *USER_ERRORS) as error:
+        print(f"evaluate: {one_line(error)}", file=sys.stderr)
         sys.exit(2)

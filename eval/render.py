@@ -20,6 +20,7 @@ missing_gl = choose_gl()  # before MuJoCo is imported
 import tyro
 from rich.progress import track
 
+from carpark_mj.command_line import USER_ERRORS, one_line
 from carpark_mj.config import EnvConfig, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
@@ -62,7 +63,7 @@ class RenderConfig:
         respawn: whether finished agents start anew; `false` tells one whole story.
     """
 
-    run: Annotated[str, tyro.conf.Positional]
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     out: str = ""
     camera: str = "topdown"
     show: str = ""
@@ -191,6 +192,6 @@ def _write_png(path: Path, picture: object) -> None:
 if __name__ == "__main__":
     try:
         main(tyro.cli(RenderConfig, description=__doc__))
-    except (CheckpointError, RenderingError, ValueError, OSError) as error:
-        print(f"render: {error}", file=sys.stderr)
+    except (CheckpointError, RenderingError, *USER_ERRORS) as error:
+        print(f"render: {one_line(error)}", file=sys.stderr)
         sys.exit(2)

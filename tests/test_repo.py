@@ -28,7 +28,7 @@ ALLOWED = {
 } | {name: BASE | TASK | {"layouts"} for name in TASK}
 ENV = {*ALLOWED, "env"}
 ALLOWED["env"] = ENV - {"env", "scene"}
-OUTER = {"wrappers", "policy", "rendering", "evaluation"}
+OUTER = {"wrappers", "policy", "rendering", "evaluation", "command_line"}
 
 # No module of the task or below it knows MuJoCo.
 WITHOUT_MUJOCO = BASE | TASK | {"layouts"}

@@ -19,6 +19,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from carpark_mj.command_line import USER_ERRORS, one_line
 from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
@@ -314,8 +315,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"stopped; go on with: python train/ppo.py --resume {folder}")
             return 0
         finish(config, folder)
-    except (CheckpointError, ValueError, OSError) as error:
-        print(f"ppo: {error}", file=sys.stderr)
+    except (CheckpointError, *USER_ERRORS) as error:
+        print(f"ppo: {one_line(error)}", file=sys.stderr)
         return 2
     except TrainingDivergedError as error:
         print(f"ppo: {error}", file=sys.stderr)

@@ -28,6 +28,9 @@ def write_atomically(path: Path, write: Any) -> None:
     """Calls `write(temporary_path)` and renames the result to `path`.
 
     The temporary file keeps the suffix of `path` and is removed on any failure.
+
+    Raises:
+        OSError: `path` cannot be written.
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
@@ -35,6 +38,10 @@ def write_atomically(path: Path, write: Any) -> None:
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
         temporary.replace(path)
+    except OSError as error:
+        if error.filename == str(temporary):  # name the file that was asked for
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -69,6 +76,13 @@ def save(path: Path, tree: Any, header: dict[str, Any]) -> None:
     write_atomically(path, lambda temporary: np.savez(temporary, **arrays))
 
 
+def _reason(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    # NumPy's and zipfile's own words are about pickles and magic numbers.
+    return "it is truncated, or another kind of file"
+
+
 def _open(path: Path) -> Any:
     try:
         # Read whole (a few MB), so that no handle stays open on a damaged file.
@@ -77,8 +91,7 @@ def _open(path: Path) -> Any:
         raise CheckpointError(f"no checkpoint at {path}") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise CheckpointError(
-            f"{path} is no readable checkpoint (truncated or another kind of file): "
-            f"{error}"
+            f"{path} is no readable checkpoint: {_reason(error)}"
         ) from None
     if not isinstance(file, np.lib.npyio.NpzFile) or _HEADER not in file:
         raise CheckpointError(f"{path} is not a carpark_mj checkpoint")

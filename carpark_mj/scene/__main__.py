@@ -15,12 +15,14 @@ import jax
 import mujoco
 import numpy as np
 
+from carpark_mj.command_line import USER_ERRORS, one_line
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.scene.export import drivable_scene, scene_xml
 from carpark_mj.vehicle import preset
 
+PROGRAM = "python -m carpark_mj.scene"
 NO_DISPLAY = (
     "no display to open a window on (DISPLAY and WAYLAND_DISPLAY are unset): use a "
     "desktop session or `ssh -X`, or write a file with --out and open it elsewhere "
@@ -117,7 +119,7 @@ if __name__ == "__main__":
         print("scene: flags need tyro: pip install 'carpark_mj[eval]'", file=sys.stderr)
         sys.exit(2)
     try:
-        main(tyro.cli(SceneConfig, description=__doc__))
-    except (ValueError, OSError) as error:
-        print(f"scene: {error}", file=sys.stderr)
+        main(tyro.cli(SceneConfig, prog=PROGRAM, description=__doc__))
+    except USER_ERRORS as error:
+        print(f"scene: {one_line(error)}", file=sys.stderr)
         sys.exit(2)
