@@ -256,11 +256,12 @@ def train(config: PPOConfig, learner: Learner, folder: Path) -> bool:
             progress.update(task, completed=done, **shown)
             if not progress.console.is_terminal and now - printed_at > LINE_SECONDS:
                 printed_at = now
-                left = (config.num_updates - done) * config.steps_per_update
+                steps_left = (config.num_updates - done) * config.steps_per_update
+                left = f"{steps_left / rate / 60:.1f} min left" if rate else ""
                 print(
                     f"{shown['steps']}  {rate:,.0f} steps/s  "
                     f"parked {shown['parked']:.1%}  crashed {shown['crashed']:.1%}  "
-                    f"{left / rate / 60 if rate else float('nan'):.1f} min left",
+                    f"{left}",
                     flush=True,
                 )
             out_of_time = 0 < config.time_limit * 60 <= now - started

@@ -127,12 +127,16 @@ class LotModel:
             data.ctrl[self._ctrl] = ctrl[lot]
             data.qacc_warmstart[:] = 0.0  # the result depends on the state alone
             mujoco.mj_step(self.model, data)
-            cars = qpos[lot].size
-            qpos[lot].flat = data.qpos[self.qpos_address[:cars]]
-            parked_qpos[lot].flat = data.qpos[self.qpos_address[cars:]]
+            cars = qpos[lot].size  # the agents' share, before the parked cars'
+            qpos[lot] = data.qpos[self.qpos_address[:cars]].reshape(qpos[lot].shape)
+            parked_qpos[lot] = data.qpos[self.qpos_address[cars:]].reshape(
+                parked_qpos[lot].shape
+            )
             cars = qvel[lot].size
-            qvel[lot].flat = data.qvel[self.qvel_address[:cars]]
-            parked_qvel[lot].flat = data.qvel[self.qvel_address[cars:]]
+            qvel[lot] = data.qvel[self.qvel_address[:cars]].reshape(qvel[lot].shape)
+            parked_qvel[lot] = data.qvel[self.qvel_address[cars:]].reshape(
+                parked_qvel[lot].shape
+            )
             self.find_touches(data, touched[lot])
 
     def find_touches(self, data: mujoco.MjData, touched: np.ndarray) -> None:

@@ -4,6 +4,8 @@ Looks only; mass properties are the vehicle's. Meshes are written into the model
 an exported scene needs no files.
 """
 
+from typing import cast
+
 import mujoco
 import numpy as np
 import trimesh
@@ -61,13 +63,20 @@ def body_hulls(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
     }
 
 
-def _boxes(centres: list[tuple[float, ...]], size: tuple[float, ...]):
+def merge(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of several."""
+    return cast(trimesh.Trimesh, trimesh.util.concatenate(parts))
+
+
+def _boxes(
+    centres: list[tuple[float, ...]], size: tuple[float, ...]
+) -> trimesh.Trimesh:
     parts = []
     for centre in centres:
         part = trimesh.creation.box(size)
         part.apply_translation(centre)
         parts.append(part)
-    return trimesh.util.concatenate(parts)
+    return merge(parts)
 
 
 def details(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
@@ -90,7 +99,7 @@ def details(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
         "tail_lights": _boxes(
             [(0.04 - params.rear_overhang, side * y, z) for side in (1, -1)], size
         ),
-        "wheels": trimesh.util.concatenate(wheels),
+        "wheels": merge(wheels),
     }
 
 

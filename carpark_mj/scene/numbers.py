@@ -8,6 +8,7 @@ import trimesh
 
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import materials
+from carpark_mj.scene.car_look import merge
 
 HEIGHT, WIDTH = 0.42, 0.24  # m, of a digit
 STROKE = 0.06  # m
@@ -51,7 +52,7 @@ def digit_mesh(digit: int) -> trimesh.Trimesh:
             (x * (WIDTH - STROKE) / 2, y * (HEIGHT - STROKE) / 2, 0.0)
         )
         strokes.append(stroke)
-    return trimesh.util.concatenate(strokes)
+    return merge(strokes)
 
 
 def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:

@@ -66,6 +66,7 @@ def steering_polynomials(params: VehicleParameters) -> np.ndarray:
     for sign in (-1.0, 1.0):
         wheel = np.arctan(tan / (1.0 + sign * skew))
         weights = np.ones_like(angle)
+        fit = np.zeros(4)
         for _ in range(30):  # Lawson's algorithm: towards the minimax fit
             root = np.sqrt(weights)[:, None]
             fit, *_ = np.linalg.lstsq(powers * root, wheel * root[:, 0], rcond=None)
