@@ -23,7 +23,7 @@ from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.precision import full_float32
 from carpark_mj.spawn import spawn_pose
 from carpark_mj.types import Events, VehicleState
-from carpark_mj.vehicle import make_vehicle, preset
+from carpark_mj.vehicle import VehicleParameters, make_vehicle, preset
 
 
 @struct.dataclass
@@ -94,13 +94,17 @@ class ParkingEnv:
     """
 
     def __init__(
-        self, config: EnvConfig | None = None, physics: Physics | None = None
+        self,
+        config: EnvConfig | None = None,
+        physics: Physics | None = None,
+        vehicle: VehicleParameters | None = None,
     ) -> None:
         """Builds the constants.
 
         Args:
             config: the environment; defaults to `EnvConfig()`.
             physics: back end; defaults to MJX with brush tyres.
+            vehicle: a car of one's own instead of the preset `config.vehicle`.
 
         Raises:
             ValueError: the lot cannot hold the cars asked for.
@@ -109,7 +113,8 @@ class ParkingEnv:
         self.physics: Any = (
             physics if physics is not None else MjxPhysics(self.config.sim)
         )
-        self._vehicle = make_vehicle(preset(self.config.vehicle))
+        self.vehicle = vehicle if vehicle is not None else preset(self.config.vehicle)
+        self._vehicle = make_vehicle(self.vehicle)
         self._layout = make_layout(self.config.layout)
         bays = int(self._layout.bay_mask.sum())
         free = bays - self.config.num_agents

@@ -32,7 +32,6 @@ from carpark_mj.rendering.video import (
     write_mp4,
 )
 from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
-from carpark_mj.vehicle import preset
 from evaluate import BASELINES, adapt
 
 
@@ -121,7 +120,7 @@ def main(config: RenderConfig) -> Path:
     recording = record(env, policy, num_steps, config.seed)
     renderer = LotRenderer(
         recording.layout,
-        preset(env_config.vehicle),
+        env.vehicle,
         env_config.num_agents,
         env_config.num_parked_cars,
         config.camera,

@@ -1,6 +1,6 @@
 """The batched back end: MuJoCo MJX, one 12-dof car per world, brush tyres.
 
-Per car only (qpos, qvel, bristles, steering angle) is carried; the vehicle's
+Per car only (qpos, qvel, bristles, actuators) is carried; the vehicle's
 parameters lie in the state too, so a batch may mix cars without recompiling. Without
 joint limits and contacts the model has no constraint row, and MJX skips its solver.
 """
@@ -29,7 +29,8 @@ from carpark_mj.precision import full_float32
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, car_model
-from carpark_mj.vehicle.parameters import COMPACT, GRAVITY
+from carpark_mj.vehicle.parameters import GRAVITY
+from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.vehicle import Vehicle
 
 with contextlib.redirect_stdout(io.StringIO()):
@@ -45,7 +46,7 @@ class CarState:
         qpos: (..., 13) MuJoCo positions of the 12-dof car.
         qvel: (..., 12) MuJoCo velocities.
         tyres: bristle deflections.
-        steering: (...) rate-limited bicycle angle [rad].
+        actuators: what steering and drive have reached.
         vehicle: parameters.
         trace_w: (..., k, 3) footprint poses within the last control step.
         finite: (...) bool, see `VehicleState.finite`.
@@ -54,7 +55,7 @@ class CarState:
     qpos: jax.Array
     qvel: jax.Array
     tyres: TyreState
-    steering: jax.Array
+    actuators: drive.Actuators
     vehicle: Vehicle
     trace_w: jax.Array
     finite: jax.Array
@@ -93,10 +94,10 @@ def substep_forces(
     qpos: jax.Array,
     qvel: jax.Array,
     tyres: TyreState,
-    steering: jax.Array,
+    actuators: drive.Actuators,
     controls: jax.Array,
     dt: float,
-) -> tuple[jax.Array, jax.Array, TyreState, jax.Array]:
+) -> tuple[jax.Array, jax.Array, TyreState, drive.Actuators]:
     """What one car's driver, servos and tyres apply over one substep.
 
     The same code serves MJX and, as the tests' oracle, plain `mujoco.mj_step`.
@@ -107,20 +108,20 @@ def substep_forces(
         qpos: (nq,) positions.
         qvel: (nv,) velocities.
         tyres: bristles.
-        steering: () bicycle angle [rad].
+        actuators: what steering and drive have reached.
         controls: (2,) steer and pedal in [-1, 1].
         dt: substep [s].
 
     Returns:
         `qfrc_applied` (nv,), servo targets `ctrl` (2,) [rad], the new bristles and the
-        new bicycle angle.
+        new actuators.
     """
-    steering = drive.steer_towards(vehicle, steering, controls[0], dt)
-    ctrl = drive.ackermann(vehicle, steering)
     rotation = _rotation_matrix(qpos[index.root_qpos + 3 : index.root_qpos + 7])
     linear_b = rotation.T @ qvel[index.root_dof : index.root_dof + 3]
     angular_b = qvel[index.root_dof + 3 : index.root_dof + 6]
-    torque_drive, torque_brake = drive.wheel_torques(vehicle, controls[1], linear_b[0])
+    actuators, ctrl, torque_drive, torque_brake = drive.actuate(
+        vehicle, actuators, controls, linear_b[0], dt
+    )
     motion = _wheel_motion(index, vehicle, qpos, qvel, rotation, linear_b, angular_b)
     forces, tyres = tyre_forces(vehicle, motion, tyres, torque_drive, torque_brake, dt)
     force_b = forces.force_w @ rotation
@@ -133,7 +134,7 @@ def substep_forces(
     qfrc = qfrc.at[index.root_dof + 3 : index.root_dof + 6].set(moment_b)
     qfrc = qfrc.at[index.steer_dof].set(forces.aligning[:2])
     qfrc = qfrc.at[index.spin_dof].set(forces.spin)
-    return qfrc, ctrl, tyres, steering
+    return qfrc, ctrl, tyres, actuators
 
 
 def _contacts(vehicle: Vehicle) -> jax.Array:
@@ -222,7 +223,7 @@ class MjxPhysics:
 
     def read(self, state: CarState) -> VehicleState:
         """Reads the motion out of fresh `qpos` and `qvel`; see `Physics.read`."""
-        return _batched(self._read, state.steering.ndim)(state)
+        return _batched(self._read, state.finite.ndim)(state)
 
     def _init(self, pose_w: jax.Array, vehicle: Vehicle) -> CarState:
         dtype = pose_w.dtype
@@ -238,7 +239,7 @@ class MjxPhysics:
             qpos=qpos,
             qvel=jnp.zeros(12, dtype),
             tyres=init_tyres(dtype),
-            steering=zero,
+            actuators=drive.init_actuators(dtype),
             vehicle=vehicle,
             trace_w=jnp.tile(pose, (self.sim.num_traces, 1)),
             finite=jnp.ones((), bool),
@@ -256,27 +257,27 @@ class MjxPhysics:
         )
 
         def substep(carry, _):
-            qpos, qvel, tyres, steering = carry
+            qpos, qvel, tyres, actuators = carry
             with jax.named_scope("tyres"):
-                qfrc, ctrl, tyres, steering = substep_forces(
-                    self.index, vehicle, qpos, qvel, tyres, steering, controls, dt
+                qfrc, ctrl, tyres, actuators = substep_forces(
+                    self.index, vehicle, qpos, qvel, tyres, actuators, controls, dt
                 )
             data = self._data.replace(
                 qpos=qpos, qvel=qvel, qfrc_applied=qfrc, ctrl=ctrl
             )
             data = mjx.step(model, data)
-            return (data.qpos, data.qvel, tyres, steering), None
+            return (data.qpos, data.qvel, tyres, actuators), None
 
         def stretch(carry, _):
             stride = self.sim.num_substeps // self.sim.num_traces
             carry, _ = jax.lax.scan(substep, carry, None, length=stride)
             return carry, self._centre_pose(carry[0], vehicle)
 
-        carry = (state.qpos, state.qvel, state.tyres, state.steering)
-        (qpos, qvel, tyres, steering), trace = jax.lax.scan(
+        carry = (state.qpos, state.qvel, state.tyres, state.actuators)
+        (qpos, qvel, tyres, actuators), trace = jax.lax.scan(
             stretch, carry, None, length=self.sim.num_traces
         )
-        leaves = jax.tree.leaves((qpos, qvel, tyres, steering, trace))
+        leaves = jax.tree.leaves((qpos, qvel, tyres, actuators, trace))
         finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]).all()
         stay = jnp.tile(
             self._centre_pose(state.qpos, vehicle), (self.sim.num_traces, 1)
@@ -292,7 +293,7 @@ class MjxPhysics:
             qpos=qpos,
             qvel=qvel,
             tyres=tyres,
-            steering=steering,
+            actuators=actuators,
             trace_w=trace,
             finite=jnp.ones((), bool),
         )
@@ -305,7 +306,7 @@ class MjxPhysics:
             pose_w=state.trace_w[-1],
             velocity_b=velocity_b[:2],
             yaw_rate=state.qvel[5],
-            steering=state.steering,
+            steering=state.actuators.steering,
             size=state.vehicle.size,
             trace_w=state.trace_w,
             finite=state.finite,
