@@ -6,6 +6,7 @@ The object holds constants only; everything that changes is in `State`.
 """
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import jax
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj import metrics, rewards
+from carpark_mj.actions import neutralise
 from carpark_mj.config import EnvConfig
 from carpark_mj.episode import judge
 from carpark_mj.goals import Occupancy, evolve, init_occupancy, new_goal
@@ -21,9 +23,11 @@ from carpark_mj.observations import observation_size, observe
 from carpark_mj.physics.base import Physics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.precision import full_float32
+from carpark_mj.randomisation import check, randomise
+from carpark_mj.sensors import Sensors, init_sensors, observed, update_sensors
 from carpark_mj.spawn import spawn_pose
 from carpark_mj.types import Events, VehicleState
-from carpark_mj.vehicle import VehicleParameters, make_vehicle, preset
+from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle, preset
 
 
 @struct.dataclass
@@ -39,6 +43,7 @@ class State:
         step: (num_agents,) int32 control steps made in the running episodes.
         active: (num_agents,) bool; False once finished when nobody respawns.
         stats: per-episode sums.
+        sensors: the agents' sensors; None while what they observe is the truth.
         key: randomness of this lot.
     """
 
@@ -50,6 +55,7 @@ class State:
     step: jax.Array
     active: jax.Array
     stats: metrics.EpisodeStats
+    sensors: Sensors | None
     key: jax.Array
 
 
@@ -107,13 +113,15 @@ class ParkingEnv:
             vehicle: a car of one's own instead of the preset `config.vehicle`.
 
         Raises:
-            ValueError: the lot cannot hold the cars asked for.
+            ValueError: the lot cannot hold the cars asked for, or the randomisation
+                could draw an impossible car.
         """
         self.config = config if config is not None else EnvConfig()
         self.physics: Any = (
             physics if physics is not None else MjxPhysics(self.config.sim)
         )
         self.vehicle = vehicle if vehicle is not None else preset(self.config.vehicle)
+        check(self.config.randomisation, self.vehicle)
         self._vehicle = make_vehicle(self.vehicle)
         self._layout = make_layout(self.config.layout)
         bays = int(self._layout.bay_mask.sum())
@@ -162,6 +170,7 @@ class ParkingEnv:
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have bays enough for cars and goals."""
         config = self.config
+        key, fleet_key, sensor_key = self._split_if_random(key)
         key, occupancy_key, spawn_key = jax.random.split(key, 3)
         occupancy = init_occupancy(
             layout, config.num_agents, config.num_parked_cars, occupancy_key
@@ -184,14 +193,11 @@ class ParkingEnv:
         nobody = jnp.zeros(config.num_agents, bool)
         agents = jnp.arange(config.num_agents)
         (pose, _), _ = jax.lax.scan(place, (nowhere, nobody), agents)
-        fleet = jax.tree.map(
-            lambda x: jnp.broadcast_to(x, (config.num_agents, *x.shape)),
-            self._vehicle,
-        )
-        physics = self.physics.init(pose, fleet)
+        physics = self.physics.init(pose, self._draw_fleet(fleet_key))
+        vehicle = self.physics.read(physics)
         state = State(
             physics=physics,
-            vehicle=self.physics.read(physics),
+            vehicle=vehicle,
             layout=layout,
             occupancy=occupancy,
             parked_size=jnp.broadcast_to(
@@ -200,6 +206,7 @@ class ParkingEnv:
             step=jnp.zeros(config.num_agents, jnp.int32),
             active=jnp.ones(config.num_agents, bool),
             stats=metrics.init_stats(config.num_agents),
+            sensors=self._init_sensors(vehicle, sensor_key),
             key=key,
         )
         return state, self._observe(state)
@@ -211,13 +218,17 @@ class ParkingEnv:
         Args:
             state: current state.
             action: (num_agents, 2) steer and pedal in [-1, 1]; ignored for agents
-                that have finished.
+                that have finished. What is NaN or outside is neutralised and counted
+                in the metric `invalid_actions`.
 
         Returns:
             The next state and what the agents learn.
         """
         config = self.config
+        key, fleet_key, sensor_key = self._split_if_random(state.key)
+        state = dataclasses.replace(state, key=key)
         action = jnp.where(state.active[:, None], action, 0.0).astype(jnp.float32)
+        action, invalid = neutralise(action)
         physics = self.physics.step(state.physics, action)
         vehicle = self.physics.read(physics)
         if not config.episode.respawn:
@@ -252,7 +263,7 @@ class ParkingEnv:
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
         stats = jax.tree.map(
             lambda new, old: jnp.where(state.active, new, old),
-            metrics.update_stats(state.stats, state.vehicle, vehicle, reward),
+            metrics.update_stats(state.stats, state.vehicle, vehicle, reward, invalid),
             state.stats,
         )
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
@@ -261,9 +272,10 @@ class ParkingEnv:
         )
         if config.episode.respawn:
             with jax.named_scope("respawn"):
-                state = self._respawn(state, events)
+                state = self._respawn(state, events, fleet_key)
         else:
             state = dataclasses.replace(state, active=state.active & ~events.done)
+        state = self._sense(state, events, sensor_key)
         with jax.named_scope("observations"):
             observation = self._observe(state)
         return state, TimeStep(
@@ -281,18 +293,52 @@ class ParkingEnv:
         self, state: State, physics: Any, vehicle: VehicleState
     ) -> tuple[Any, VehicleState]:
         """Keeps finished agents exactly where they stopped."""
-
-        def keep(new: jax.Array, old: jax.Array) -> jax.Array:
-            active = state.active.reshape(-1, *([1] * (new.ndim - 1)))
-            return jnp.where(active, new, old)
-
+        keep = partial(_select, state.active)
         physics = jax.tree.map(keep, physics, state.physics)
         vehicle = jax.tree.map(keep, vehicle, state.vehicle)
         still = jnp.broadcast_to(vehicle.pose_w[:, None], vehicle.trace_w.shape)
         trace_w = keep(vehicle.trace_w, still)
         return physics, dataclasses.replace(vehicle, trace_w=trace_w)
 
-    def _respawn(self, state: State, events: Events) -> State:
+    def _split_if_random(self, key: jax.Array) -> tuple[jax.Array, ...]:
+        """The lot's next key, and one each for the cars and their sensors.
+
+        Without randomisation the key stays as it is: lots are drawn as if there were
+        no such thing.
+        """
+        if self.config.randomisation.is_on or self.config.sensors.is_on:
+            return tuple(jax.random.split(key, 3))
+        return key, key, key
+
+    def _draw_fleet(self, key: jax.Array) -> Vehicle:
+        """Cars (num_agents,) as they spawn."""
+        n = self.config.num_agents
+        if not self.config.randomisation.is_on:
+            return jax.tree.map(
+                lambda x: jnp.broadcast_to(x, (n, *x.shape)), self._vehicle
+            )
+        draw = partial(randomise, self.config.randomisation, self._vehicle)
+        return jax.vmap(draw)(jax.random.split(key, n))
+
+    def _init_sensors(self, vehicle: VehicleState, key: jax.Array) -> Sensors | None:
+        if not self.config.sensors.is_on:
+            return None
+        return init_sensors(self.config.sensors, vehicle, key)
+
+    def _sense(self, state: State, events: Events, key: jax.Array) -> State:
+        """Measures the motion; agents that have respawned know nothing older."""
+        if state.sensors is None:
+            return state
+        update_key, fresh_key = jax.random.split(key)
+        sensors = update_sensors(
+            self.config.sensors, state.sensors, state.vehicle, update_key
+        )
+        if self.config.episode.respawn:
+            fresh = init_sensors(self.config.sensors, state.vehicle, fresh_key)
+            sensors = jax.tree.map(partial(_select, events.done), fresh, sensors)
+        return dataclasses.replace(state, sensors=sensors)
+
+    def _respawn(self, state: State, events: Events, fleet_key: jax.Array) -> State:
         """Starts new episodes, one agent after the other so that goals stay apart."""
         config = self.config
         key, respawn_key = jax.random.split(state.key)
@@ -333,11 +379,11 @@ class ParkingEnv:
             (state.occupancy, state.vehicle.pose_w),
             jnp.arange(config.num_agents),
         )
-        fresh = self.physics.init(pose, state.physics.vehicle)
-
-        def select(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where(done.reshape(-1, *([1] * (new.ndim - 1))), new, old)
-
+        fleet = state.physics.vehicle
+        if config.randomisation.is_on:
+            fleet = self._draw_fleet(fleet_key)
+        fresh = self.physics.init(pose, fleet)
+        select = partial(_select, done)
         return dataclasses.replace(
             state,
             physics=jax.tree.map(select, fresh, state.physics),
@@ -351,14 +397,21 @@ class ParkingEnv:
         )
 
     def _observe(self, state: State) -> jax.Array:
-        fleet = state.physics.vehicle
+        fleet, vehicle = state.physics.vehicle, state.vehicle
+        if state.sensors is not None:
+            vehicle = observed(state.sensors, vehicle)
         return observe(
             self.config.observation,
             state.layout,
-            state.vehicle,
+            vehicle,
             state.occupancy.goal,
             state.occupancy.parked_bay,
             state.parked_size,
             fleet.max_speed,
             fleet.max_steering,
         )
+
+
+def _select(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+    """Rows (n, ...) of `new` where the mask (n,) holds, else of `old`."""
+    return jnp.where(mask.reshape(-1, *([1] * (new.ndim - 1))), new, old)

@@ -159,8 +159,8 @@ class SlideState:
 class SlidePhysics:
     """A stand-in back end for hand-worked steps: turn on the spot, then slide ahead.
 
-    `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a NaN control
-    stands for a car that diverges.
+    `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a car whose
+    speed is NaN diverges.
     """
 
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SlideState:
@@ -175,7 +175,7 @@ class SlidePhysics:
         )
 
     def step(self, state: SlideState, controls: jax.Array) -> SlideState:
-        finite = jnp.isfinite(controls).all(-1)
+        finite = jnp.isfinite(state.speed)
         controls = jnp.where(finite[..., None], controls, 0.0)
         yaw = state.pose_w[..., 2] + 0.2 * controls[..., 0]
         ahead = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)

@@ -31,6 +31,7 @@ from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, car_model
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.presets import COMPACT
+from carpark_mj.vehicle.surfaces import on_surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
 with contextlib.redirect_stdout(io.StringIO()):
@@ -246,7 +247,8 @@ class MjxPhysics:
         )
 
     def _step(self, state: CarState, controls: jax.Array) -> CarState:
-        vehicle, dt = state.vehicle, self.sim.sim_dt
+        vehicle = on_surface(state.vehicle, self.sim.surface)
+        dt = self.sim.sim_dt
         model = self._model.tree_replace(
             {
                 "body_mass": vehicle.body_mass,
