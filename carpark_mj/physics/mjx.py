@@ -121,7 +121,7 @@ def substep_forces(
     linear_b = rotation.T @ qvel[index.root_dof : index.root_dof + 3]
     angular_b = qvel[index.root_dof + 3 : index.root_dof + 6]
     actuators, ctrl, torque_drive, torque_brake = drive.actuate(
-        vehicle, actuators, controls, linear_b[0], dt
+        vehicle, actuators, controls, linear_b[0], qvel[index.spin_dof], dt
     )
     motion = _wheel_motion(index, vehicle, qpos, qvel, rotation, linear_b, angular_b)
     forces, tyres = tyre_forces(vehicle, motion, tyres, torque_drive, torque_brake, dt)

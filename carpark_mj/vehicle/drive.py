@@ -17,6 +17,7 @@ from carpark_mj.vehicle.vehicle import Vehicle
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
 HOLD_PEDAL = 0.05  # pedals smaller than this mean "no pedal"
 HOLD_SPEED = 0.3  # m/s, below it "no pedal" holds the car on the brake
+SPINNING = 0.5  # m/s of the driven wheels above the car's speed: they spin
 
 
 @struct.dataclass
@@ -71,16 +72,18 @@ def ackermann(vehicle: Vehicle, steering: jax.Array) -> jax.Array:
 
 
 def demanded_torques(
-    vehicle: Vehicle, pedal: jax.Array, speed: jax.Array
+    vehicle: Vehicle, pedal: jax.Array, speed: jax.Array, wheel_speed: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Drive and brake torques that the pedal asks for.
 
-    The drive gives at most `max_drive_torque` and `max_power`.
+    The drive gives at most `max_drive_torque` and `max_power`. The speed limiter goes
+    by the driven wheels once they spin, or on ice they would run away.
 
     Args:
         vehicle: one car.
         pedal: () in [-1, 1].
         speed: () forward speed of the rear axle [m/s].
+        wheel_speed: () mean circumferential speed of the driven wheels [m/s].
 
     Returns:
         Drive torque () [N m] of all driven wheels, positive forwards, and brake torque
@@ -89,6 +92,8 @@ def demanded_torques(
     pedal = jnp.clip(pedal, -1.0, 1.0)
     braking = (pedal * speed < 0.0) & (jnp.abs(speed) >= SWITCH_SPEED)
     holding = (jnp.abs(pedal) < HOLD_PEDAL) & (jnp.abs(speed) < HOLD_SPEED)
+    spinning = jnp.abs(wheel_speed) > jnp.abs(speed) + SPINNING
+    speed = jnp.where(spinning, wheel_speed, speed)
     # The speed limiter caps the acceleration so that the car closes on its limit
     # exponentially; beyond the limit it slows the car down (engine braking).
     headroom = (vehicle.max_speed - speed) / vehicle.speed_limit_time
@@ -111,6 +116,7 @@ def actuate(
     actuators: Actuators,
     controls: jax.Array,
     speed: jax.Array,
+    spin: jax.Array,
     dt: float,
 ) -> tuple[Actuators, jax.Array, jax.Array, jax.Array]:
     """One substep from controls to wheels.
@@ -120,6 +126,7 @@ def actuate(
         actuators: at the start of the substep.
         controls: (2,) steer and pedal in [-1, 1].
         speed: () forward speed of the rear axle [m/s].
+        spin: (4,) of the wheels [rad/s], forwards positive.
         dt: substep [s].
 
     Returns:
@@ -128,7 +135,8 @@ def actuate(
     """
     steering = steer_towards(vehicle, actuators.steering, controls[0], dt)
     angles = ackermann(vehicle, steering + vehicle.steering_offset)
-    drive, brake = demanded_torques(vehicle, controls[1], speed)
+    wheel_speed = vehicle.wheel_radius * jnp.sum(spin * vehicle.drive_share)
+    drive, brake = demanded_torques(vehicle, controls[1], speed, wheel_speed)
     drive = approach(actuators.drive, drive, vehicle.drive_lag, dt)
     reached = Actuators(steering=steering, drive=drive)
     return reached, angles, drive * vehicle.drive_share, brake * vehicle.brake_share
