@@ -19,6 +19,7 @@ from flax import struct
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
+from carpark_mj.physics.ground import Ground, ground_frames, upright
 from carpark_mj.physics.tyres import (
     TyreState,
     WheelMotion,
@@ -98,6 +99,7 @@ def substep_forces(
     actuators: drive.Actuators,
     controls: jax.Array,
     dt: float,
+    ground: Ground | None = None,
 ) -> tuple[jax.Array, jax.Array, TyreState, drive.Actuators]:
     """What one car's driver, servos and tyres apply over one substep.
 
@@ -112,6 +114,7 @@ def substep_forces(
         actuators: what steering and drive have reached.
         controls: (2,) steer and pedal in [-1, 1].
         dt: substep [s].
+        ground: the ground; None is the plane z = 0.
 
     Returns:
         `qfrc_applied` (nv,), servo targets `ctrl` (2,) [rad], the new bristles and the
@@ -123,15 +126,16 @@ def substep_forces(
     actuators, ctrl, torque_drive, torque_brake = drive.actuate(
         vehicle, actuators, controls, linear_b[0], qvel[index.spin_dof], dt
     )
-    motion = _wheel_motion(index, vehicle, qpos, qvel, rotation, linear_b, angular_b)
+    motion, frame = _wheel_motion(
+        index, vehicle, qpos, qvel, rotation, linear_b, angular_b, ground
+    )
     forces, tyres = tyre_forces(vehicle, motion, tyres, torque_drive, torque_brake, dt)
-    force_b = forces.force_w @ rotation
+    force_w = _rotate(frame, forces.force_w)
+    force_b = force_w @ rotation
     moment_b = jnp.sum(jnp.cross(_contacts(vehicle), force_b), axis=0)
     moment_b = moment_b + jnp.array([0.0, 0.0, 1.0]) * jnp.sum(forces.aligning)
     qfrc = jnp.zeros_like(qvel)
-    qfrc = qfrc.at[index.root_dof : index.root_dof + 3].set(
-        jnp.sum(forces.force_w, axis=0)
-    )
+    qfrc = qfrc.at[index.root_dof : index.root_dof + 3].set(jnp.sum(force_w, axis=0))
     qfrc = qfrc.at[index.root_dof + 3 : index.root_dof + 6].set(moment_b)
     qfrc = qfrc.at[index.steer_dof].set(forces.aligning[:2])
     qfrc = qfrc.at[index.spin_dof].set(forces.spin)
@@ -151,22 +155,32 @@ def _wheel_motion(
     rotation: jax.Array,
     linear_b: jax.Array,
     angular_b: jax.Array,
-) -> WheelMotion:
+    ground: Ground | None,
+) -> tuple[WheelMotion, jax.Array | None]:
+    """Kinematics of the wheels in the ground's frames (4, 3, 3), and those frames."""
     # Velocities are those of the contact patch, where the forces act, so that tyre
     # forces do exactly the work their deflections and losses account for.
     contact = _contacts(vehicle)
     velocity_w = (linear_b + jnp.cross(angular_b, contact)) @ rotation.T
     height = qpos[index.root_qpos + 2] + contact @ rotation[2]
+    forward_w, frame = rotation[:, 0], None
+    if ground is not None:
+        origin = qpos[index.root_qpos : index.root_qpos + 2]
+        ground_height, normal = ground(origin + contact @ rotation[:2].T)
+        frame = ground_frames(normal)
+        height = (height - ground_height) * normal[:, 2]
+        velocity_w = _rotate(frame.swapaxes(1, 2), velocity_w)
+        forward_w = _rotate(frame.swapaxes(1, 2), forward_w)
     steer = jnp.pad(qpos[index.steer_qpos], (0, 2))
     steer_rate = jnp.pad(qvel[index.steer_dof], (0, 2))
-    heading = rotation[:2, 0]
-    heading = heading / jnp.sqrt(jnp.sum(heading**2))
+    heading = forward_w[..., :2]
+    heading = heading / jnp.sqrt(jnp.sum(heading**2, axis=-1, keepdims=True))
     cos, sin = jnp.cos(steer), jnp.sin(steer)
-    along_x = heading[0] * cos - heading[1] * sin
-    along_y = heading[1] * cos + heading[0] * sin
+    along_x = heading[..., 0] * cos - heading[..., 1] * sin
+    along_y = heading[..., 1] * cos + heading[..., 0] * sin
     forward = velocity_w[:, 0] * along_x + velocity_w[:, 1] * along_y
     left = velocity_w[:, 1] * along_x - velocity_w[:, 0] * along_y
-    return WheelMotion(
+    motion = WheelMotion(
         heading_w=jnp.stack([along_x, along_y], axis=-1),
         velocity=jnp.stack([forward, left], axis=-1),
         yaw_rate=angular_b[2] + steer_rate,
@@ -174,6 +188,14 @@ def _wheel_motion(
         sink=-height,
         sink_rate=-velocity_w[:, 2],
     )
+    return motion, frame
+
+
+def _rotate(frame: jax.Array | None, vector: jax.Array) -> jax.Array:
+    """Vectors (4, 3), or one (3,), by rotations (4, 3, 3); None turns nothing."""
+    if frame is None:
+        return vector
+    return jnp.sum(frame * vector[..., None, :], axis=-1)
 
 
 def _rotation_matrix(quat: jax.Array) -> jax.Array:
@@ -197,9 +219,24 @@ def _rotation_matrix(quat: jax.Array) -> jax.Array:
 class MjxPhysics:
     """MJX with brush tyres behind the `Physics` interface."""
 
-    def __init__(self, sim: SimConfig) -> None:
-        """Compiles the car model for the given time steps and slope."""
+    def __init__(self, sim: SimConfig, ground: Ground | None = None) -> None:
+        """Compiles the car model.
+
+        Args:
+            sim: time steps, slope and surface.
+            ground: heights and normals instead of the configured slope, which must be
+                zero then; `ground.plane` is one. None is a plane, and cheaper.
+
+        Raises:
+            ValueError: both a ground and a slope.
+        """
+        if ground is not None and (sim.grade_x or sim.grade_y):
+            raise ValueError(
+                f"give either a ground or grades, not both ({sim.grade_x}, "
+                f"{sim.grade_y})"
+            )
         self.sim = sim
+        self.ground = ground
         model = car_model(COMPACT, sim.sim_dt, gravity_vector(sim))
         if model.nv != 12 or model.njnt != 7:
             raise ValueError(f"the car must have 12 dofs, not {model.nv}")
@@ -234,7 +271,11 @@ class MjxPhysics:
         y = pose_w[1] - vehicle.centre_offset * jnp.sin(yaw)
         zero = jnp.zeros((), dtype)
         quat = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
-        qpos = jnp.concatenate([jnp.stack([x, y, zero]), quat, jnp.zeros(6, dtype)])
+        z = zero
+        if self.ground is not None:
+            height, normal = self.ground(jnp.stack([x, y])[None])
+            z, quat = height[0], upright(normal[0], yaw)
+        qpos = jnp.concatenate([jnp.stack([x, y, z]), quat, jnp.zeros(6, dtype)])
         pose = jnp.stack([pose_w[0], pose_w[1], wrap_angle(yaw)])
         return CarState(
             qpos=qpos,
@@ -262,7 +303,15 @@ class MjxPhysics:
             qpos, qvel, tyres, actuators = carry
             with jax.named_scope("tyres"):
                 qfrc, ctrl, tyres, actuators = substep_forces(
-                    self.index, vehicle, qpos, qvel, tyres, actuators, controls, dt
+                    self.index,
+                    vehicle,
+                    qpos,
+                    qvel,
+                    tyres,
+                    actuators,
+                    controls,
+                    dt,
+                    self.ground,
                 )
             data = self._data.replace(
                 qpos=qpos, qvel=qvel, qfrc_applied=qfrc, ctrl=ctrl
