@@ -13,6 +13,7 @@ import dataclasses
 import sys
 import time
 from functools import partial
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +29,8 @@ from carpark_mj.config import Distribution, RandomisationConfig, SimConfig
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.randomisation import randomise
 from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
+
+ArrayOrNumpy = TypeVar("ArrayOrNumpy", jax.Array, np.ndarray)
 
 HOLD = 10  # control steps of 20 ms for which an action is held, as in the environment
 ROUNDS = 60  # actions of an episode: 12 s
@@ -144,12 +147,12 @@ class Soak:
         return (state, worst), None
 
 
-def preset_of(case: jax.Array) -> jax.Array:
+def preset_of(case: ArrayOrNumpy) -> ArrayOrNumpy:
     """Index of a case's car in `PRESETS`."""
     return case % len(PRESETS)
 
 
-def pattern_of(case: jax.Array) -> jax.Array:
+def pattern_of(case: ArrayOrNumpy) -> ArrayOrNumpy:
     """Index of a case's inputs in `PATTERNS`."""
     return case // len(PRESETS) % len(PATTERNS)
 

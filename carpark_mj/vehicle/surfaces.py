@@ -8,6 +8,8 @@ Sources: dry, peak friction of passenger-car tyres on asphalt (Gillespie; slidin
 
 import dataclasses
 
+import jax
+
 from carpark_mj.config import Surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
@@ -21,7 +23,7 @@ def on_surface(vehicle: Vehicle, surface: Surface) -> Vehicle:
     return with_grip(vehicle, SURFACES[surface] / SURFACES["dry"])
 
 
-def with_grip(vehicle: Vehicle, factor: float) -> Vehicle:
+def with_grip(vehicle: Vehicle, factor: float | jax.Array) -> Vehicle:
     """Cars (...) whose tyre friction, scrub torque included, is scaled."""
     tyres = dataclasses.replace(
         vehicle.tyres,
