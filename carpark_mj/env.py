@@ -23,11 +23,11 @@ from carpark_mj.observations import observation_size, observe
 from carpark_mj.physics.base import Physics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.precision import full_float32
-from carpark_mj.randomisation import check, randomise
+from carpark_mj.randomisation import check, make_fleet
 from carpark_mj.sensors import Sensors, init_sensors, observed, update_sensors
 from carpark_mj.spawn import spawn_pose
 from carpark_mj.types import Events, VehicleState
-from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle, preset
+from carpark_mj.vehicle import VehicleParameters, make_vehicle, preset
 
 
 @struct.dataclass
@@ -193,7 +193,10 @@ class ParkingEnv:
         nobody = jnp.zeros(config.num_agents, bool)
         agents = jnp.arange(config.num_agents)
         (pose, _), _ = jax.lax.scan(place, (nowhere, nobody), agents)
-        physics = self.physics.init(pose, self._draw_fleet(fleet_key))
+        fleet = make_fleet(
+            config.randomisation, self._vehicle, config.num_agents, fleet_key
+        )
+        physics = self.physics.init(pose, fleet)
         vehicle = self.physics.read(physics)
         state = State(
             physics=physics,
@@ -206,7 +209,7 @@ class ParkingEnv:
             step=jnp.zeros(config.num_agents, jnp.int32),
             active=jnp.ones(config.num_agents, bool),
             stats=metrics.init_stats(config.num_agents),
-            sensors=self._init_sensors(vehicle, sensor_key),
+            sensors=init_sensors(config.sensors, vehicle, sensor_key),
             key=key,
         )
         return state, self._observe(state)
@@ -275,7 +278,11 @@ class ParkingEnv:
                 state = self._respawn(state, events, fleet_key)
         else:
             state = dataclasses.replace(state, active=state.active & ~events.done)
-        state = self._sense(state, events, sensor_key)
+        respawned = events.done & config.episode.respawn
+        sensors = update_sensors(
+            config.sensors, state.sensors, state.vehicle, respawned, sensor_key
+        )
+        state = dataclasses.replace(state, sensors=sensors)
         with jax.named_scope("observations"):
             observation = self._observe(state)
         return state, TimeStep(
@@ -309,34 +316,6 @@ class ParkingEnv:
         if self.config.randomisation.is_on or self.config.sensors.is_on:
             return tuple(jax.random.split(key, 3))
         return key, key, key
-
-    def _draw_fleet(self, key: jax.Array) -> Vehicle:
-        """Cars (num_agents,) as they spawn."""
-        n = self.config.num_agents
-        if not self.config.randomisation.is_on:
-            return jax.tree.map(
-                lambda x: jnp.broadcast_to(x, (n, *x.shape)), self._vehicle
-            )
-        draw = partial(randomise, self.config.randomisation, self._vehicle)
-        return jax.vmap(draw)(jax.random.split(key, n))
-
-    def _init_sensors(self, vehicle: VehicleState, key: jax.Array) -> Sensors | None:
-        if not self.config.sensors.is_on:
-            return None
-        return init_sensors(self.config.sensors, vehicle, key)
-
-    def _sense(self, state: State, events: Events, key: jax.Array) -> State:
-        """Measures the motion; agents that have respawned know nothing older."""
-        if state.sensors is None:
-            return state
-        update_key, fresh_key = jax.random.split(key)
-        sensors = update_sensors(
-            self.config.sensors, state.sensors, state.vehicle, update_key
-        )
-        if self.config.episode.respawn:
-            fresh = init_sensors(self.config.sensors, state.vehicle, fresh_key)
-            sensors = jax.tree.map(partial(_select, events.done), fresh, sensors)
-        return dataclasses.replace(state, sensors=sensors)
 
     def _respawn(self, state: State, events: Events, fleet_key: jax.Array) -> State:
         """Starts new episodes, one agent after the other so that goals stay apart."""
@@ -381,7 +360,9 @@ class ParkingEnv:
         )
         fleet = state.physics.vehicle
         if config.randomisation.is_on:
-            fleet = self._draw_fleet(fleet_key)
+            fleet = make_fleet(
+                config.randomisation, self._vehicle, config.num_agents, fleet_key
+            )
         fresh = self.physics.init(pose, fleet)
         select = partial(_select, done)
         return dataclasses.replace(
@@ -397,13 +378,11 @@ class ParkingEnv:
         )
 
     def _observe(self, state: State) -> jax.Array:
-        fleet, vehicle = state.physics.vehicle, state.vehicle
-        if state.sensors is not None:
-            vehicle = observed(state.sensors, vehicle)
+        fleet = state.physics.vehicle
         return observe(
             self.config.observation,
             state.layout,
-            vehicle,
+            observed(state.sensors, state.vehicle),
             state.occupancy.goal,
             state.occupancy.parked_bay,
             state.parked_size,

@@ -67,6 +67,19 @@ def randomise(config: RandomisationConfig, vehicle: Vehicle, key: jax.Array) -> 
     )
 
 
+def make_fleet(
+    config: RandomisationConfig, vehicle: Vehicle, count: int, key: jax.Array
+) -> Vehicle:
+    """Cars (count,) as they spawn; all nominal while nothing varies.
+
+    `key` is consumed.
+    """
+    if not config.is_on:
+        return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), vehicle)
+    keys = jax.random.split(key, count)
+    return jax.vmap(lambda k: randomise(config, vehicle, k))(keys)
+
+
 def check(config: RandomisationConfig, params: VehicleParameters) -> None:
     """Refuses distributions that could draw an impossible car.
 

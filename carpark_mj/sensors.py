@@ -46,38 +46,62 @@ class Sensors:
 
 def init_sensors(
     config: SensorConfig, vehicle: VehicleState, key: jax.Array
-) -> Sensors:
-    """Sensors of cars (num_agents,) that spawn; `key` is consumed."""
+) -> Sensors | None:
+    """Sensors of cars (num_agents,) that spawn; None if they tell the truth.
+
+    `key` is consumed.
+    """
+    if not config.is_on:
+        return None
     reading_key, delay_key = jax.random.split(key)
     reading = _measure(config, vehicle, reading_key)
     history = jax.tree.map(
         lambda x: jnp.repeat(x[:, None], config.delay_max + 1, axis=1), reading
     )
-    delay = jax.random.randint(
-        delay_key,
-        vehicle.yaw_rate.shape,
-        config.delay_min,
-        config.delay_max + 1,
-        jnp.int32,
-    )
+    lowest, highest = config.delay_min, config.delay_max
+    count = vehicle.yaw_rate.shape
+    delay = jax.random.randint(delay_key, count, lowest, highest + 1, jnp.int32)
     return Sensors(history=history, delay=delay)
 
 
 def update_sensors(
-    config: SensorConfig, sensors: Sensors, vehicle: VehicleState, key: jax.Array
-) -> Sensors:
-    """Adds the measurement of a control step; `key` is consumed."""
-    reading = _measure(config, vehicle, key)
+    config: SensorConfig,
+    sensors: Sensors | None,
+    vehicle: VehicleState,
+    respawned: jax.Array,
+    key: jax.Array,
+) -> Sensors | None:
+    """Adds the measurement of a control step.
+
+    Args:
+        config: errors.
+        sensors: before the step.
+        vehicle: (num_agents,) cars after it.
+        respawned: (num_agents,) bool; those start with new sensors and no past.
+        key: consumed.
+    """
+    if sensors is None:
+        return None
+    reading_key, fresh_key = jax.random.split(key)
+    reading = _measure(config, vehicle, reading_key)
     history = jax.tree.map(
         lambda new, old: jnp.concatenate([new[:, None], old[:, :-1]], axis=1),
         reading,
         sensors.history,
     )
-    return dataclasses.replace(sensors, history=history)
+    return jax.tree.map(
+        lambda new, old: jnp.where(
+            respawned.reshape(-1, *([1] * (old.ndim - 1))), new, old
+        ),
+        init_sensors(config, vehicle, fresh_key),
+        Sensors(history=history, delay=sensors.delay),
+    )
 
 
-def observed(sensors: Sensors, vehicle: VehicleState) -> VehicleState:
+def observed(sensors: Sensors | None, vehicle: VehicleState) -> VehicleState:
     """The motion (num_agents,) as the agents know it; the trace stays the true one."""
+    if sensors is None:
+        return vehicle
     agents = jnp.arange(sensors.delay.shape[0])
     late = jax.tree.map(lambda x: x[agents, sensors.delay], sensors.history)
     return dataclasses.replace(

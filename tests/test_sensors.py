@@ -23,7 +23,7 @@ def test_late_sensors_show_what_was_then():
     seen = []
     for x in (1.0, 2.0, 3.0, 4.0):
         vehicle = standing(3, x)
-        sensors = update_sensors(LATE, sensors, vehicle, KEY)
+        sensors = update_sensors(LATE, sensors, vehicle, jnp.zeros(3, bool), KEY)
         seen.append(np.asarray(observed(sensors, vehicle).pose_w[:, 0]).tolist())
     assert seen == [[0.0] * 3, [0.0] * 3, [1.0] * 3, [2.0] * 3]
 
