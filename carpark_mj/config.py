@@ -5,12 +5,14 @@ Impossible settings raise `ValueError` at construction, in one sentence.
 
 import dataclasses
 import math
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 LayoutName = Literal["tanner", "compact"]
+Surface = Literal["dry", "wet", "ice"]
 ParkedRule = Literal["tanner", "strict", "precise"]
 RewardName = Literal["shaped", "tanner"]
 PhysicsName = Literal["mjx", "scene"]
+DistributionKind = Literal["uniform", "normal"]
 
 
 def _choose(name: str, value: str, literal: object) -> None:
@@ -51,6 +53,7 @@ class SimConfig:
         trace_dt: longest time between two collision checks within a step [s].
         grade_x: slope of the ground along world x, rise over run; 0.05 = 5 % uphill.
         grade_y: slope of the ground along world y.
+        surface: how well tyres grip, `carpark_mj.vehicle.surfaces`.
     """
 
     sim_dt: float = 0.01
@@ -58,8 +61,10 @@ class SimConfig:
     trace_dt: float = 0.05
     grade_x: float = 0.0
     grade_y: float = 0.0
+    surface: Surface = "dry"
 
     def __post_init__(self) -> None:
+        _choose("surface", self.surface, Surface)
         _positive(self, "sim_dt", "ctrl_dt", "trace_dt")
         ratio = self.ctrl_dt / self.sim_dt
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
@@ -230,6 +235,118 @@ class ObservationConfig:
 
 
 @dataclasses.dataclass(frozen=True)
+class Distribution:
+    """How a parameter varies between cars about its nominal value; off by default.
+
+    With x = mean + width z, the value is nominal (1 + x), or nominal + x if absolute.
+
+    Attributes:
+        kind: of z: `uniform` in [-1, 1], or standard `normal` cut off at +- 2.
+        width: 0 and a mean of 0 switch the distribution off.
+        mean: shifts all cars alike.
+        relative: x is a share of the nominal value, else in the parameter's unit.
+    """
+
+    kind: DistributionKind = "uniform"
+    width: float = 0.0
+    mean: float = 0.0
+    relative: bool = True
+
+    NORMAL_CUT: ClassVar[float] = 2.0
+
+    def __post_init__(self) -> None:
+        _choose("kind", self.kind, DistributionKind)
+        _at_least(self, 0.0, "width")
+        if not math.isfinite(self.mean):
+            raise ValueError(f"mean must be finite, not {self.mean}")
+
+    @property
+    def is_on(self) -> bool:
+        """Whether anything varies."""
+        return self.width != 0.0 or self.mean != 0.0
+
+    def bounds(self, nominal: float) -> tuple[float, float]:
+        """Smallest and largest value that can be drawn."""
+        reach = self.width * (self.NORMAL_CUT if self.kind == "normal" else 1.0)
+        ends = (self.mean - reach, self.mean + reach)
+        if self.relative:
+            ends = (nominal * (1.0 + ends[0]), nominal * (1.0 + ends[1]))
+        else:
+            ends = (nominal + ends[0], nominal + ends[1])
+        return min(ends), max(ends)
+
+
+_ABSOLUTE = Distribution(relative=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class RandomisationConfig:
+    """What differs between cars, drawn anew at every spawn; all off by default.
+
+    Attributes:
+        mass: of the whole car [kg]; torques stay, so a loaded car is slower.
+        cg_x: centre of gravity ahead of the rear axle [m].
+        cg_height: centre of gravity above the ground [m].
+        friction: factor on the tyres' friction; nominal 1.
+        tyre_stiffness: factor on cornering and slip stiffness; nominal 1.
+        brake_gain: factor on all brake torques; nominal 1.
+        steering_offset: steered but not commanded [rad]; nominal 0, so absolute.
+        steering_lag: [s].
+    """
+
+    mass: Distribution = Distribution()
+    cg_x: Distribution = Distribution()
+    cg_height: Distribution = Distribution()
+    friction: Distribution = Distribution()
+    tyre_stiffness: Distribution = Distribution()
+    brake_gain: Distribution = Distribution()
+    steering_offset: Distribution = _ABSOLUTE
+    steering_lag: Distribution = _ABSOLUTE
+
+    def __post_init__(self) -> None:
+        if self.steering_offset.relative:
+            raise ValueError("steering_offset must be absolute, its nominal value is 0")
+
+    def distributions(self) -> dict[str, Distribution]:
+        """By name, in a fixed order."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+    @property
+    def is_on(self) -> bool:
+        """Whether anything varies."""
+        return any(d.is_on for d in self.distributions().values())
+
+
+@dataclasses.dataclass(frozen=True)
+class SensorConfig:
+    """Errors of what agents observe of the cars' motion; none by default.
+
+    Attributes:
+        position_noise: standard deviation of x and of y [m], white.
+        heading_noise: of the yaw [rad], white.
+        speed_noise: of the velocity, forward and left [m/s], white.
+        delay_min: control steps by which a car's measurements are late, at least.
+        delay_max: at most; drawn at every spawn.
+    """
+
+    position_noise: float = 0.0
+    heading_noise: float = 0.0
+    speed_noise: float = 0.0
+    delay_min: int = 0
+    delay_max: int = 0
+
+    def __post_init__(self) -> None:
+        _at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
+        _at_least(self, 0, "delay_min")
+        _at_least(self, self.delay_min, "delay_max")
+
+    @property
+    def is_on(self) -> bool:
+        """Whether what is observed differs from what is."""
+        return self != SensorConfig()
+
+
+@dataclasses.dataclass(frozen=True)
 class EnvConfig:
     """A parking environment.
 
@@ -246,6 +363,8 @@ class EnvConfig:
         episode: when they end.
         reward: reward weights.
         observation: what an agent sees.
+        randomisation: what differs between cars.
+        sensors: errors of what an agent sees.
     """
 
     layout: LayoutName = "tanner"
@@ -258,6 +377,8 @@ class EnvConfig:
     episode: EpisodeConfig = EpisodeConfig()
     reward: RewardConfig = RewardConfig()
     observation: ObservationConfig = ObservationConfig()
+    randomisation: RandomisationConfig = RandomisationConfig()
+    sensors: SensorConfig = SensorConfig()
 
     def __post_init__(self) -> None:
         _choose("layout", self.layout, LayoutName)

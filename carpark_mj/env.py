@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj import metrics, rewards
+from carpark_mj.actions import neutralise
 from carpark_mj.config import EnvConfig
 from carpark_mj.episode import judge
 from carpark_mj.goals import Occupancy, evolve, init_occupancy, new_goal
@@ -22,9 +23,11 @@ from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.precision import full_float32
+from carpark_mj.randomisation import check, make_fleet
+from carpark_mj.sensors import Sensors, init_sensors, observed, update_sensors
 from carpark_mj.spawn import spawn_pose
 from carpark_mj.types import Events, VehicleState
-from carpark_mj.vehicle import drive, make_vehicle, preset
+from carpark_mj.vehicle import VehicleParameters, drive, make_vehicle, preset
 
 
 @struct.dataclass
@@ -40,6 +43,7 @@ class State:
         step: (num_agents,) int32 control steps made in the running episodes.
         active: (num_agents,) bool; False once finished when nobody respawns.
         stats: per-episode sums.
+        sensors: the agents' sensors; None while what they observe is the truth.
         key: randomness of this lot.
     """
 
@@ -51,6 +55,7 @@ class State:
     step: jax.Array
     active: jax.Array
     stats: metrics.EpisodeStats
+    sensors: Sensors | None
     key: jax.Array
 
 
@@ -95,19 +100,26 @@ class ParkingEnv:
     """
 
     def __init__(
-        self, config: EnvConfig | None = None, physics: Physics | None = None
+        self,
+        config: EnvConfig | None = None,
+        physics: Physics | None = None,
+        vehicle: VehicleParameters | None = None,
     ) -> None:
         """Builds the constants.
 
         Args:
             config: the environment; defaults to `EnvConfig()`.
             physics: back end; defaults to the one that `config.physics` names.
+            vehicle: a car of one's own instead of the preset `config.vehicle`.
 
         Raises:
-            ValueError: the lot cannot hold the cars asked for.
+            ValueError: the lot cannot hold the cars asked for, or the randomisation
+                could draw an impossible car.
         """
         self.config = config if config is not None else EnvConfig()
-        self._vehicle = make_vehicle(preset(self.config.vehicle))
+        self.vehicle = vehicle if vehicle is not None else preset(self.config.vehicle)
+        check(self.config.randomisation, self.vehicle)
+        self._vehicle = make_vehicle(self.vehicle)
         self._layout = make_layout(self.config.layout)
         bays = int(self._layout.bay_mask.sum())
         free = bays - self.config.num_agents
@@ -130,7 +142,7 @@ class ParkingEnv:
         return ScenePhysics(
             self.config.sim,
             self._layout,
-            preset(self.config.vehicle),
+            self.vehicle,
             self.config.num_agents,
             self.config.num_parked_cars,
         )
@@ -167,6 +179,7 @@ class ParkingEnv:
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have bays enough for cars and goals."""
         config = self.config
+        key, fleet_key, sensor_key = self._split_if_random(key)
         key, occupancy_key, spawn_key = jax.random.split(key, 3)
         occupancy = init_occupancy(
             layout, config.num_agents, config.num_parked_cars, occupancy_key
@@ -189,15 +202,15 @@ class ParkingEnv:
         nobody = jnp.zeros(config.num_agents, bool)
         agents = jnp.arange(config.num_agents)
         (pose, _), _ = jax.lax.scan(place, (nowhere, nobody), agents)
-        fleet = jax.tree.map(
-            lambda x: jnp.broadcast_to(x, (config.num_agents, *x.shape)),
-            self._vehicle,
+        fleet = make_fleet(
+            config.randomisation, self._vehicle, config.num_agents, fleet_key
         )
         physics = self.physics.init(pose, fleet)
         physics = self.physics.arrange(physics, layout.bay_pose[occupancy.parked_bay])
+        vehicle = self.physics.read(physics)
         state = State(
             physics=physics,
-            vehicle=self.physics.read(physics),
+            vehicle=vehicle,
             layout=layout,
             occupancy=occupancy,
             parked_size=jnp.broadcast_to(
@@ -206,6 +219,7 @@ class ParkingEnv:
             step=jnp.zeros(config.num_agents, jnp.int32),
             active=jnp.ones(config.num_agents, bool),
             stats=metrics.init_stats(config.num_agents),
+            sensors=init_sensors(config.sensors, vehicle, sensor_key),
             key=key,
         )
         return state, self._observe(state)
@@ -217,14 +231,18 @@ class ParkingEnv:
         Args:
             state: current state.
             action: (num_agents, 2) steer and pedal in [-1, 1]; agents that have
-                finished brake instead.
+                finished brake instead. What is NaN or outside is neutralised and
+                counted in the metric `invalid_actions`.
 
         Returns:
             The next state and what the agents learn.
         """
         config = self.config
+        key, fleet_key, sensor_key = self._split_if_random(state.key)
+        state = dataclasses.replace(state, key=key)
         stop = drive.stopping_action(state.vehicle.speed)
         action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
+        action, invalid = neutralise(action)
         physics = self.physics.step(state.physics, action)
         vehicle = self.physics.read(physics)
         if not (config.episode.respawn or self.physics.contacts):
@@ -259,7 +277,7 @@ class ParkingEnv:
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
         stats = jax.tree.map(
             lambda new, old: jnp.where(state.active, new, old),
-            metrics.update_stats(state.stats, state.vehicle, vehicle, reward),
+            metrics.update_stats(state.stats, state.vehicle, vehicle, reward, invalid),
             state.stats,
         )
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
@@ -268,9 +286,14 @@ class ParkingEnv:
         )
         if config.episode.respawn:
             with jax.named_scope("respawn"):
-                state = self._respawn(state, events)
+                state = self._respawn(state, events, fleet_key)
         else:
             state = dataclasses.replace(state, active=state.active & ~events.done)
+        respawned = events.done & config.episode.respawn
+        sensors = update_sensors(
+            config.sensors, state.sensors, state.vehicle, respawned, sensor_key
+        )
+        state = dataclasses.replace(state, sensors=sensors)
         with jax.named_scope("observations"):
             observation = self._observe(state)
         return state, TimeStep(
@@ -300,7 +323,17 @@ class ParkingEnv:
         trace_w = where_cars(state.active, vehicle.trace_w, still)
         return physics, dataclasses.replace(vehicle, trace_w=trace_w)
 
-    def _respawn(self, state: State, events: Events) -> State:
+    def _split_if_random(self, key: jax.Array) -> tuple[jax.Array, ...]:
+        """The lot's next key, and one each for the cars and their sensors.
+
+        Without randomisation the key stays as it is: lots are drawn as if there were
+        no such thing.
+        """
+        if self.config.randomisation.is_on or self.config.sensors.is_on:
+            return tuple(jax.random.split(key, 3))
+        return key, key, key
+
+    def _respawn(self, state: State, events: Events, fleet_key: jax.Array) -> State:
         """Starts new episodes, one agent after the other so that goals stay apart."""
         config = self.config
         key, respawn_key = jax.random.split(state.key)
@@ -341,11 +374,15 @@ class ParkingEnv:
             (state.occupancy, state.vehicle.pose_w),
             jnp.arange(config.num_agents),
         )
-        physics = self.physics.place(state.physics, done, pose)
+        fleet = state.physics.vehicle
+        if config.randomisation.is_on:
+            fleet = make_fleet(
+                config.randomisation, self._vehicle, config.num_agents, fleet_key
+            )
+        physics = self.physics.place(state.physics, done, pose, fleet)
         physics = self.physics.arrange(
             physics, state.layout.bay_pose[occupancy.parked_bay]
         )
-
         return dataclasses.replace(
             state,
             physics=physics,
@@ -361,10 +398,15 @@ class ParkingEnv:
         return observe(
             self.config.observation,
             state.layout,
-            state.vehicle,
+            observed(state.sensors, state.vehicle),
             state.occupancy.goal,
             state.occupancy.parked_bay,
             state.parked_size,
             fleet.max_speed,
             fleet.max_steering,
         )
+
+
+def _select(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+    """Rows (n, ...) of `new` where the mask (n,) holds, else of `old`."""
+    return jnp.where(mask.reshape(-1, *([1] * (new.ndim - 1))), new, old)

@@ -18,6 +18,7 @@ class EpisodeStats:
         path: driven length [m].
         gear_changes: times the direction of travel changed.
         direction: sign of the last motion, 0 before the first.
+        invalid_actions: steps whose action was NaN or outside [-1, 1].
     """
 
     episode_return: jax.Array
@@ -25,6 +26,7 @@ class EpisodeStats:
     path: jax.Array
     gear_changes: jax.Array
     direction: jax.Array
+    invalid_actions: jax.Array
 
 
 MOVING = 0.05  # m/s, slower cars have no direction of travel
@@ -33,7 +35,7 @@ MOVING = 0.05  # m/s, slower cars have no direction of travel
 def init_stats(num_agents: int) -> EpisodeStats:
     """Statistics at the start of an episode."""
     zero = jnp.zeros(num_agents, jnp.float32)
-    return EpisodeStats(zero, zero, zero, zero, zero)
+    return EpisodeStats(zero, zero, zero, zero, zero, zero)
 
 
 def update_stats(
@@ -41,6 +43,7 @@ def update_stats(
     before: VehicleState,
     after: VehicleState,
     reward: jax.Array,
+    invalid_action: jax.Array,
 ) -> EpisodeStats:
     """Adds a step; states before and after it, the latter before any respawn."""
     points = jnp.concatenate(
@@ -55,6 +58,7 @@ def update_stats(
         path=stats.path + path,
         gear_changes=stats.gear_changes + changed,
         direction=jnp.where(direction != 0, direction, stats.direction),
+        invalid_actions=stats.invalid_actions + invalid_action,
     )
 
 
@@ -79,6 +83,7 @@ def step_metrics(
         "length": stats.length,
         "path": stats.path,
         "gear_changes": stats.gear_changes,
+        "invalid_actions": stats.invalid_actions,
         "final_distance": jnp.linalg.norm(offset, axis=-1),
         "final_heading": heading,
         "final_speed": jnp.abs(after.speed),

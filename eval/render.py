@@ -35,7 +35,6 @@ from carpark_mj.rendering.rollout import record
 from carpark_mj.rendering.snapshot import frames_per_second, num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
-from carpark_mj.vehicle import preset
 from evaluate import BASELINES, adapt
 
 
@@ -143,7 +142,7 @@ def main(config: RenderConfig) -> Path:
     recording = record(env, policy, num_steps, config.seed)
     renderer = LotRenderer(
         recording.layout,
-        preset(env_config.vehicle),
+        env.vehicle,
         env_config.num_agents,
         env_config.num_parked_cars,
         config.camera,

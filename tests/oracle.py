@@ -8,6 +8,7 @@ import numpy as np
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import CarIndex, gravity_vector, substep_forces
 from carpark_mj.physics.tyres import init_tyres
+from carpark_mj.vehicle.drive import init_actuators
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.vehicle import make_vehicle
@@ -37,24 +38,24 @@ class CCar:
         )
         self.data.qpos[3:7] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
         self.tyres = init_tyres(jnp.result_type(float))
-        self.steering = jnp.zeros(())
+        self.actuators = init_actuators(jnp.result_type(float))
         vehicle, index = make_vehicle(params), CarIndex(self.model)
 
         @jax.jit
-        def forces(qpos, qvel, tyres, steering, controls):
+        def forces(qpos, qvel, tyres, actuators, controls):
             return substep_forces(
-                index, vehicle, qpos, qvel, tyres, steering, controls, sim.sim_dt
+                index, vehicle, qpos, qvel, tyres, actuators, controls, sim.sim_dt
             )
 
         self._forces = forces
 
     def step(self, steer: float, pedal: float) -> np.ndarray:
         """Advances by one `sim_dt`; returns the footprint's pose (3,)."""
-        qfrc, ctrl, self.tyres, self.steering = self._forces(
+        qfrc, ctrl, self.tyres, self.actuators = self._forces(
             jnp.array(self.data.qpos),
             jnp.array(self.data.qvel),
             self.tyres,
-            self.steering,
+            self.actuators,
             jnp.array([steer, pedal], dtype=jnp.result_type(float)),
         )
         self.data.qfrc_applied[:] = qfrc

@@ -160,8 +160,8 @@ class SlideState:
 class SlidePhysics:
     """A stand-in back end for hand-worked steps: turn on the spot, then slide ahead.
 
-    `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a NaN control
-    stands for a car that diverges.
+    `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a car whose
+    speed is NaN diverges.
     """
 
     contacts = False
@@ -178,7 +178,7 @@ class SlidePhysics:
         )
 
     def step(self, state: SlideState, controls: jax.Array) -> SlideState:
-        finite = jnp.isfinite(controls).all(-1)
+        finite = jnp.isfinite(state.speed)
         controls = jnp.where(finite[..., None], controls, 0.0)
         yaw = state.pose_w[..., 2] + 0.2 * controls[..., 0]
         ahead = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
@@ -195,8 +195,8 @@ class SlidePhysics:
             finite=finite,
         )
 
-    def place(self, state: SlideState, mask: jax.Array, pose_w: jax.Array):
-        return where_cars(mask, self.init(pose_w, state.vehicle), state)
+    def place(self, state, mask, pose_w, vehicle) -> SlideState:
+        return where_cars(mask, self.init(pose_w, vehicle), state)
 
     def arrange(self, state: SlideState, parked_pose: jax.Array) -> SlideState:
         return state

@@ -64,7 +64,7 @@ IMPOSSIBLE_LOTS = [
         {"num_agents": 37, "num_parked_cars": 0},
         "num_agents must be at most 36.* not 37",
     ),
-    ({"vehicle": "bus"}, r"unknown vehicle 'bus'; choose from \['compact'\]"),
+    ({"vehicle": "bus"}, r"unknown vehicle 'bus'; choose from \['city', 'compact'"),
 ]
 
 

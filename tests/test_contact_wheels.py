@@ -17,6 +17,7 @@ from carpark_mj.vehicle.contact_wheels import (
     steering_polynomials,
 )
 from carpark_mj.vehicle.mjcf import add_car, per_wheel
+from carpark_mj.vehicle.parameters import kerb_to_kerb
 
 
 def wheel_angles(params, angle):
@@ -30,7 +31,11 @@ def wheel_angles(params, angle):
 
 @pytest.mark.parametrize("lock", [25.0, 30.0, 34.2, 36.0])
 def test_polynomials_fit_the_ackermann_condition_within_three_hundredths(lock):
-    params = dataclasses.replace(COMPACT, max_steering=math.radians(lock))
+    circle = kerb_to_kerb(
+        COMPACT.wheelbase, COMPACT.track_width, COMPACT.tyre_width, math.radians(lock)
+    )
+    params = dataclasses.replace(COMPACT, turning_circle=circle)
+    assert math.degrees(params.max_steering) == pytest.approx(lock)
     left, right = steering_polynomials(params)
     for angle in np.linspace(-params.max_steering, params.max_steering, 301):
         fitted = [np.polyval(p[::-1], angle) for p in (left, right)]

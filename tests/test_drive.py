@@ -5,14 +5,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+from carpark_mj.vehicle import (
+    COMPACT,
+    PRESETS,
+    Vehicle,
+    VehicleParameters,
+    make_vehicle,
+)
 from carpark_mj.vehicle.drive import (
     HOLD_PEDAL,
     HOLD_SPEED,
     SWITCH_SPEED,
+    Actuators,
     ackermann,
+    actuate,
+    demanded_torques,
+    init_actuators,
     steer_towards,
-    wheel_torques,
 )
 
 ANGLES = np.radians([-34.2, -20.0, -5.0, 5.0, 20.0, 34.2])
@@ -23,13 +32,13 @@ TORQUE_TOLERANCE = 2e-3  # N m
 
 @pytest.fixture(scope="module")
 def torques(compact: Vehicle):
-    """Summed drive and brake torque [N m] for arrays of pedals and speeds."""
-    function = jax.jit(jax.vmap(lambda p, v: wheel_torques(compact, p, v)))
+    """Drive and brake torque [N m] for arrays of pedals and speeds."""
+    function = jax.jit(jax.vmap(lambda p, v: demanded_torques(compact, p, v, v)))
 
     def summed(pedal, speed) -> tuple[np.ndarray, np.ndarray]:
         pedal, speed = np.broadcast_arrays(np.float32(pedal), np.float32(speed))
         drive, brake = function(pedal.ravel(), speed.ravel())
-        return np.asarray(drive).sum(1), np.asarray(brake).sum(1)
+        return np.asarray(drive), np.asarray(brake)
 
     return summed
 
@@ -183,3 +192,110 @@ def test_torque_shares_sum_to_one_and_are_equal_across_an_axle(front: float):
         assert share[:2].sum() == pytest.approx(expected, abs=1e-6)
         assert share[0] == share[1]
         assert share[2] == share[3]
+
+
+def test_torque_and_power_limit_the_drive_but_not_the_brake():
+    weak = dataclasses.replace(COMPACT, max_drive_torque=500.0, max_power=1000.0)
+    vehicle = make_vehicle(weak)
+    speeds = (0.0, 0.5, 1.0, 2.0)
+    expected = (500.0, 500.0, 316.0, 158.0)  # min(T, P r / v), r = 0.316 m, by hand
+    for speed, torque in zip(speeds, expected, strict=True):
+        drive, brake = demanded_torques(
+            vehicle, jnp.array(1.0), *2 * [jnp.array(speed)]
+        )
+        assert drive == pytest.approx(torque, rel=1e-6)  # float32
+        assert brake == 0.0
+    _, brake = demanded_torques(vehicle, jnp.array(-1.0), *2 * [jnp.array(2.0)])
+    full = COMPACT.max_deceleration * FORCE_TO_TORQUE
+    assert brake == pytest.approx(full, rel=1e-6)
+
+
+def test_torques_do_not_change_with_the_load(compact: Vehicle):
+    loaded = dataclasses.replace(compact, mass=compact.mass * 1.5)
+    for speed in (0.0, 1.0):
+        asked = jnp.array(-1.0), jnp.array(speed), jnp.array(speed)
+        assert demanded_torques(loaded, *asked) == demanded_torques(compact, *asked)
+
+
+def followed(vehicle: Vehicle, controls: tuple[float, float], steps: int) -> Actuators:
+    """The actuators of a standing car over substeps of 10 ms, stacked."""
+
+    def substep(actuators, _):
+        after, *_ = actuate(
+            vehicle, actuators, jnp.array(controls), jnp.zeros(()), jnp.zeros(4), 0.01
+        )
+        return after, after
+
+    return jax.lax.scan(substep, init_actuators(jnp.float32), length=steps)[1]
+
+
+def test_lags_are_first_order_and_exact_at_the_substeps():
+    slow = dataclasses.replace(
+        COMPACT, steering_lag=0.1, drive_lag=0.25, steering_rate=100.0
+    )
+    reached = followed(make_vehicle(slow), (1.0, 1.0), 100)
+    time = 0.01 * np.arange(1, 101)
+    steering = COMPACT.max_steering * (1 - np.exp(-time / 0.1))
+    drive = COMPACT.max_acceleration * FORCE_TO_TORQUE * (1 - np.exp(-time / 0.25))
+    # float32 rounding of 100 products.
+    assert np.asarray(reached.steering) == pytest.approx(steering, rel=1e-5)
+    assert np.asarray(reached.drive) == pytest.approx(drive, rel=1e-5)
+
+
+def test_lagging_steering_never_exceeds_its_rate():
+    slow = make_vehicle(dataclasses.replace(COMPACT, steering_lag=0.1))
+    steering = np.asarray(followed(slow, (1.0, 0.0), 400).steering)
+    rate = np.diff(steering, prepend=0.0) / 0.01
+    assert rate.max() <= COMPACT.steering_rate * (1 + 1e-4)  # float32 differences
+    assert rate[:100] == pytest.approx(COMPACT.steering_rate, rel=1e-4)
+    assert steering[-1] == pytest.approx(COMPACT.max_steering, rel=1e-5)
+
+
+def test_without_lag_the_actuators_are_where_they_are_asked_to_be(compact: Vehicle):
+    start = Actuators(steering=jnp.array(0.1), drive=jnp.array(-300.0))
+    controls, speed = jnp.array([0.5, 0.7]), jnp.array(0.4)
+    rolling = jnp.full(4, 0.4 / COMPACT.wheel_radius)
+    after, *_ = actuate(compact, start, controls, speed, rolling, 0.01)
+    demanded, _ = demanded_torques(compact, controls[1], speed, speed)
+    assert after.drive == demanded
+    assert after.steering == steer_towards(compact, start.steering, controls[0], 0.01)
+
+
+def test_a_steering_offset_turns_the_wheels_but_not_the_command(compact: Vehicle):
+    skewed = dataclasses.replace(compact, steering_offset=jnp.array(0.02))
+    start = init_actuators(jnp.float32)
+    after, angles, *_ = actuate(
+        skewed, start, jnp.zeros(2), jnp.zeros(()), jnp.zeros(4), 0.01
+    )
+    assert after.steering == 0.0
+    assert angles.tolist() == ackermann(compact, jnp.array(0.02)).tolist()
+
+
+@pytest.mark.parametrize("params", PRESETS.values(), ids=PRESETS)
+def test_drive_and_brake_reach_the_wheels_of_each_preset(params: VehicleParameters):
+    vehicle = make_vehicle(params)
+    start = init_actuators(jnp.float32)
+    controls = jnp.array([0.0, 1.0])
+    _, _, drive, brake = actuate(
+        vehicle, start, controls, jnp.zeros(()), jnp.zeros(4), 0.01
+    )
+    full = params.max_acceleration * params.mass * params.wheel_radius
+    assert full < params.max_drive_torque  # no preset is too weak for the pedal
+    assert drive[:2].sum() == pytest.approx(full * params.front_drive, rel=1e-5)
+    assert drive[2:].sum() == pytest.approx(full * (1 - params.front_drive), rel=1e-5)
+    assert brake.tolist() == [0.0] * 4
+
+
+def test_the_speed_limiter_goes_by_driven_wheels_that_spin(compact: Vehicle):
+    def drive(speed: float, wheel_speed: float, pedal: float = 1.0) -> float:
+        asked = jnp.array(pedal), jnp.array(speed), jnp.array(wheel_speed)
+        return float(demanded_torques(compact, *asked)[0])
+
+    full = COMPACT.max_acceleration * FORCE_TO_TORQUE
+    assert drive(0.2, 0.6) == pytest.approx(full)  # slips, but does not spin
+    assert drive(0.2, 1.5) == pytest.approx(full)  # spins below the limit
+    assert drive(0.2, COMPACT.max_speed) == 0.0
+    assert drive(0.2, COMPACT.max_speed + 0.5) < 0.0
+    assert drive(-0.2, -COMPACT.max_reverse_speed, -1.0) == 0.0
+    # Locked wheels of a sliding car do not spin.
+    assert drive(2.9, 0.0) == drive(2.9, 2.9)

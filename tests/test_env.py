@@ -150,7 +150,8 @@ def ending(kind, respawn=True):
     if kind == "timed_out":
         state = state.replace(step=jnp.array([0, MAX_STEPS - 1, 0], jnp.int32))
     if kind == "diverged":
-        action[1, 0] = np.nan
+        physics = state.physics.replace(speed=jnp.array([0.0, jnp.nan, 0.0]))
+        state = state.replace(physics=physics)
     return env, state, *step(state, action)
 
 

@@ -20,25 +20,29 @@ def after_speeds(speeds):
     stats, standing = init_stats(1), cars([(0.0, 0.0, 0.0)])
     for speed in speeds:
         moving = cars([(0.0, 0.0, 0.0)], speed=speed)
-        stats = update_stats(stats, standing, moving, jnp.zeros(1))
+        stats = update_stats(stats, standing, moving, jnp.zeros(1), jnp.zeros(1, bool))
     return stats
 
 
-def test_return_and_length_are_sums_over_steps():
+def test_return_length_and_invalid_actions_are_sums_over_steps():
     stats, standing = init_stats(2), cars([(0.0, 0.0, 0.0)] * 2)
     for reward in ([1.0, -2.0], [0.5, 0.25], [-3.0, 0.0]):
-        stats = update_stats(stats, standing, standing, jnp.array(reward))
+        stats = update_stats(
+            stats, standing, standing, jnp.array(reward), jnp.array([True, False])
+        )
     np.testing.assert_array_equal(stats.episode_return, [-1.5, -1.75])
     np.testing.assert_array_equal(stats.length, [3.0, 3.0])
+    np.testing.assert_array_equal(stats.invalid_actions, [3.0, 0.0])
 
 
 def test_the_path_is_measured_along_the_trace_not_as_the_crow_flies():
     before = cars([(0.0, 0.0, 0.0)])
     trace = [[(3.0, 0.0, 0.0), (3.0, 4.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 0.0)]]
     after = cars([(0.0, 0.0, 0.0)], trace=trace)
-    stats = update_stats(init_stats(1), before, after, jnp.zeros(1))
+    nothing = jnp.zeros(1), jnp.zeros(1, bool)
+    stats = update_stats(init_stats(1), before, after, *nothing)
     np.testing.assert_allclose(stats.path, [3 + 4 + 3 + 4], rtol=1e-6)
-    stats = update_stats(stats, before, after, jnp.zeros(1))
+    stats = update_stats(stats, before, after, *nothing)
     np.testing.assert_allclose(stats.path, [28.0], rtol=1e-6)
 
 

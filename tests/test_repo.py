@@ -15,7 +15,16 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 # What the modules of a package may import from `carpark_mj`, besides their own
 # package: design, section 3.
 BASE = {"geometry", "types", "config", "precision"}
-TASK = {"observations", "goals", "spawn", "episode", "rewards", "metrics"}
+TASK = {
+    "actions",
+    "observations",
+    "goals",
+    "spawn",
+    "episode",
+    "rewards",
+    "metrics",
+    "sensors",
+}
 ALLOWED = {
     "geometry": set(),
     "types": set(),
@@ -25,6 +34,7 @@ ALLOWED = {
     "layouts": BASE,
     "scene": BASE | {"vehicle", "layouts"},
     "physics": BASE | {"vehicle", "layouts", "scene"},
+    "randomisation": {"config", "vehicle"},
 } | {name: BASE | TASK | {"layouts"} for name in TASK}
 ENV = {*ALLOWED, "env"}
 ALLOWED["env"] = ENV - {"env", "scene"}

@@ -44,7 +44,11 @@ class Physics(Protocol[PhysicsState]):
         ...
 
     def place(
-        self, state: PhysicsState, mask: jax.Array, pose_w: jax.Array
+        self,
+        state: PhysicsState,
+        mask: jax.Array,
+        pose_w: jax.Array,
+        vehicle: Vehicle,
     ) -> PhysicsState:
         """Puts some cars elsewhere, at rest, and leaves the others alone.
 
@@ -52,6 +56,7 @@ class Physics(Protocol[PhysicsState]):
             state: current state.
             mask: (...) bool, which cars.
             pose_w: (..., 3) poses of the footprints' centres.
+            vehicle: parameters (...) of the cars put there.
         """
         ...
 

@@ -4,7 +4,9 @@ The numpy side of `carpark_mj.physics.scene`: it knows where each car lies in `q
 and which geoms belong to whom, and nothing of tyres or drivers.
 """
 
+import copy
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
@@ -16,7 +18,8 @@ from carpark_mj.physics.mjx import gravity_vector
 from carpark_mj.scene import build_scene
 from carpark_mj.vehicle.parameters import VehicleParameters
 
-CAR_NQ, CAR_NV = 13, 12
+CAR_NQ, CAR_NV, CAR_BODIES = 13, 12, 7
+_MASSES = ("body_mass", "body_inertia", "body_ipos")
 AGENT, PARKED_CAR, WALL = range(3)  # columns of `VehicleState.touched`
 
 
@@ -58,6 +61,14 @@ class LotModel:
                 for k in range(num_agents)
             ]
         )
+        # A car's bodies follow each other as in the car's own model.
+        self._bodies = np.array(
+            [
+                self.model.body(f"agent{k}/car").id + np.arange(CAR_BODIES)
+                for k in range(num_agents)
+            ]
+        )
+        self._own = threading.local()
         self._workers = ThreadPoolExecutor(os.cpu_count())
 
     def _addresses(self, field: str, car_size: int) -> np.ndarray:
@@ -84,6 +95,9 @@ class LotModel:
         parked_qvel: np.ndarray,
         qfrc: np.ndarray,
         ctrl: np.ndarray,
+        body_mass: np.ndarray,
+        body_inertia: np.ndarray,
+        body_ipos: np.ndarray,
     ) -> tuple[np.ndarray, ...]:
         """Steps a batch of lots by one substep; any leading shape `(...)`.
 
@@ -94,13 +108,21 @@ class LotModel:
             parked_qvel: (..., num_parked_cars, 3).
             qfrc: (..., num_agents, 12) forces applied.
             ctrl: (..., num_agents, 2) steering servo targets [rad].
+            body_mass: (..., num_agents, 8) of the bodies of each car alone, the world
+                being the first; likewise the next two.
+            body_inertia: (..., num_agents, 8, 3).
+            body_ipos: (..., num_agents, 8, 3).
 
         Returns:
             The first four after the substep, and what each agent touched
             (..., num_agents, 3).
         """
         arrays = [
-            np.array(x) for x in (qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl)
+            np.array(x)
+            for x in (
+                *(qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl),
+                *(body_mass, body_inertia, body_ipos),
+            )
         ]
         lead = arrays[0].shape[:-2]
         flat = [x.reshape(-1, *x.shape[len(lead) :]) for x in arrays]
@@ -118,15 +140,20 @@ class LotModel:
         self, lots: np.ndarray, arrays: list[np.ndarray], touched: np.ndarray
     ) -> None:
         """Steps some lots, writing the results into the arrays given."""
-        qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl = arrays
-        data = mujoco.MjData(self.model)
+        qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl, *masses = arrays
+        if not hasattr(self._own, "model"):  # masses differ from lot to lot
+            self._own.model = copy.copy(self.model)
+            self._own.data = mujoco.MjData(self._own.model)
+        model, data = self._own.model, self._own.data
         for lot in lots:
             data.qpos[self.qpos_address] = np.append(qpos[lot], parked_qpos[lot])
             data.qvel[self.qvel_address] = np.append(qvel[lot], parked_qvel[lot])
             data.qfrc_applied[self.qvel_address[: qfrc[lot].size]] = qfrc[lot].ravel()
             data.ctrl[self._ctrl] = ctrl[lot]
             data.qacc_warmstart[:] = 0.0  # the result depends on the state alone
-            mujoco.mj_step(self.model, data)
+            for field, value in zip(_MASSES, masses, strict=True):
+                getattr(model, field)[self._bodies] = value[lot, :, 1:]
+            mujoco.mj_step(model, data)
             cars = qpos[lot].size  # the agents' share, before the parked cars'
             qpos[lot] = data.qpos[self.qpos_address[:cars]].reshape(qpos[lot].shape)
             parked_qpos[lot] = data.qpos[self.qpos_address[cars:]].reshape(

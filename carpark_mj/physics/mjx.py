@@ -1,6 +1,6 @@
 """The batched back end: MuJoCo MJX, one 12-dof car per world, brush tyres.
 
-Per car only (qpos, qvel, bristles, steering angle) is carried; the vehicle's
+Per car only (qpos, qvel, bristles, actuators) is carried; the vehicle's
 parameters lie in the state too, so a batch may mix cars without recompiling. Without
 joint limits and contacts the model has no constraint row, and MJX skips its solver.
 """
@@ -20,7 +20,9 @@ from flax import struct
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.physics.base import where_cars
+from carpark_mj.physics.ground import Ground, ground_frames, upright
 from carpark_mj.physics.tyres import (
+    TyreForces,
     TyreState,
     WheelMotion,
     init_tyres,
@@ -30,7 +32,9 @@ from carpark_mj.precision import full_float32
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, car_model
-from carpark_mj.vehicle.parameters import COMPACT, GRAVITY
+from carpark_mj.vehicle.parameters import GRAVITY
+from carpark_mj.vehicle.presets import COMPACT
+from carpark_mj.vehicle.surfaces import on_surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
 with contextlib.redirect_stdout(io.StringIO()):
@@ -46,7 +50,7 @@ class CarState:
         qpos: (..., 13) MuJoCo positions of the 12-dof car.
         qvel: (..., 12) MuJoCo velocities.
         tyres: bristle deflections.
-        steering: (...) rate-limited bicycle angle [rad].
+        actuators: what steering and drive have reached.
         vehicle: parameters.
         trace_w: (..., k, 3) footprint poses within the last control step.
         finite: (...) bool, see `VehicleState.finite`.
@@ -55,7 +59,7 @@ class CarState:
     qpos: jax.Array
     qvel: jax.Array
     tyres: TyreState
-    steering: jax.Array
+    actuators: drive.Actuators
     vehicle: Vehicle
     trace_w: jax.Array
     finite: jax.Array
@@ -94,10 +98,11 @@ def substep_forces(
     qpos: jax.Array,
     qvel: jax.Array,
     tyres: TyreState,
-    steering: jax.Array,
+    actuators: drive.Actuators,
     controls: jax.Array,
     dt: float,
-) -> tuple[jax.Array, jax.Array, TyreState, jax.Array]:
+    ground: Ground | None = None,
+) -> tuple[jax.Array, jax.Array, TyreState, drive.Actuators]:
     """What one car's driver, servos and tyres apply over one substep.
 
     The same code serves MJX and, as the tests' oracle, plain `mujoco.mj_step`.
@@ -108,61 +113,125 @@ def substep_forces(
         qpos: (nq,) positions.
         qvel: (nv,) velocities.
         tyres: bristles.
-        steering: () bicycle angle [rad].
+        actuators: what steering and drive have reached.
         controls: (2,) steer and pedal in [-1, 1].
         dt: substep [s].
+        ground: the ground; None is the plane z = 0.
 
     Returns:
         `qfrc_applied` (nv,), servo targets `ctrl` (2,) [rad], the new bristles and the
-        new bicycle angle.
+        new actuators.
     """
-    steering = drive.steer_towards(vehicle, steering, controls[0], dt)
-    ctrl = drive.ackermann(vehicle, steering)
+    rotation = _rotation_matrix(qpos[index.root_qpos + 3 : index.root_qpos + 7])
+    speed = rotation[:, 0] @ qvel[index.root_dof : index.root_dof + 3]
+    actuators, ctrl, *torques = drive.actuate(
+        vehicle, actuators, controls, speed, qvel[index.spin_dof], dt
+    )
+    qfrc, _, tyres = apply_torques(
+        index, vehicle, qpos, qvel, tyres, *torques, dt, ground
+    )
+    return qfrc, ctrl, tyres, actuators
+
+
+def apply_torques(
+    index: CarIndex,
+    vehicle: Vehicle,
+    qpos: jax.Array,
+    qvel: jax.Array,
+    tyres: TyreState,
+    torque_drive: jax.Array,
+    torque_brake: jax.Array,
+    dt: float | jax.Array,
+    ground: Ground | None = None,
+) -> tuple[jax.Array, TyreForces, TyreState]:
+    """What the tyres apply to one car over one substep, its wheel torques given.
+
+    Args:
+        index: addresses of the car in `qpos` and `qvel`.
+        vehicle: the car.
+        qpos: (nq,) positions.
+        qvel: (nv,) velocities.
+        tyres: bristles.
+        torque_drive: (4,) drive torque [N m], forwards positive.
+        torque_brake: (4,) brake torque [N m], >= 0.
+        dt: substep [s].
+        ground: the ground; None is the plane z = 0.
+
+    Returns:
+        `qfrc_applied` (nv,), the tyre forces in it, and the new bristles.
+    """
     rotation = _rotation_matrix(qpos[index.root_qpos + 3 : index.root_qpos + 7])
     linear_b = rotation.T @ qvel[index.root_dof : index.root_dof + 3]
     angular_b = qvel[index.root_dof + 3 : index.root_dof + 6]
-    torque_drive, torque_brake = drive.wheel_torques(vehicle, controls[1], linear_b[0])
-    motion = _wheel_motion(index, vehicle, qpos, qvel, rotation, linear_b, angular_b)
+    contact, height, frame = _contacts(index, vehicle, qpos, rotation, ground)
+    motion = _wheel_motion(
+        index, qpos, qvel, rotation, linear_b, angular_b, contact, height, frame
+    )
     forces, tyres = tyre_forces(vehicle, motion, tyres, torque_drive, torque_brake, dt)
-    force_b = forces.force_w @ rotation
-    moment_b = jnp.sum(jnp.cross(_contacts(vehicle), force_b), axis=0)
+    force_w = _rotate(frame, forces.force_w)
+    force_b = force_w @ rotation
+    moment_b = jnp.sum(jnp.cross(contact, force_b), axis=0)
     moment_b = moment_b + jnp.array([0.0, 0.0, 1.0]) * jnp.sum(forces.aligning)
     qfrc = jnp.zeros_like(qvel)
-    qfrc = qfrc.at[index.root_dof : index.root_dof + 3].set(
-        jnp.sum(forces.force_w, axis=0)
-    )
+    qfrc = qfrc.at[index.root_dof : index.root_dof + 3].set(jnp.sum(force_w, axis=0))
     qfrc = qfrc.at[index.root_dof + 3 : index.root_dof + 6].set(moment_b)
     qfrc = qfrc.at[index.steer_dof].set(forces.aligning[:2])
     qfrc = qfrc.at[index.spin_dof].set(forces.spin)
-    return qfrc, ctrl, tyres, steering
+    return qfrc, forces, tyres
 
 
-def _contacts(vehicle: Vehicle) -> jax.Array:
-    """Contact patches (4, 3) in the body frame [m], at ground height."""
-    return jnp.pad(vehicle.hub, ((0, 0), (0, 1)))
+def _contacts(
+    index: CarIndex,
+    vehicle: Vehicle,
+    qpos: jax.Array,
+    rotation: jax.Array,
+    ground: Ground | None,
+) -> tuple[jax.Array, jax.Array, jax.Array | None]:
+    """Where the tyres meet the ground.
+
+    Returns:
+        Contact points (4, 3) in the body frame [m], on the ground: a leaning car does
+        not take them with it, or its centre of gravity would stand too high above them
+        and it would tip over too early. How far (4,) the undeflected wheels reach above
+        the ground [m]. The ground's frames (4, 3, 3), None for the plane.
+    """
+    undeflected = jnp.pad(vehicle.hub, ((0, 0), (0, 1)))
+    height = qpos[index.root_qpos + 2] + undeflected @ rotation[2]
+    if ground is None:
+        return undeflected - height[:, None] * rotation[2], height, None
+    origin = qpos[index.root_qpos : index.root_qpos + 2]
+    ground_height, normal = ground(origin + undeflected @ rotation[:2].T)
+    height = (height - ground_height) * normal[:, 2]
+    contact = undeflected - (height[:, None] * normal) @ rotation
+    return contact, height, ground_frames(normal)
 
 
 def _wheel_motion(
     index: CarIndex,
-    vehicle: Vehicle,
     qpos: jax.Array,
     qvel: jax.Array,
     rotation: jax.Array,
     linear_b: jax.Array,
     angular_b: jax.Array,
+    contact: jax.Array,
+    height: jax.Array,
+    frame: jax.Array | None,
 ) -> WheelMotion:
+    """Kinematics of the wheels in the ground's frames."""
     # Velocities are those of the contact patch, where the forces act, so that tyre
     # forces do exactly the work their deflections and losses account for.
-    contact = _contacts(vehicle)
     velocity_w = (linear_b + jnp.cross(angular_b, contact)) @ rotation.T
-    height = qpos[index.root_qpos + 2] + contact @ rotation[2]
+    forward_w = rotation[:, 0]
+    if frame is not None:
+        velocity_w = _rotate(frame.swapaxes(1, 2), velocity_w)
+        forward_w = _rotate(frame.swapaxes(1, 2), forward_w)
     steer = jnp.pad(qpos[index.steer_qpos], (0, 2))
     steer_rate = jnp.pad(qvel[index.steer_dof], (0, 2))
-    heading = rotation[:2, 0]
-    heading = heading / jnp.sqrt(jnp.sum(heading**2))
+    heading = forward_w[..., :2]
+    heading = heading / jnp.sqrt(jnp.sum(heading**2, axis=-1, keepdims=True))
     cos, sin = jnp.cos(steer), jnp.sin(steer)
-    along_x = heading[0] * cos - heading[1] * sin
-    along_y = heading[1] * cos + heading[0] * sin
+    along_x = heading[..., 0] * cos - heading[..., 1] * sin
+    along_y = heading[..., 1] * cos + heading[..., 0] * sin
     forward = velocity_w[:, 0] * along_x + velocity_w[:, 1] * along_y
     left = velocity_w[:, 1] * along_x - velocity_w[:, 0] * along_y
     return WheelMotion(
@@ -173,6 +242,13 @@ def _wheel_motion(
         sink=-height,
         sink_rate=-velocity_w[:, 2],
     )
+
+
+def _rotate(frame: jax.Array | None, vector: jax.Array) -> jax.Array:
+    """Vectors (4, 3), or one (3,), by rotations (4, 3, 3); None turns nothing."""
+    if frame is None:
+        return vector
+    return jnp.sum(frame * vector[..., None, :], axis=-1)
 
 
 def _rotation_matrix(quat: jax.Array) -> jax.Array:
@@ -198,9 +274,24 @@ class MjxPhysics:
 
     contacts = False
 
-    def __init__(self, sim: SimConfig) -> None:
-        """Compiles the car model for the given time steps and slope."""
+    def __init__(self, sim: SimConfig, ground: Ground | None = None) -> None:
+        """Compiles the car model.
+
+        Args:
+            sim: time steps, slope and surface.
+            ground: heights and normals instead of the configured slope, which must be
+                zero then; `ground.plane` is one. None is a plane, and cheaper.
+
+        Raises:
+            ValueError: both a ground and a slope.
+        """
+        if ground is not None and (sim.grade_x or sim.grade_y):
+            raise ValueError(
+                f"give either a ground or grades, not both ({sim.grade_x}, "
+                f"{sim.grade_y})"
+            )
         self.sim = sim
+        self.ground = ground
         model = car_model(COMPACT, sim.sim_dt, gravity_vector(sim))
         if model.nv != 12 or model.njnt != 7:
             raise ValueError(f"the car must have 12 dofs, not {model.nv}")
@@ -224,9 +315,11 @@ class MjxPhysics:
             return _batched(self._step, controls.ndim - 1)(state, controls)
 
     @full_float32
-    def place(self, state: CarState, mask: jax.Array, pose_w: jax.Array) -> CarState:
+    def place(
+        self, state: CarState, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
+    ) -> CarState:
         """Puts some cars elsewhere, at rest; see `Physics.place`."""
-        return where_cars(mask, self.init(pose_w, state.vehicle), state)
+        return where_cars(mask, self.init(pose_w, vehicle), state)
 
     def arrange(self, state: CarState, parked_pose: jax.Array) -> CarState:
         """Nothing: cars live alone; see `Physics.arrange`."""
@@ -235,7 +328,7 @@ class MjxPhysics:
 
     def read(self, state: CarState) -> VehicleState:
         """Reads the motion out of fresh `qpos` and `qvel`; see `Physics.read`."""
-        return _batched(self._read, state.steering.ndim)(state)
+        return _batched(self._read, state.finite.ndim)(state)
 
     def _init(self, pose_w: jax.Array, vehicle: Vehicle) -> CarState:
         dtype = pose_w.dtype
@@ -245,20 +338,25 @@ class MjxPhysics:
         y = pose_w[1] - vehicle.centre_offset * jnp.sin(yaw)
         zero = jnp.zeros((), dtype)
         quat = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
-        qpos = jnp.concatenate([jnp.stack([x, y, zero]), quat, jnp.zeros(6, dtype)])
+        z = zero
+        if self.ground is not None:
+            height, normal = self.ground(jnp.stack([x, y])[None])
+            z, quat = height[0], upright(normal[0], yaw)
+        qpos = jnp.concatenate([jnp.stack([x, y, z]), quat, jnp.zeros(6, dtype)])
         pose = jnp.stack([pose_w[0], pose_w[1], wrap_angle(yaw)])
         return CarState(
             qpos=qpos,
             qvel=jnp.zeros(12, dtype),
             tyres=init_tyres(dtype),
-            steering=zero,
+            actuators=drive.init_actuators(dtype),
             vehicle=vehicle,
             trace_w=jnp.tile(pose, (self.sim.num_traces, 1)),
             finite=jnp.ones((), bool),
         )
 
     def _step(self, state: CarState, controls: jax.Array) -> CarState:
-        vehicle, dt = state.vehicle, self.sim.sim_dt
+        vehicle = on_surface(state.vehicle, self.sim.surface)
+        dt = self.sim.sim_dt
         model = self._model.tree_replace(
             {
                 "body_mass": vehicle.body_mass,
@@ -269,27 +367,35 @@ class MjxPhysics:
         )
 
         def substep(carry, _):
-            qpos, qvel, tyres, steering = carry
+            qpos, qvel, tyres, actuators = carry
             with jax.named_scope("tyres"):
-                qfrc, ctrl, tyres, steering = substep_forces(
-                    self.index, vehicle, qpos, qvel, tyres, steering, controls, dt
+                qfrc, ctrl, tyres, actuators = substep_forces(
+                    self.index,
+                    vehicle,
+                    qpos,
+                    qvel,
+                    tyres,
+                    actuators,
+                    controls,
+                    dt,
+                    self.ground,
                 )
             data = self._data.replace(
                 qpos=qpos, qvel=qvel, qfrc_applied=qfrc, ctrl=ctrl
             )
             data = mjx.step(model, data)
-            return (data.qpos, data.qvel, tyres, steering), None
+            return (data.qpos, data.qvel, tyres, actuators), None
 
         def stretch(carry, _):
             stride = self.sim.num_substeps // self.sim.num_traces
             carry, _ = jax.lax.scan(substep, carry, None, length=stride)
             return carry, centre_pose(carry[0], vehicle)
 
-        carry = (state.qpos, state.qvel, state.tyres, state.steering)
-        (qpos, qvel, tyres, steering), trace = jax.lax.scan(
+        carry = (state.qpos, state.qvel, state.tyres, state.actuators)
+        (qpos, qvel, tyres, actuators), trace = jax.lax.scan(
             stretch, carry, None, length=self.sim.num_traces
         )
-        leaves = jax.tree.leaves((qpos, qvel, tyres, steering, trace))
+        leaves = jax.tree.leaves((qpos, qvel, tyres, actuators, trace))
         finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]).all()
         stay = jnp.tile(centre_pose(state.qpos, vehicle), (self.sim.num_traces, 1))
         fallback = dataclasses.replace(
@@ -303,7 +409,7 @@ class MjxPhysics:
             qpos=qpos,
             qvel=qvel,
             tyres=tyres,
-            steering=steering,
+            actuators=actuators,
             trace_w=trace,
             finite=jnp.ones((), bool),
         )
@@ -316,7 +422,7 @@ class MjxPhysics:
             pose_w=state.trace_w[-1],
             velocity_b=velocity_b[:2],
             yaw_rate=state.qvel[5],
-            steering=state.steering,
+            steering=state.actuators.steering,
             size=state.vehicle.size,
             trace_w=state.trace_w,
             finite=state.finite,

@@ -5,8 +5,8 @@ that can be pushed, walls; all hulls collide. JAX computes the tyres of all cars
 host callback per substep steps the lots' models. It is slow and meant for checking the
 factored physics, for evaluation by contacts, and for filming crashes.
 
-All cars of a lot have the masses of the preset the model was built from; tyres, drive
-and brakes follow each car's `Vehicle`, as in `mjx`.
+Every car follows its own `Vehicle`, as in `mjx`, but for its wheelbase, track and hull,
+which are those of the parameters the model was built from.
 """
 
 import dataclasses
@@ -30,6 +30,7 @@ from carpark_mj.physics.mjx import (
 from carpark_mj.precision import full_float32
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.surfaces import on_surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
 MOVED = 1e-3  # m or rad, by which `arrange` knows a parked car stands elsewhere
@@ -103,12 +104,12 @@ class ScenePhysics:
         )
 
     def place(
-        self, state: SceneState, mask: jax.Array, pose_w: jax.Array
+        self, state: SceneState, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
     ) -> SceneState:
         """Puts some cars elsewhere, at rest; see `Physics.place`."""
         return dataclasses.replace(
             state,
-            cars=self._single.place(state.cars, mask, pose_w),
+            cars=self._single.place(state.cars, mask, pose_w, vehicle),
             touched=state.touched & ~mask[..., None],
         )
 
@@ -156,15 +157,17 @@ class ScenePhysics:
             return self._step(state, controls)
 
     def _step(self, state: SceneState, controls: jax.Array) -> SceneState:
-        cars, vehicle, dt = state.cars, state.vehicle, self.sim.sim_dt
+        cars = state.cars
+        vehicle = on_surface(state.vehicle, self.sim.surface)
+        masses = (vehicle.body_mass, vehicle.body_inertia, vehicle.body_ipos)
         forces = jax.vmap(
-            partial(substep_forces, self._single.index, dt=dt),
+            partial(substep_forces, self._single.index, dt=self.sim.sim_dt)
         )
 
         def substep(carry, _):
-            qpos, qvel, tyres, steering, parked_qpos, parked_qvel, touched = carry
-            qfrc, ctrl, tyres, steering = forces(
-                vehicle, qpos, qvel, tyres, steering, controls
+            qpos, qvel, tyres, actuators, parked_qpos, parked_qvel, touched = carry
+            qfrc, ctrl, tyres, actuators = forces(
+                vehicle, qpos, qvel, tyres, actuators, controls
             )
             moving = (qpos, qvel, parked_qpos, parked_qvel)
             shapes = jax.tree.map(
@@ -176,10 +179,11 @@ class ScenePhysics:
                 *moving,
                 qfrc,
                 ctrl,
+                *masses,
                 vmap_method="broadcast_all",
             )
             qpos, qvel, parked_qpos, parked_qvel = moving
-            carry = (qpos, qvel, tyres, steering, parked_qpos, parked_qvel)
+            carry = (qpos, qvel, tyres, actuators, parked_qpos, parked_qvel)
             return (*carry, touched | hit), None
 
         def stretch(carry, _):
@@ -191,19 +195,19 @@ class ScenePhysics:
             cars.qpos,
             cars.qvel,
             cars.tyres,
-            cars.steering,
+            cars.actuators,
             state.parked_qpos,
             state.parked_qvel,
             jnp.zeros_like(state.touched),
         )
         carry, trace = jax.lax.scan(stretch, carry, None, length=self.sim.num_traces)
-        qpos, qvel, tyres, steering, parked_qpos, parked_qvel, touched = carry
+        qpos, qvel, tyres, actuators, parked_qpos, parked_qvel, touched = carry
         stepped = dataclasses.replace(
             cars,
             qpos=qpos,
             qvel=qvel,
             tyres=tyres,
-            steering=steering,
+            actuators=actuators,
             trace_w=jnp.moveaxis(trace, 0, 1),
             finite=jnp.ones_like(cars.finite),
         )
@@ -220,7 +224,7 @@ class ScenePhysics:
     def _contain(self, before: CarState, after: CarState) -> CarState:
         """Puts cars with a non-finite number back to where they were, flagged."""
         leaves = jax.tree.leaves(
-            (after.qpos, after.qvel, after.tyres, after.steering, after.trace_w)
+            (after.qpos, after.qvel, after.tyres, after.actuators, after.trace_w)
         )
         finite = jnp.stack(
             [jnp.isfinite(x).reshape(self._num_agents, -1).all(axis=1) for x in leaves]

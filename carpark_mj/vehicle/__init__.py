@@ -1,6 +1,7 @@
 """The car: parameters with sources, its MJCF, and the mapping from actions."""
 
-from carpark_mj.vehicle.parameters import COMPACT, PRESETS, VehicleParameters, preset
+from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.presets import COMPACT, PRESETS, preset
 from carpark_mj.vehicle.vehicle import Vehicle, make_vehicle
 
 __all__ = [

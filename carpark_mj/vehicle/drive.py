@@ -4,24 +4,58 @@ An action is `[steer, pedal]` in [-1, 1]^2. `steer` asks for a road-wheel angle 
 bicycle model, reached at a limited rate and shared between the front wheels by the
 Ackermann condition. `pedal` asks for an acceleration: against the motion it brakes,
 below `SWITCH_SPEED` it drives the new way, and close to zero at walking pace it holds
-the car on the brake. All functions are for one car; `jax.vmap` them for more.
+the car on the brake. Steering and drive may follow with a first-order lag. All
+functions are for one car; `jax.vmap` them for more.
 """
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from carpark_mj.vehicle.vehicle import Vehicle
 
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
 HOLD_PEDAL = 0.05  # pedals smaller than this mean "no pedal"
 HOLD_SPEED = 0.3  # m/s, below it "no pedal" holds the car on the brake
+SPINNING = 0.5  # m/s of the driven wheels above the car's speed: they spin
+
+
+@struct.dataclass
+class Actuators:
+    """What steering and drive have reached; any leading batch shape.
+
+    Attributes:
+        steering: (...) bicycle angle [rad], left positive, without `steering_offset`.
+        drive: (...) drive torque, all driven wheels together [N m].
+    """
+
+    steering: jax.Array
+    drive: jax.Array
+
+
+def init_actuators(dtype: jnp.dtype | None = None) -> Actuators:
+    """Wheels straight, no drive; one car."""
+    zero = jnp.zeros((), dtype)
+    return Actuators(steering=zero, drive=zero)
+
+
+def approach(
+    value: jax.Array, target: jax.Array, lag: jax.Array, dt: float
+) -> jax.Array:
+    """First-order lag over `dt` [s], exact for a constant target; lag 0 is no lag."""
+    kept = jnp.exp(-dt / lag)
+    return kept * value + (1.0 - kept) * target
 
 
 def steer_towards(
     vehicle: Vehicle, steering: jax.Array, steer: jax.Array, dt: float
 ) -> jax.Array:
-    """Moves the steering angle [rad] towards `steer` in [-1, 1] at the limited rate."""
+    """Moves the steering angle [rad] towards `steer` in [-1, 1].
+
+    First-order with `steering_lag`, and never faster than `steering_rate`.
+    """
     target = jnp.clip(steer, -1.0, 1.0) * vehicle.max_steering
+    target = approach(steering, target, vehicle.steering_lag, dt)
     limit = vehicle.steering_rate * dt
     return steering + jnp.clip(target - steering, -limit, limit)
 
@@ -37,23 +71,29 @@ def ackermann(vehicle: Vehicle, steering: jax.Array) -> jax.Array:
     return jnp.arctan(jnp.stack([tan / (1.0 - skew), tan / (1.0 + skew)]))
 
 
-def wheel_torques(
-    vehicle: Vehicle, pedal: jax.Array, speed: jax.Array
+def demanded_torques(
+    vehicle: Vehicle, pedal: jax.Array, speed: jax.Array, wheel_speed: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Drive and brake torques at the wheels.
+    """Drive and brake torques that the pedal asks for.
+
+    The drive gives at most `max_drive_torque` and `max_power`. The speed limiter goes
+    by the driven wheels once they spin, or on ice they would run away.
 
     Args:
         vehicle: one car.
         pedal: () in [-1, 1].
         speed: () forward speed of the rear axle [m/s].
+        wheel_speed: () mean circumferential speed of the driven wheels [m/s].
 
     Returns:
-        Drive torque (4,) [N m], positive forwards, and brake torque (4,) [N m], >= 0,
-        which opposes whatever way the wheel turns.
+        Drive torque () [N m] of all driven wheels, positive forwards, and brake torque
+        () [N m] of all wheels, >= 0, which opposes whatever way they turn.
     """
     pedal = jnp.clip(pedal, -1.0, 1.0)
     braking = (pedal * speed < 0.0) & (jnp.abs(speed) >= SWITCH_SPEED)
     holding = (jnp.abs(pedal) < HOLD_PEDAL) & (jnp.abs(speed) < HOLD_SPEED)
+    spinning = jnp.abs(wheel_speed) > jnp.abs(speed) + SPINNING
+    speed = jnp.where(spinning, wheel_speed, speed)
     # The speed limiter caps the acceleration so that the car closes on its limit
     # exponentially; beyond the limit it slows the car down (engine braking).
     headroom = (vehicle.max_speed - speed) / vehicle.speed_limit_time
@@ -64,10 +104,42 @@ def wheel_torques(
     acceleration = jnp.where(braking | holding, 0.0, acceleration)
     deceleration = jnp.where(braking, jnp.abs(pedal) * vehicle.max_deceleration, 0.0)
     deceleration = jnp.where(holding, vehicle.hold_deceleration, deceleration)
-    force_to_torque = vehicle.mass * vehicle.wheel_radius
-    drive = acceleration * force_to_torque * vehicle.drive_share
-    brake = deceleration * force_to_torque * vehicle.brake_share
-    return drive, brake
+    force_to_torque = vehicle.rated_mass * vehicle.wheel_radius
+    by_power = vehicle.max_power * vehicle.wheel_radius / jnp.abs(speed)
+    most = jnp.minimum(vehicle.max_drive_torque, by_power)
+    drive = jnp.clip(acceleration * force_to_torque, -most, most)
+    return drive, deceleration * force_to_torque
+
+
+def actuate(
+    vehicle: Vehicle,
+    actuators: Actuators,
+    controls: jax.Array,
+    speed: jax.Array,
+    spin: jax.Array,
+    dt: float,
+) -> tuple[Actuators, jax.Array, jax.Array, jax.Array]:
+    """One substep from controls to wheels.
+
+    Args:
+        vehicle: one car.
+        actuators: at the start of the substep.
+        controls: (2,) steer and pedal in [-1, 1].
+        speed: () forward speed of the rear axle [m/s].
+        spin: (4,) of the wheels [rad/s], forwards positive.
+        dt: substep [s].
+
+    Returns:
+        The actuators at its end, the front wheels' target angles (2,) [rad], and drive
+        and brake torque (4,) [N m] of the wheels.
+    """
+    steering = steer_towards(vehicle, actuators.steering, controls[0], dt)
+    angles = ackermann(vehicle, steering + vehicle.steering_offset)
+    wheel_speed = vehicle.wheel_radius * jnp.sum(spin * vehicle.drive_share)
+    drive, brake = demanded_torques(vehicle, controls[1], speed, wheel_speed)
+    drive = approach(actuators.drive, drive, vehicle.drive_lag, dt)
+    reached = Actuators(steering=steering, drive=drive)
+    return reached, angles, drive * vehicle.drive_share, brake * vehicle.brake_share
 
 
 def stopping_action(speed: jax.Array) -> jax.Array:

@@ -14,6 +14,7 @@ from carpark_mj.vehicle.parameters import VehicleParameters
 
 WHEELS = ("fl", "fr", "rl", "rr")  # the order of every (4,) array of wheels
 STEERED = ("fl", "fr")
+CHASSIS = 1  # index of its body in the model of one car; 0 is the world
 
 # Steering servo: stiff against the scrub torque of a standing tyre (about 200 N m),
 # close to critically damped with the inertia below.

@@ -1,17 +1,25 @@
-"""Vehicle parameters: one frozen set per preset, SI units, a source for every number.
+"""Vehicle parameters: a frozen, self-validating set in SI units.
 
-Sources: [golf] VW Golf VII press data (length, width, height, wheelbase); [ct]
-published kerb-to-kerb turning circle of 10.9 m; [cr] CommonRoad vehicle models
-(road-wheel steering rate, brake bias); [od] openpilot's scaling rule for the yaw
-inertia (0.2346 m L^2); [gi] Gillespie, Fundamentals of Vehicle Dynamics (tyre
-stiffness per load, friction); [sh] Sharp & Granger, steering torques at parking speed
-(contact patch); [est] our estimate.
+The cars themselves, with a source for every number, are in `vehicle.presets`; what has
+a default here is common to them. Sources of the defaults: [cr] CommonRoad vehicle
+models (road-wheel steering rate, brake bias); [gi] Gillespie, Fundamentals of Vehicle
+Dynamics (tyre stiffness per load, friction); [sh] Sharp & Granger, steering torques at
+parking speed (contact patch); [est] our estimate.
+
+A car of one's own:
+
+>>> from dataclasses import replace
+>>> from carpark_mj import ParkingEnv
+>>> from carpark_mj.vehicle import COMPACT
+>>> taxi = replace(COMPACT, wheelbase=2.7, length=4.4, mass=1500.0, turning_circle=11.2)
+>>> env = ParkingEnv(vehicle=taxi)
 """
 
 import dataclasses
 import math
 
 GRAVITY = 9.81  # m/s^2
+_MAX_LOCK = math.pi / 3  # beyond 60 deg no steering linkage works
 
 
 def _require_positive(config: object, zero: tuple[str, ...] = ()) -> None:
@@ -63,35 +71,75 @@ class TyreParameters:
         _require_positive(self)
 
 
-@dataclasses.dataclass(frozen=True)
+def kerb_to_kerb(
+    wheelbase: float, track_width: float, tyre_width: float, steering: float
+) -> float:
+    """Turning circle [m] swept by the outer front tyre at a bicycle angle [rad].
+
+    The bicycle turns about a point on the rear axle at L / tan(steering) from its
+    middle; the outer front wheel is half a track width farther out.
+    """
+    across = wheelbase / math.tan(steering) + track_width / 2
+    return 2 * math.hypot(wheelbase, across) + tyre_width
+
+
+def steering_for_circle(
+    wheelbase: float, track_width: float, tyre_width: float, turning_circle: float
+) -> float:
+    """Bicycle angle [rad] of a kerb-to-kerb circle [m]; `kerb_to_kerb` inverted.
+
+    Raises:
+        ValueError: no angle below 60 deg turns that tightly.
+    """
+    smallest = kerb_to_kerb(wheelbase, track_width, tyre_width, _MAX_LOCK)
+    if not turning_circle > smallest:
+        raise ValueError(
+            f"turning_circle must be more than {smallest:.2f} m, which takes 60 deg of "
+            f"steering, not {turning_circle}"
+        )
+    reach = (turning_circle - tyre_width) / 2
+    across = math.sqrt(reach**2 - wheelbase**2)
+    return math.atan2(wheelbase, across - track_width / 2)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class VehicleParameters:
     """A passenger car. Lengths [m], masses [kg], inertias [kg m^2] unless said.
 
     Attributes:
-        length: overall length [golf].
-        width: body width without mirrors [golf].
-        height: overall height [golf].
-        wheelbase: distance between the axles [golf].
-        track_width: distance between the wheels of an axle [est].
-        rear_overhang: rear axle to rear bumper [est].
-        mass: with driver [golf].
-        cg_to_front_axle: centre of gravity behind the front axle [est].
-        cg_height: centre of gravity above the ground [est].
-        roll_inertia: whole car about its centre of gravity [est].
-        pitch_inertia: whole car about its centre of gravity [est].
-        yaw_inertia: whole car about its centre of gravity [od].
-        wheel_radius: rolling radius of a 205/55 R16 tyre [est].
-        tyre_width: [golf].
+        length: overall length.
+        width: body width without mirrors.
+        height: overall height.
+        wheelbase: distance between the axles.
+        track_width: distance between the wheels of an axle, front and rear alike.
+        rear_overhang: rear axle to rear bumper.
+        mass: with driver.
+        cg_to_front_axle: centre of gravity behind the front axle.
+        cg_height: centre of gravity above the ground.
+        roll_inertia: whole car about its centre of gravity.
+        pitch_inertia: whole car about its centre of gravity.
+        yaw_inertia: whole car about its centre of gravity.
+        wheel_radius: rolling radius.
+        tyre_width: nominal section width.
+        turning_circle: published diameter kerb to kerb; fixes `max_steering`.
+        front_drive: share of the drive torque at the front axle: 1 = front-driven,
+            0 = rear-driven, between = all-wheel drive.
+        max_drive_torque: at the driven wheels together, in first gear [N m].
+        max_power: at the wheels [W].
         wheel_mass: wheel, tyre and brake disc [est].
         wheel_inertia: one wheel about its axle, with its share of the driveline [est].
         wheel_tilt_inertia: one wheel about a diameter [est].
         knuckle_mass: steered knuckle without the wheel [est].
         knuckle_inertia: knuckle about any axis through its centre [est].
-        max_steering: largest angle of the bicycle model's wheel [rad], from [ct].
         steering_rate: [rad/s]; 0.42 lies between [cr] 0.40 and Apollo's MKZ 0.44.
-        ackermann: 1 = exact Ackermann geometry, 0 = parallel wheels.
-        front_drive: share of the drive torque at the front axle, 1 = front-driven.
-        max_acceleration: drive limit [m/s^2], a comfortable parking driver [est].
+        steering_lag: time constant of the steering's approach to its target, within
+            the rate [s]; 0 = none. Power steering: about 0.1 [est].
+        ackermann: 1 = exact Ackermann geometry, 0 = parallel wheels. Shop manuals give
+            0.41 (Camry) to 0.85 (Galant).
+        max_acceleration: drive at full pedal [m/s^2], a comfortable parking driver
+            [est]; torque and power may allow less.
+        drive_lag: time constant of the drive torque [s]; 0 = none. An engine: about
+            0.2, a motor 0.05 [est]. Brakes act at once.
         max_deceleration: brake at full pedal [m/s^2], service braking [est].
         max_speed: forwards limit of the pedal [m/s], a car park's walking pace.
         max_reverse_speed: reverse limit of the pedal [m/s].
@@ -102,30 +150,34 @@ class VehicleParameters:
         tyre: tyre parameters.
     """
 
-    length: float = 4.255
-    width: float = 1.799
-    height: float = 1.452
-    wheelbase: float = 2.637
-    track_width: float = 1.54
-    rear_overhang: float = 0.76
-    mass: float = 1380.0
-    cg_to_front_axle: float = 1.05
-    cg_height: float = 0.54
-    roll_inertia: float = 510.0
-    pitch_inertia: float = 2180.0
-    yaw_inertia: float = 2250.0
-    wheel_radius: float = 0.316
-    tyre_width: float = 0.205
+    length: float
+    width: float
+    height: float
+    wheelbase: float
+    track_width: float
+    rear_overhang: float
+    mass: float
+    cg_to_front_axle: float
+    cg_height: float
+    roll_inertia: float
+    pitch_inertia: float
+    yaw_inertia: float
+    wheel_radius: float
+    tyre_width: float
+    turning_circle: float
+    front_drive: float
+    max_drive_torque: float
+    max_power: float
     wheel_mass: float = 20.0
     wheel_inertia: float = 1.0
     wheel_tilt_inertia: float = 0.6
     knuckle_mass: float = 10.0
     knuckle_inertia: float = 0.25
-    max_steering: float = math.radians(34.2)
     steering_rate: float = 0.42
+    steering_lag: float = 0.0
     ackermann: float = 1.0
-    front_drive: float = 1.0
     max_acceleration: float = 2.0
+    drive_lag: float = 0.0
     max_deceleration: float = 4.0
     max_speed: float = 3.0
     max_reverse_speed: float = 2.0
@@ -135,32 +187,76 @@ class VehicleParameters:
     tyre: TyreParameters = TyreParameters()
 
     def __post_init__(self) -> None:
-        _require_positive(self, zero=("ackermann", "front_drive", "rear_overhang"))
+        _require_positive(
+            self, zero=("ackermann", "front_drive", "steering_lag", "drive_lag")
+        )
         for name in ("ackermann", "front_drive", "front_brake"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(
                     f"{name} must lie in [0, 1], not {getattr(self, name)}"
                 )
-        if self.wheelbase + self.rear_overhang >= self.length:
+        self._check_body()
+        self._check_masses()
+        _ = self.max_steering  # refuses an impossible turning circle
+
+    def _check_body(self) -> None:
+        """The wheels lie within the body."""
+        for name in ("front_overhang", "rear_overhang"):
+            overhang = getattr(self, name)
+            if overhang < self.wheel_radius:
+                raise ValueError(
+                    f"the {name.replace('_', ' ')} must cover a wheel's radius of "
+                    f"{self.wheel_radius} m, not {overhang:.3f} m (length "
+                    f"{self.length}, wheelbase {self.wheelbase}, rear_overhang "
+                    f"{self.rear_overhang})"
+                )
+        across = self.track_width + self.tyre_width
+        if across > self.width:
             raise ValueError(
-                f"wheelbase {self.wheelbase} m and rear overhang {self.rear_overhang} "
-                f"m leave no front overhang in a length of {self.length} m"
+                f"track_width {self.track_width} m and tyre_width {self.tyre_width} m "
+                f"put the wheels outside a width of {self.width} m"
             )
+        if 2 * self.wheel_radius >= self.height:
+            raise ValueError(
+                f"wheel_radius must be less than half the height {self.height} m, not "
+                f"{self.wheel_radius}"
+            )
+
+    def _check_masses(self) -> None:
+        """The centre of gravity lies in the car; its inertias can be a body's."""
         if self.cg_to_front_axle >= self.wheelbase:
             raise ValueError(
                 f"cg_to_front_axle must be less than the wheelbase "
                 f"{self.wheelbase} m, not {self.cg_to_front_axle}"
+            )
+        if self.cg_height >= self.height:
+            raise ValueError(
+                f"cg_height must be less than the height {self.height} m, not "
+                f"{self.cg_height}"
+            )
+        inertias = (self.roll_inertia, self.pitch_inertia, self.yaw_inertia)
+        if 2 * max(inertias) > sum(inertias):
+            raise ValueError(
+                f"roll_inertia, pitch_inertia and yaw_inertia must obey the triangle "
+                f"inequality, none above the sum of the others, not {inertias} kg m^2"
             )
         if self.wheel_inertia > 2 * self.wheel_tilt_inertia:
             raise ValueError(
                 f"wheel_inertia must be at most twice the wheel_tilt_inertia "
                 f"{self.wheel_tilt_inertia} kg m^2, not {self.wheel_inertia}"
             )
-        if self.max_steering >= math.pi / 3:
-            raise ValueError(
-                f"max_steering must be below 60 deg, not "
-                f"{math.degrees(self.max_steering):.1f} deg"
-            )
+
+    @property
+    def max_steering(self) -> float:
+        """Largest angle of the bicycle model's wheel [rad], from `turning_circle`."""
+        return steering_for_circle(
+            self.wheelbase, self.track_width, self.tyre_width, self.turning_circle
+        )
+
+    @property
+    def front_overhang(self) -> float:
+        """Front axle to front bumper [m]."""
+        return self.length - self.wheelbase - self.rear_overhang
 
     @property
     def centre_offset(self) -> float:
@@ -171,18 +267,3 @@ class VehicleParameters:
     def cg_to_rear_axle(self) -> float:
         """Centre of gravity ahead of the rear axle [m]."""
         return self.wheelbase - self.cg_to_front_axle
-
-
-COMPACT = VehicleParameters()
-PRESETS: dict[str, VehicleParameters] = {"compact": COMPACT}
-
-
-def preset(name: str) -> VehicleParameters:
-    """Looks a vehicle preset up by name.
-
-    Raises:
-        ValueError: unknown name; the message lists the known ones.
-    """
-    if name not in PRESETS:
-        raise ValueError(f"unknown vehicle {name!r}; choose from {sorted(PRESETS)}")
-    return PRESETS[name]

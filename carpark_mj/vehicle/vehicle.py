@@ -63,10 +63,18 @@ class Vehicle:
         wheel_radius: (...) [m].
         wheel_inertia: (...) [kg m^2].
         mass: (...) whole car [kg].
+        rated_mass: (...) mass [kg] for which the pedal asks its acceleration; the
+            torques do not change with the load.
+        cg: (..., 3) centre of gravity of the whole car in the body frame [m].
         ackermann: (...) Ackermann fraction.
         max_steering: (...) [rad].
         steering_rate: (...) [rad/s].
+        steering_lag: (...) [s].
+        steering_offset: (...) angle that is steered but not commanded [rad].
         max_acceleration: (...) [m/s^2].
+        max_drive_torque: (...) all driven wheels together [N m].
+        max_power: (...) [W].
+        drive_lag: (...) [s].
         max_deceleration: (...) [m/s^2].
         hold_deceleration: (...) [m/s^2].
         max_speed: (...) [m/s].
@@ -89,10 +97,17 @@ class Vehicle:
     wheel_radius: jax.Array
     wheel_inertia: jax.Array
     mass: jax.Array
+    rated_mass: jax.Array
+    cg: jax.Array
     ackermann: jax.Array
     max_steering: jax.Array
     steering_rate: jax.Array
+    steering_lag: jax.Array
+    steering_offset: jax.Array
     max_acceleration: jax.Array
+    max_drive_torque: jax.Array
+    max_power: jax.Array
+    drive_lag: jax.Array
     max_deceleration: jax.Array
     hold_deceleration: jax.Array
     max_speed: jax.Array
@@ -119,10 +134,17 @@ def make_vehicle(params: VehicleParameters) -> Vehicle:
         wheel_radius=_array(params.wheel_radius),
         wheel_inertia=_array(params.wheel_inertia),
         mass=_array(params.mass),
+        rated_mass=_array(params.mass),
+        cg=_array([params.cg_to_rear_axle, 0.0, params.cg_height]),
         ackermann=_array(params.ackermann),
         max_steering=_array(params.max_steering),
         steering_rate=_array(params.steering_rate),
+        steering_lag=_array(params.steering_lag),
+        steering_offset=_array(0.0),
         max_acceleration=_array(params.max_acceleration),
+        max_drive_torque=_array(params.max_drive_torque),
+        max_power=_array(params.max_power),
+        drive_lag=_array(params.drive_lag),
         max_deceleration=_array(params.max_deceleration),
         hold_deceleration=_array(params.hold_deceleration),
         max_speed=_array(params.max_speed),

@@ -24,6 +24,7 @@ VAN = dataclasses.replace(
     COMPACT,
     wheelbase=3.2,
     track_width=1.7,
+    width=1.95,
     length=5.2,
     mass=2100.0,
     cg_to_front_axle=1.5,

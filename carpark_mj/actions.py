@@ -1,0 +1,45 @@
+"""What becomes of actions that are not in [-1, 1]: neutralised, or refused.
+
+Jitted code cannot raise, so `ParkingEnv.step` neutralises and counts them; code that
+takes actions from outside JAX refuses them with `check_actions`.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def neutralise(action: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Makes actions harmless.
+
+    Args:
+        action: (..., k), any numbers.
+
+    Returns:
+        Actions (..., k) in [-1, 1], NaN replaced by 0 and the rest clipped, and
+        (...) bool, whether anything had to be changed.
+    """
+    invalid = ~(jnp.abs(action) <= 1.0)
+    harmless = jnp.where(jnp.isnan(action), 0.0, jnp.clip(action, -1.0, 1.0))
+    return harmless, jnp.any(invalid, axis=-1)
+
+
+def check_actions(action: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """Actions from outside as a float32 array, refused if not in [-1, 1].
+
+    Args:
+        action: numbers.
+        shape: what its shape must be.
+
+    Raises:
+        ValueError: wrong shape, NaN, or a number outside [-1, 1].
+    """
+    array = np.asarray(action, np.float32)
+    if array.shape != shape:
+        raise ValueError(f"action must have the shape {shape}, not {array.shape}")
+    wrong = ~(np.abs(array) <= 1.0)
+    if wrong.any():
+        index = tuple(int(i) for i in np.argwhere(wrong)[0])
+        raise ValueError(f"action{list(index)} must lie in [-1, 1], not {array[index]}")
+    return array

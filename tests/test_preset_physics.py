@@ -1,0 +1,132 @@
+"""Every preset on the road, against formulas: pulling away, stopping, holding."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.config import SimConfig
+from carpark_mj.physics import MjxPhysics
+from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
+from carpark_mj.vehicle.load import with_mass
+from carpark_mj.vehicle.parameters import GRAVITY
+from carpark_mj.vehicle.surfaces import SURFACES, with_grip
+
+NAMES = list(PRESETS)
+VARIANTS = ("plain", "loaded", "wet", "ice")
+CARS = [(name, variant) for name in NAMES for variant in VARIANTS]
+GRADE = 0.2
+
+
+def make(name: str, variant: str) -> Vehicle:
+    # Fast enough for pitching, some 4 cm of a stop, to matter little.
+    vehicle = make_vehicle(dataclasses.replace(PRESETS[name], max_speed=9.0))
+    if variant == "loaded":
+        return with_mass(vehicle, 1.3 * vehicle.mass, vehicle.cg)
+    grip = SURFACES.get(variant, SURFACES["dry"])  # pyright: ignore
+    return with_grip(vehicle, grip / SURFACES["dry"])
+
+
+def drive(sim: SimConfig, pose: np.ndarray, fleet: Vehicle, pedals: np.ndarray):
+    """Poses (T, n, 3) and forward speeds (T, n) of cars with given pedals (T,).
+
+    A brake pedal (< 0) is let go below 0.2 m/s, where it would soon reverse: the hold
+    takes over.
+    """
+    physics = MjxPhysics(sim)
+
+    def step(state, pedal):
+        slow = physics.read(state).speed < 0.2
+        pedal = jnp.where((pedal < 0) & slow, 0.0, pedal)
+        controls = jnp.stack([jnp.zeros(len(pose)), pedal], -1)
+        state = physics.step(state, controls)
+        seen = physics.read(state)
+        return state, (seen.pose_w, seen.speed)
+
+    run = jax.jit(lambda state: jax.lax.scan(step, state, jnp.asarray(pedals)))
+    _, track = run(physics.init(jnp.asarray(pose, jnp.float32), fleet))
+    return [np.asarray(x, np.float64) for x in track]
+
+
+def stack(vehicles: list[Vehicle]) -> Vehicle:
+    return jax.tree.map(lambda *x: jnp.stack(x), *vehicles)
+
+
+@pytest.fixture(scope="module")
+def fleet() -> Vehicle:
+    return stack([make(*car) for car in CARS])
+
+
+@pytest.fixture(scope="module")
+def run(fleet: Vehicle) -> dict:
+    """Full throttle for 4 s, then full brake to a stop; every 20 ms."""
+    pedals = np.repeat([1.0, -1.0], [200, 400]).astype(np.float32)
+    sim = SimConfig(ctrl_dt=0.02)
+    pose, speed = drive(sim, np.zeros((len(CARS), 3)), fleet, pedals)
+    return {car: (pose[:, k, 0], speed[:, k]) for k, car in enumerate(CARS)}
+
+
+def numbers(name: str, variant: str) -> tuple[float, float, float]:
+    """Mass [kg], mass with the wheels' inertia [kg], rolling resistance [N]."""
+    params = PRESETS[name]
+    mass = params.mass * (1.3 if variant == "loaded" else 1.0)
+    spinning = 4 * params.wheel_inertia / params.wheel_radius**2
+    return mass, mass + spinning, params.tyre.rolling_resistance * mass * GRAVITY
+
+
+@pytest.mark.parametrize("variant", ["plain", "loaded", "wet"])
+@pytest.mark.parametrize("name", NAMES)
+def test_full_throttle_accelerates_by_force_over_mass(run, name, variant):
+    _, effective, rolling = numbers(name, variant)
+    force = PRESETS[name].mass * PRESETS[name].max_acceleration
+    _, speed = run[name, variant]
+    measured = (speed[149] - speed[49]) / 2.0
+    # Tyre slip; measured within 0.16 %.
+    assert measured == pytest.approx((force - rolling) / effective, rel=0.003)
+
+
+@pytest.mark.parametrize("variant", ["plain", "loaded"])
+@pytest.mark.parametrize("name", NAMES)
+def test_full_brake_stops_within_v_squared_over_2a(run, name, variant):
+    _, effective, rolling = numbers(name, variant)
+    force = PRESETS[name].mass * PRESETS[name].max_deceleration
+    x, speed = run[name, variant]
+    expected = speed[199] ** 2 / 2 * effective / (force + rolling)
+    # The body pitches forward, some 4 cm; measured -0.9 to -1.2 %.
+    assert x[-1] - x[199] == pytest.approx(expected, rel=0.015)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_on_ice_the_brake_locks_the_wheels_and_friction_stops_the_car(run, name):
+    _, speed = run[name, "ice"]
+    # The last second above 0.4 m/s: wheels that spun on the throttle are locked.
+    end = 200 + np.argmax(speed[200:] < 0.4)
+    measured = speed[end - 50] - speed[end]
+    friction = SURFACES["ice"] * GRAVITY
+    assert measured == pytest.approx(friction, rel=0.003)  # measured 0.1 %
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_car_comes_to_rest_and_stays(run, name):
+    for variant in ("plain", "loaded", "wet"):
+        x, speed = run[name, variant]
+        assert abs(speed[-1]) < 1e-3
+        assert abs(x[-1] - x[-25]) < 1e-4
+
+
+def test_the_brake_holds_every_preset_on_a_slope_of_a_fifth(fleet: Vehicle):
+    # Uphill, downhill and across; standing cars on dry ground, hold for 6 s.
+    rows = [k for k, (_, variant) in enumerate(CARS) if variant == "plain"]
+    yaws = (0.0, np.pi, np.pi / 2, 0.7)
+    pose = np.array([(0.0, 0.0, yaw) for yaw in yaws for _ in rows])
+    chosen = jax.tree.map(
+        lambda x: jnp.tile(x[np.array(rows)], (4, *[1] * (x.ndim - 1))), fleet
+    )
+    sim = SimConfig(ctrl_dt=0.2, grade_x=GRADE)
+    pose, speed = drive(sim, pose, chosen, np.zeros(30, np.float32))
+    drift = np.linalg.norm(pose[-1, :, :2] - pose[15, :, :2], axis=-1)
+    assert drift.max() < 1e-4  # m in 3 s, once settled
+    assert np.linalg.norm(pose[-1, :, :2], axis=-1).max() < 0.1
+    assert np.abs(speed[-1]).max() < 1e-4
