@@ -20,6 +20,7 @@ from flax import struct
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.physics.tyres import (
+    TyreForces,
     TyreState,
     WheelMotion,
     init_tyres,
@@ -118,9 +119,40 @@ def substep_forces(
     steering = drive.steer_towards(vehicle, steering, controls[0], dt)
     ctrl = drive.ackermann(vehicle, steering)
     rotation = _rotation_matrix(qpos[index.root_qpos + 3 : index.root_qpos + 7])
+    speed = rotation[:, 0] @ qvel[index.root_dof : index.root_dof + 3]
+    torques = drive.wheel_torques(vehicle, controls[1], speed)
+    qfrc, _, tyres = apply_torques(index, vehicle, qpos, qvel, tyres, *torques, dt)
+    return qfrc, ctrl, tyres, steering
+
+
+def apply_torques(
+    index: CarIndex,
+    vehicle: Vehicle,
+    qpos: jax.Array,
+    qvel: jax.Array,
+    tyres: TyreState,
+    torque_drive: jax.Array,
+    torque_brake: jax.Array,
+    dt: float | jax.Array,
+) -> tuple[jax.Array, TyreForces, TyreState]:
+    """What the tyres apply to one car over one substep, its wheel torques given.
+
+    Args:
+        index: addresses of the car in `qpos` and `qvel`.
+        vehicle: the car.
+        qpos: (nq,) positions.
+        qvel: (nv,) velocities.
+        tyres: bristles.
+        torque_drive: (4,) drive torque [N m], forwards positive.
+        torque_brake: (4,) brake torque [N m], >= 0.
+        dt: substep [s].
+
+    Returns:
+        `qfrc_applied` (nv,), the tyre forces in it, and the new bristles.
+    """
+    rotation = _rotation_matrix(qpos[index.root_qpos + 3 : index.root_qpos + 7])
     linear_b = rotation.T @ qvel[index.root_dof : index.root_dof + 3]
     angular_b = qvel[index.root_dof + 3 : index.root_dof + 6]
-    torque_drive, torque_brake = drive.wheel_torques(vehicle, controls[1], linear_b[0])
     motion = _wheel_motion(index, vehicle, qpos, qvel, rotation, linear_b, angular_b)
     forces, tyres = tyre_forces(vehicle, motion, tyres, torque_drive, torque_brake, dt)
     force_b = forces.force_w @ rotation
@@ -133,7 +165,7 @@ def substep_forces(
     qfrc = qfrc.at[index.root_dof + 3 : index.root_dof + 6].set(moment_b)
     qfrc = qfrc.at[index.steer_dof].set(forces.aligning[:2])
     qfrc = qfrc.at[index.spin_dof].set(forces.spin)
-    return qfrc, ctrl, tyres, steering
+    return qfrc, forces, tyres
 
 
 def _contacts(vehicle: Vehicle) -> jax.Array:
