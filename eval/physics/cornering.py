@@ -204,7 +204,9 @@ def understeer(bed: Testbed, cars: Cars) -> Study:
             measured = degrees * float(np.polyfit(*np.transpose(points), 1)[0])
             linear = degrees * formulas.understeer_gradient(params, factors)
             brush = degrees * float(np.polyfit(*np.transpose(corrected), 1)[0])
-            axles = "uneven axles (11 and 12.5 per rad)" if factors == UNEVEN else "preset"
+            axles = (
+                "uneven axles (11 and 12.5 per rad)" if factors == UNEVEN else "preset"
+            )
             study.rows.append(
                 Row(
                     f"understeer gradient, {axles}, linear",

@@ -125,7 +125,10 @@ def steady_turn(
         push = cornering * slip_y
         limit = tyre.friction * load
         shape = np.array(
-            [brush_shape(v, m) for v, m in zip(np.hypot(pull, push), limit, strict=True)]
+            [
+                brush_shape(v, m)
+                for v, m in zip(np.hypot(pull, push), limit, strict=True)
+            ]
         )
         given = share * drive * params.mass - rolling
         force_x = np.where(axle > 0, pull * shape, given)
@@ -162,6 +165,14 @@ def brush_shape(linear: float, limit: float) -> float:
 def brush_force(linear: float, limit: float) -> float:
     """Force [N] of the brush whose linear force would be C alpha or C_kappa s [N]."""
     return linear * brush_shape(linear, limit)
+
+
+def brush_slip(force: float, stiffness: float, limit: float) -> float:
+    """Slip at which a brush of slip stiffness C [N] gives a force below its limit [N].
+
+    Inverse of F = limit (s - s^2/3 + s^3/27), C slip = limit s.
+    """
+    return 3 * (1 - (1 - abs(force) / limit) ** (1 / 3)) * limit / stiffness
 
 
 def understeer_gradient(
@@ -203,7 +214,9 @@ def _tipping(params: VehicleParameters) -> float:
     return params.mass * params.cg_height + spinning
 
 
-def step_response(params: VehicleParameters, speed: float, time: np.ndarray) -> np.ndarray:
+def step_response(
+    params: VehicleParameters, speed: float, time: np.ndarray
+) -> np.ndarray:
     """Yaw rate (T,) per steering angle [1/s] after a step of the front wheels at t = 0.
 
     Linear single-track car with roll about an axis on the ground and relaxing tyres:

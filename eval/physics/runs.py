@@ -71,7 +71,9 @@ class Run:
         """`qpos` (13,) and `qvel` (12,) of the rolling car, rear axle in the origin."""
         qpos, qvel = np.zeros(13), np.zeros(12)
         qpos[3], qpos[6] = math.cos(self.heading / 2), math.sin(self.heading / 2)
-        qvel[:2] = self.speed * np.array([math.cos(self.heading), math.sin(self.heading)])
+        qvel[:2] = self.speed * np.array(
+            [math.cos(self.heading), math.sin(self.heading)]
+        )
         qvel[INDEX.spin_dof] = self.speed / self.params.wheel_radius
         return qpos, qvel
 
@@ -206,7 +208,9 @@ def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
     if not above.any():
         return math.nan
     i = int(np.argmax(above))
-    return float(x[i] if i == 0 else np.interp(level, y[i - 1 : i + 1], x[i - 1 : i + 1]))
+    return float(
+        x[i] if i == 0 else np.interp(level, y[i - 1 : i + 1], x[i - 1 : i + 1])
+    )
 
 
 def step(final: float, start: float) -> Signal:

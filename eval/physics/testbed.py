@@ -5,8 +5,8 @@ step, slope and car are data: one compiled program serves every run of a precisi
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Protocol
 
 import jax
@@ -89,7 +89,7 @@ class BrushTestbed:
         for first in range(0, length, CHUNK):
             part = table[first : first + CHUNK]
             gravity = jnp.array(gravity_of(part[..., 5]), dtype)
-            carry, seen = self._advance(
+            carry, seen = _program(self.x64)(
                 carry, vehicles, locked, jnp.array(part, dtype), gravity, dtype.type(dt)
             )
             rows.append(jax.device_get(seen))
@@ -109,47 +109,53 @@ class BrushTestbed:
             )
         return tracks
 
-    @cached_property
-    def _advance(self):
-        model = mjx.put_model(car_model(COMPACT, self.dt, (0.0, 0.0, -GRAVITY)))
-        data = mjx.make_data(model)
 
-        def substep(carry, vehicle: Vehicle, locked, signal, gravity, dt):
-            qpos, qvel, tyres, couple = carry
-            ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
-            drive = drive + locked * couple
-            qfrc, forces, tyres = apply_torques(
-                INDEX, vehicle, qpos, qvel, tyres, drive, brake, dt
-            )
-            car = model.tree_replace(
-                {
-                    "body_mass": vehicle.body_mass,
-                    "body_inertia": vehicle.body_inertia,
-                    "body_ipos": vehicle.body_ipos,
-                    "body_pos": vehicle.body_pos,
-                    "opt.gravity": gravity,
-                    "opt.timestep": dt,
-                }
-            )
-            after = mjx.step(
-                car, data.replace(qpos=qpos, qvel=qvel, qfrc_applied=qfrc, ctrl=ctrl)
-            )
-            apart = jnp.sum(locked * after.qvel[INDEX.spin_dof])
-            couple = couple - AXLE_GAIN * apart
-            seen = (after.qpos, after.qvel, forces.force_w[:, 2], drive)
-            return (after.qpos, after.qvel, tyres, couple), seen
+@functools.cache
+def _program(x64: bool):
+    """Compiles `CHUNK` substeps of `WIDTH` cars, once for each precision.
 
-        batched = jax.vmap(substep, in_axes=(0, 0, 0, 0, 0, None))
+    Arguments: carried state, cars, signs of locked wheels, signals (CHUNK, WIDTH, 6),
+    gravity (CHUNK, WIDTH, 3), substep. Call it with x64 switched to match.
+    """
+    model = mjx.put_model(car_model(COMPACT, 0.01, (0.0, 0.0, -GRAVITY)))
+    data = mjx.make_data(model)
 
-        @jax.jit
-        @full_float32
-        def advance(carry, vehicles, locked, signals, gravity, dt):
-            def step(carry, row):
-                return batched(carry, vehicles, locked, *row, dt)
+    def substep(carry, vehicle: Vehicle, locked, signal, gravity, dt):
+        qpos, qvel, tyres, couple = carry
+        ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
+        drive = drive + locked * couple
+        qfrc, forces, tyres = apply_torques(
+            INDEX, vehicle, qpos, qvel, tyres, drive, brake, dt
+        )
+        car = model.tree_replace(
+            {
+                "body_mass": vehicle.body_mass,
+                "body_inertia": vehicle.body_inertia,
+                "body_ipos": vehicle.body_ipos,
+                "body_pos": vehicle.body_pos,
+                "opt.gravity": gravity,
+                "opt.timestep": dt,
+            }
+        )
+        after = mjx.step(
+            car, data.replace(qpos=qpos, qvel=qvel, qfrc_applied=qfrc, ctrl=ctrl)
+        )
+        apart = jnp.sum(locked * after.qvel[INDEX.spin_dof])
+        couple = couple - AXLE_GAIN * apart
+        seen = (after.qpos, after.qvel, forces.force_w[:, 2], drive)
+        return (after.qpos, after.qvel, tyres, couple), seen
 
-            return jax.lax.scan(step, carry, (signals, gravity))
+    batched = jax.vmap(substep, in_axes=(0, 0, 0, 0, 0, None))
 
-        return advance
+    @jax.jit
+    @full_float32
+    def advance(carry, vehicles, locked, signals, gravity, dt):
+        def step(carry, row):
+            return batched(carry, vehicles, locked, *row, dt)
+
+        return jax.lax.scan(step, carry, (signals, gravity))
+
+    return advance
 
 
 def controls(
