@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from carpark_mj.policy.checkpoints import write_atomically
 
@@ -77,26 +78,57 @@ class Row:
 
 @dataclasses.dataclass(frozen=True)
 class Curve:
-    """A line of a figure: label, x, y, and its style (matplotlib's shorthand)."""
+    """A line of a figure, in the panel of its car.
+
+    Attributes:
+        figure: name of the figure.
+        panel: preset and tyres.
+        label: in the legend; measurements and their formula share it, and the colour.
+        x: (n,).
+        y: (n,).
+        style: matplotlib's shorthand; dashed lines are formulas.
+    """
 
     figure: str
+    panel: str
     label: str
-    x: Sequence[float] | np.ndarray
-    y: Sequence[float] | np.ndarray
-    style: str = "-"
+    x: np.ndarray
+    y: np.ndarray
+    style: str
 
 
 @dataclasses.dataclass
 class Study:
-    """What a manoeuvre gives: rows of the table and curves of the figures."""
+    """What the manoeuvres of one car on one tyre model gave."""
 
+    preset: str
+    tyres: str
     rows: list[Row] = dataclasses.field(default_factory=lambda: [])
     curves: list[Curve] = dataclasses.field(default_factory=lambda: [])
 
-    def extend(self, other: "Study") -> None:
-        """Takes another study's rows and curves over."""
-        self.rows.extend(other.rows)
-        self.curves.extend(other.curves)
+    def row(
+        self,
+        row: str,
+        formula: str,
+        unit: str,
+        measured: float,
+        expected: float,
+        tolerance: float,
+        why: str = "",
+    ) -> None:
+        """Adds a row; see `Row`."""
+        numbers = float(measured), float(expected), float(tolerance)
+        self.rows.append(
+            Row(row, self.preset, self.tyres, formula, unit, *numbers, why)
+        )
+
+    def curve(
+        self, figure: str, label: str, x: ArrayLike, y: ArrayLike, style: str = "-"
+    ) -> None:
+        """Adds a curve; see `Curve`."""
+        panel = f"{self.preset}, {self.tyres} tyres"
+        points = np.asarray(x, float), np.asarray(y, float)
+        self.curves.append(Curve(figure, panel, label, *points, style))
 
 
 def relative(expected: float, share: float) -> float:
