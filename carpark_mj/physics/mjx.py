@@ -156,7 +156,8 @@ def apply_torques(
     motion = _wheel_motion(index, vehicle, qpos, qvel, rotation, linear_b, angular_b)
     forces, tyres = tyre_forces(vehicle, motion, tyres, torque_drive, torque_brake, dt)
     force_b = forces.force_w @ rotation
-    moment_b = jnp.sum(jnp.cross(_contacts(vehicle), force_b), axis=0)
+    contact, _ = _contacts(index, vehicle, qpos, rotation)
+    moment_b = jnp.sum(jnp.cross(contact, force_b), axis=0)
     moment_b = moment_b + jnp.array([0.0, 0.0, 1.0]) * jnp.sum(forces.aligning)
     qfrc = jnp.zeros_like(qvel)
     qfrc = qfrc.at[index.root_dof : index.root_dof + 3].set(
@@ -168,9 +169,20 @@ def apply_torques(
     return qfrc, forces, tyres
 
 
-def _contacts(vehicle: Vehicle) -> jax.Array:
-    """Contact patches (4, 3) in the body frame [m], at ground height."""
-    return jnp.pad(vehicle.hub, ((0, 0), (0, 1)))
+def _contacts(
+    index: CarIndex, vehicle: Vehicle, qpos: jax.Array, rotation: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Where the tyres meet the ground.
+
+    Returns:
+        Contact points (4, 3) in the body frame [m], on the ground: a leaning car does
+        not take them with it, or its centre of gravity would stand too high above them
+        and it would tip over too early. And how far (4,) the undeflected wheels reach
+        above the ground [m].
+    """
+    undeflected = jnp.pad(vehicle.hub, ((0, 0), (0, 1)))
+    height = qpos[index.root_qpos + 2] + undeflected @ rotation[2]
+    return undeflected - height[:, None] * rotation[2], height
 
 
 def _wheel_motion(
@@ -184,9 +196,8 @@ def _wheel_motion(
 ) -> WheelMotion:
     # Velocities are those of the contact patch, where the forces act, so that tyre
     # forces do exactly the work their deflections and losses account for.
-    contact = _contacts(vehicle)
+    contact, height = _contacts(index, vehicle, qpos, rotation)
     velocity_w = (linear_b + jnp.cross(angular_b, contact)) @ rotation.T
-    height = qpos[index.root_qpos + 2] + contact @ rotation[2]
     steer = jnp.pad(qpos[index.steer_qpos], (0, 2))
     steer_rate = jnp.pad(qvel[index.steer_dof], (0, 2))
     heading = rotation[:2, 0]
