@@ -16,10 +16,18 @@ HEADINGS = (0.0, 30.0, 45.0, 90.0)  # degrees
 SERVICE = 0.3  # g, brake force over the weight
 
 
-def stopping_distance(track: Track) -> float:
-    """From the first braked substep to standstill [m]; NaN if it never stops."""
-    last = int(np.argmax(track.speed <= 0.0))
-    return track.distance(0, last) if last else math.nan
+def braked_motion(track: Track) -> tuple[np.ndarray, np.ndarray]:
+    """Distance [m] and speed [m/s] of the centre of gravity until it stands, (n,) each.
+
+    The rear axle's centre on the ground stops sooner: the car pitches forward over it.
+    """
+    way = np.array([math.cos(track.run.heading), math.sin(track.run.heading)])
+    speed = track.cg_velocity[:, :2] @ way
+    path = (track.cg - track.cg[0])[:, :2] @ way
+    stop = int(np.argmax(speed <= 0.0))
+    if not stop:
+        return np.array([math.nan]), speed[:1]
+    return path[: stop + 1], speed[: stop + 1]
 
 
 def stops(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
@@ -47,20 +55,19 @@ def stops(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> St
             force = g * weight + formulas.rolling_resistance(params)
             deceleration = force / formulas.rolling_mass(params)
             share, why = (0.01, "") if v > 2 else (0.02, "pitch and bristles give way")
+        path, speed = braked_motion(track)
         expected = v**2 / (2 * deceleration) - v * track.dt / 2
         study.row(
             f"stop, {what}, {v:g} m/s, heading {heading:g} deg",
             formula,
             "m",
-            stopping_distance(track),
+            float(path[-1]),
             expected,
             relative(expected, share),
             why,
         )
         if heading == 0.0 and v == 5.0:
-            end = int(np.argmax(track.speed <= 0.0)) + 1
-            path = np.linalg.norm(track.position - track.position[0], axis=1)[:end]
-            study.curve("stops", what, path, track.speed[:end])
+            study.curve("stops", what, path, speed)
             left = np.linspace(v, 0.0, 100)
             theory = (v**2 - left**2) / (2 * deceleration)
             study.curve("stops", what, theory, left, "--")

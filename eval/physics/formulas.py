@@ -26,6 +26,24 @@ def rolling_resistance(params: VehicleParameters) -> float:
     return params.tyre.rolling_resistance * params.mass * GRAVITY
 
 
+def rolling_drag(params: VehicleParameters, steering: float) -> float:
+    """Drive force [N] that rolling resistance takes in a turn without slip.
+
+    sum c_rr F_i v_i over the mean speed of the driven wheels: the hubs' speeds v_i
+    differ, and power is what balances.
+    """
+    kappa = math.tan(steering) / params.wheelbase
+    half = params.track_width / 2
+    ahead = kappa * params.wheelbase
+    speeds = [
+        (math.hypot(1 - s, ahead), abs(1 - s)) for s in (kappa * half, -kappa * half)
+    ]
+    front, rear = (sum(pair) / 2 for pair in zip(*speeds, strict=True))
+    loads = axle_loads(params)
+    power = params.tyre.rolling_resistance * (loads[0] * front + loads[1] * rear)
+    return power / (params.front_drive * front + (1 - params.front_drive) * rear)
+
+
 def axle_stiffness(
     params: VehicleParameters, factors: tuple[float, float] = (1.0, 1.0)
 ) -> tuple[float, float]:
@@ -86,9 +104,17 @@ def longitudinal_load_transfer(
     """Load that moves to the front axle at a deceleration [N].
 
     (m h + 4 I / r) a / L / (1 - m g h / (k L^2)): as for roll, with the wheels' spin
-    that stops in place of their gyroscopic moment.
+    that stops in place of their gyroscopic moment. The car pitches about the middle of
+    its wheelbase, which lowers a centre of gravity ahead of it, so m h loses
+    m (b - L / 2) times the pitch angle.
     """
-    return _load_transfer(params, acceleration, params.wheelbase, rigid)
+    base = params.wheelbase
+    shift = _load_transfer(params, acceleration, base, rigid)
+    if rigid:
+        return shift
+    pitch = shift / (params.tyre.vertical_stiffness * base)
+    lower = params.mass * (params.cg_to_rear_axle - base / 2) * pitch
+    return shift - lower * acceleration / base
 
 
 def _load_transfer(

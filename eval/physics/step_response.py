@@ -1,7 +1,7 @@
 """The yaw response of the linear car to a step of the steering.
 
-Source: Pacejka, Tyre and Vehicle Dynamics (2012), ch. 1.3.2 (single track), 1.3.4 (roll)
-and 7.2 (relaxing tyres).
+Source: Pacejka, Tyre and Vehicle Dynamics (2012), ch. 1.3.2 (single
+track), 1.3.4 (roll) and 7.2 (relaxing tyres).
 """
 
 import numpy as np
@@ -34,7 +34,7 @@ def step_response(
     force = -d_w * w_rate
     force[0, 4] -= k_w[0]
     force[1, 5] -= k_w[1]
-    # m (v_y' + v r - h phi'') = F; (I + m h^2) phi'' = m h (v_y' + v r) + m g h phi - ...
+    # m (v_y' + v r - h phi'') = F and I phi'' = h F + (m g h - k) phi - c phi'.
     spring = np.array(
         [0, 0, m * GRAVITY * h - roll_stiffness, -roll_damping, 0, 0, 0], dtype=float
     )

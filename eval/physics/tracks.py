@@ -6,6 +6,7 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
@@ -93,18 +94,31 @@ class Track:
         return np.arctan(np.where(total == safe, 2 * tan.prod(1) / safe, 0.0))
 
     @cached_property
-    def course(self) -> tuple[np.ndarray, np.ndarray]:
-        """(T + 1,) speed [m/s] and direction [rad] of the centre of gravity."""
-        arm = self.params.cg_to_rear_axle * self.yaw_rate
-        x = self.qvel[:, 0] - arm * np.sin(self.yaw)
-        y = self.qvel[:, 1] + arm * np.cos(self.yaw)
-        return np.hypot(x, y), np.unwrap(np.arctan2(y, x))
+    def rotation(self) -> np.ndarray:
+        """(T + 1, 3, 3) body to world."""
+        return Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True).as_matrix()
+
+    @cached_property
+    def cg(self) -> np.ndarray:
+        """(T + 1, 3) centre of gravity [m], which moves on the wheels of a pitching car."""
+        return self.qpos[:, :3] + self.rotation @ self._cg_b
+
+    @cached_property
+    def cg_velocity(self) -> np.ndarray:
+        """(T + 1, 3) of the centre of gravity, world frame [m/s]."""
+        turning = np.cross(self.qvel[:, 3:6], self._cg_b)
+        return self.qvel[:, :3] + np.einsum("tij,tj->ti", self.rotation, turning)
+
+    @property
+    def _cg_b(self) -> np.ndarray:
+        return np.array([self.params.cg_to_rear_axle, 0.0, self.params.cg_height])
 
     @property
     def lateral_acceleration(self) -> np.ndarray:
         """(T + 1,) of the centre of gravity, square to its course [m/s^2]."""
-        speed, direction = self.course
-        return speed * np.gradient(direction, self.dt)
+        x, y, _ = self.cg_velocity.T
+        course = np.unwrap(np.arctan2(y, x))
+        return np.hypot(x, y) * np.gradient(course, self.dt)
 
     def late(self, values: np.ndarray, seconds: float) -> float:
         """Mean of values (T or T + 1,) over the last seconds."""
@@ -116,7 +130,7 @@ class Track:
         return float(np.polyfit(self.time[rows], values[rows], 1)[0])
 
     def distance(self, first: int = 0, last: int = -1) -> float:
-        """Straight distance between two rows [m]."""
+        """Straight distance of the rear-axle centre between two rows [m]."""
         return float(np.linalg.norm(self.position[last] - self.position[first]))
 
     def kinetic_energy(self, row: int) -> float:
@@ -139,7 +153,7 @@ def circle_radius(path: np.ndarray) -> float:
 
 
 def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
-    """Abscissa at which y first reaches a level from below, interpolated; NaN if never."""
+    """Abscissa at which y first reaches a level from below; NaN if never."""
     above = y >= level
     if not above.any():
         return math.nan

@@ -1,5 +1,6 @@
 """Slow turns: radius, kerb-to-kerb circle, drag, open differential and locked axle."""
 
+import dataclasses
 import itertools
 import math
 
@@ -29,7 +30,7 @@ def expected_turn(
     if bed.tyres == "brush":
         return steady_turn(params, steering, speed)
     radius = formulas.turning_radius(params, steering)
-    return Turn(radius, formulas.rolling_resistance(params))
+    return Turn(radius, formulas.rolling_drag(params, steering))
 
 
 def turn_run(
@@ -118,7 +119,9 @@ def _kerb_circle(study: Study, track: Track) -> None:
 def _drag(study: Study, bed: Testbed, track: Track, expected: Turn) -> None:
     study.row(
         "drag at full lock, open differential, 1 m/s",
-        "balance of the two-track car" if bed.tyres == "brush" else "c_rr m g",
+        "balance of the two-track car"
+        if bed.tyres == "brush"
+        else "sum c_rr F_i v_i / v_driven",
         "N",
         track.late(track.drive.sum(1), STEADY) / track.params.wheel_radius,
         expected.drag,
@@ -129,9 +132,13 @@ def _drag(study: Study, bed: Testbed, track: Track, expected: Turn) -> None:
 def locked_axle(
     bed: Testbed, name: str, params: VehicleParameters, quick: bool
 ) -> Study:
-    """Radius and drag with the driven wheels coupled, against the same formulas."""
+    """Radius and drag with the driven wheels coupled, against the same formulas.
+
+    A car with all-wheel drive is driven by its front axle here.
+    """
     del quick
     study = Study(name, bed.tyres)
+    params = dataclasses.replace(params, front_drive=round(params.front_drive + 0.01))
     lock = LOCKS[0] * params.max_steering
     (track,) = bed.drive([turn_run(params, lock, 1.0, locked_axle=True)])
     expected = steady_turn(params, lock, track.late(track.speed, STEADY), locked=True)
