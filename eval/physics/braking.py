@@ -46,17 +46,21 @@ def stops(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> St
             speed=v, brake=g * weight) for g, v, h in cases
     ]  # fmt: skip
     for (g, v, heading), track in zip(cases, bed.drive(runs), strict=True):
+        stretch = 0.0
         if g == LOCKING:
             what, formula = "locked wheels", "v^2 / (2 mu g) - v dt / 2"
-            deceleration, share, why = params.tyre.friction * GRAVITY, 0.01, ""
+            if bed.tyres == "brush":
+                formula += " + 3 mu sigma_x / (4 c_x)"
+                stretch = formulas.locking_distance(params)
+            deceleration, share = params.tyre.friction * GRAVITY, 0.01
         else:
             what = "0.3 g"
             formula = "v^2 m_eff / (2 F) - v dt / 2, m_eff = m + 4 I / r^2"
             force = g * weight + formulas.rolling_resistance(params)
             deceleration = force / formulas.rolling_mass(params)
-            share, why = (0.01, "") if v > 2 else (0.02, "pitch and bristles give way")
+            share = 0.002 if bed.tyres == "brush" else 0.01
         path, speed = braked_motion(track)
-        expected = v**2 / (2 * deceleration) - v * track.dt / 2
+        expected = v**2 / (2 * deceleration) - v * track.dt / 2 + stretch
         study.row(
             f"stop, {what}, {v:g} m/s, heading {heading:g} deg",
             formula,
@@ -64,7 +68,6 @@ def stops(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> St
             float(path[-1]),
             expected,
             relative(expected, share),
-            why,
         )
         if heading == 0.0 and v == 5.0:
             study.curve("stops", what, path, speed)

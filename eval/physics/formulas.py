@@ -44,6 +44,17 @@ def rolling_drag(params: VehicleParameters, steering: float) -> float:
     return power / (params.front_drive * front + (1 - params.front_drive) * rear)
 
 
+def locking_distance(params: VehicleParameters) -> float:
+    """Distance [m] that wheels lock by before their friction is fully there.
+
+    The bristles stretch by u = 3 mu F_z / k_x = 3 mu sigma_x / c_x until the patch
+    slides, and give three quarters of the friction on the way: a quarter of u is lost.
+    """
+    tyre = params.tyre
+    stretch = 3 * tyre.friction * tyre.longitudinal_relaxation / tyre.slip_stiffness
+    return stretch / 4
+
+
 def axle_stiffness(
     params: VehicleParameters, factors: tuple[float, float] = (1.0, 1.0)
 ) -> tuple[float, float]:

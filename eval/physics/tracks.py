@@ -100,7 +100,7 @@ class Track:
 
     @cached_property
     def cg(self) -> np.ndarray:
-        """(T + 1, 3) centre of gravity [m], which moves on the wheels of a pitching car."""
+        """(T + 1, 3) centre of gravity [m]; pitching moves it over the wheels."""
         return self.qpos[:, :3] + self.rotation @ self._cg_b
 
     @cached_property
