@@ -138,19 +138,20 @@ rear axle.
 
 ## What differs, and why
 
-- *Slalom.* MB has four wheels, load transfer, roll and Magic Formula tyres; ours a
-  brush with the same initial slope and peak, whose force bends earlier. At 0.2 g that
-  and camber, which MB has and we have not, is most of the difference. STD has no track
-  width: its wheels do not scrub against each other as the parallel-steered pairs of MB
-  and ours do, so it keeps more speed. MB and STD differ from each other by
-  {slalom_mb_std:.2f} m.
-- *Brake in a turn.* Braking at 3 m/s^2 takes side force from the front tyres. Magic
-  Formula weighting (MB, STD) and the friction circle of the brush (ours) share it out
-  differently. STD takes its wheel loads from the asked acceleration at once, MB and
-  ours from pitching bodies. MB and STD differ from each other by {brake_mb_std:.2f} m.
-- *Parking.* KS has no slip: it turns on L / tan(delta) at any speed. Ours slips by
-  about a_y / (g C_y), at 1 m/s some 0.03 deg, and follows the speed profile on a
-  controller. MB and STD cannot reverse and are no referees here.
+- *Slalom.* STD has no track width. MB and ours steer both front wheels by the same
+  angle, so that the pair scrubs and the car slows down: ours falls behind STD along the
+  path. With exact Ackermann angles in our car the distance to STD shrinks from 0.13 m
+  to 0.02 m, and that to MB grows from 0.03 m to 0.08 m. MB and STD are
+  {slalom_mb_std:.2f} m apart.
+- *Brake in a turn.* The first 0.2 deg are our steering servos, which follow 14 ms late;
+  the referees turn their wheels at once. The rest grows with side slip: the brush force
+  bends from the start, the Magic Formula of the same initial slope stays straighter. A
+  fifth more cornering stiffness in our car takes the distance to MB from 0.14 m to
+  0.10 m; 20 % more friction, or a tenth of the relaxation, changes nothing. MB and STD
+  are {brake_mb_std:.2f} m apart.
+- *Parking.* KS has no slip and exactly the asked speed. Ours holds it on a controller
+  and lags by up to 4 cm along the path while it drives; after two gear changes it
+  stands 1 cm beside KS. MB and STD cannot reverse and are no referees here.
 - Not carried over: MB's anti-roll bars, compliant joints, camber and unequal axle
   springs. Our tyres relax over 0.1 m where theirs answer at once.
 """

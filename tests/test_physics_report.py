@@ -234,15 +234,14 @@ def one_row(tolerance: float):
 @pytest.mark.parametrize(("tolerance", "code"), [(2.0, 0), (0.5, 1)])
 def test_a_missed_row_makes_exit_code_1(tolerance, code, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(physics_report, "SUITES", {"brush": (one_row(tolerance),)})
-    out = str(tmp_path)
-    argv = ["--presets", "compact", "--tyres", "brush", "--out", out]
-    assert physics_report.command_line(argv) == code
+    flags = ["--presets", "compact", "--tyres", "brush"]
+    assert physics_report.command_line([*flags, "--out", str(tmp_path)]) == code
     printed = capsys.readouterr().out
     assert ("wrong: MISS" in printed) == bool(code)
     assert f"1 rows, {code} missed" in printed
     report = (tmp_path / "report.md").read_text()
     assert ("Outside their tolerance" in report) == bool(code)
-    assert f"`python eval/physics_report.py {' '.join(argv)}`" in report
+    assert f"`python eval/physics_report.py {' '.join(flags)}`" in report
     assert (tmp_path / "stops.png").read_bytes().startswith(b"\x89PNG")
 
 

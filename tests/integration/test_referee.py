@@ -17,8 +17,8 @@ def found() -> dict[str, referee.Trial]:
     [
         # Measured 0.03 m and 0.2 deg on 24 m; MB and STD are 0.10 m apart.
         ("slalom at 3 m/s", "MB", 0.08, 0.4),
-        # Measured 0.13 m, mostly along the path: STD has no track width, so nothing
-        # of MB's and our scrub between parallel front wheels slows it down.
+        # Measured 0.13 m along the path: our parallel front wheels scrub and slow the
+        # car down, STD has no track width. 0.02 m with exact Ackermann angles.
         ("slalom at 3 m/s", "STD", 0.20, 0.4),
         # Measured 0.14 m and 0.8 deg on 18 m; MB and STD are 0.13 m and 0.4 deg apart.
         ("brake in a turn at 6 m/s", "MB", 0.25, 1.2),
