@@ -60,8 +60,9 @@ INTRODUCTION = """# Vehicle physics: measured against formulas
 Written by `{command}`; do not edit.
 
 Every expected value follows from the preset's parameters by the formula in its row
-(`eval/physics/formulas.py`, `steady_turn.py`, `step_response.py`). The test driver sets wheel angles and wheel torques directly:
-neither pedal nor rate limit stands between a manoeuvre and the car.
+(`eval/physics/formulas.py`, `steady_turn.py`, `step_response.py`). The test driver sets
+wheel angles and wheel torques directly: neither pedal nor rate limit stands between a
+manoeuvre and the car.
 
 - *brush*: MJX in float32 at 10 ms with the tyres that training uses.
 - *contact*: C MuJoCo in float64 at 2 ms with the contact wheels of exported scenes.

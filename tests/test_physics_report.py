@@ -9,7 +9,17 @@ import pytest
 
 import physics_report
 from carpark_mj.vehicle import COMPACT
-from physics import braking, formulas, numerics, statics, steady_turn, turning
+from physics import (
+    braking,
+    energy,
+    formulas,
+    handling,
+    numerics,
+    statics,
+    steady_turn,
+    turning,
+)
+from physics.contact import ContactTestbed
 from physics.runs import Run, ramp, step
 from physics.step_response import step_response
 from physics.table import Row, Study, markdown, relative, write_csv
@@ -169,6 +179,24 @@ def check(study: Study) -> None:
 )
 def test_the_compact_passes(manoeuvre, bed: BrushTestbed):
     check(manoeuvre(bed, "compact", COMPACT, True))
+
+
+def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):
+    # Its static threshold is (T / 2h - lean) g = 1.0 g, above mu g = 0.9 g. With forces
+    # at patches that lean into the ground with the car it fell over.
+    tyre = dataclasses.replace(COMPACT.tyre, vertical_stiffness=25_000.0)
+    car = dataclasses.replace(COMPACT, cg_height=0.65, height=1.7, tyre=tyre)
+    check(handling.lateral_limit(bed, "tall", car, True))
+
+
+@pytest.mark.parametrize(
+    "manoeuvre",
+    [turning.turning, statics.slip_threshold, energy.balance],
+    ids=lambda manoeuvre: manoeuvre.__name__,
+)
+def test_the_compact_passes_on_contact_wheels(manoeuvre):
+    pytest.importorskip("carpark_mj.vehicle.contact_wheels")
+    check(manoeuvre(ContactTestbed(), "compact", COMPACT, True))
 
 
 def test_a_car_with_other_tyres_than_expected_misses(bed: BrushTestbed):

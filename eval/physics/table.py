@@ -139,9 +139,9 @@ def relative(expected: float, share: float) -> float:
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """Writes the table as CSV."""
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(row.cells() for row in rows)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(row.cells().values() for row in rows)
     write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))
 
 

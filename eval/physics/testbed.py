@@ -13,7 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.physics.mjx import apply_torques, mjx
+from carpark_mj.physics.mjx import (
+    apply_torques,
+    mjx,  # pyright: ignore[reportAttributeAccessIssue]
+)
 from carpark_mj.physics.tyres import init_tyres
 from carpark_mj.precision import full_float32
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
@@ -33,8 +36,15 @@ WIDTH = 16  # cars of one call; fewer are filled up
 class Testbed(Protocol):
     """Something that can drive runs: a tyre model on an engine."""
 
-    tyres: str
-    dt: float
+    @property
+    def tyres(self) -> str:
+        """Name of the tyre model."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Substep [s] unless a manoeuvre asks for another."""
+        ...
 
     def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
         """Drives the runs at a substep [s] (its own by default)."""
@@ -152,7 +162,8 @@ def _program(x64: bool):
     @full_float32
     def advance(carry, vehicles, locked, signals, gravity, dt):
         def step(carry, row):
-            return batched(carry, vehicles, locked, *row, dt)
+            signal, pull = row
+            return batched(carry, vehicles, locked, signal, pull, dt)
 
         return jax.lax.scan(step, carry, (signals, gravity))
 
@@ -188,7 +199,8 @@ def vehicle_of(run: Run) -> Vehicle:
     vehicle = make_vehicle(run.params)
     factors = jnp.repeat(jnp.array(run.stiffness), 2)
     stiffness = vehicle.tyres.lateral_stiffness * factors
-    return vehicle.replace(tyres=vehicle.tyres.replace(lateral_stiffness=stiffness))
+    tyres = dataclasses.replace(vehicle.tyres, lateral_stiffness=stiffness)
+    return dataclasses.replace(vehicle, tyres=tyres)
 
 
 def locked_wheels(run: Run) -> list[float]:
