@@ -405,8 +405,3 @@ class ParkingEnv:
             fleet.max_speed,
             fleet.max_steering,
         )
-
-
-def _select(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
-    """Rows (n, ...) of `new` where the mask (n,) holds, else of `old`."""
-    return jnp.where(mask.reshape(-1, *([1] * (new.ndim - 1))), new, old)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.mjx import CarIndex, gravity_vector, substep_forces
+from carpark_mj.physics.car import CarIndex, gravity_vector, substep_forces
 from carpark_mj.physics.tyres import init_tyres
 from carpark_mj.vehicle.drive import init_actuators
 from carpark_mj.vehicle.mjcf import car_model

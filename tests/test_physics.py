@@ -10,7 +10,8 @@ import pytest
 
 from carpark_mj.config import SimConfig
 from carpark_mj.physics import MjxPhysics
-from carpark_mj.physics.mjx import CarState, gravity_vector
+from carpark_mj.physics.car import gravity_vector
+from carpark_mj.physics.mjx import CarState
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle import COMPACT, Vehicle, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.parameters import GRAVITY

@@ -14,7 +14,7 @@ import numpy as np
 
 from carpark_mj.config import SimConfig
 from carpark_mj.layouts.types import Layout
-from carpark_mj.physics.mjx import gravity_vector
+from carpark_mj.physics.car import gravity_vector
 from carpark_mj.scene import build_scene
 from carpark_mj.vehicle.parameters import VehicleParameters
 

@@ -20,13 +20,9 @@ from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import where_cars
+from carpark_mj.physics.car import centre_pose, substep_forces
 from carpark_mj.physics.lot_model import LotModel
-from carpark_mj.physics.mjx import (
-    CarState,
-    MjxPhysics,
-    centre_pose,
-    substep_forces,
-)
+from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.precision import full_float32
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle.parameters import VehicleParameters

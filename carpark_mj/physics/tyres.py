@@ -99,7 +99,7 @@ def tyre_forces(
     state: TyreState,
     drive: jax.Array,
     brake: jax.Array,
-    dt: float,
+    dt: float | jax.Array,
 ) -> tuple[TyreForces, TyreState]:
     """One substep of the four tyres of one car.
 

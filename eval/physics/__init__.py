@@ -1,0 +1,1 @@
+"""Manoeuvres, formulas and tables of `python eval/physics_report.py`."""

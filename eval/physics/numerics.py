@@ -1,0 +1,132 @@
+"""Numerics: mirror symmetry, time step, C MuJoCo against MJX."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from carpark_mj.physics.car import apply_torques
+from carpark_mj.physics.tyres import init_tyres
+from carpark_mj.vehicle.mjcf import car_model
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from physics.runs import INDEX, Run
+from physics.table import Study
+from physics.testbed import BrushTestbed, Testbed, controls, vehicle_of
+
+STEPS = (0.01, 0.005, 0.002, 0.001)  # s
+FINEST = 0.0005  # s, the reference
+
+
+def wander(params: VehicleParameters, side: float = 1.0) -> Run:
+    """Six seconds: pull away, steer left and right, brake to a stop in a turn."""
+    weight = params.mass * GRAVITY
+
+    def braking(time: np.ndarray) -> np.ndarray:
+        return time > 4.9999  # s, on a substep of every time step
+
+    return Run(
+        params,
+        6.0,
+        speed=0.5,
+        steering=lambda time: side * 0.8 * params.max_steering * np.sin(1.5 * time),
+        force=lambda time: np.where(braking(time), 0.0, 0.06 * weight),
+        brake=lambda time: np.where(braking(time), 0.3 * weight, 0.0),
+    )
+
+
+def mirror(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
+    """A mirrored manoeuvre drives the mirrored path, in float64."""
+    del quick
+    study = Study(name, bed.tyres)
+    exact = BrushTestbed(x64=True) if isinstance(bed, BrushTestbed) else bed
+    left, right = exact.drive([wander(params), wander(params, -1.0)])
+    apart = np.abs(left.position - right.position * [1, -1]).max()
+    study.row("mirror symmetry, 6 s", "0", "m", float(apart), 0.0, 1e-6)
+    return study
+
+
+def convergence(
+    bed: Testbed, name: str, params: VehicleParameters, quick: bool
+) -> Study:
+    """Path error of time steps against the finest, in float64."""
+    study = Study(name, bed.tyres)
+    steps, finest = (STEPS[:2], STEPS[3]) if quick else (STEPS, FINEST)
+    exact_bed = BrushTestbed(x64=True)
+
+    def path(dt: float) -> np.ndarray:
+        (track,) = exact_bed.drive([wander(params)], dt)
+        return track.position[:: track.at(0.1)]
+
+    exact = path(finest)
+    length = float(np.linalg.norm(np.diff(exact, axis=0), axis=1).sum())
+    errors = [float(np.linalg.norm(path(dt) - exact, axis=1).max()) for dt in steps]
+    for dt, error in zip(steps, errors, strict=True):
+        study.row(
+            f"time-step error, {1000 * dt:g} ms",
+            f"0.5 % of a {length:.1f} m path at 10 ms, in proportion to dt",
+            "m",
+            error,
+            0.0,
+            0.005 * length * dt / STEPS[0],
+        )
+    spread = math.log((steps[0] - finest) / (steps[1] - finest))
+    study.row(
+        "time-step order, 10 against 5 ms",
+        "1: error in proportion to dt - dt_ref",
+        "",
+        math.log(errors[0] / errors[1]) / spread,
+        1.0,
+        0.3,
+    )
+    milli = 1000 * np.array(steps)
+    study.curve("convergence", "measured", milli, 1000 * np.array(errors), "o-")
+    bound = 5 * length * milli / 10
+    study.curve("convergence", "tolerance", milli, bound, "--")
+    return study
+
+
+def engines(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
+    """One second in MJX against `mujoco.mj_step` with the same tyre code."""
+    del quick
+    study = Study(name, bed.tyres)
+    run = dataclasses.replace(wander(params), duration=1.0, speed=2.0)
+    path = drive_in_c(run, bed.dt)
+    for bits, tolerance in ((32, 1e-5), (64, 1e-12)):
+        (track,) = BrushTestbed(bed.dt, x64=bits == 64).drive([run])
+        apart = float(np.abs(track.position - path).max())
+        what = f"C MuJoCo against MJX in float{bits}, 1 s"
+        study.row(what, "0", "m", apart, 0.0, tolerance)
+    return study
+
+
+def drive_in_c(run: Run, dt: float) -> np.ndarray:
+    """Positions (T + 1, 2) of the run in C MuJoCo, all in float64."""
+    with jax.enable_x64(True):
+        vehicle, tyres = vehicle_of(run), init_tyres(jnp.result_type(float))
+        model = car_model(run.params, dt, (0.0, 0.0, -GRAVITY))
+        data = mujoco.MjData(model)
+        data.qpos, data.qvel = run.start()
+        path = [data.qpos[:2].copy()]
+        for signal in run.signals(dt):
+            ctrl, qfrc, tyres = _c_forces(
+                vehicle,
+                jnp.array(data.qpos),
+                jnp.array(data.qvel),
+                tyres,
+                jnp.array(signal),
+                dt,
+            )
+            data.ctrl, data.qfrc_applied = ctrl, qfrc
+            mujoco.mj_step(model, data)
+            path.append(data.qpos[:2].copy())
+    return np.array(path)
+
+
+@jax.jit
+def _c_forces(vehicle, qpos, qvel, tyres, signal, dt):
+    ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
+    qfrc, _, tyres = apply_torques(INDEX, vehicle, qpos, qvel, tyres, drive, brake, dt)
+    return ctrl, qfrc, tyres

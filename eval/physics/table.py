@@ -1,0 +1,154 @@
+"""The report's rows and how they are written: CSV and markdown."""
+
+import csv
+import dataclasses
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from carpark_mj.policy.checkpoints import write_atomically
+
+COLUMNS = (
+    "row",
+    "preset",
+    "tyres",
+    "formula",
+    "unit",
+    "measured",
+    "expected",
+    "tolerance",
+    "verdict",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One measurement against its expectation.
+
+    Attributes:
+        row: what is measured.
+        preset: the car.
+        tyres: the tyre model.
+        formula: of the expected value.
+        unit: of measured, expected and tolerance.
+        measured: from the simulation.
+        expected: from the parameters.
+        tolerance: largest |measured - expected| that passes.
+        why: physical reason where the tolerance is not the usual one.
+    """
+
+    row: str
+    preset: str
+    tyres: str
+    formula: str
+    unit: str
+    measured: float
+    expected: float
+    tolerance: float
+    why: str = ""
+
+    @property
+    def passes(self) -> bool:
+        """Whether it lies within the tolerance; a NaN does not."""
+        return abs(self.measured - self.expected) <= self.tolerance
+
+    @property
+    def verdict(self) -> str:
+        """One line: pass or MISS, how far off, and the reason of the tolerance."""
+        off = self.measured - self.expected
+        if self.expected and self.tolerance < abs(self.expected):
+            scale = 100 / abs(self.expected)
+            by = f"{off * scale:+.2g} % of ±{self.tolerance * scale:.2g} %"
+        else:
+            by = f"{off:+.2g} of ±{self.tolerance:.2g} {self.unit}".rstrip()
+        reason = f"; {self.why}" if self.why else ""
+        return f"{'pass' if self.passes else 'MISS'}: {by}{reason}"
+
+    def cells(self) -> dict[str, str]:
+        """The row's text in every column."""
+        numbers = {
+            name: f"{getattr(self, name):.5g}"
+            for name in ("measured", "expected", "tolerance")
+        }
+        return {name: numbers.get(name) or str(getattr(self, name)) for name in COLUMNS}
+
+
+@dataclasses.dataclass(frozen=True)
+class Curve:
+    """A line of a figure, in the panel of its car.
+
+    Attributes:
+        figure: name of the figure.
+        panel: preset and tyres.
+        label: in the legend; measurements and their formula share it, and the colour.
+        x: (n,).
+        y: (n,).
+        style: matplotlib's shorthand; dashed lines are formulas.
+    """
+
+    figure: str
+    panel: str
+    label: str
+    x: np.ndarray
+    y: np.ndarray
+    style: str
+
+
+@dataclasses.dataclass
+class Study:
+    """What the manoeuvres of one car on one tyre model gave."""
+
+    preset: str
+    tyres: str
+    rows: list[Row] = dataclasses.field(default_factory=lambda: [])
+    curves: list[Curve] = dataclasses.field(default_factory=lambda: [])
+
+    def row(
+        self,
+        row: str,
+        formula: str,
+        unit: str,
+        measured: float,
+        expected: float,
+        tolerance: float,
+        why: str = "",
+    ) -> None:
+        """Adds a row; see `Row`."""
+        numbers = float(measured), float(expected), float(tolerance)
+        self.rows.append(
+            Row(row, self.preset, self.tyres, formula, unit, *numbers, why)
+        )
+
+    def curve(
+        self, figure: str, label: str, x: ArrayLike, y: ArrayLike, style: str = "-"
+    ) -> None:
+        """Adds a curve; see `Curve`."""
+        panel = f"{self.preset}, {self.tyres} tyres"
+        points = np.asarray(x, float), np.asarray(y, float)
+        self.curves.append(Curve(figure, panel, label, *points, style))
+
+
+def relative(expected: float, share: float) -> float:
+    """An absolute tolerance from a share of the expected value."""
+    return abs(expected) * share
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Writes the table as CSV."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(row.cells().values() for row in rows)
+    write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The table as markdown, one line a row."""
+    lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
+    for row in rows:
+        cells = (cell.replace("|", "\\|") for cell in row.cells().values())
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)

@@ -1,0 +1,163 @@
+"""What a car did on a test track, and what is read out of it."""
+
+import dataclasses
+import math
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from carpark_mj.vehicle.mjcf import car_model
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from physics.runs import INDEX, Run
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """What a car did; row i is the state after i substeps, loads act during row i.
+
+    Attributes:
+        run: what it was asked.
+        dt: substep [s].
+        qpos: (T + 1, 13) positions, rear axle at the root.
+        qvel: (T + 1, 12) velocities.
+        load: (T, 4) vertical wheel loads [N].
+        drive: (T, 4) drive torque at the wheels [N m].
+    """
+
+    run: Run
+    dt: float
+    qpos: np.ndarray
+    qvel: np.ndarray
+    load: np.ndarray
+    drive: np.ndarray
+
+    @property
+    def params(self) -> VehicleParameters:
+        """The car."""
+        return self.run.params
+
+    @property
+    def time(self) -> np.ndarray:
+        """(T + 1,) [s]."""
+        return np.arange(len(self.qpos)) * self.dt
+
+    def at(self, seconds: float) -> int:
+        """Index of an instant."""
+        return round(seconds / self.dt)
+
+    @cached_property
+    def yaw(self) -> np.ndarray:
+        """(T + 1,) [rad], unwrapped."""
+        w, x, y, z = self.qpos[:, 3:7].T
+        return np.unwrap(np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)))
+
+    @property
+    def position(self) -> np.ndarray:
+        """(T + 1, 2) rear-axle centre [m]."""
+        return self.qpos[:, :2]
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        """(T + 1, 2) of the rear-axle centre, forward and left on the ground [m/s]."""
+        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
+        x, y = self.qvel[:, 0], self.qvel[:, 1]
+        return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+
+    @property
+    def speed(self) -> np.ndarray:
+        """(T + 1,) forward [m/s]."""
+        return self.velocity[:, 0]
+
+    @property
+    def yaw_rate(self) -> np.ndarray:
+        """(T + 1,) [rad/s]."""
+        return self.qvel[:, 5]
+
+    @property
+    def spin(self) -> np.ndarray:
+        """(T + 1, 4) [rad/s]."""
+        return self.qvel[:, INDEX.spin_dof]
+
+    @property
+    def wheel_angles(self) -> np.ndarray:
+        """(T + 1, 2) of the front wheels about their kingpins [rad]."""
+        return self.qpos[:, INDEX.steer_qpos]
+
+    @property
+    def steering(self) -> np.ndarray:
+        """(T + 1,) bicycle angle [rad] that the two wheels have: mean cotangent."""
+        tan = np.tan(self.wheel_angles)
+        total = tan.sum(1)
+        safe = np.where(np.abs(total) < 1e-12, 1.0, total)
+        return np.arctan(np.where(total == safe, 2 * tan.prod(1) / safe, 0.0))
+
+    @cached_property
+    def rotation(self) -> np.ndarray:
+        """(T + 1, 3, 3) body to world."""
+        return Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True).as_matrix()
+
+    @cached_property
+    def cg(self) -> np.ndarray:
+        """(T + 1, 3) centre of gravity [m]; pitching moves it over the wheels."""
+        return self.qpos[:, :3] + self.rotation @ self._cg_b
+
+    @cached_property
+    def cg_velocity(self) -> np.ndarray:
+        """(T + 1, 3) of the centre of gravity, world frame [m/s]."""
+        turning = np.cross(self.qvel[:, 3:6], self._cg_b)
+        return self.qvel[:, :3] + np.einsum("tij,tj->ti", self.rotation, turning)
+
+    @property
+    def _cg_b(self) -> np.ndarray:
+        return np.array([self.params.cg_to_rear_axle, 0.0, self.params.cg_height])
+
+    @property
+    def lateral_acceleration(self) -> np.ndarray:
+        """(T + 1,) of the centre of gravity, square to its course [m/s^2]."""
+        x, y, _ = self.cg_velocity.T
+        course = np.unwrap(np.arctan2(y, x))
+        return np.hypot(x, y) * np.gradient(course, self.dt)
+
+    def late(self, values: np.ndarray, seconds: float) -> float:
+        """Mean of values (T or T + 1,) over the last seconds."""
+        return float(values[-self.at(seconds) :].mean())
+
+    def trend(self, values: np.ndarray, first: float, last: float) -> float:
+        """Slope [1/s] of values (T + 1,) between two instants."""
+        rows = slice(self.at(first), self.at(last) + 1)
+        return float(np.polyfit(self.time[rows], values[rows], 1)[0])
+
+    def distance(self, first: int = 0, last: int = -1) -> float:
+        """Straight distance of the rear-axle centre between two rows [m]."""
+        return float(np.linalg.norm(self.position[last] - self.position[first]))
+
+    def kinetic_energy(self, row: int) -> float:
+        """Of all bodies [J], by MuJoCo's own mass matrix."""
+        model = car_model(self.params, self.dt, (0.0, 0.0, -GRAVITY))
+        data = mujoco.MjData(model)
+        data.qpos, data.qvel = self.qpos[row], self.qvel[row]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_energyVel(model, data)
+        return float(data.energy[1])
+
+
+def circle_radius(path: np.ndarray) -> float:
+    """Radius of the circle that fits points (T, 2) best (Kasa's linear fit)."""
+    middle = path.mean(0)
+    path = path - middle
+    rows = np.column_stack([2 * path, np.ones(len(path))])
+    (x, y, c), *_ = np.linalg.lstsq(rows, (path**2).sum(1), rcond=None)
+    return math.sqrt(c + x**2 + y**2)
+
+
+def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
+    """Abscissa at which y first reaches a level from below; NaN if never."""
+    above = y >= level
+    if not above.any():
+        return math.nan
+    i = int(np.argmax(above))
+    return float(
+        x[i] if i == 0 else np.interp(level, y[i - 1 : i + 1], x[i - 1 : i + 1])
+    )

@@ -1,0 +1,280 @@
+"""The physics report: formulas against hand-worked cases, rows, files, exit code."""
+
+import csv
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+import physics_report
+from carpark_mj.vehicle import COMPACT
+from physics import (
+    braking,
+    energy,
+    formulas,
+    handling,
+    numerics,
+    statics,
+    steady_turn,
+    turning,
+)
+from physics.contact import ContactTestbed
+from physics.runs import Run, ramp, step
+from physics.step_response import step_response
+from physics.table import Row, Study, markdown, relative, write_csv
+from physics.testbed import BrushTestbed
+from physics.tracks import circle_radius, crossing
+
+# Round numbers for sums by hand.
+PLAIN = dataclasses.replace(
+    COMPACT,
+    wheelbase=2.5,
+    track_width=1.5,
+    mass=1000.0,
+    cg_to_front_axle=1.0,
+    cg_height=0.5,
+    wheel_radius=0.3,
+    tyre_width=0.2,
+    wheel_inertia=0.9,
+    front_drive=1.0,
+)
+
+
+@pytest.fixture(scope="module")
+def bed() -> BrushTestbed:
+    return BrushTestbed()
+
+
+# Formulas
+
+
+def test_loads_and_resistances_by_hand():
+    front, rear = formulas.axle_loads(PLAIN)
+    assert (front, rear) == pytest.approx((5886.0, 3924.0))  # 60 and 40 % of 9810 N
+    assert formulas.rolling_mass(PLAIN) == pytest.approx(1040.0)  # + 4 x 0.9 / 0.09
+    assert formulas.rolling_resistance(PLAIN) == pytest.approx(117.72)  # 0.012 m g
+    # 2/3 x 0.9 x 2943 N x 0.08 m.
+    assert formulas.scrub_torque(PLAIN) == pytest.approx(141.264)
+    # 3 x 0.9 x 0.35 m / 20 of stretch, a quarter of it.
+    assert formulas.locking_distance(PLAIN) == pytest.approx(0.0118125)
+
+
+def test_load_transfers_by_hand():
+    # (1000 x 0.5 + 4 x 0.9 / 0.3) kg m x 2 m/s^2 = 1024 N m over track or wheelbase.
+    rigid = formulas.lateral_load_transfer(PLAIN, 2.0, rigid=True)
+    assert rigid == pytest.approx(1024 / 1.5)
+    # 4905 N m/rad of leaning weight against springs of 63 000 N m/rad.
+    soft = formulas.lateral_load_transfer(PLAIN, 2.0)
+    assert soft == pytest.approx(1024 / 1.5 / (1 - 4905 / 63_000))
+    rigid = formulas.longitudinal_load_transfer(PLAIN, 2.0, rigid=True)
+    assert rigid == pytest.approx(1024 / 2.5)
+    pitching = formulas.longitudinal_load_transfer(PLAIN, 2.0)
+    plain = 1024 / 2.5 / (1 - 4905 / 175_000)
+    lower = 0.25 * plain / 70_000  # m, of a mass 0.25 m ahead of the middle
+    assert pitching == pytest.approx(plain - 1000 * lower * 2.0 / 2.5)
+
+
+def test_turning_geometry_by_hand():
+    angle = math.atan(0.5)  # R = 5 m to the rear axle's middle
+    assert formulas.turning_radius(PLAIN, angle) == pytest.approx(5.0)
+    left, right = formulas.front_wheel_angles(PLAIN, angle)
+    assert math.tan(left) == pytest.approx(2.5 / 4.25)
+    assert math.tan(right) == pytest.approx(2.5 / 5.75)
+    parallel = dataclasses.replace(PLAIN, ackermann=0.0)
+    assert formulas.front_wheel_angles(parallel, angle) == pytest.approx((angle, angle))
+    # Hubs at 4.25 and 5.75 m, the front ones 2.5 m ahead; the front axle drives.
+    front = (math.hypot(4.25, 2.5) + math.hypot(5.75, 2.5)) / 2 / 5
+    drag = 0.012 * (5886 * front + 3924) / front
+    assert formulas.rolling_drag(PLAIN, angle) == pytest.approx(drag)
+
+
+def test_kerb_circle_of_the_compact_is_the_published_one():
+    # 10.9 m kerb to kerb, published for the Golf VII.
+    assert formulas.kerb_circle(COMPACT) == pytest.approx(10.9, abs=0.02)
+
+
+def test_the_understeer_gradient_by_hand():
+    assert formulas.understeer_gradient(PLAIN, (1.0, 1.0)) == pytest.approx(0.0)
+    # Slip angles per m/s^2 are 1 / (g C), here with a front half as stiff.
+    expected = (1 / 6 - 1 / 12) / 9.81
+    assert formulas.understeer_gradient(PLAIN, (0.5, 1.0)) == pytest.approx(expected)
+
+
+def test_the_brush_curve_by_hand():
+    # s = 1.5: s - s^2/3 + s^3/27 = 0.875.
+    assert steady_turn.brush_force(1500.0, 1000.0) == pytest.approx(875.0)
+    assert steady_turn.brush_force(-1500.0, 1000.0) == pytest.approx(-875.0)
+    assert steady_turn.brush_force(9000.0, 1000.0) == pytest.approx(1000.0)
+    assert steady_turn.brush_slip(875.0, 5000.0, 1000.0) == pytest.approx(0.3)
+
+
+def test_a_slow_turn_without_scrub_is_ackermanns():
+    tyre = dataclasses.replace(PLAIN.tyre, patch_radius=1e-6, rolling_resistance=1e-6)
+    car = dataclasses.replace(PLAIN, tyre=tyre)
+    for speed in (0.01, -0.01):
+        turn = steady_turn.steady_turn(car, 0.5, speed)
+        assert turn.radius == pytest.approx(2.5 / math.tan(0.5), rel=1e-6)
+    # Both axles slip alike, so that K = 0 holds the radius at speed to first order.
+    fast = steady_turn.steady_turn(car, 0.01, 10.0)
+    assert fast.radius == pytest.approx(2.5 / math.tan(0.01), rel=0.01)
+
+
+def test_a_locked_axle_widens_the_turn_and_drags():
+    free = steady_turn.steady_turn(PLAIN, 0.2, 1.0)
+    locked = steady_turn.steady_turn(PLAIN, 0.2, 1.0, locked=True)
+    assert locked.radius > 1.1 * free.radius
+    assert locked.drag > 1.5 * free.drag
+
+
+def test_the_step_response_settles_at_the_neutral_gain():
+    time = np.arange(0.0, 4.0, 0.001)
+    response = step_response(PLAIN, 10.0, time)
+    assert response[0] == 0.0
+    assert response[-1] == pytest.approx(10.0 / 2.5, rel=1e-3)  # v / L, as K = 0
+
+
+# Signals and tracks
+
+
+def test_signals_act_when_they_should():
+    run = Run(COMPACT, 1.0, steering=step(0.2, 0.5), force=ramp(100.0, 0.0, 0.5))
+    table = run.signals(0.1)
+    assert table[:, 0].tolist() == [0.0] * 5 + [0.2] * 5
+    assert table[:, 1] == pytest.approx([0, 20, 40, 60, 80, 100, 100, 100, 100, 100])
+    assert not table[:, 4].any()  # no speed is held
+
+
+def test_crossings_and_circles():
+    x = np.array([0.0, 1.0, 2.0, 3.0])
+    assert crossing(x, x**2, 2.5) == pytest.approx(1.5)
+    assert math.isnan(crossing(x, x, 4.0))
+    angle = np.linspace(0.0, 1.0, 20)
+    arc = np.stack([100 + 4 * np.cos(angle), 4 * np.sin(angle) - 50], -1)
+    assert circle_radius(arc) == pytest.approx(4.0, rel=1e-9)
+
+
+# Rows of the suite, quick
+
+
+def check(study: Study) -> None:
+    assert study.rows
+    missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]
+    assert missed == []
+
+
+@pytest.mark.parametrize(
+    "manoeuvre",
+    [
+        turning.turning,
+        turning.locked_axle,
+        braking.stops,
+        braking.load_transfer,
+        statics.slope_hold,
+        statics.slip_threshold,
+        statics.scrub_torque,
+        numerics.engines,
+    ],
+    ids=lambda manoeuvre: manoeuvre.__name__,
+)
+def test_the_compact_passes(manoeuvre, bed: BrushTestbed):
+    check(manoeuvre(bed, "compact", COMPACT, True))
+
+
+def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):
+    # Its static threshold is (T / 2h - lean) g = 1.0 g, above mu g = 0.9 g. With forces
+    # at patches that lean into the ground with the car it fell over.
+    tyre = dataclasses.replace(COMPACT.tyre, vertical_stiffness=25_000.0)
+    car = dataclasses.replace(COMPACT, cg_height=0.65, height=1.7, tyre=tyre)
+    check(handling.lateral_limit(bed, "tall", car, True))
+
+
+@pytest.mark.parametrize(
+    "manoeuvre",
+    [turning.turning, statics.slip_threshold, energy.balance],
+    ids=lambda manoeuvre: manoeuvre.__name__,
+)
+def test_the_compact_passes_on_contact_wheels(manoeuvre):
+    pytest.importorskip("carpark_mj.vehicle.contact_wheels")
+    check(manoeuvre(ContactTestbed(), "compact", COMPACT, True))
+
+
+def test_a_car_with_other_tyres_than_expected_misses(bed: BrushTestbed):
+    slippery = dataclasses.replace(COMPACT.tyre, friction=0.8)
+    car = dataclasses.replace(COMPACT, tyre=slippery)
+    run = Run(car, 2.0, speed=5.0, brake=20 * car.mass * 9.81)
+    path, _ = braking.braked_motion(*bed.drive([run]))
+    expected = 25 / (2 * 0.9 * 9.81)  # of COMPACT
+    row = Row(
+        "stop", "car", "brush", "", "m", path[-1], expected, relative(expected, 0.01)
+    )
+    assert not row.passes
+    assert row.verdict.startswith("MISS: +1")  # 12.5 % longer
+
+
+def test_runs_of_one_batch_do_not_touch_each_other(bed: BrushTestbed):
+    runs = [Run(COMPACT, t, speed=v) for t, v in ((0.5, 1.0), (1.0, 2.0), (0.7, 3.0))]
+    together = bed.drive(runs)
+    for run, track in zip(runs, together, strict=True):
+        assert len(track.qpos) == round(run.duration / bed.dt) + 1
+        assert track.speed[0] == pytest.approx(run.speed)
+        assert np.array_equal(bed.drive([run])[0].qpos, track.qpos)
+
+
+# Table, files, command
+
+
+ROWS = [
+    Row("good", "compact", "brush", "a, b", "m", 1.004, 1.0, 0.01, "a | reason"),
+    Row("bad", "compact", "brush", "c", "deg", 3.0, 0.0, 0.5),
+    Row("nan", "compact", "brush", "d", "", math.nan, 1.0, 0.1),
+]
+
+
+def test_verdicts():
+    assert [row.passes for row in ROWS] == [True, False, False]
+    assert ROWS[0].verdict == "pass: +0.4 % of ±1 %; a | reason"
+    assert ROWS[1].verdict == "MISS: +3 of ±0.5 deg"
+    assert ROWS[2].verdict.startswith("MISS: +nan")
+
+
+def test_csv_and_markdown_say_the_same(tmp_path):
+    write_csv(tmp_path / "report.csv", ROWS)
+    with (tmp_path / "report.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    lines = markdown(ROWS).splitlines()
+    assert len(table) == len(lines) - 2 == len(ROWS)
+    for cells, line in zip(table, lines[2:], strict=True):
+        shown = [c.strip() for c in line.replace("\\|", "\0").split("|")[1:-1]]
+        assert [c.replace("\0", "|") for c in shown] == list(cells.values())
+
+
+def one_row(tolerance: float):
+    def manoeuvre(bed, name, params, quick) -> Study:
+        study = Study(name, bed.tyres)
+        study.row("wrong", "2 + 2", "m", 4.0, 5.0, tolerance)
+        study.curve("stops", "line", [0.0, 1.0], [1.0, 0.0])
+        return study
+
+    return manoeuvre
+
+
+@pytest.mark.parametrize(("tolerance", "code"), [(2.0, 0), (0.5, 1)])
+def test_a_missed_row_makes_exit_code_1(tolerance, code, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(physics_report, "SUITES", {"brush": (one_row(tolerance),)})
+    flags = ["--presets", "compact", "--tyres", "brush"]
+    assert physics_report.command_line([*flags, "--out", str(tmp_path)]) == code
+    printed = capsys.readouterr().out
+    assert ("wrong: MISS" in printed) == bool(code)
+    assert f"1 rows, {code} missed" in printed
+    report = (tmp_path / "report.md").read_text()
+    assert ("Outside their tolerance" in report) == bool(code)
+    assert f"`python eval/physics_report.py {' '.join(flags)}`" in report
+    assert (tmp_path / "stops.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_bad_flags_are_one_clear_line(capsys):
+    assert physics_report.command_line(["--presets", "tank"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("physics_report: unknown vehicle 'tank'; choose from")
+    assert error.count("\n") == 1
