@@ -11,8 +11,12 @@ LayoutName = Literal["tanner", "compact"]
 Surface = Literal["dry", "wet", "ice"]
 ParkedRule = Literal["tanner", "strict", "precise"]
 RewardName = Literal["shaped", "tanner"]
+TyresName = Literal["brush", "contact"]
 PhysicsName = Literal["mjx", "scene"]
 DistributionKind = Literal["uniform", "normal"]
+
+
+CONTACT_SIM_DT = 0.004  # s
 
 
 def _choose(name: str, value: str, literal: object) -> None:
@@ -53,6 +57,8 @@ class SimConfig:
         trace_dt: longest time between two collision checks within a step [s].
         grade_x: slope of the ground along world x, rise over run; 0.05 = 5 % uphill.
         grade_y: slope of the ground along world y.
+        tyres: `brush`, or `contact`: MuJoCo's own contacts, for cross-checks; needs a
+            `sim_dt` of at most 0.004 s.
         surface: how well tyres grip, `carpark_mj.vehicle.surfaces`.
     """
 
@@ -61,9 +67,11 @@ class SimConfig:
     trace_dt: float = 0.05
     grade_x: float = 0.0
     grade_y: float = 0.0
+    tyres: TyresName = "brush"
     surface: Surface = "dry"
 
     def __post_init__(self) -> None:
+        _choose("tyres", self.tyres, TyresName)
         _choose("surface", self.surface, Surface)
         _positive(self, "sim_dt", "ctrl_dt", "trace_dt")
         ratio = self.ctrl_dt / self.sim_dt
@@ -75,6 +83,11 @@ class SimConfig:
         if self.trace_dt < self.sim_dt:
             raise ValueError(
                 f"trace_dt must be at least sim_dt {self.sim_dt} s, not {self.trace_dt}"
+            )
+        if self.tyres == "contact" and self.sim_dt > CONTACT_SIM_DT:
+            raise ValueError(
+                f"contact tyres need a sim_dt of at most {CONTACT_SIM_DT} s, not "
+                f"{self.sim_dt}: a locked wheel throws the car"
             )
         for name in ("grade_x", "grade_y"):
             if not abs(getattr(self, name)) < 1.0:

@@ -20,6 +20,7 @@ from carpark_mj.goals import Occupancy, evolve, init_occupancy, new_goal
 from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.physics.base import Physics, where_cars
+from carpark_mj.physics.contact import ContactPhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.precision import full_float32
@@ -137,8 +138,11 @@ class ParkingEnv:
         self.physics: Any = physics if physics is not None else self._make_physics()
 
     def _make_physics(self) -> Physics:
+        contact = self.config.sim.tyres == "contact"
         if self.config.physics == "mjx":
-            return MjxPhysics(self.config.sim)
+            return (ContactPhysics if contact else MjxPhysics)(self.config.sim)
+        if contact:
+            raise ValueError("scene physics has brush tyres only, not contact")
         return ScenePhysics(
             self.config.sim,
             self._layout,

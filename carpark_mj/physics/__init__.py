@@ -1,7 +1,8 @@
 """Physics back ends: controls in, `VehicleState` out."""
 
 from carpark_mj.physics.base import Physics
+from carpark_mj.physics.contact import ContactPhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 
-__all__ = ["MjxPhysics", "Physics", "ScenePhysics"]
+__all__ = ["ContactPhysics", "MjxPhysics", "Physics", "ScenePhysics"]

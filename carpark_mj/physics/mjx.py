@@ -9,9 +9,11 @@ import contextlib
 import dataclasses
 import io
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 from flax import struct
 
 from carpark_mj.config import SimConfig
@@ -88,12 +90,16 @@ class MjxPhysics:
             )
         self.sim = sim
         self.ground = ground
-        model = car_model(COMPACT, sim.sim_dt, gravity_vector(sim))
+        model = self._compile(sim)
         if model.nv != 12 or model.njnt != 7:
             raise ValueError(f"the car must have 12 dofs, not {model.nv}")
         self.index = CarIndex(model)
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(model)
+
+    def _compile(self, sim: SimConfig) -> mujoco.MjModel:
+        """The model of one car; what a batch may mix is replaced in `_step`."""
+        return car_model(COMPACT, sim.sim_dt, gravity_vector(sim))
 
     @full_float32
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> CarState:
@@ -152,7 +158,6 @@ class MjxPhysics:
 
     def _step(self, state: CarState, controls: jax.Array) -> CarState:
         vehicle = on_surface(state.vehicle, self.sim.surface)
-        dt = self.sim.sim_dt
         model = self._model.tree_replace(
             {
                 "body_mass": vehicle.body_mass,
@@ -163,24 +168,7 @@ class MjxPhysics:
         )
 
         def substep(carry, _):
-            qpos, qvel, tyres, actuators = carry
-            with jax.named_scope("tyres"):
-                qfrc, ctrl, tyres, actuators = substep_forces(
-                    self.index,
-                    vehicle,
-                    qpos,
-                    qvel,
-                    tyres,
-                    actuators,
-                    controls,
-                    dt,
-                    self.ground,
-                )
-            data = self._data.replace(
-                qpos=qpos, qvel=qvel, qfrc_applied=qfrc, ctrl=ctrl
-            )
-            data = mjx.step(model, data)
-            return (data.qpos, data.qvel, tyres, actuators), None
+            return self._substep(model, vehicle, controls, carry), None
 
         def stretch(carry, _):
             stride = self.sim.num_substeps // self.sim.num_traces
@@ -210,6 +198,27 @@ class MjxPhysics:
             finite=jnp.ones((), bool),
         )
         return jax.tree.map(partial(jnp.where, finite), stepped, fallback)
+
+    def _substep(
+        self, model: mjx.Model, vehicle: Vehicle, controls: jax.Array, carry: Any
+    ) -> Any:
+        """One substep of one car: (qpos, qvel, tyres, actuators) before and after."""
+        qpos, qvel, tyres, actuators = carry
+        with jax.named_scope("tyres"):
+            qfrc, ctrl, tyres, actuators = substep_forces(
+                self.index,
+                vehicle,
+                qpos,
+                qvel,
+                tyres,
+                actuators,
+                controls,
+                self.sim.sim_dt,
+                self.ground,
+            )
+        data = self._data.replace(qpos=qpos, qvel=qvel, qfrc_applied=qfrc, ctrl=ctrl)
+        data = mjx.step(model, data)
+        return data.qpos, data.qvel, tyres, actuators
 
     def _read(self, state: CarState) -> VehicleState:
         rotation = rotation_matrix(state.qpos[3:7])
