@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 import shapely
 
-from carpark_mj.layouts import COMPACT, SQUARES, SquareConfig, make_layout, pad, square
+from carpark_mj.layouts import (
+    COMPACT,
+    SQUARES,
+    Maxima,
+    SquareConfig,
+    make_layout,
+    pad_layout,
+    square,
+)
 from scenes import moved, polygons
 
 WU = 0.5625  # m per world unit of Tanner's scene
@@ -139,17 +147,17 @@ def broken(name):
         ("the same bay twice", "bays overlap"),
         ("negative bay size", "bay_size must be positive"),
         ("zero wall size", "wall_size must be positive"),
-        ("NaN bay", "bay holds a non-finite"),
-        ("infinite wall", "wall holds a non-finite"),
+        ("NaN bay", "bay_pose holds a non-finite"),
+        ("infinite wall", "wall_size holds a non-finite"),
         ("NaN extent", "extent"),
-        ("bay outside", r"bays \[0\] lie outside"),
-        ("bay in a wall", "bays .* meet walls"),
-        ("spawn region in a wall", "spawn regions .* meet walls"),
+        ("bay outside", r"bays lie outside the extent: \[0\]"),
+        ("bay in a wall", "bays meet walls"),
+        ("spawn region in a wall", "spawn regions meet walls"),
         ("no bay", "no bay"),
         ("no spawn region", "no spawn region"),
         ("mask of numbers", "bay_mask must be bool"),
         ("poses of integers", "bay_pose must be float32"),
-        ("rows missing", "wall: shapes"),
+        ("rows missing", "wall_pose must be"),
     ],
 )
 def test_is_well_formed_names_each_kind_of_fault(fault, word):
@@ -160,10 +168,12 @@ def test_is_well_formed_names_each_kind_of_fault(fault, word):
 @pytest.mark.parametrize("name", NAMES)
 def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
     layout = make_layout(name)
-    padded = pad(layout, bays=40, walls=11, regions=3)
+    padded = pad_layout(layout, Maxima(40, 11, 2, 4, 3))
     assert padded.is_well_formed() == []
     assert padded.num_bays == 40
     assert padded.wall_mask.shape == (11,)
+    assert padded.disc_radius.shape == (2,)
+    assert padded.lane_one_way.shape == (4,)
     assert padded.spawn_mask.shape == (3,)
     for kind in ("bay", "wall", "spawn"):
         mask = np.asarray(getattr(padded, f"{kind}_mask"))
@@ -174,14 +184,14 @@ def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
             np.testing.assert_array_equal(rows[~mask], 0.0)
 
 
-@pytest.mark.parametrize("rows", [(35, 8, 1), (36, 7, 1), (36, 8, 0)])
+@pytest.mark.parametrize("rows", [(35, 8, 0, 0, 1), (36, 7, 0, 0, 1), (36, 8, 0, 0, 0)])
 def test_padding_to_fewer_rows_than_there_are_raises(rows):
     with pytest.raises(ValueError, match="cannot be padded to"):
-        pad(make_layout("tanner"), *rows)
+        pad_layout(make_layout("tanner"), Maxima(*rows))
 
 
 def test_an_unknown_layout_raises_and_lists_the_known_ones():
-    with pytest.raises(ValueError, match=r"'ring'.*\['compact', 'tanner'\]"):
+    with pytest.raises(ValueError, match=r"'ring'.*'lot', .* 'tanner'\]"):
         make_layout("ring")
 
 
@@ -208,5 +218,5 @@ def test_square_lots_of_other_sizes_are_well_formed():
 
 def test_layout_arrays_are_strongly_typed_float32():
     for leaf in jax.tree.leaves(make_layout("tanner")):
-        assert leaf.dtype in (jnp.float32, jnp.bool_)
+        assert leaf.dtype in (jnp.float32, jnp.int32, jnp.bool_)
         assert not leaf.weak_type

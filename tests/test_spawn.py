@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from carpark_mj.config import SpawnConfig
-from carpark_mj.layouts import make_layout, pad
+from carpark_mj.layouts import Maxima, make_layout, pad_layout
 from carpark_mj.spawn import spawn_pose
 from scenes import lot, moved, polygons
 
@@ -42,9 +42,10 @@ def two_regions():
     layout = layout.replace(
         spawn_pose=jnp.array([[-10.0, 0.0, 0.7], [10.0, 0.0, 0.0]]),
         spawn_size=jnp.array([[8.0, 8.0], [2.0, 8.0]]),
+        spawn_spread=jnp.full(2, jnp.pi),
         spawn_mask=jnp.ones(2, bool),
     )
-    return pad(layout, bays=1, walls=0, regions=3)
+    return pad_layout(layout, Maxima(1, 0, 0, 0, 3))
 
 
 def test_random_spawns_are_uniform_over_the_region():
