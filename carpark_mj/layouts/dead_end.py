@@ -16,6 +16,7 @@ from carpark_mj.layouts.garage_row import draw_tight_bay, require_room, two_way_
 from carpark_mj.layouts.ranges import (
     IntRange,
     Range,
+    chances,
     draw,
     draw_int,
     require_at_least,
@@ -64,13 +65,13 @@ class DeadEndConfig(LayoutConfig):
 
 def dead_end(config: DeadEndConfig, key: jax.Array) -> Layout:
     """Draws an aisle along x whose blind end lies at +x."""
-    count_key, bay_key, approach_key, end_key = jax.random.split(key, 4)
-    count = draw_int(count_key, config.bays_per_side)
+    chance = chances(key, 5)
+    count = draw_int(chance[0], config.bays_per_side)
     size, cell, yaw = draw_tight_bay(
-        config.orientation, config.level, config.car, bay_key
+        config.orientation, config.level, config.car, chance[1:3]
     )
-    approach = draw(approach_key, config.approach)
-    end = draw(end_key, config.end_length)
+    approach = draw(chance[3], config.approach)
+    end = draw(chance[4], config.end_length)
     aisle = tight_bay(config.orientation, config.level, config.car).aisle
     depth = cell[1] + standards.WALL_GAP
     half_x = (approach + count * cell[0] + end) / 2

@@ -23,6 +23,7 @@ from carpark_mj.layouts.build import (
 from carpark_mj.layouts.ranges import (
     IntRange,
     Range,
+    chances,
     draw,
     draw_int,
     require_at_least,
@@ -83,35 +84,34 @@ def require_room(orientation: Orientation, level: Level, car: DesignCar) -> None
 
 
 def draw_tight_bay(
-    orientation: Orientation, level: Level, car: DesignCar, key: jax.Array
+    orientation: Orientation, level: Level, car: DesignCar, chance: jax.Array
 ) -> tuple[jax.Array, jax.Array, float]:
-    """Draws the size of the tight bays of a lot.
+    """Draws the size of the tight bays of a lot, spending chances (2,).
 
     Returns:
         (2,) length and width, (2,) extent along and across the aisle [m], and the
         heading of bays on the left of an aisle along +x [rad].
     """
     room = tight_bay(orientation, level, car)
-    tight_key, other_key = jax.random.split(key)
-    excess = draw(tight_key, room.excess)
+    excess = draw(chance[0], room.excess)
     if orientation == "parallel":
         size = jnp.stack(
-            [car.length + excess, draw(other_key, standards.PARALLEL_WIDTH)]
+            [car.length + excess, draw(chance[1], standards.PARALLEL_WIDTH)]
         )
         return size, size, 0.0
-    size = jnp.stack([draw(other_key, standards.BAY_LENGTH), car.width + excess])
+    size = jnp.stack([draw(chance[1], standards.BAY_LENGTH), car.width + excess])
     return size, size[::-1], -jnp.pi / 2
 
 
 def garage_row(config: GarageRowConfig, key: jax.Array) -> Layout:
     """Draws a row along x, its bays at the left of the aisle."""
-    count_key, bay_key, end_key = jax.random.split(key, 3)
+    chance = chances(key, 4)
     most, thickness = config.num_bays[1], config.wall_thickness
-    count = draw_int(count_key, config.num_bays)
+    count = draw_int(chance[0], config.num_bays)
     size, cell, yaw = draw_tight_bay(
-        config.orientation, config.level, config.car, bay_key
+        config.orientation, config.level, config.car, chance[1:3]
     )
-    end = draw(end_key, config.end_length)
+    end = draw(chance[3], config.end_length)
     aisle = tight_bay(config.orientation, config.level, config.car).aisle
     pitch = cell[0] + thickness
     row = jnp.arange(most)

@@ -20,7 +20,7 @@ from carpark_mj.layouts.build import (
     walls,
 )
 from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.layouts.ranges import draw, draw_int
+from carpark_mj.layouts.ranges import chances, draw, draw_int
 from carpark_mj.layouts.rows import ahead, cell_poses, mirror, row_depth
 from carpark_mj.layouts.standards import (
     ACCESSIBLE_WIDTH,
@@ -80,17 +80,17 @@ class _Plan:
 
 
 def _draw_plan(config: LotConfig, key: jax.Array) -> _Plan:
-    keys = jax.random.split(key, 9)
-    count = draw_int(keys[0], config.num_aisles)
-    per_row = draw_int(keys[1], config.bays_per_row)
-    degrees = draw(keys[2], config.angle)
-    bay_width = draw(keys[3], config.bay_width)
-    bay_length = draw(keys[4], config.bay_length)
+    chance = chances(key, 9)
+    count = draw_int(chance[0], config.num_aisles)
+    per_row = draw_int(chance[1], config.bays_per_row)
+    degrees = draw(chance[2], config.angle)
+    bay_width = draw(chance[3], config.bay_width)
+    bay_length = draw(chance[4], config.bay_length)
     standard = jnp.interp(degrees, jnp.array(AISLE_ANGLES), jnp.array(AISLE_WIDTHS))
-    aisle = standard + draw(keys[5], config.extra_aisle)
-    cross = draw(keys[6], config.cross_aisle)
-    end = draw(keys[7], config.end_width)
-    entrances = draw_int(keys[8], config.num_entrances)
+    aisle = standard + draw(chance[5], config.extra_aisle)
+    cross = draw(chance[6], config.cross_aisle)
+    end = draw(chance[7], config.end_width)
+    entrances = draw_int(chance[8], config.num_entrances)
 
     angle = jnp.radians(degrees)
     sin, cos = jnp.sin(angle), jnp.cos(angle)

@@ -10,15 +10,25 @@ Range = tuple[float, float]  # lowest and highest value; equal = fixed
 IntRange = tuple[int, int]  # both ends included
 
 
-def draw(key: jax.Array, bounds: Range) -> jax.Array:
+def chances(key: jax.Array, count: int) -> jax.Array:
+    """(count,) float32 in [0, 1), to be spent on one draw each.
+
+    One call of the generator for a whole lot: each call costs compilation time.
+    """
+    return jax.random.uniform(key, (count,), jnp.float32)
+
+
+def draw(chance: jax.Array, bounds: Range) -> jax.Array:
     """A float32 () uniform over a range."""
     low, high = bounds
-    return low + (high - low) * jax.random.uniform(key, (), jnp.float32)
+    return low + (high - low) * chance
 
 
-def draw_int(key: jax.Array, bounds: IntRange) -> jax.Array:
+def draw_int(chance: jax.Array, bounds: IntRange) -> jax.Array:
     """An int32 () uniform over a range, both ends included."""
-    return jax.random.randint(key, (), bounds[0], bounds[1] + 1, jnp.int32)
+    low, high = bounds
+    step = jnp.floor((high - low + 1) * chance).astype(jnp.int32)
+    return jnp.minimum(low + step, high)
 
 
 def require_ranges(config: Any, minimum: float, *names: str) -> None:

@@ -11,6 +11,7 @@ from carpark_mj.layouts.build import assemble, bays, boundary, least_lane
 from carpark_mj.layouts.ranges import (
     IntRange,
     Range,
+    chances,
     draw,
     draw_int,
     require_at_least,
@@ -63,12 +64,12 @@ class StreetParallelConfig(LayoutConfig):
 
 def street_parallel(config: StreetParallelConfig, key: jax.Array) -> Layout:
     """Draws a street along x; parked cars point the way of the lane beside them."""
-    keys = jax.random.split(key, 5)
-    count = draw_int(keys[0], config.bays_per_side)
-    width = draw(keys[1], config.bay_width)
-    length = draw(keys[2], config.bay_length)
-    aisle = draw(keys[3], config.aisle_width)
-    end = draw(keys[4], config.end_length)
+    chance = chances(key, 5)
+    count = draw_int(chance[0], config.bays_per_side)
+    width = draw(chance[1], config.bay_width)
+    length = draw(chance[2], config.bay_length)
+    aisle = draw(chance[3], config.aisle_width)
+    end = draw(chance[4], config.end_length)
     row = jnp.arange(config.bays_per_side[1])
     x = (row + 0.5 - count / 2) * length
     y = (aisle + width) / 2
