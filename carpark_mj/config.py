@@ -300,7 +300,7 @@ class EnvConfig:
     observation: ObservationConfig = ObservationConfig()
 
     def __post_init__(self) -> None:
-        if not isinstance(self.layout, LayoutConfig | str):
+        if not isinstance(self.layout, LayoutConfig | str):  # pyright: ignore
             raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
         if isinstance(self.layout, str) and not self.layout.endswith(LAYOUT_FILES):
             _choose("layout", self.layout, LayoutName)

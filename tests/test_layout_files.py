@@ -1,5 +1,6 @@
 """Layouts from files: JSON there and back, TPCAP cases, and what bad files are told."""
 
+import dataclasses
 import json
 import math
 
@@ -13,7 +14,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import FromFileConfig, LotConfig, make_layout
 from carpark_mj.layouts.json_file import read_json, to_json
 from carpark_mj.layouts.tpcap import EDGE, TPCAP_CAR, read_tpcap
-from scenes import polygons
+from scenes import SlidePhysics, polygons
 
 HAND = {
     "format": "carpark_mj layout 1",
@@ -128,14 +129,15 @@ def test_a_layout_that_is_not_sound_is_refused(tmp_path):
 
 def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):
     path = str(written(tmp_path, HAND))
-    env = ParkingEnv(EnvConfig(layout=path, num_agents=1, num_parked_cars=0))
+    config = EnvConfig(layout=path, num_agents=1, num_parked_cars=0)
+    env = ParkingEnv(config, SlidePhysics())
     state, _ = env.reset(jax.random.key(0))
     x, y, yaw = np.asarray(state.vehicle.pose_w[0])
     assert abs(x + 5) <= 2.001
     assert abs(y) <= 0.501
     assert abs(yaw) <= 0.1001
     with pytest.raises(ValueError, match="num_agents must be at most 1"):
-        ParkingEnv(EnvConfig(layout=path, num_agents=2, num_parked_cars=0))
+        ParkingEnv(dataclasses.replace(config, num_agents=2))
 
 
 # TPCAP

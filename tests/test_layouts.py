@@ -115,6 +115,38 @@ def test_a_square_lot_looks_the_same_after_a_quarter_turn(name):
     assert difference.area < 1e-2  # m^2; 1e-5 m of rounding along 300 m of edges
 
 
+def furnished(layout, disc=None, lane=None, lane_width=2.0):
+    """The layout with a disc (x, y, radius) or a lane along x so far below."""
+    maxima = Maxima(36, 8, 1, 1, 1)
+    layout = pad_layout(layout, maxima)
+    if disc is not None:
+        layout = layout.replace(
+            disc_centre=jnp.array([disc[:2]]),
+            disc_radius=jnp.array([disc[2]]),
+            disc_mask=jnp.ones(1, bool),
+        )
+    if lane is not None:
+        layout = layout.replace(
+            lane_pose=jnp.array([[0.0, -lane, 0.0]]),
+            lane_size=jnp.array([[10.0, lane_width]]),
+            lane_mask=jnp.ones(1, bool),
+        )
+    return layout
+
+
+def test_a_disc_and_a_lane_out_of_the_way_are_sound():
+    layout = make_layout("tanner")
+    assert furnished(layout, disc=(15.5, 15.5, 0.2)).is_well_formed() == []
+    assert furnished(layout, lane=10.0).is_well_formed() == []
+
+
+def test_a_larger_car_needs_more_room():
+    layout = make_layout("compact")
+    assert layout.is_well_formed((4.5, 1.8)) == []
+    problems = layout.is_well_formed((5.1, 1.8))
+    assert problems[0].startswith("bays are smaller than the car: [0, 1, 2]")
+
+
 def broken(name):
     layout = make_layout("tanner")
     bay, wall = layout.bay_pose, layout.wall_size
@@ -136,6 +168,19 @@ def broken(name):
         "mask of numbers": layout.replace(bay_mask=jnp.ones(36)),
         "poses of integers": layout.replace(bay_pose=bay.astype(jnp.int32)),
         "rows missing": layout.replace(wall_pose=layout.wall_pose[:7]),
+        "disc in a bay": furnished(layout, disc=(0.0, -17.0, 0.3)),
+        "disc near a spawn region": furnished(layout, disc=(0.0, -14.0, 0.3)),
+        "disc in a lane": furnished(layout, disc=(0.0, -14.0, 0.3), lane=14.0),
+        "negative disc": furnished(layout, disc=(0.0, -14.0, -0.3)),
+        "lane through bays": furnished(layout, lane=14.0, lane_width=4.0),
+        "lane through a wall": furnished(layout, lane=21.5),
+        "spawn region beside bays": layout.replace(
+            spawn_size=jnp.array([[27.0, 27.0]])
+        ),
+        "bay too narrow": layout.replace(
+            bay_size=layout.bay_size.at[7].set(jnp.array([5.0, 1.7]))
+        ),
+        "kinds of floats": layout.replace(bay_kind=jnp.zeros(36)),
     }
     return faults[name]
 
@@ -158,6 +203,15 @@ def broken(name):
         ("mask of numbers", "bay_mask must be bool"),
         ("poses of integers", "bay_pose must be float32"),
         ("rows missing", "wall_pose must be"),
+        ("disc in a bay", "bays meet discs: "),
+        ("disc near a spawn region", "cars spawning in spawn regions meet discs"),
+        ("disc in a lane", "lanes meet discs"),
+        ("negative disc", "disc_radius must be positive"),
+        ("lane through bays", "lanes meet bays"),
+        ("lane through a wall", "lanes meet walls"),
+        ("spawn region beside bays", "cars spawning in spawn regions meet bays"),
+        ("bay too narrow", r"bays are smaller than the car: \[7\]"),
+        ("kinds of floats", "bay_kind must be int32"),
     ],
 )
 def test_is_well_formed_names_each_kind_of_fault(fault, word):

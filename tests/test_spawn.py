@@ -159,6 +159,23 @@ def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
     np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.parametrize("config", [RANDOM, CLOSE])
+def test_headings_stray_from_the_regions_no_farther_than_its_spread(config):
+    layout = two_regions().replace(
+        spawn_pose=jnp.array([[-10.0, 0.0, 3.1], [10.0, 0.0, -1.0], [0.0, 0.0, 0.0]]),
+        spawn_spread=jnp.array([0.2, 0.05, 0.0]),
+    )
+    for goal, region in (((-10.0, 9.0, 0.0), 0), ((10.0, 9.0, 0.0), 1)):
+        pose = draw(config, layout, goal=goal)
+        here = (pose[:, 0] < 0) == (region == 0)
+        stray = np.angle(np.exp(1j * (pose[here, 2] - (3.1, -1.0)[region])))
+        spread = (0.2, 0.05)[region]
+        # Uniform: the extremes are met, and the deviation is that of a uniform one.
+        assert spread * 0.98 < np.abs(stray).max() <= spread + 1e-6
+        assert stray.std() == pytest.approx(spread / np.sqrt(3), rel=0.05)
+        assert (np.abs(pose[:, 2]) <= np.pi + 1e-6).all()
+
+
 def test_spawns_move_with_the_lot():
     layout, goal, motion = two_regions(), (8.0, 20.0, 0.0), (7.0, -3.0, 1.1)
     there = layout.replace(spawn_pose=moved(layout.spawn_pose, motion))

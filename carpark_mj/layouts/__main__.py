@@ -18,9 +18,18 @@ from carpark_mj.layouts import (
     layout_config,
 )
 from carpark_mj.layouts.plot import contact_sheet
+from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
 
 CHUNK = 250  # layouts drawn at once
+
+_LEVELS: tuple[tuple[Orientation, Level], ...] = (
+    ("perpendicular", "normal"),
+    ("perpendicular", "complex"),
+    ("parallel", "normal"),
+    ("parallel", "complex"),
+    ("parallel", "extreme"),
+)
 
 # Every family, and the variants of those that have some.
 SHOWN: dict[str, LayoutConfig | str] = {
@@ -46,13 +55,7 @@ SHOWN: dict[str, LayoutConfig | str] = {
             ("garage_row", GarageRowConfig),
             ("dead_end", DeadEndConfig),
         )
-        for orientation, level in (
-            ("perpendicular", "normal"),
-            ("perpendicular", "complex"),
-            ("parallel", "normal"),
-            ("parallel", "complex"),
-            ("parallel", "extreme"),
-        )
+        for orientation, level in _LEVELS
     },
 }
 

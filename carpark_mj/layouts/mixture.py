@@ -41,7 +41,7 @@ class MixtureConfig(LayoutConfig):
         if not self.members:
             raise ValueError("members of a mixture must be one config or more, not ()")
         for member in self.members:
-            if not isinstance(member, LayoutConfig):
+            if not isinstance(member, LayoutConfig):  # pyright: ignore
                 raise ValueError(f"members must be layout configs, not {member!r}")
         if self.weights and len(self.weights) != len(self.members):
             raise ValueError(

@@ -33,35 +33,35 @@ def draw_layout(axes: Any, layout: Layout) -> None:
     """
     from matplotlib.patches import Circle, Polygon
 
-    layout = jax.device_get(layout)
+    plan: Any = jax.device_get(layout)
 
     def boxes(kind: str, mask: np.ndarray, **style: Any) -> None:
-        pose, size = getattr(layout, f"{kind}_pose"), getattr(layout, f"{kind}_size")
+        pose, size = getattr(plan, f"{kind}_pose"), getattr(plan, f"{kind}_size")
         for corners in np.asarray(box_corners(pose[mask], size[mask])):
             axes.add_patch(Polygon(corners, closed=True, **style))
 
-    boxes("lane", layout.lane_mask, fc="#d9d9d9", ec="none")
-    boxes("spawn", layout.spawn_mask, fc="#2e86c1", ec="#1b4f72", alpha=0.25, ls="--")
+    boxes("lane", plan.lane_mask, fc="#d9d9d9", ec="none")
+    boxes("spawn", plan.spawn_mask, fc="#2e86c1", ec="#1b4f72", alpha=0.25, ls="--")
     for kind, colour in BAY_COLOURS.items():
-        mask = layout.bay_mask & (layout.bay_kind == kind)
+        mask = plan.bay_mask & (plan.bay_kind == kind)
         boxes("bay", mask, fc=colour, ec="#444444", lw=0.6)
     for kind, colour in WALL_COLOURS.items():
-        boxes("wall", layout.wall_mask & (layout.wall_kind == kind), fc=colour)
-    for row in np.flatnonzero(layout.disc_mask):
-        colour = DISC_COLOURS[DiscKind(int(layout.disc_kind[row]))]
-        centre, radius = layout.disc_centre[row], layout.disc_radius[row]
+        boxes("wall", plan.wall_mask & (plan.wall_kind == kind), fc=colour)
+    for row in np.flatnonzero(plan.disc_mask):
+        colour = DISC_COLOURS[DiscKind(int(plan.disc_kind[row]))]
+        centre, radius = plan.disc_centre[row], plan.disc_radius[row]
         axes.add_patch(Circle(centre, radius, fc=colour, ec="none"))
-    for x, y, yaw in layout.bay_pose[layout.bay_mask]:
+    for x, y, yaw in plan.bay_pose[plan.bay_mask]:
         _arrow(axes, x, y, yaw, 0.8, "#888888")
-    for row in np.flatnonzero(layout.lane_mask):
-        x, y, yaw = layout.lane_pose[row]
-        count = max(int(layout.lane_size[row, 0] / ARROW), 1)
+    for row in np.flatnonzero(plan.lane_mask):
+        x, y, yaw = plan.lane_pose[row]
+        count = max(int(plan.lane_size[row, 0] / ARROW), 1)
         for along in (np.arange(count) + 0.5 - count / 2) * ARROW:
             place = x + along * np.cos(yaw), y + along * np.sin(yaw)
             _arrow(axes, *place, yaw, 1.5, "#b9770e")
-            if not layout.lane_one_way[row]:
+            if not plan.lane_one_way[row]:
                 _arrow(axes, *place, yaw + np.pi, 1.5, "#b9770e")
-    half_x, half_y = layout.extent
+    half_x, half_y = plan.extent
     axes.set(xlim=(-half_x - 1, half_x + 1), ylim=(-half_y - 1, half_y + 1))
     axes.set_aspect("equal")
     axes.tick_params(labelsize=6)

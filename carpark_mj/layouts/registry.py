@@ -74,6 +74,10 @@ def generate(config: LayoutConfig, key: jax.Array) -> Layout:
     return FAMILIES[config.family].generate(config, key)
 
 
+# Many small operations: one by one they would each be compiled.
+_compiled = jax.jit(generate, static_argnums=0)
+
+
 def make_layout(layout: LayoutConfig | str, key: jax.Array | None = None) -> Layout:
     """Builds a layout from a name, a file or a config.
 
@@ -84,7 +88,8 @@ def make_layout(layout: LayoutConfig | str, key: jax.Array | None = None) -> Lay
     Raises:
         ValueError: unknown name; the message lists the known ones.
     """
-    return generate(layout_config(layout), jax.random.key(0) if key is None else key)
+    key = jax.random.key(0) if key is None else key
+    return _compiled(layout_config(layout), key)
 
 
 def mixture(

@@ -162,8 +162,9 @@ def _free_margin(
     goal: np.ndarray, car: DesignCar, pose: np.ndarray, size: np.ndarray
 ) -> float:
     """The largest of a few margins that keep the bay clear of the walls."""
+    goal_pose, wall_pose, wall_size = map(jnp.asarray, (goal, pose, size))
     for share in (1.0, 0.75, 0.5, 0.25):
         bay = jnp.asarray(np.array(car.size) + 2 * share * BAY_MARGIN)
-        if not boxes_overlap(jnp.asarray(goal), bay, pose, jnp.asarray(size)).any():
+        if not boxes_overlap(goal_pose, bay, wall_pose, wall_size).any():
             return share * BAY_MARGIN
     return 0.0
