@@ -283,6 +283,23 @@ def test_hard_cases_have_the_room_of_hopes_levels(orientation, level):
             assert high - 0.1 * (high - low) < room.max() <= high + 1e-5
 
 
+@pytest.mark.parametrize("name", [n for n in HARD if "garage" in n])
+def test_every_garage_bay_has_a_wall_on_both_sides_and_one_opposite(name):
+    config = layout_config(SHOWN[name])
+    for layout in lots(name, 10):
+        walls = solid(layout)
+        for bay in boxes(layout, "bay"):
+            left, low, right, top = bay.bounds
+            for x in (left, right):
+                side = shapely.LineString([(x, low + 0.01), (x, top)])
+                assert side.difference(walls.buffer(1e-3)).length < 1e-6
+            aisle = HOPE[config.orientation, config.level][2]
+            middle = (left + right) / 2
+            across = shapely.LineString([(middle, low), (middle, low - 20)])
+            gap = across.intersection(walls).distance(shapely.Point(middle, low))
+            assert gap == pytest.approx(aisle, abs=1e-4)
+
+
 def test_the_command_checks_and_draws(tmp_path, capsys):
     target = tmp_path / "plan.png"
     assert main(["dead_end", "--plot", str(target), "--check", "2"]) == 0
