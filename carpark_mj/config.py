@@ -5,9 +5,22 @@ Impossible settings raise `ValueError` at construction, in one sentence.
 
 import dataclasses
 import math
-from typing import ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 
-LayoutName = Literal["tanner", "compact"]
+# Layouts that need no more than a name; `carpark_mj.layouts` knows what they mean.
+LayoutName = Literal[
+    "angled",
+    "compact",
+    "dead_end",
+    "garage_row",
+    "lot",
+    "mixture",
+    "square",
+    "street",
+    "street_parallel",
+    "tanner",
+]
+LAYOUT_FILES = (".json", ".csv")
 Surface = Literal["dry", "wet", "ice"]
 ParkedRule = Literal["tanner", "strict", "precise"]
 RewardName = Literal["shaped", "tanner"]
@@ -247,6 +260,33 @@ class ObservationConfig:
             raise ValueError(f"rings must be different diameters, not {self.rings}")
 
 
+class LayoutConfig:
+    """Base of the configs in `carpark_mj.layouts`, one frozen dataclass per family.
+
+    Attributes:
+        family: name of the generator.
+    """
+
+    family: str
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        raise NotImplementedError
+
+    @property
+    def is_random(self) -> bool:
+        """Whether other keys give other lots."""
+        return True
+
+
+# tyro turns a union with dataclasses into subcommands; as a flag a layout is its name.
+if TYPE_CHECKING:
+    LayoutChoice = LayoutConfig | str
+else:
+    LayoutChoice = str
+
+
 @dataclasses.dataclass(frozen=True)
 class Distribution:
     """How a parameter varies between cars about its nominal value; off by default.
@@ -364,8 +404,12 @@ class EnvConfig:
     """A parking environment.
 
     Attributes:
-        layout: the lot's size: `tanner` (3.375 m x 5.625 m bays) or `compact`
-            (2.5 m x 5.0 m bays).
+        layout: the lot, by name: `tanner` (the study's square, 3.375 m x 5.625 m
+            bays), `compact` (the same with 2.5 m x 5.0 m bays), or a family with its
+            default settings: `street`, `street_parallel`, `angled`, `lot`,
+            `garage_row`, `dead_end`, `mixture`. Or a layout file (.json, or a TPCAP
+            case as .csv). From Python also the config of a family, see
+            `carpark_mj.layouts`.
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: cars that act.
         num_parked_cars: cars standing in bays.
@@ -380,7 +424,7 @@ class EnvConfig:
         sensors: errors of what an agent sees.
     """
 
-    layout: LayoutName = "tanner"
+    layout: LayoutChoice = "tanner"
     vehicle: str = "compact"
     num_agents: int = 2
     num_parked_cars: int = 16
@@ -394,7 +438,10 @@ class EnvConfig:
     sensors: SensorConfig = SensorConfig()
 
     def __post_init__(self) -> None:
-        _choose("layout", self.layout, LayoutName)
+        if not isinstance(self.layout, LayoutConfig | str):  # pyright: ignore
+            raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
+        if isinstance(self.layout, str) and not self.layout.endswith(LAYOUT_FILES):
+            _choose("layout", self.layout, LayoutName)
         _choose("physics", self.physics, PhysicsName)
         _at_least(self, 1, "num_agents")
         _at_least(self, 0, "num_parked_cars")

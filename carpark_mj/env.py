@@ -17,7 +17,7 @@ from carpark_mj.actions import neutralise
 from carpark_mj.config import EnvConfig
 from carpark_mj.episode import judge
 from carpark_mj.goals import Occupancy, evolve, init_occupancy, new_goal
-from carpark_mj.layouts import Layout, make_layout
+from carpark_mj.layouts import Layout, generate, layout_config, make_layout
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.contact import ContactPhysics
@@ -121,8 +121,9 @@ class ParkingEnv:
         self.vehicle = vehicle if vehicle is not None else preset(self.config.vehicle)
         check(self.config.randomisation, self.vehicle)
         self._vehicle = make_vehicle(self.vehicle)
-        self._layout = make_layout(self.config.layout)
-        bays = int(self._layout.bay_mask.sum())
+        self._lot = layout_config(self.config.layout)
+        self._layout = None if self._lot.is_random else make_layout(self._lot)
+        bays = self._lot.min_bays
         free = bays - self.config.num_agents
         if free < 0:
             raise ValueError(
@@ -143,6 +144,11 @@ class ParkingEnv:
             return (ContactPhysics if contact else MjxPhysics)(self.config.sim)
         if contact:
             raise ValueError("scene physics has brush tyres only, not contact")
+        if self._layout is None:
+            raise ValueError(
+                f"scene physics needs the same lot for every key, not "
+                f"{self.config.layout!r}"
+            )
         return ScenePhysics(
             self.config.sim,
             self._layout,
@@ -167,7 +173,7 @@ class ParkingEnv:
         return 2
 
     def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
-        """Starts a lot: parked cars, goals and agents drawn anew.
+        """Starts a lot: its layout if it is random, parked cars, goals and agents.
 
         Args:
             key: consumed.
@@ -175,7 +181,15 @@ class ParkingEnv:
         Returns:
             The state and the observations (num_agents, observation_size).
         """
-        return self.reset_to_layout(self._layout, key)
+        if self._layout is not None:
+            return self.reset_to_layout(self._layout, key)
+        key, layout_key = jax.random.split(key)
+        return self.reset_to_layout(self.draw_layout(layout_key), key)
+
+    @full_float32
+    def draw_layout(self, key: jax.Array) -> Layout:
+        """Draws a layout as `reset` does; always of the same shape."""
+        return generate(self._lot, key)
 
     @full_float32
     def reset_to_layout(

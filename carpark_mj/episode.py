@@ -6,7 +6,13 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EpisodeConfig
-from carpark_mj.geometry import axis_angle_error, box_inside, boxes_overlap, rotate
+from carpark_mj.geometry import (
+    axis_angle_error,
+    box_disc_overlap,
+    box_inside,
+    boxes_overlap,
+    rotate,
+)
 from carpark_mj.layouts.square import WORLD_UNIT
 from carpark_mj.layouts.types import Layout
 from carpark_mj.types import Events, VehicleState
@@ -69,8 +75,8 @@ def find_hits(
         parked_size: (num_parked_cars, 2) footprints of the parked cars [m].
 
     Returns:
-        (num_agents,) bool each: another agent, a parked car, a wall. In a collision of
-        two agents both are hit.
+        (num_agents,) bool each: another agent, a parked car, a wall or disc (pillar,
+        bollard). In a collision of two agents both are hit.
     """
     if vehicle.touched is not None:
         agent, parked_car, wall = jnp.moveaxis(vehicle.touched, -1, 0)
@@ -92,7 +98,15 @@ def find_hits(
         own, own_size, layout.wall_pose[None, :, None], layout.wall_size[None, :, None]
     )
     walls = walls & layout.wall_mask[None, :, None]
-    return agents.any((1, 2)), parked.any((1, 2)), walls.any((1, 2))
+    discs = box_disc_overlap(
+        own,
+        own_size,
+        layout.disc_centre[None, :, None],
+        layout.disc_radius[None, :, None],
+    )
+    discs = discs & layout.disc_mask[None, :, None]
+    solid = walls.any((1, 2)) | discs.any((1, 2))
+    return agents.any((1, 2)), parked.any((1, 2)), solid
 
 
 def judge(

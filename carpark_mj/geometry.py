@@ -1,7 +1,8 @@
-"""Plane geometry: poses in SE(2) and oriented boxes.
+"""Plane geometry: poses in SE(2), oriented boxes and discs.
 
 A pose is `(x [m], y [m], yaw [rad])`, yaw counter-clockwise from +x. A box is a pose
-(its centre and heading) with a size `(length, width)` [m], length along the heading.
+(its centre and heading) with a size `(length, width)` [m], length along the heading. A
+disc is a centre `(x, y)` with a radius [m].
 Every function broadcasts over leading dimensions and is exact (no sampling).
 """
 
@@ -120,3 +121,48 @@ def box_distance(
     to_a = point_box_distance(corners_b, pose_a[..., None, :], size_a[..., None, :])
     gap = jnp.minimum(jnp.min(to_b, axis=-1), jnp.min(to_a, axis=-1))
     return jnp.where(boxes_overlap(pose_a, size_a, pose_b, size_b), 0.0, gap)
+
+
+def box_disc_distance(
+    pose: jax.Array, size: jax.Array, centre: jax.Array, radius: jax.Array
+) -> jax.Array:
+    """Clearance [m] between boxes and discs (..., 2), (...); 0 where they overlap."""
+    return jnp.maximum(point_box_distance(centre, pose, size) - radius, 0.0)
+
+
+def box_disc_overlap(
+    pose: jax.Array, size: jax.Array, centre: jax.Array, radius: jax.Array
+) -> jax.Array:
+    """Whether the interiors of boxes (..., 3), (..., 2) and discs intersect.
+
+    Args:
+        pose: (..., 3) centre poses of the boxes [m, m, rad].
+        size: (..., 2) length and width [m].
+        centre: (..., 2) centres of the discs [m].
+        radius: (...) radii [m].
+
+    Returns:
+        (...) bool; what only touches does not overlap. Any NaN gives False.
+    """
+    return point_box_distance(centre, pose, size) < radius
+
+
+def swept_half_size(size: jax.Array, spread: jax.Array) -> jax.Array:
+    """Half length and half width (..., 2) [m] that hold a box whose heading strays.
+
+    Args:
+        size: (..., 2) length and width of the box [m].
+        spread: (...) largest deviation of its heading to either side [rad].
+    """
+    # l cos + w sin is largest at atan(w / l) and monotonic up to there.
+    half = 0.5 * size
+    length, width = half[..., 0], half[..., 1]
+    along = jnp.minimum(spread, jnp.arctan2(width, length))
+    across = jnp.minimum(spread, jnp.arctan2(length, width))
+    return jnp.stack(
+        [
+            length * jnp.cos(along) + width * jnp.sin(along),
+            width * jnp.cos(across) + length * jnp.sin(across),
+        ],
+        axis=-1,
+    )

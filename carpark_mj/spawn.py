@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
-from carpark_mj.geometry import rotate
+from carpark_mj.geometry import rotate, wrap_angle
 from carpark_mj.layouts.types import Layout
 
 
@@ -18,11 +18,11 @@ def spawn_pose(
 ) -> jax.Array:
     """Draws a start pose for one agent.
 
-    Headings are uniform. A random spawn is uniform over the spawn regions; a close
-    one lies on a walk of up to `close_distance` from the region's point nearest to
-    the goal, or is random if other agents leave no room there. The first of
-    `num_candidates` draws that keeps `min_distance` to every
-    other agent is taken, else the draw farthest from them.
+    Headings are uniform within the spread of the spawn region. A random spawn is
+    uniform over the spawn regions; a close one lies on a walk of up to
+    `close_distance` from the region's point nearest to the goal, or is random if other
+    agents leave no room there. The first of `num_candidates` draws that keeps
+    `min_distance` to every other agent is taken, else the draw farthest from them.
 
     Args:
         config: spawning rules.
@@ -44,8 +44,8 @@ def spawn_pose(
     local = (jax.random.uniform(point_key, (n, 2)) - 0.5) * size
     random_xy = pose[:, :2] + rotate(local, pose[:, 2])
 
-    close_xy = _close_points(config, layout, goal_pose[:2], n, walk_key)
-    yaw = jax.random.uniform(yaw_key, (n,), minval=-jnp.pi, maxval=jnp.pi)
+    close_xy, nearest = _close_points(config, layout, goal_pose[:2], n, walk_key)
+    stray = jax.random.uniform(yaw_key, (n,), minval=-1.0, maxval=1.0)
 
     def room(xy: jax.Array) -> jax.Array:
         gap = jnp.linalg.norm(xy[:, None] - other_xy, axis=-1)
@@ -55,6 +55,9 @@ def spawn_pose(
     close = jax.random.uniform(close_key) < config.close_ratio
     close = close & (room(close_xy) > config.min_distance).any()
     xy = jnp.where(close, close_xy, random_xy)
+    region = jnp.where(close, nearest, region)
+    heading = layout.spawn_pose[region, 2] + layout.spawn_spread[region] * stray
+    yaw = wrap_angle(heading)
     gap = room(xy)
     keeps = gap > config.min_distance
     best = jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(gap))
@@ -63,8 +66,8 @@ def spawn_pose(
 
 def _close_points(
     config: SpawnConfig, layout: Layout, goal_xy: jax.Array, n: int, key: jax.Array
-) -> jax.Array:
-    """Points (n, 2) near the goal within the spawn region closest to it."""
+) -> tuple[jax.Array, jax.Array]:
+    """Points (n, 2) near the goal within the spawn region closest to it, and which."""
     angle_key, reach_key = jax.random.split(key)
     local = rotate(goal_xy - layout.spawn_pose[:, :2], -layout.spawn_pose[:, 2])
     half = layout.spawn_size / 2
@@ -77,4 +80,4 @@ def _close_points(
     # Tanner walks on a grid; here it is one straight step, clipped to the region.
     point = jnp.clip(nearest[region] + step, -half[region], half[region])
     pose = layout.spawn_pose[region]
-    return pose[:2] + rotate(point, pose[2])
+    return pose[:2] + rotate(point, pose[2]), region

@@ -11,7 +11,7 @@ from flax import struct
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv, State, TimeStep
-from carpark_mj.layouts import Layout, make_layout
+from carpark_mj.layouts import Layout, build, make_layout
 from carpark_mj.observations import make_fields
 from carpark_mj.physics.base import where_cars
 from carpark_mj.types import VehicleState
@@ -56,25 +56,18 @@ def lot(
     bay_size: Any = (6.0, 3.0),
     wall_size: Any = (1.0, 1.0),
     spawn_size: Any = (10.0, 10.0),
+    discs: Any = (),
 ) -> Layout:
-    """A layout by hand with one spawn region at the origin."""
+    """A layout by hand with one spawn region at the origin; discs are x, y, radius."""
     bays = jnp.asarray(bays, jnp.float32).reshape(-1, 3)
     walls = jnp.asarray(walls, jnp.float32).reshape(-1, 3)
-
-    def sizes(size: Any, rows: int) -> jax.Array:
-        return jnp.broadcast_to(jnp.asarray(size, jnp.float32), (rows, 2))
-
-    return Layout(
-        bay_pose=bays,
-        bay_size=sizes(bay_size, bays.shape[0]),
-        bay_mask=jnp.ones(bays.shape[0], bool),
-        wall_pose=walls,
-        wall_size=sizes(wall_size, walls.shape[0]),
-        wall_mask=jnp.ones(walls.shape[0], bool),
-        spawn_pose=jnp.zeros((1, 3)),
-        spawn_size=sizes(spawn_size, 1),
-        spawn_mask=jnp.ones(1, bool),
-        extent=jnp.full(2, 50.0),
+    discs = jnp.asarray(discs, jnp.float32).reshape(-1, 3)
+    return build.assemble(
+        (50.0, 50.0),
+        build.bays(bays, bay_size),
+        build.walls(walls, wall_size),
+        build.discs(discs[:, :2], discs[:, 2]),
+        build.spawns(jnp.zeros((1, 3)), spawn_size, np.pi),
     )
 
 
@@ -96,6 +89,8 @@ def moved_lot(layout: Layout, motion: Any) -> Layout:
     return layout.replace(
         bay_pose=moved(layout.bay_pose, motion),
         wall_pose=moved(layout.wall_pose, motion),
+        disc_centre=moved(jnp.pad(layout.disc_centre, ((0, 0), (0, 1))), motion)[:, :2],
+        lane_pose=moved(layout.lane_pose, motion),
         spawn_pose=moved(layout.spawn_pose, motion),
     )
 

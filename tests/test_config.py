@@ -1,5 +1,6 @@
 import dataclasses
 import math
+from typing import get_args
 
 import pytest
 
@@ -7,6 +8,7 @@ from carpark_mj.config import (
     REWARDS,
     EnvConfig,
     EpisodeConfig,
+    LayoutName,
     ObservationConfig,
     RewardConfig,
     SimConfig,
@@ -14,7 +16,7 @@ from carpark_mj.config import (
     reward_preset,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import SQUARES
+from carpark_mj.layouts import FAMILIES, SQUARES, StreetConfig, layout_config
 
 IMPOSSIBLE = [
     (SimConfig, {"sim_dt": 0.0}, "sim_dt must be positive, not 0.0"),
@@ -82,7 +84,7 @@ def test_a_full_lot_is_allowed():
 @pytest.mark.parametrize(
     ("make", "known"),
     [
-        (lambda: EnvConfig(layout="x"), ["compact", "tanner"]),
+        (lambda: EnvConfig(layout="x"), sorted(get_args(LayoutName))),
         (lambda: EpisodeConfig(parked_rule="x"), ["precise", "strict", "tanner"]),
         (lambda: reward_preset("x"), ["shaped", "tanner"]),
     ],
@@ -176,7 +178,17 @@ def test_the_default_reward_is_the_shaped_preset():
 
 
 def test_every_layout_name_of_the_config_has_a_generator():
-    for name in SQUARES:
-        assert EnvConfig(layout=name).layout == name
-    with pytest.raises(ValueError, match=str(sorted(SQUARES)).replace("[", r"\[")):
+    names = get_args(LayoutName)
+    assert set(names) == {*SQUARES, *FAMILIES} - {"from_file"}
+    for name in names:
+        config = layout_config(EnvConfig(layout=name).layout)
+        assert FAMILIES[config.family].config is type(config)
+    with pytest.raises(ValueError, match=str(sorted(names)).replace("[", r"\[")):
         EnvConfig(layout="none")
+
+
+def test_a_layout_is_a_name_a_file_or_a_config():
+    assert EnvConfig(layout=StreetConfig()).layout == StreetConfig()
+    assert EnvConfig(layout="yard.json").layout == "yard.json"  # read by ParkingEnv
+    with pytest.raises(ValueError, match="layout must be a name or a config, not 3"):
+        EnvConfig(layout=3)

@@ -133,3 +133,5 @@ def test_long_steps_and_the_scene_are_refused_in_one_sentence():
         SimConfig(tyres="contact")
     with pytest.raises(ValueError, match="brush tyres only"):
         ParkingEnv(EnvConfig(physics="scene", sim=SIM))
+    with pytest.raises(ValueError, match="same lot for every key, not 'street'"):
+        ParkingEnv(EnvConfig(physics="scene", layout="street"))

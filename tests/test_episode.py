@@ -4,11 +4,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 
 from carpark_mj.config import EpisodeConfig
 from carpark_mj.episode import find_hits, is_parked, judge
 from carpark_mj.layouts import make_layout
-from scenes import cars, lot, moved, moved_cars, moved_lot, overlap_oracle
+from scenes import (
+    CAR,
+    cars,
+    lot,
+    moved,
+    moved_cars,
+    moved_lot,
+    overlap_oracle,
+    polygons,
+)
 
 judge_jit = jax.jit(judge, static_argnums=0)
 find_hits_jit = jax.jit(find_hits)
@@ -175,6 +185,29 @@ def test_padding_walls_hit_nobody():
     assert find_hits(layout, vehicle, *NO_CARS)[2].all()
     layout = layout.replace(wall_mask=jnp.zeros(1, bool))
     assert not find_hits(layout, vehicle, *NO_CARS)[2].any()
+
+
+def test_discs_are_hit_where_shapely_says_and_only_if_they_count():
+    rng = np.random.default_rng(3)
+    count = 400
+    pose = np.float32(rng.uniform((-4, -4, -3), (4, 4, 3), (count, 1, 3)))
+    template = lot([(30.0, 0.0, 0.0)], discs=[(1.0, 0.5, 0.3), (-2.0, -1.0, 0.8)])
+
+    def hit(pose, layout):
+        return find_hits(layout, cars(pose), *NO_CARS)[2]
+
+    run = jax.jit(jax.vmap(hit, (0, None)))
+    centres = shapely.points([(1.0, 0.5), (-2.0, -1.0)])
+    own = polygons(pose[:, 0], np.full((count, 2), CAR))
+    gap = shapely.distance(own[:, None], centres) - np.array([0.3, 0.8])
+    for mask in ([True, True], [True, False], [False, False]):
+        layout = template.replace(disc_mask=jnp.array(mask))
+        expected = ((gap < 0) & mask).any(axis=1)
+        certain = (np.abs(gap) > 1e-4).all(axis=1)
+        np.testing.assert_array_equal(
+            np.asarray(run(pose, layout))[certain, 0], expected[certain]
+        )
+    assert 0.2 < (gap < 0).any(axis=1).mean() < 0.8
 
 
 def judged(vehicle, rule="strict", step=1, active=True, layout=FAR_LOT, goal=None):

@@ -182,3 +182,40 @@ def test_geometry_broadcasts_over_leading_dimensions():
         np.testing.assert_allclose(table, np.array(single), atol=1e-5)
     assert geometry.box_corners(pose_a[:, None], size_b).shape == (5, 7, 4, 2)
     assert geometry.to_local(pose_a[:, None], pose_b).shape == (5, 7, 3)
+
+
+def test_box_disc_overlap_and_distance_agree_with_shapely():
+    rng = np.random.default_rng(6)
+    pose, size = random_boxes(rng, PAIRS)
+    centre = rng.uniform(-6, 6, (PAIRS, 2)).astype(np.float32)
+    radius = rng.uniform(0.1, 3.0, PAIRS).astype(np.float32)
+    gap = shapely.distance(polygons(pose, size), shapely.points(centre)) - radius
+    got = geometry.box_disc_distance(pose, size, centre, radius)
+    np.testing.assert_allclose(got, np.maximum(gap, 0.0), atol=2e-5)  # float32
+    certain = np.abs(gap) > 1e-4
+    got = np.asarray(geometry.box_disc_overlap(pose, size, centre, radius))
+    np.testing.assert_array_equal(got[certain], (gap < 0)[certain])
+    assert (~certain).sum() <= 5
+    assert 0.2 < (gap < 0).mean() < 0.8
+
+
+def test_discs_that_only_touch_or_hold_nan_overlap_nothing():
+    pose, size = jnp.zeros(3), jnp.array([4.0, 2.0])
+    # Ahead, at the left, and a 3-4-5 triangle off the front left corner.
+    centre = jnp.array([[3.0, 0.0], [0.0, 2.0], [5.0, 5.0]])
+    radius = jnp.array([1.0, 1.0, 5.0])
+    assert not geometry.box_disc_overlap(pose, size, centre, radius).any()
+    assert geometry.box_disc_overlap(pose, size, centre, radius * 1.001).all()
+    for nan in (centre * jnp.nan, centre):
+        bad = radius if jnp.isnan(nan).all() else radius * jnp.nan
+        assert not geometry.box_disc_overlap(pose, size, nan, bad).any()
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.1, 0.5, 1.3, np.pi])
+def test_swept_half_size_is_the_bounding_box_of_all_headings(spread):
+    size = np.float32([4.255, 1.799])
+    yaw = np.linspace(-spread, spread, 20_001)
+    pose = np.stack([np.zeros_like(yaw), np.zeros_like(yaw), yaw], axis=1)
+    bounds = shapely.bounds(polygons(pose, np.broadcast_to(size, (yaw.size, 2))))
+    got = geometry.swept_half_size(jnp.asarray(size), jnp.asarray(spread))
+    np.testing.assert_allclose(got, bounds[:, 2:].max(axis=0), atol=1e-5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.goals import Occupancy, evolve, init_occupancy, new_goal
-from carpark_mj.layouts import make_layout, pad
+from carpark_mj.layouts import Maxima, make_layout, pad_layout
 from scenes import check_occupancy, lot
 
 MIN_DISTANCE = 7.38  # m
@@ -64,7 +64,7 @@ def test_initial_goals_and_parked_cars_are_spread_over_all_bays():
 )
 def test_no_goal_ever_holds_a_parked_car(num_agents, num_parked_cars):
     # Four padding bays, which must never be used.
-    layout = pad(make_layout("tanner"), bays=40, walls=8, regions=1)
+    layout = pad_layout(make_layout("tanner"), Maxima(40, 8, 0, 0, 1))
     start, later, _ = history(layout, num_agents, num_parked_cars, 1500)
     mask = np.broadcast_to(layout.bay_mask, (LOTS, 1500, 40))
     check_occupancy(start.goal, start.parked_bay, mask[:, 0])

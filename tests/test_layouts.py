@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 import shapely
 
-from carpark_mj.layouts import COMPACT, SQUARES, SquareConfig, make_layout, pad, square
+from carpark_mj.layouts import (
+    COMPACT,
+    SQUARES,
+    Maxima,
+    SquareConfig,
+    make_layout,
+    pad_layout,
+    square,
+)
 from scenes import moved, polygons
 
 WU = 0.5625  # m per world unit of Tanner's scene
@@ -107,6 +115,38 @@ def test_a_square_lot_looks_the_same_after_a_quarter_turn(name):
     assert difference.area < 1e-2  # m^2; 1e-5 m of rounding along 300 m of edges
 
 
+def furnished(layout, disc=None, lane=None, lane_width=2.0):
+    """The layout with a disc (x, y, radius) or a lane along x so far below."""
+    maxima = Maxima(36, 8, 1, 1, 1)
+    layout = pad_layout(layout, maxima)
+    if disc is not None:
+        layout = layout.replace(
+            disc_centre=jnp.array([disc[:2]]),
+            disc_radius=jnp.array([disc[2]]),
+            disc_mask=jnp.ones(1, bool),
+        )
+    if lane is not None:
+        layout = layout.replace(
+            lane_pose=jnp.array([[0.0, -lane, 0.0]]),
+            lane_size=jnp.array([[10.0, lane_width]]),
+            lane_mask=jnp.ones(1, bool),
+        )
+    return layout
+
+
+def test_a_disc_and_a_lane_out_of_the_way_are_sound():
+    layout = make_layout("tanner")
+    assert furnished(layout, disc=(15.5, 15.5, 0.2)).is_well_formed() == []
+    assert furnished(layout, lane=10.0).is_well_formed() == []
+
+
+def test_a_larger_car_needs_more_room():
+    layout = make_layout("compact")
+    assert layout.is_well_formed((4.5, 1.8)) == []
+    problems = layout.is_well_formed((5.1, 1.8))
+    assert problems[0].startswith("bays are smaller than the car: [0, 1, 2]")
+
+
 def broken(name):
     layout = make_layout("tanner")
     bay, wall = layout.bay_pose, layout.wall_size
@@ -128,6 +168,19 @@ def broken(name):
         "mask of numbers": layout.replace(bay_mask=jnp.ones(36)),
         "poses of integers": layout.replace(bay_pose=bay.astype(jnp.int32)),
         "rows missing": layout.replace(wall_pose=layout.wall_pose[:7]),
+        "disc in a bay": furnished(layout, disc=(0.0, -17.0, 0.3)),
+        "disc near a spawn region": furnished(layout, disc=(0.0, -14.0, 0.3)),
+        "disc in a lane": furnished(layout, disc=(0.0, -14.0, 0.3), lane=14.0),
+        "negative disc": furnished(layout, disc=(0.0, -14.0, -0.3)),
+        "lane through bays": furnished(layout, lane=14.0, lane_width=4.0),
+        "lane through a wall": furnished(layout, lane=21.5),
+        "spawn region beside bays": layout.replace(
+            spawn_size=jnp.array([[27.0, 27.0]])
+        ),
+        "bay too narrow": layout.replace(
+            bay_size=layout.bay_size.at[7].set(jnp.array([5.0, 1.7]))
+        ),
+        "kinds of floats": layout.replace(bay_kind=jnp.zeros(36)),
     }
     return faults[name]
 
@@ -139,17 +192,26 @@ def broken(name):
         ("the same bay twice", "bays overlap"),
         ("negative bay size", "bay_size must be positive"),
         ("zero wall size", "wall_size must be positive"),
-        ("NaN bay", "bay holds a non-finite"),
-        ("infinite wall", "wall holds a non-finite"),
+        ("NaN bay", "bay_pose holds a non-finite"),
+        ("infinite wall", "wall_size holds a non-finite"),
         ("NaN extent", "extent"),
-        ("bay outside", r"bays \[0\] lie outside"),
-        ("bay in a wall", "bays .* meet walls"),
-        ("spawn region in a wall", "spawn regions .* meet walls"),
+        ("bay outside", r"bays lie outside the extent: \[0\]"),
+        ("bay in a wall", "bays meet walls"),
+        ("spawn region in a wall", "spawn regions meet walls"),
         ("no bay", "no bay"),
         ("no spawn region", "no spawn region"),
         ("mask of numbers", "bay_mask must be bool"),
         ("poses of integers", "bay_pose must be float32"),
-        ("rows missing", "wall: shapes"),
+        ("rows missing", "wall_pose must be"),
+        ("disc in a bay", "bays meet discs: "),
+        ("disc near a spawn region", "cars spawning in spawn regions meet discs"),
+        ("disc in a lane", "lanes meet discs"),
+        ("negative disc", "disc_radius must be positive"),
+        ("lane through bays", "lanes meet bays"),
+        ("lane through a wall", "lanes meet walls"),
+        ("spawn region beside bays", "cars spawning in spawn regions meet bays"),
+        ("bay too narrow", r"bays are smaller than the car: \[7\]"),
+        ("kinds of floats", "bay_kind must be int32"),
     ],
 )
 def test_is_well_formed_names_each_kind_of_fault(fault, word):
@@ -160,10 +222,12 @@ def test_is_well_formed_names_each_kind_of_fault(fault, word):
 @pytest.mark.parametrize("name", NAMES)
 def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
     layout = make_layout(name)
-    padded = pad(layout, bays=40, walls=11, regions=3)
+    padded = pad_layout(layout, Maxima(40, 11, 2, 4, 3))
     assert padded.is_well_formed() == []
     assert padded.num_bays == 40
     assert padded.wall_mask.shape == (11,)
+    assert padded.disc_radius.shape == (2,)
+    assert padded.lane_one_way.shape == (4,)
     assert padded.spawn_mask.shape == (3,)
     for kind in ("bay", "wall", "spawn"):
         mask = np.asarray(getattr(padded, f"{kind}_mask"))
@@ -174,14 +238,14 @@ def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
             np.testing.assert_array_equal(rows[~mask], 0.0)
 
 
-@pytest.mark.parametrize("rows", [(35, 8, 1), (36, 7, 1), (36, 8, 0)])
+@pytest.mark.parametrize("rows", [(35, 8, 0, 0, 1), (36, 7, 0, 0, 1), (36, 8, 0, 0, 0)])
 def test_padding_to_fewer_rows_than_there_are_raises(rows):
     with pytest.raises(ValueError, match="cannot be padded to"):
-        pad(make_layout("tanner"), *rows)
+        pad_layout(make_layout("tanner"), Maxima(*rows))
 
 
 def test_an_unknown_layout_raises_and_lists_the_known_ones():
-    with pytest.raises(ValueError, match=r"'ring'.*\['compact', 'tanner'\]"):
+    with pytest.raises(ValueError, match=r"'ring'.*'lot', .* 'tanner'\]"):
         make_layout("ring")
 
 
@@ -208,5 +272,5 @@ def test_square_lots_of_other_sizes_are_well_formed():
 
 def test_layout_arrays_are_strongly_typed_float32():
     for leaf in jax.tree.leaves(make_layout("tanner")):
-        assert leaf.dtype in (jnp.float32, jnp.bool_)
+        assert leaf.dtype in (jnp.float32, jnp.int32, jnp.bool_)
         assert not leaf.weak_type

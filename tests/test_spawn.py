@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from carpark_mj.config import SpawnConfig
-from carpark_mj.layouts import make_layout, pad
+from carpark_mj.layouts import Maxima, make_layout, pad_layout
 from carpark_mj.spawn import spawn_pose
 from scenes import lot, moved, polygons
 
@@ -42,9 +42,10 @@ def two_regions():
     layout = layout.replace(
         spawn_pose=jnp.array([[-10.0, 0.0, 0.7], [10.0, 0.0, 0.0]]),
         spawn_size=jnp.array([[8.0, 8.0], [2.0, 8.0]]),
+        spawn_spread=jnp.full(2, jnp.pi),
         spawn_mask=jnp.ones(2, bool),
     )
-    return pad(layout, bays=1, walls=0, regions=3)
+    return pad_layout(layout, Maxima(1, 0, 0, 0, 3))
 
 
 def test_random_spawns_are_uniform_over_the_region():
@@ -156,6 +157,23 @@ def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
     one = draw(RANDOM, layout, goal=(0.0, 18.0, 0.0))
     other = draw(RANDOM, layout, goal=(18.0, 0.0, 1.0))
     np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("config", [RANDOM, CLOSE])
+def test_headings_stray_from_the_regions_no_farther_than_its_spread(config):
+    layout = two_regions().replace(
+        spawn_pose=jnp.array([[-10.0, 0.0, 3.1], [10.0, 0.0, -1.0], [0.0, 0.0, 0.0]]),
+        spawn_spread=jnp.array([0.2, 0.05, 0.0]),
+    )
+    for goal, region in (((-10.0, 9.0, 0.0), 0), ((10.0, 9.0, 0.0), 1)):
+        pose = draw(config, layout, goal=goal)
+        here = (pose[:, 0] < 0) == (region == 0)
+        stray = np.angle(np.exp(1j * (pose[here, 2] - (3.1, -1.0)[region])))
+        spread = (0.2, 0.05)[region]
+        # Uniform: the extremes are met, and the deviation is that of a uniform one.
+        assert spread * 0.98 < np.abs(stray).max() <= spread + 1e-6
+        assert stray.std() == pytest.approx(spread / np.sqrt(3), rel=0.05)
+        assert (np.abs(pose[:, 2]) <= np.pi + 1e-6).all()
 
 
 def test_spawns_move_with_the_lot():

@@ -1,31 +1,58 @@
-"""Layouts of lots and the generators that make them."""
+"""Layouts of lots and the families of generators that make them."""
 
-import jax
-
+from carpark_mj.layouts.angled import AngledConfig
+from carpark_mj.layouts.dead_end import DeadEndConfig
+from carpark_mj.layouts.from_file import FromFileConfig
+from carpark_mj.layouts.garage_row import GarageRowConfig
+from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts.mixture import MixtureConfig
+from carpark_mj.layouts.registry import (
+    FAMILIES,
+    SQUARES,
+    generate,
+    layout_config,
+    make_layout,
+    mixture,
+)
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
-from carpark_mj.layouts.types import Layout, pad
-
-SQUARES: dict[str, SquareConfig] = {"tanner": TANNER, "compact": COMPACT}
-
-
-def make_layout(name: str, key: jax.Array | None = None) -> Layout:
-    """Builds a named layout.
-
-    Raises:
-        ValueError: unknown name; the message lists the known ones.
-    """
-    if name not in SQUARES:
-        raise ValueError(f"unknown layout {name!r}; choose from {sorted(SQUARES)}")
-    return square(SQUARES[name], key)
-
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.street import StreetConfig
+from carpark_mj.layouts.street_parallel import StreetParallelConfig
+from carpark_mj.layouts.types import (
+    BayKind,
+    DiscKind,
+    Layout,
+    Maxima,
+    WallKind,
+    layout_maxima,
+    pad_layout,
+)
 
 __all__ = [
     "COMPACT",
+    "FAMILIES",
     "SQUARES",
     "TANNER",
+    "AngledConfig",
+    "BayKind",
+    "DeadEndConfig",
+    "DesignCar",
+    "DiscKind",
+    "FromFileConfig",
+    "GarageRowConfig",
     "Layout",
+    "LotConfig",
+    "Maxima",
+    "MixtureConfig",
     "SquareConfig",
+    "StreetConfig",
+    "StreetParallelConfig",
+    "WallKind",
+    "generate",
+    "layout_config",
+    "layout_maxima",
     "make_layout",
-    "pad",
+    "mixture",
+    "pad_layout",
     "square",
 ]

@@ -8,16 +8,17 @@ import dataclasses
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.config import LayoutConfig
+from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.types import Layout
 
 WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
 
 
 @dataclasses.dataclass(frozen=True)
-class SquareConfig:
+class SquareConfig(LayoutConfig):
     """Dimensions of a square lot [m].
 
     Attributes:
@@ -29,6 +30,7 @@ class SquareConfig:
             towards the outer walls' corner.
         wall_thickness: of the outer walls.
         spawn_margin: between the open square's edge and the spawn region.
+        family: fixed.
     """
 
     bays_per_side: int = 9
@@ -38,13 +40,14 @@ class SquareConfig:
     block_inset: float = 0.5 * WORLD_UNIT
     wall_thickness: float = 2.0
     spawn_margin: float = 6 * WORLD_UNIT
+    family: str = "square"
 
     def __post_init__(self) -> None:
         if self.bays_per_side < 1:
             raise ValueError(
                 f"bays_per_side must be at least 1, not {self.bays_per_side}"
             )
-        for field in dataclasses.fields(self)[1:]:
+        for field in dataclasses.fields(self)[1:-1]:
             value = getattr(self, field.name)
             if not value >= 0:
                 raise ValueError(f"{field.name} must not be negative, not {value}")
@@ -53,6 +56,16 @@ class SquareConfig:
                 f"spawn_margin {self.spawn_margin} m leaves no spawn region in a "
                 f"square of {self.bays_per_side * self.bay_width} m"
             )
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        return 4 * self.bays_per_side
+
+    @property
+    def is_random(self) -> bool:
+        """Whether other keys give other lots."""
+        return False
 
 
 # Wall faces are those of Tanner's colliders: corner blocks 9 x 9 and outer walls at
@@ -82,7 +95,7 @@ def square(config: SquareConfig, key: jax.Array | None = None) -> Layout:
     along = (np.arange(config.bays_per_side) + 0.5) * config.bay_width - half
     row = half + depth / 2
     # Bottom, right, top, left; parked cars point at the centre of the lot.
-    bays = [
+    bay_poses = [
         *[(s, -row, math.pi / 2) for s in along],
         *[(row, s, -math.pi) for s in along],
         *[(s, row, -math.pi / 2) for s in along],
@@ -93,26 +106,16 @@ def square(config: SquareConfig, key: jax.Array | None = None) -> Layout:
     face = half + depth + config.wall_gap
     middle = face + config.wall_thickness / 2
     span = 2 * (face + config.wall_thickness)
-    walls = [(sx * corner, sy * corner, 0.0) for sx in (-1, 1) for sy in (-1, 1)]
+    wall_poses = [(sx * corner, sy * corner, 0.0) for sx in (-1, 1) for sy in (-1, 1)]
     wall_sizes = [(block, block)] * 4
-    walls += [(0.0, s * middle, 0.0) for s in (-1, 1)]
-    walls += [(s * middle, 0.0, math.pi / 2) for s in (-1, 1)]
+    wall_poses += [(0.0, s * middle, 0.0) for s in (-1, 1)]
+    wall_poses += [(s * middle, 0.0, math.pi / 2) for s in (-1, 1)]
     wall_sizes += [(span, config.wall_thickness)] * 2
     wall_sizes += [(2 * face, config.wall_thickness)] * 2
     side = 2 * (half - config.spawn_margin)
-
-    def array(rows: object) -> jax.Array:
-        return jnp.asarray(np.array(rows), jnp.float32)
-
-    return Layout(
-        bay_pose=array(bays),
-        bay_size=array([(depth, config.bay_width)] * len(bays)),
-        bay_mask=jnp.ones(len(bays), bool),
-        wall_pose=array(walls),
-        wall_size=array(wall_sizes),
-        wall_mask=jnp.ones(len(walls), bool),
-        spawn_pose=array([(0.0, 0.0, 0.0)]),
-        spawn_size=array([(side, side)]),
-        spawn_mask=jnp.ones(1, bool),
-        extent=array([face, face]),
+    return assemble(
+        (face, face),
+        bays(np.array(bay_poses), (depth, config.bay_width)),
+        walls(np.array(wall_poses), np.array(wall_sizes)),
+        spawns([(0.0, 0.0, 0.0)], (side, side), math.pi),
     )

@@ -21,6 +21,7 @@ from brax.training.acme import running_statistics, specs
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import FAMILIES
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import (
@@ -53,10 +54,24 @@ def from_dict(cls: Any, data: Any) -> Any:
             hint = next((h for h in hint.__args__ if h is not type(None)), hint)
         if dataclasses.is_dataclass(hint) and value is not None:
             value = from_dict(hint, value)
-        elif isinstance(value, list):
-            value = tuple(value)
+        else:
+            value = _plain_value(value)
         values[name] = value
     return cls(**values)
+
+
+def _plain_value(value: Any) -> Any:
+    """Lists become tuples, and a layout's settings the config of its family."""
+    if isinstance(value, list | tuple):
+        return tuple(_plain_value(item) for item in value)
+    if isinstance(value, dict) and "family" in value:
+        family = value["family"]
+        if family not in FAMILIES:
+            raise ValueError(
+                f"unknown family {family!r}; choose from {sorted(FAMILIES)}"
+            )
+        return from_dict(FAMILIES[family].config, value)
+    return value
 
 
 def checkpoint_files(folder: Path) -> list[Path]:

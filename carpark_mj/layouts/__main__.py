@@ -1,0 +1,122 @@
+"""Looks at layouts: `python -m carpark_mj.layouts --plot lots.png --check 1000`."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import jax
+
+from carpark_mj.config import LayoutConfig
+from carpark_mj.layouts import (
+    AngledConfig,
+    DeadEndConfig,
+    DesignCar,
+    GarageRowConfig,
+    LotConfig,
+    generate,
+    layout_config,
+)
+from carpark_mj.layouts.plot import contact_sheet
+from carpark_mj.layouts.standards import Level, Orientation
+from carpark_mj.layouts.types import Layout
+
+CHUNK = 250  # layouts drawn at once
+
+_LEVELS: tuple[tuple[Orientation, Level], ...] = (
+    ("perpendicular", "normal"),
+    ("perpendicular", "complex"),
+    ("parallel", "normal"),
+    ("parallel", "complex"),
+    ("parallel", "extreme"),
+)
+
+# Every family, and the variants of those that have some.
+SHOWN: dict[str, LayoutConfig | str] = {
+    "tanner": "tanner",
+    "compact": "compact",
+    "street": "street",
+    "street_parallel": "street_parallel",
+    "angled, nose-in": AngledConfig(),
+    "angled, back-in": AngledConfig(back_in=True, angle=(45.0, 60.0)),
+    "lot": "lot",
+    "lot, deck with pillars": LotConfig(
+        pillar_every=3, row_ends="bollards", num_aisles=(1, 3)
+    ),
+    "lot, angled": LotConfig(
+        angle=(50.0, 75.0), two_way=False, extra_aisle=(0.0, 0.6), boundary="kerb"
+    ),
+    "mixture": "mixture",
+    **{
+        f"{family}, {orientation}, {level}": config(
+            level=level, orientation=orientation
+        )
+        for family, config in (
+            ("garage_row", GarageRowConfig),
+            ("dead_end", DeadEndConfig),
+        )
+        for orientation, level in _LEVELS
+    },
+}
+
+
+def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layout]:
+    """Draws lots of one layout, as numpy arrays; keys are `fold_in(key(seed), k)`."""
+    config = layout_config(layout)
+    make = jax.jit(jax.vmap(lambda key: generate(config, key)))
+    fold = jax.vmap(jax.random.fold_in, (None, 0))
+    chunk = min(CHUNK, num_keys)
+    for first in range(0, num_keys, chunk):
+        numbers = first + jax.numpy.arange(chunk)
+        batch = jax.device_get(make(fold(jax.random.key(seed), numbers)))
+        for row in range(min(chunk, num_keys - first)):
+            yield jax.tree.map(lambda leaf, row=row: leaf[row], batch)
+
+
+def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
+    """What is wrong with the lots of so many keys, a sentence each."""
+    config = layout_config(layout)
+    car: DesignCar = getattr(config, "car", DesignCar())
+    found = []
+    for number, drawn in enumerate(draw(config, num_keys, seed)):
+        problems = drawn.is_well_formed(car.size)
+        bays = int(drawn.bay_mask.sum())
+        if bays < config.min_bays:
+            problems.append(f"{bays} bays, {config.min_bays} were promised")
+        found += [f"key {number}: {problem}" for problem in problems]
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code, 1 if a layout is not sound."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "layouts", nargs="*", help="names or layout files; all families if none"
+    )
+    parser.add_argument("--plot", type=Path, help="write a picture, two lots of each")
+    parser.add_argument("--check", type=int, default=0, help="check so many keys each")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    shown = {name: name for name in options.layouts} or SHOWN
+    sound = True
+    try:
+        if options.plot:
+            pictures = [
+                (name, drawn)
+                for name, layout in shown.items()
+                for drawn in draw(layout, 2, options.seed)
+            ]
+            print(f"wrote {contact_sheet(pictures, options.plot)}")
+        for name, layout in shown.items() if options.check > 0 else ():
+            found = check(layout, options.check, options.seed)
+            sound = sound and not found
+            print(f"{name}: {options.check} keys, {len(found)} problems")
+            print("".join(f"  {problem}\n" for problem in found[:10]), end="")
+    except (OSError, ValueError) as error:
+        print(f"layouts: {error}", file=sys.stderr)
+        return 2
+    return 0 if sound else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""What makes a layout sound, and the words for what is wrong with one.
+
+`find_faults` is pure and runs for thousands of layouts at once under `jax.vmap`;
+`problems` puts the faults of one layout into sentences.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.geometry import (
+    box_disc_overlap,
+    box_inside,
+    boxes_overlap,
+    swept_half_size,
+)
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.types import ROWS, Layout
+
+# Neighbours share an edge: sizes shrink by rounding errors before they are compared.
+ROUNDING = 1e-3  # m
+
+# Dimensions of the fields of a row, besides its mask.
+_PARTS = {
+    "pose": (3, jnp.float32),
+    "size": (2, jnp.float32),
+    "centre": (2, jnp.float32),
+    "radius": (None, jnp.float32),
+    "spread": (None, jnp.float32),
+    "kind": (None, jnp.int32),
+    "one_way": (None, jnp.bool_),
+}
+
+
+def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
+    """Faults of one layout whose shapes and dtypes are right.
+
+    Args:
+        layout: no batch dimension.
+        car_size: (2,) length and width of the largest car [m].
+
+    Returns:
+        Bool arrays, True = fault, named by the words of the sentence about it; one
+        dimension per kind of row it concerns, none for the lot as a whole.
+    """
+    bay = (layout.bay_pose, layout.bay_size - ROUNDING, layout.bay_mask)
+    wall = (layout.wall_pose, layout.wall_size, layout.wall_mask)
+    disc = (layout.disc_centre, layout.disc_radius, layout.disc_mask)
+    lane = (layout.lane_pose, layout.lane_size - ROUNDING, layout.lane_mask)
+    reach = swept_half_size(car_size, layout.spawn_spread)
+    swept = layout.spawn_size + 2 * reach - ROUNDING
+    swept = (layout.spawn_pose, swept, layout.spawn_mask)
+    size = 2.0 * layout.extent * (1.0 + 1e-6)
+    inside = box_inside(layout.bay_pose, layout.bay_size, jnp.zeros(3), size)
+    small = jnp.any(layout.bay_size < car_size, axis=-1)
+    return {
+        "there is no bay": ~layout.bay_mask.any(),
+        "there is no spawn region": ~layout.spawn_mask.any(),
+        "bays lie outside the extent": layout.bay_mask & ~inside,
+        "bays are smaller than the car": layout.bay_mask & small,
+        "bays overlap": jnp.triu(_boxes_meet(bay, bay), 1),
+        "bays meet walls": _boxes_meet(bay, wall),
+        "bays meet discs": _discs_meet(bay, disc),
+        "lanes meet bays": _boxes_meet(lane, bay),
+        "lanes meet walls": _boxes_meet(lane, wall),
+        "lanes meet discs": _discs_meet(lane, disc),
+        "cars spawning in spawn regions meet walls": _boxes_meet(swept, wall),
+        "cars spawning in spawn regions meet discs": _discs_meet(swept, disc),
+        "cars spawning in spawn regions meet bays": _boxes_meet(swept, bay),
+    }
+
+
+_Rows = tuple[jax.Array, jax.Array, jax.Array]
+
+
+def _boxes_meet(a: _Rows, b: _Rows) -> jax.Array:
+    hit = boxes_overlap(a[0][:, None], a[1][:, None], b[0], b[1])
+    return hit & a[2][:, None] & b[2]
+
+
+def _discs_meet(box: _Rows, disc: _Rows) -> jax.Array:
+    hit = box_disc_overlap(box[0][:, None], box[1][:, None], disc[0], disc[1])
+    return hit & box[2][:, None] & disc[2]
+
+
+def problems(layout: Layout, car_size: tuple[float, float] | None = None) -> list[str]:
+    """What is wrong with one layout (no batch dimension), a sentence each.
+
+    A sound layout has fitting shapes and dtypes, finite numbers and positive sizes, at
+    least one bay and one spawn region; its bays lie within the extent, hold the car
+    and overlap neither each other nor walls, discs or lanes; no wall or disc stands in
+    a lane; and a car that spawns anywhere in a spawn region, at any heading it allows,
+    touches no wall, disc or bay.
+    """
+    found = _malformed(layout)
+    if found:
+        return found
+    size = jnp.array(car_size or DesignCar().size, jnp.float32)
+    for words, fault in _find_faults(layout, size).items():
+        fault = np.asarray(fault)
+        if fault.any():
+            rows = np.argwhere(fault)[:3]
+            rows = rows[:, 0] if fault.ndim == 1 else rows
+            found.append(f"{words}: {rows.tolist()}" if fault.ndim else words)
+    return found
+
+
+_find_faults = jax.jit(find_faults)
+
+
+def _malformed(layout: Layout) -> list[str]:
+    """Wrong shapes, dtypes and numbers."""
+    found = []
+    for kind in ROWS:
+        mask = np.asarray(getattr(layout, f"{kind}_mask"))
+        if mask.ndim != 1 or mask.dtype != jnp.bool_:
+            found.append(f"{kind}_mask must be bool of one dimension, not {mask.dtype}")
+            continue
+        for part, (width, dtype) in _PARTS.items():
+            if not hasattr(layout, f"{kind}_{part}"):
+                continue
+            array = np.asarray(getattr(layout, f"{kind}_{part}"))
+            shape = mask.shape if width is None else (*mask.shape, width)
+            if array.shape != shape or array.dtype != dtype:
+                found.append(
+                    f"{kind}_{part} must be {jnp.dtype(dtype)}{list(shape)}, not "
+                    f"{array.dtype}{list(array.shape)}"
+                )
+            elif not np.isfinite(array).all():
+                found.append(f"{kind}_{part} holds a non-finite number")
+            elif part in ("size", "radius"):
+                rows = mask if width is None else mask[:, None]
+                if ((array <= 0) & rows).any():
+                    found.append(f"{kind}_{part} must be positive")
+    if not np.isfinite(layout.extent).all():
+        found.append("extent holds a non-finite number")
+    return found

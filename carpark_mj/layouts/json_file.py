@@ -1,0 +1,198 @@
+"""Layouts as JSON, for car parks drawn by hand or by other programs.
+
+    {"format": "carpark_mj layout 1",
+     "bays": [{"pose": [x, y, yaw], "size": [length, width], "kind": "standard"}],
+     "walls": [{"pose": ..., "size": ..., "kind": "wall"}],
+     "discs": [{"centre": [x, y], "radius": r, "kind": "pillar"}],
+     "lanes": [{"pose": ..., "size": ..., "one_way": true}],
+     "spawns": [{"pose": ..., "size": ..., "spread": 0.1}],
+     "extent": [half_x, half_y]}
+
+Metres and radians; what the fields mean is said in `Layout`. Kinds are `standard`,
+`accessible`, `family`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`. `bays`,
+`spawns` and `extent` are needed; `kind` is by default the first of its list, `one_way`
+true and `spread` 0.1. A file of another version is refused, whatever is wrong with one
+is told with its line, and so is a layout that is not sound (`layouts.checks`).
+"""
+
+import json
+import math
+from json import scanner
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from carpark_mj.layouts import build
+from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
+
+FORMAT = "carpark_mj layout 1"
+_LINE = "\n"  # key under which an object keeps its line; no JSON string holds it raw
+
+# Every list with the fields of its rows: how many numbers, a kind, or a truth value.
+_SCHEMA: dict[str, dict[str, Any]] = {
+    "bays": {"pose": 3, "size": 2, "kind": BayKind},
+    "walls": {"pose": 3, "size": 2, "kind": WallKind},
+    "discs": {"centre": 2, "radius": 1, "kind": DiscKind},
+    "lanes": {"pose": 3, "size": 2, "one_way": bool},
+    "spawns": {"pose": 3, "size": 2, "spread": 1},
+}
+_DEFAULTS: dict[str, Any] = {"one_way": True, "spread": build.LANE_SPREAD}
+_NEEDED = ("format", "bays", "spawns", "extent")
+
+
+def to_json(layout: Layout) -> str:
+    """One layout (no batch dimension) as text, without padding; numbers are exact."""
+    layout = jax.device_get(layout)
+    data: dict[str, Any] = {"format": FORMAT}
+    for name, schema in _SCHEMA.items():
+        kind = name[:-1]
+        data[name] = [
+            {
+                part: _plain(getattr(layout, f"{kind}_{part}")[row], form)
+                for part, form in schema.items()
+            }
+            for row in np.flatnonzero(getattr(layout, f"{kind}_mask"))
+        ]
+    data["extent"] = _plain(layout.extent, 2)
+    lines = [f" {json.dumps(name)}: {_rows(value)}" for name, value in data.items()]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _plain(value: Any, form: Any) -> Any:
+    if isinstance(form, int):
+        return np.asarray(value).tolist()
+    return bool(value) if form is bool else form(int(value)).name.lower()
+
+
+def _rows(value: Any) -> str:
+    """A list of objects with one object a line, other values on one line."""
+    if not (isinstance(value, list) and value and isinstance(value[0], dict)):
+        return json.dumps(value)
+    return "[\n  " + ",\n  ".join(json.dumps(row) for row in value) + "\n ]"
+
+
+def read_json(path: Path) -> Layout:
+    """Reads a layout.
+
+    Raises:
+        ValueError: no such file, or what is wrong with it and in which line.
+    """
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"cannot read the layout {path}: {error}") from None
+    try:
+        layout = _parse(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path}, line {error.lineno}: {error.msg}") from None
+    except _RowError as error:
+        raise ValueError(f"{path}, line {error.line}: {error}") from None
+    if problems := layout.is_well_formed():
+        raise ValueError(f"{path} is no sound layout: {'; '.join(problems)}")
+    return layout
+
+
+class _RowError(ValueError):
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(message)
+        self.line = line
+
+
+class _Decoder(json.JSONDecoder):
+    """Notes in every object the line on which it begins."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        parse = self.parse_object
+
+        def located(text_and_end: tuple[str, int], *args: Any) -> tuple[Any, int]:
+            text, end = text_and_end
+            value, after = parse(text_and_end, *args)
+            return {**value, _LINE: text.count("\n", 0, end) + 1}, after
+
+        self.parse_object = located
+        # The scanner in C ignores `parse_object`; the one in Python heeds it.
+        self.scan_once = scanner.py_make_scanner(self)  # pyright: ignore
+
+
+def _parse(text: str) -> Layout:
+    data = json.loads(text, cls=_Decoder)
+    if not isinstance(data, dict):
+        raise _RowError(1, f"a layout is an object, not {type(data).__name__}")
+    line = data.pop(_LINE)
+    if data.get("format") != FORMAT:
+        raise _RowError(line, f"format must be {FORMAT!r}, not {data.get('format')!r}")
+    if missing := [name for name in _NEEDED if name not in data]:
+        raise _RowError(line, f"{', '.join(missing)} missing")
+    if unknown := sorted(set(data) - {*_SCHEMA, *_NEEDED}):
+        raise _RowError(
+            line, f"unknown {unknown}; a layout has {sorted({*_SCHEMA, *_NEEDED})}"
+        )
+    make = {
+        "bays": build.bays,
+        "walls": build.walls,
+        "discs": build.discs,
+        "lanes": build.lanes,
+        "spawns": build.spawns,
+    }
+    groups = []
+    for name, schema in _SCHEMA.items():
+        rows = data.get(name, [])
+        if not isinstance(rows, list):
+            raise _RowError(line, f"{name} must be a list of objects, not {rows!r}")
+        if rows:
+            columns = _columns(name, schema, rows, line)
+            groups.append(make[name](**columns))
+    extent = _number(line, "extent", data["extent"], 2)
+    return build.assemble(extent, *groups)
+
+
+def _columns(
+    name: str, schema: dict[str, Any], rows: list[Any], line: int
+) -> dict[str, np.ndarray]:
+    columns: dict[str, list[Any]] = {part: [] for part in schema}
+    for index, row in enumerate(rows):
+        if not isinstance(row, dict):
+            raise _RowError(line, f"{name}[{index}] must be an object, not {row!r}")
+        place = row.pop(_LINE)
+        if unknown := sorted(set(row) - set(schema)):
+            raise _RowError(
+                place, f"{name}[{index}] has unknown {unknown}; allowed {list(schema)}"
+            )
+        for part, form in schema.items():
+            what = f"{name}[{index}].{part}"
+            if part not in row:
+                if isinstance(form, int) and part not in _DEFAULTS:
+                    raise _RowError(place, f"{what} is missing")
+                columns[part].append(_DEFAULTS.get(part, 0))
+            elif isinstance(form, int):
+                columns[part].append(_number(place, what, row[part], form))
+            elif form is bool:
+                if not isinstance(row[part], bool):
+                    raise _RowError(
+                        place, f"{what} must be true or false, not {row[part]!r}"
+                    )
+                columns[part].append(row[part])
+            else:
+                names = [kind.name.lower() for kind in form]
+                if row[part] not in names:
+                    raise _RowError(
+                        place, f"unknown {what} {row[part]!r}; choose from {names}"
+                    )
+                columns[part].append(names.index(row[part]))
+    return {part: np.array(values) for part, values in columns.items()}
+
+
+def _number(line: int, what: str, value: Any, count: int) -> Any:
+    """A finite number, or a list of so many."""
+    values = [value] if count == 1 else value
+    good = isinstance(values, list) and len(values) == count
+    if not good or not all(
+        isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x)
+        for x in values
+    ):
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        raise _RowError(line, f"{what} must be {wanted}, not {value!r}")
+    return value

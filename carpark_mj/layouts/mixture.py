@@ -1,0 +1,73 @@
+"""A mixture: every key draws a family first, then one of its lots.
+
+All lots of a mixture are padded to the same numbers of rows, so that a batch may hold
+lots of different families, and other keys need no other program.
+"""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import LayoutConfig
+from carpark_mj.layouts.angled import AngledConfig
+from carpark_mj.layouts.square import COMPACT
+from carpark_mj.layouts.street import StreetConfig
+from carpark_mj.layouts.street_parallel import StreetParallelConfig
+from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
+
+
+@dataclasses.dataclass(frozen=True)
+class MixtureConfig(LayoutConfig):
+    """A distribution over families.
+
+    Attributes:
+        members: configs of the families.
+        weights: how often each is drawn, in proportion; empty = equally often.
+        family: fixed.
+    """
+
+    members: tuple[LayoutConfig, ...] = (
+        COMPACT,
+        StreetConfig(),
+        StreetParallelConfig(),
+        AngledConfig(),
+    )
+    weights: tuple[float, ...] = ()
+    family: str = "mixture"
+
+    def __post_init__(self) -> None:
+        if not self.members:
+            raise ValueError("members of a mixture must be one config or more, not ()")
+        for member in self.members:
+            if not isinstance(member, LayoutConfig):  # pyright: ignore
+                raise ValueError(f"members must be layout configs, not {member!r}")
+        if self.weights and len(self.weights) != len(self.members):
+            raise ValueError(
+                f"weights must be one for each of the {len(self.members)} members, "
+                f"not {self.weights}"
+            )
+        if any(not (math.isfinite(w) and w > 0) for w in self.weights):
+            raise ValueError(f"weights must be positive, not {self.weights}")
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        return min(member.min_bays for member in self.members)
+
+
+def draw_mixture(config: MixtureConfig, key: jax.Array) -> Layout:
+    """Draws a family, then a lot of it."""
+    from carpark_mj.layouts.registry import generate  # which lists this module too
+
+    def branch(member: LayoutConfig):
+        return lambda key: generate(member, key)
+
+    branches = [branch(member) for member in config.members]
+    maxima = layout_maxima(jax.eval_shape(make, key) for make in branches)
+    weights = jnp.array(config.weights or (1.0,) * len(branches), jnp.float32)
+    pick_key, lot_key = jax.random.split(key)
+    pick = jax.random.categorical(pick_key, jnp.log(weights))
+    padded = [lambda key, make=make: pad_layout(make(key), maxima) for make in branches]
+    return jax.lax.switch(pick, padded, lot_key)

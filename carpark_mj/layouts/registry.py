@@ -1,0 +1,108 @@
+"""Families of lots by name, and the layouts that a name or a config stands for."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, get_args
+
+import jax
+
+from carpark_mj.config import LAYOUT_FILES, LayoutConfig, LayoutName
+from carpark_mj.layouts.angled import AngledConfig, angled
+from carpark_mj.layouts.dead_end import DeadEndConfig, dead_end
+from carpark_mj.layouts.from_file import FromFileConfig, from_file
+from carpark_mj.layouts.garage_row import GarageRowConfig, garage_row
+from carpark_mj.layouts.lot import lot
+from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts.mixture import MixtureConfig, draw_mixture
+from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
+from carpark_mj.layouts.street import StreetConfig, street
+from carpark_mj.layouts.street_parallel import StreetParallelConfig, street_parallel
+from carpark_mj.layouts.types import Layout
+
+
+class Family(NamedTuple):
+    """A kind of lot.
+
+    Attributes:
+        config: its settings.
+        generate: `(config, key) -> Layout`, always of the same shape for a config.
+    """
+
+    config: type[LayoutConfig]
+    generate: Callable[[Any, jax.Array], Layout]
+
+
+FAMILIES: dict[str, Family] = {
+    "square": Family(SquareConfig, square),
+    "street": Family(StreetConfig, street),
+    "street_parallel": Family(StreetParallelConfig, street_parallel),
+    "angled": Family(AngledConfig, angled),
+    "lot": Family(LotConfig, lot),
+    "garage_row": Family(GarageRowConfig, garage_row),
+    "dead_end": Family(DeadEndConfig, dead_end),
+    "from_file": Family(FromFileConfig, from_file),
+    "mixture": Family(MixtureConfig, draw_mixture),
+}
+
+SQUARES: dict[str, SquareConfig] = {"tanner": TANNER, "compact": COMPACT}
+
+
+def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
+    """The config that a layout's name stands for; a config stands for itself.
+
+    Args:
+        layout: a name, a layout file (.json or .csv), or a config.
+
+    Raises:
+        ValueError: unknown name, the message lists the known ones; or a bad file.
+    """
+    if isinstance(layout, LayoutConfig):
+        return layout
+    if layout.endswith(LAYOUT_FILES):
+        return FromFileConfig(path=layout)
+    if layout in SQUARES:
+        return SQUARES[layout]
+    if layout not in get_args(LayoutName):
+        raise ValueError(
+            f"unknown layout {layout!r}; choose from {sorted(get_args(LayoutName))} "
+            f"or name a file ({', '.join(LAYOUT_FILES)})"
+        )
+    return FAMILIES[layout].config()
+
+
+def generate(config: LayoutConfig, key: jax.Array) -> Layout:
+    """Draws a lot: the same key gives the same lot, other keys the same shapes."""
+    return FAMILIES[config.family].generate(config, key)
+
+
+# Many small operations: one by one they would each be compiled.
+_compiled = jax.jit(generate, static_argnums=0)
+
+
+def make_layout(layout: LayoutConfig | str, key: jax.Array | None = None) -> Layout:
+    """Builds a layout from a name, a file or a config.
+
+    Args:
+        layout: see `layout_config`.
+        key: of the lot; `jax.random.key(0)` if None.
+
+    Raises:
+        ValueError: unknown name; the message lists the known ones.
+    """
+    key = jax.random.key(0) if key is None else key
+    return _compiled(layout_config(layout), key)
+
+
+def mixture(
+    members: Sequence[LayoutConfig | str], weights: Sequence[float] = ()
+) -> MixtureConfig:
+    """A mixture of layouts, each a name, a file or a config.
+
+    Args:
+        members: what to mix.
+        weights: how often each is drawn, in proportion; empty = equally often.
+
+    Raises:
+        ValueError: unknown names, or weights that do not fit.
+    """
+    configs = tuple(layout_config(member) for member in members)
+    return MixtureConfig(members=configs, weights=tuple(weights))

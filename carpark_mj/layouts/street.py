@@ -1,0 +1,122 @@
+"""A two-way street with perpendicular bays on both sides.
+
+Schematic (a) of Tanner 2022 (arXiv 2206.13338), which he describes but did not build:
+one lane each way, rows of bays along both, walls about everything.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import LayoutConfig
+from carpark_mj.layouts import standards
+from carpark_mj.layouts.build import (
+    Group,
+    assemble,
+    bays,
+    boundary,
+    lanes,
+    least_lane,
+    spawns_in,
+    two_lanes,
+)
+from carpark_mj.layouts.ranges import (
+    IntRange,
+    Range,
+    chances,
+    draw,
+    draw_int,
+    require_at_least,
+    require_ranges,
+)
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.turning import least_aisle
+from carpark_mj.layouts.types import Layout, WallKind
+
+
+@dataclasses.dataclass(frozen=True)
+class StreetConfig(LayoutConfig):
+    """Ranges of a street with perpendicular bays; lengths [m].
+
+    Attributes:
+        bays_per_side: bays in each of the two rows.
+        bay_width: across a parked car.
+        bay_length: along a parked car.
+        aisle_width: of both lanes together.
+        end_length: free street between the last bay and the wall across the street.
+        wall_thickness: of the walls around.
+        car: the car the street is drawn for.
+        family: fixed.
+    """
+
+    bays_per_side: IntRange = (9, 12)
+    bay_width: Range = standards.BAY_WIDTH
+    bay_length: Range = standards.BAY_LENGTH
+    aisle_width: Range = standards.TWO_WAY_AISLE
+    end_length: Range = (4.0, 7.0)
+    wall_thickness: float = standards.WALL_THICKNESS
+    car: DesignCar = DesignCar()
+    family: str = "street"
+
+    def __post_init__(self) -> None:
+        require_ranges(self, 1, "bays_per_side")
+        require_ranges(self, self.car.width, "bay_width")
+        require_ranges(self, self.car.length, "bay_length")
+        require_ranges(self, 0.0, "aisle_width", "end_length")
+        require_at_least(self, 0.01, "wall_thickness")
+        least = least_aisle(self.car, 90.0, self.bay_width[0], walled=False)
+        require_aisle(self.aisle_width, max(least, 2 * least_lane(self.car)))
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        return 2 * self.bays_per_side[0]
+
+
+def require_aisle(aisle: Range, least: float) -> None:
+    """Refuses aisles in which the car cannot drive, spawn and turn into the bays.
+
+    Raises:
+        ValueError: with the width needed.
+    """
+    if aisle[0] < least:
+        raise ValueError(
+            f"aisle_width must be at least {least:.2f} m for the car to turn into a "
+            f"bay (carpark_mj.layouts.turning), not {aisle[0]}"
+        )
+
+
+def street(config: StreetConfig, key: jax.Array) -> Layout:
+    """Draws a street along x."""
+    chance = chances(key, 5)
+    count = draw_int(chance[0], config.bays_per_side)
+    width = draw(chance[1], config.bay_width)
+    length = draw(chance[2], config.bay_length)
+    aisle = draw(chance[3], config.aisle_width)
+    end = draw(chance[4], config.end_length)
+    row = jnp.arange(config.bays_per_side[1])
+    x = (row + 0.5 - count / 2) * width
+    y = (aisle + length) / 2
+    # Left of the lane along +x, then right of it; cars point at the street.
+    pose = jnp.stack(
+        [
+            jnp.stack(jnp.broadcast_arrays(x, s * y, -s * jnp.pi / 2), axis=-1)
+            for s in (1.0, -1.0)
+        ]
+    )
+    half = jnp.stack([count * width / 2 + end, aisle / 2 + length + standards.WALL_GAP])
+    return assemble(
+        half,
+        bays(pose, jnp.stack([length, width]), mask=row < count),
+        boundary(half[0], half[1], config.wall_thickness, WallKind.WALL),
+        *two_way_street(config.car, 2 * half[0], aisle),
+    )
+
+
+def two_way_street(
+    car: DesignCar, length: jax.Array, aisle: jax.Array
+) -> tuple[Group, Group]:
+    """Two lanes along x about the origin, and the spawn regions in them."""
+    pose, size = two_lanes(jnp.zeros(3), jnp.stack([length, aisle]))
+    return lanes(pose, size), spawns_in(car, pose, size)

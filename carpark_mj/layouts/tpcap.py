@@ -1,0 +1,170 @@
+"""Cases of the Trajectory Planning Competition for Automated Parking (TPCAP), as CSV.
+
+A file is one flat vector, over one or several lines: start pose x0, y0, theta0, goal
+pose xf, yf, thetaf, the number of obstacles n, n vertex counts, then the vertices x, y
+of one obstacle after the other; metres and radians, poses of the rear axle's centre.
+
+What becomes of it: the goal is the only bay, a little larger than the car; the start is
+a spawn region of 2 cm. A rectangle becomes one wall. Of any other polygon, convex or
+not, the edges become walls 2 cm thick on its inner side: from outside that is the
+polygon to within 2 cm, and no car gets inside without crossing an edge. There are no
+lanes and no outer walls. The case is moved so that the lot's centre is the origin.
+"""
+
+import math
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.geometry import boxes_overlap
+from carpark_mj.layouts.build import assemble, bays, spawns, walls
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.types import Layout
+
+# The competition's car: 0.96 m and 0.929 m beyond a wheelbase of 2.8 m, 1.942 m wide,
+# full lock 0.75 rad (Li et al., Online competition of trajectory planning for automated
+# parking, 2022).
+TPCAP_CAR = DesignCar(
+    length=0.929 + 2.8 + 0.96,
+    width=1.942,
+    wheelbase=2.8,
+    rear_overhang=0.929,
+    max_steering=0.75,
+)
+BAY_MARGIN = 0.2  # m on every side of the goal footprint, less where obstacles are near
+EDGE = 0.02  # m, thickness of the walls along the edges of a polygon
+START = 0.02  # m, side of the spawn region
+RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
+
+
+def read_tpcap(path: Path, car: DesignCar = TPCAP_CAR) -> Layout:
+    """Reads a TPCAP case.
+
+    Args:
+        path: the CSV file.
+        car: whose rear axle the poses are of, and which parks.
+
+    Raises:
+        ValueError: no such file, or what is wrong with it and in which line.
+    """
+    numbers, lines = _numbers(path)
+    if len(numbers) < 7:
+        raise ValueError(
+            f"{path}, line {lines[-1] if lines else 1}: a case begins with start, goal "
+            f"and the number of obstacles (7 numbers), not {len(numbers)}"
+        )
+    count = _whole(path, lines[6], "number of obstacles", numbers[6], 0)
+    if len(numbers) < 7 + count:
+        raise ValueError(
+            f"{path}, line {lines[-1]}: {count} obstacles need {count} vertex counts, "
+            f"there are {len(numbers) - 7}"
+        )
+    sizes = [
+        _whole(path, lines[k], f"vertex count of obstacle {k - 7}", numbers[k], 3)
+        for k in range(7, 7 + count)
+    ]
+    expected = 7 + count + 2 * sum(sizes)
+    if len(numbers) != expected:
+        raise ValueError(
+            f"{path}, line {lines[-1]}: {count} obstacles with {sum(sizes)} vertices "
+            f"make {expected} numbers, not {len(numbers)}"
+        )
+    vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
+    polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
+    return _case(np.array(numbers[:3]), np.array(numbers[3:6]), polygons, car)
+
+
+def _numbers(path: Path) -> tuple[list[float], list[int]]:
+    """The numbers of a file and the line of each."""
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"cannot read the case {path}: {error}") from None
+    numbers, lines = [], []
+    for line, row in enumerate(text.splitlines(), 1):
+        for cell in row.split(","):
+            if not cell.strip():
+                continue
+            try:
+                number = float(cell)
+            except ValueError:
+                number = math.nan
+            if not math.isfinite(number):
+                raise ValueError(f"{path}, line {line}: {cell.strip()!r} is no number")
+            numbers.append(number)
+            lines.append(line)
+    return numbers, lines
+
+
+def _whole(path: Path, line: int, what: str, value: float, least: int) -> int:
+    if value != int(value) or value < least:
+        raise ValueError(
+            f"{path}, line {line}: {what} must be a whole number of at least {least}, "
+            f"not {value:g}"
+        )
+    return int(value)
+
+
+def _case(
+    start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray], car: DesignCar
+) -> Layout:
+    ahead = car.length / 2 - car.rear_overhang  # rear axle to the footprint's centre
+
+    def centred(pose: np.ndarray) -> np.ndarray:
+        step = ahead * np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
+        return pose + step
+
+    start, goal = centred(start), centred(goal)
+    reach = math.hypot(*car.size)
+    around = [goal[:2] - reach, goal[:2] + reach, start[:2] - reach, start[:2] + reach]
+    points = np.concatenate([np.array(around), *polygons])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = np.append((low + high) / 2, 0.0)
+    boxes = [box for polygon in polygons for box in _boxes(polygon - middle[:2])]
+    pose = np.array([pose for pose, _ in boxes]).reshape(-1, 3)
+    size = np.array([size for _, size in boxes]).reshape(-1, 2)
+    start, goal = start - middle, goal - middle
+    margin = _free_margin(goal, car, pose, size)
+    return assemble(
+        (high - low) / 2,
+        bays(goal[None], np.array(car.size) + 2 * margin),
+        walls(pose, size),
+        spawns(start[None], (START, START), 0.0),
+    )
+
+
+def _boxes(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Centre poses and sizes of the walls that stand for a polygon (n, 2)."""
+    ahead = np.roll(polygon, -1, axis=0) - polygon
+    length = np.linalg.norm(ahead, axis=1)
+    kept = length > 0  # a repeated vertex has no edge
+    polygon, ahead, length = polygon[kept], ahead[kept], length[kept]
+    unit = ahead / length[:, None]
+    if len(polygon) == 4:
+        corners = np.abs(np.sum(unit * np.roll(unit, -1, axis=0), axis=1))
+        if corners.max() < RIGHT_ANGLE:
+            yaw = math.atan2(unit[0, 1], unit[0, 0])
+            pose = np.append(polygon.mean(axis=0), yaw)
+            return [(pose, length[:2])]
+    x, y = polygon.T
+    area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2
+    inwards = np.sign(area) * np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    middle = polygon + ahead / 2 + inwards * EDGE / 2
+    yaw = np.arctan2(unit[:, 1], unit[:, 0])
+    return [
+        (np.append(m, a), np.array([n, EDGE]))
+        for m, a, n in zip(middle, yaw, length, strict=True)
+    ]
+
+
+def _free_margin(
+    goal: np.ndarray, car: DesignCar, pose: np.ndarray, size: np.ndarray
+) -> float:
+    """The largest of a few margins that keep the bay clear of the walls."""
+    goal_pose, wall_pose, wall_size = map(jnp.asarray, (goal, pose, size))
+    for share in (1.0, 0.75, 0.5, 0.25):
+        bay = jnp.asarray(np.array(car.size) + 2 * share * BAY_MARGIN)
+        if not boxes_overlap(goal_pose, bay, wall_pose, wall_size).any():
+            return share * BAY_MARGIN
+    return 0.0
