@@ -44,6 +44,8 @@ class EvaluateConfig:
         seed: of the held-out lots; training never uses these keys.
         rule: judge by another parked rule than the run was trained under.
         num_agents: another number of agents than the run was trained with.
+        layout: another lot than the run was trained in: a name or a layout file.
+        num_parked_cars: another number of parked cars.
         physics: another back end: `scene` judges crashes by the contacts of one MuJoCo
             world.
         stochastic: sample actions instead of taking the distribution's mode.
@@ -57,6 +59,8 @@ class EvaluateConfig:
     seed: int = 0
     rule: ParkedRule | None = None
     num_agents: int | None = None
+    layout: str | None = None
+    num_parked_cars: int | None = None
     physics: PhysicsName | None = None
     stochastic: bool = False
     out: str = ""
@@ -89,33 +93,34 @@ def main(config: EvaluateConfig) -> Evaluation:
         folder = folder.parent if folder.name == "checkpoints" else folder
     folder = Path(config.out) if config.out else folder
     folder.mkdir(parents=True, exist_ok=True)
-    env_config = adapt(env_config, config.rule, config.num_agents, config.physics)
+    env_config = adapt(
+        env_config,
+        rule=config.rule,
+        num_agents=config.num_agents,
+        num_parked_cars=config.num_parked_cars,
+        layout=config.layout,
+        physics=config.physics,
+    )
     env = ParkingEnv(env_config)
     policy = policy or BASELINES[name](env.action_size)
     result = evaluate(env, policy, config.episodes, config.seed)
     title = f"{name}: {env_config.num_agents} agents, {env_config.episode.parked_rule}"
-    title = f"{title} rule, {env_config.physics} physics, seed {config.seed}"
+    title = (
+        f"{title} rule, {env_config.layout} lot, {env_config.physics} physics, "
+        f"seed {config.seed}"
+    )
     print_table(result.summary, title)
     write_evaluation(folder, result, {"policy": name, **dataclasses.asdict(config)})
     print(f"wrote {folder / 'evaluation.csv'} and {folder / 'evaluation.json'}")
     return result
 
 
-def adapt(
-    env: EnvConfig,
-    rule: ParkedRule | None = None,
-    num_agents: int | None = None,
-    physics: PhysicsName | None = None,
-) -> EnvConfig:
-    """The environment with another rule, number of agents or back end, where given."""
+def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> EnvConfig:
+    """The environment with other settings, where they are not None."""
     if rule is not None:
-        episode = dataclasses.replace(env.episode, parked_rule=rule)
-        env = dataclasses.replace(env, episode=episode)
-    if num_agents is not None:
-        env = dataclasses.replace(env, num_agents=num_agents)
-    if physics is not None:
-        env = dataclasses.replace(env, physics=physics)
-    return env
+        changes["episode"] = dataclasses.replace(env.episode, parked_rule=rule)
+    given = {name: value for name, value in changes.items() if value is not None}
+    return dataclasses.replace(env, **given)
 
 
 def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> None:

@@ -57,6 +57,8 @@ class RenderConfig:
         height: of a frame [pixels], even.
         seed: of the held-out lot.
         num_agents: another number of agents than the run was trained with.
+        num_parked_cars: another number of parked cars.
+        layout: another lot than the run's: a name or a layout file.
         physics: another back end than the run's: in `scene` crashed cars push each
             other, spin and stop.
         respawn: whether finished agents start anew; `false` tells one whole story.
@@ -73,6 +75,8 @@ class RenderConfig:
     height: int = 720
     seed: int = 0
     num_agents: int | None = None
+    num_parked_cars: int | None = None
+    layout: str | None = None
     physics: PhysicsName | None = None
     respawn: Literal["true", "false"] = "true"
 
@@ -128,7 +132,13 @@ def main(config: RenderConfig) -> Path:
     suffixes = (".png",) if still else (".mp4", ".gif")
     if out.suffix not in suffixes:
         raise ValueError(f"out must end in {' or '.join(suffixes)}, not {out.name!r}")
-    env_config = adapt(env_config, num_agents=config.num_agents, physics=config.physics)
+    env_config = adapt(
+        env_config,
+        num_agents=config.num_agents,
+        num_parked_cars=config.num_parked_cars,
+        layout=config.layout,
+        physics=config.physics,
+    )
     episode = dataclasses.replace(env_config.episode, respawn=config.respawn == "true")
     env_config = dataclasses.replace(env_config, episode=episode)
     camera_names(config.camera, env_config.num_agents)  # refuse before the work

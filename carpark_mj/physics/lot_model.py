@@ -188,6 +188,6 @@ def _classify_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
                 kind[geom], agent[geom] = AGENT, int(owner.removeprefix("agent"))
             else:
                 kind[geom] = PARKED_CAR
-        elif name.startswith("wall"):
+        elif name.startswith(("wall", "disc")):
             kind[geom] = WALL
     return kind, agent

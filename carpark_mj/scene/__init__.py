@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from carpark_mj.layouts.types import Layout
-from carpark_mj.scene import car_look, parts
+from carpark_mj.scene import car_look, markings, parts
 from carpark_mj.scene.numbers import add_bay_numbers
 from carpark_mj.vehicle.contact_wheels import (
     add_contact_wheels,
@@ -50,9 +50,11 @@ def build_scene(
     extent = np.asarray(layout.extent, float)
     car_look.add_meshes(spec, params)
     parts.add_ground(spec)
-    parts.add_bay_lines(spec, layout)
+    markings.add_bay_lines(spec, layout)
+    markings.add_lane_arrows(spec, layout)
     add_bay_numbers(spec, layout)
     parts.add_walls(spec, layout)
+    parts.add_discs(spec, layout)
     parts.add_parked_cars(spec, params, num_parked_cars)
     parts.add_agents(spec, params, num_agents, servos=not contact_wheels)
     if contact_wheels:

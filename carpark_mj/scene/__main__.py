@@ -9,7 +9,6 @@ import dataclasses
 import os
 import sys
 from pathlib import Path
-from typing import Literal
 
 import jax
 import mujoco
@@ -36,8 +35,8 @@ class SceneConfig:
     """Settings of `python -m carpark_mj.scene`.
 
     Attributes:
-        layout: `tanner` (3.375 m x 5.625 m bays) or `compact` (2.5 m x 5.0 m bays);
-            `square` is `tanner`.
+        layout: name of a lot or a family (`square`, `street`, `lot`...), or a layout
+            file, as in `EnvConfig`.
         out: MJCF file to write; it needs no other file and no carpark_mj.
         view: open the scene in the MuJoCo viewer.
         num_agents: cars to drive.
@@ -46,7 +45,7 @@ class SceneConfig:
         seed: of what stands where.
     """
 
-    layout: Literal["square", "tanner", "compact"] = "square"
+    layout: str = "square"
     out: str = ""
     view: bool = False
     num_agents: int = 2
@@ -67,10 +66,9 @@ def make_scene(config: SceneConfig) -> mujoco.MjSpec:
     Raises:
         ValueError: unknown vehicle, or more cars than the lot holds.
     """
-    layout = "tanner" if config.layout == "square" else config.layout
     env = ParkingEnv(
         EnvConfig(
-            layout=layout,
+            layout=config.layout,
             vehicle=config.vehicle,
             num_agents=config.num_agents,
             num_parked_cars=config.num_parked_cars,

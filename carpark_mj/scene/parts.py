@@ -1,25 +1,35 @@
 """The parts of a lot's scene; each function adds one kind of thing to a spec."""
 
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from carpark_mj.layouts.types import Layout
+from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.scene import car_look, materials
 from carpark_mj.vehicle.mjcf import WHEELS, add_car
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
-LINE_WIDTH = 0.10  # m, painted bay lines
-LINE_HEIGHT = 0.004  # m, above the asphalt so that it is not hidden
 WALL_HEIGHT = 0.9  # m, low enough for the cameras
 GROUND = "ground"
 HULL_GROUP = 3  # hidden by default, like all collision geoms
 # Cars, walls and parked cars touch each other; sheet metal slides on sheet metal.
+_WALL_LOOKS = {  # height [m] and colour
+    WallKind.WALL: (WALL_HEIGHT, materials.CONCRETE),
+    WallKind.KERB: (0.14, materials.KERB),
+    WallKind.ISLAND: (0.14, materials.GREEN),
+    WallKind.GATE: (WALL_HEIGHT, materials.GATE),
+}
+_DISC_LOOKS = {
+    DiscKind.PILLAR: (2.4, materials.CONCRETE),
+    DiscKind.BOLLARD: (0.9, materials.GATE),
+}
 _COLLIDES = {"contype": 1, "conaffinity": 1, "friction": [0.4, 0.005, 0.0001]}
 
 
-def _yaw_quat(yaw: float) -> list[float]:
+def yaw_quat(yaw: float) -> list[float]:
+    """Quaternion (w, x, y, z) of a turn about the vertical by `yaw` [rad]."""
     return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
 
 
@@ -59,44 +69,49 @@ def add_ground(spec: mujoco.MjSpec) -> None:
     )
 
 
-def add_bay_lines(spec: mujoco.MjSpec, layout: Layout) -> None:
-    """Paints both long sides of every bay and its far end."""
-    for bay in np.flatnonzero(np.asarray(layout.bay_mask)):
-        x, y, yaw = np.asarray(layout.bay_pose[bay], float)
-        length, width = np.asarray(layout.bay_size[bay], float)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        half = LINE_WIDTH / 2
-        lines = {
-            "left": (0.0, width / 2, length / 2, half),
-            "right": (0.0, -width / 2, length / 2, half),
-            "end": (-length / 2 + half, 0.0, half, width / 2),
-        }
-        for name, (dx, dy, half_x, half_y) in lines.items():
-            spec.worldbody.add_geom(
-                name=f"bay{bay}/{name}",
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=[x + cos * dx - sin * dy, y + sin * dx + cos * dy, 0.0],
-                quat=_yaw_quat(yaw),
-                size=[half_x, half_y, LINE_HEIGHT],
-                rgba=materials.LINE,
-                contype=0,
-                conaffinity=0,
-                group=1,
-            )
-
-
 def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
-    """Outer walls and blocks as boxes."""
+    """Walls, kerbs, islands and gates as boxes `wall0`..., all of them solid.
+
+    Kerbs and islands are lower than a car's hull: what is seen is low, what is hit is
+    an invisible box above it.
+    """
     for wall in np.flatnonzero(np.asarray(layout.wall_mask)):
         x, y, yaw = np.asarray(layout.wall_pose[wall], float)
         length, width = np.asarray(layout.wall_size[wall], float)
-        spec.worldbody.add_geom(
+        height, colour = _WALL_LOOKS[WallKind(int(layout.wall_kind[wall]))]
+
+        def box(height: float, **fields: Any) -> None:
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[x, y, height / 2],  # noqa: B023 (called before the next wall)
+                quat=yaw_quat(yaw),  # noqa: B023
+                size=[length / 2, width / 2, height / 2],  # noqa: B023
+                **fields,
+            )
+
+        low = height < WALL_HEIGHT
+        if low:
+            box(height, rgba=colour, group=1, contype=0, conaffinity=0)
+        box(
+            WALL_HEIGHT,
             name=f"wall{wall}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[x, y, WALL_HEIGHT / 2],
-            quat=_yaw_quat(yaw),
-            size=[length / 2, width / 2, WALL_HEIGHT / 2],
-            rgba=materials.CONCRETE,
+            rgba=colour,
+            group=HULL_GROUP if low else 1,
+            **_COLLIDES,
+        )
+
+
+def add_discs(spec: mujoco.MjSpec, layout: Layout) -> None:
+    """Pillars and bollards as solid cylinders `disc0`..."""
+    for disc in np.flatnonzero(np.asarray(layout.disc_mask)):
+        x, y = np.asarray(layout.disc_centre[disc], float)
+        height, colour = _DISC_LOOKS[DiscKind(int(layout.disc_kind[disc]))]
+        spec.worldbody.add_geom(
+            name=f"disc{disc}",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            pos=[x, y, height / 2],
+            size=[float(layout.disc_radius[disc]), height / 2, 0.0],
+            rgba=colour,
             group=1,
             **_COLLIDES,
         )
