@@ -6,6 +6,7 @@ from pathlib import Path
 from carpark_mj.config import REWARDS, ObservationConfig
 from carpark_mj.layouts import SQUARES
 from carpark_mj.observations import markdown_table
+from physics.table import readme_table
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
@@ -14,6 +15,15 @@ def test_the_observation_table_is_the_declared_one():
     pattern = r"<!-- observation table -->\n(.*?)\n<!-- end of observation table -->"
     found = re.search(pattern, README, re.DOTALL)
     expected = markdown_table(ObservationConfig())
+    assert found, f"paste this between the markers:\n{expected}"
+    assert found[1].strip() == expected, f"paste this:\n{expected}"
+
+
+def test_the_physics_table_is_made_from_the_report():
+    pattern = r"<!-- physics table -->\n(.*?)\n<!-- end of physics table -->"
+    found = re.search(pattern, README, re.DOTALL)
+    report = Path(__file__).parents[1] / "docs" / "physics" / "report.csv"
+    expected = readme_table(report)
     assert found, f"paste this between the markers:\n{expected}"
     assert found[1].strip() == expected, f"paste this:\n{expected}"
 

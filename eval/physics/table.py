@@ -152,3 +152,54 @@ def markdown(rows: Sequence[Row]) -> str:
         cells = (cell.replace("|", "\\|") for cell in row.cells().values())
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+README_ROWS = (
+    "turning radius, 34.2 deg, 1 m/s forwards",
+    "turning radius, 34.2 deg, 1 m/s reverse",
+    "kerb-to-kerb circle, published",
+    "stop, locked wheels, 5 m/s, heading 45 deg",
+    "stop, 0.3 g, 5 m/s, heading 0 deg",
+    "coast-down deceleration",
+    "longitudinal load transfer, 0.3 g",
+    "lateral load transfer, 0.2 g",
+    "understeer gradient, axles at 11:12.5, brush",
+    "step steer, yaw-rate gain, 10 m/s",
+    "step steer, time to 90 %, 10 m/s",
+    "scrub torque at standstill, a front wheel",
+    "creep on a 20 % slope, 60 s",
+    "slip threshold, facing uphill",
+    "mirror symmetry, 6 s",
+    "time-step error, 10 ms",
+    "C MuJoCo against MJX in float32, 1 s",
+)
+
+
+def readme_table(report: Path, preset: str = "compact") -> str:
+    """The README's physics table, from the report's CSV.
+
+    Args:
+        report: `report.csv`.
+        preset: the car it is about.
+
+    Raises:
+        KeyError: the report lacks one of `README_ROWS` on brush tyres.
+    """
+    with report.open(newline="") as file:
+        found = {
+            (row["row"], row["tyres"]): row
+            for row in csv.DictReader(file)
+            if row["preset"] == preset
+        }
+    lines = ["| manoeuvre | expected | brush | contact |", "|---|---|---|---|"]
+    for name in README_ROWS:
+        brush, contact = found[name, "brush"], found.get((name, "contact"))
+        expected = f"{float(brush['expected']):.4g} {brush['unit']}"
+        if contact and contact["expected"] != brush["expected"]:
+            expected = (
+                f"{float(brush['expected']):.4g}, "
+                f"{float(contact['expected']):.4g} {brush['unit']}"
+            )
+        values = [f"{float(r['measured']):.4g}" if r else "–" for r in (brush, contact)]
+        lines.append(f"| {name} | {expected} | {values[0]} | {values[1]} |")
+    return "\n".join(lines)
