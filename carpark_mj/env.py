@@ -10,7 +10,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from carpark_mj import metrics, rewards
 from carpark_mj.actions import neutralise
@@ -25,65 +24,11 @@ from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.precision import full_float32
 from carpark_mj.randomisation import check, make_fleet
-from carpark_mj.sensors import Sensors, init_sensors, observed, update_sensors
+from carpark_mj.sensors import init_sensors, observed, update_sensors
 from carpark_mj.spawn import spawn_pose
+from carpark_mj.state import State, TimeStep
 from carpark_mj.types import Events, VehicleState
 from carpark_mj.vehicle import VehicleParameters, drive, make_vehicle, preset
-
-
-@struct.dataclass
-class State:
-    """Everything about one lot at one time.
-
-    Attributes:
-        physics: state of the back end, (num_agents,) cars.
-        vehicle: the agents' motion, read from it.
-        layout: the lot.
-        occupancy: goals and parked cars.
-        parked_size: (num_parked_cars, 2) footprints [m].
-        step: (num_agents,) int32 control steps made in the running episodes.
-        active: (num_agents,) bool; False once finished when nobody respawns.
-        stats: per-episode sums.
-        sensors: the agents' sensors; None while what they observe is the truth.
-        key: randomness of this lot.
-    """
-
-    physics: Any
-    vehicle: VehicleState
-    layout: Layout
-    occupancy: Occupancy
-    parked_size: jax.Array
-    step: jax.Array
-    active: jax.Array
-    stats: metrics.EpisodeStats
-    sensors: Sensors | None
-    key: jax.Array
-
-
-@struct.dataclass
-class TimeStep:
-    """What a step tells the agents; all leading dimension (num_agents,).
-
-    Attributes:
-        observation: (num_agents, observation_size); of the new episode where an agent
-            has respawned.
-        reward: (num_agents,).
-        terminated: (num_agents,) bool, parked or crashed: the cost to go is zero.
-        truncated: (num_agents,) bool, timed out or diverged: it is not.
-        events: what happened.
-        metrics: per-episode numbers, valid where `events.done`.
-        reward_terms: the reward by term.
-        vehicle: motion at the end of the step, before any respawn.
-    """
-
-    observation: jax.Array
-    reward: jax.Array
-    terminated: jax.Array
-    truncated: jax.Array
-    events: Events
-    metrics: dict[str, jax.Array]
-    reward_terms: dict[str, jax.Array]
-    vehicle: VehicleState
 
 
 class ParkingEnv:

@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.env import ParkingEnv, State
+from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import Policy
+from carpark_mj.state import State
 
 OUTCOMES = ("parked", "crashed", "timed_out", "diverged")
 HITS = ("hit_agent", "hit_parked_car", "hit_wall")

@@ -10,10 +10,11 @@ import shapely
 from flax import struct
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
-from carpark_mj.env import ParkingEnv, State, TimeStep
+from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import Layout, build, make_layout
 from carpark_mj.observations import make_fields
 from carpark_mj.physics.base import where_cars
+from carpark_mj.state import State, TimeStep
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle import Vehicle
 

@@ -178,7 +178,8 @@ def test_other_keys_give_other_lots_of_random_families(name):
 
 def test_the_design_car_is_the_default_vehicle():
     for name in ("length", "width", "wheelbase", "rear_overhang", "max_steering"):
-        assert getattr(CAR, name) == getattr(COMPACT, name)
+        # The steering angle follows from the published circle; here to 0.001 degrees.
+        assert getattr(CAR, name) == pytest.approx(getattr(COMPACT, name), abs=1e-5)
 
 
 @pytest.mark.parametrize("name", ["street", "street_parallel", "lot"])

@@ -18,6 +18,7 @@ NAMES = list(PRESETS)
 VARIANTS = ("plain", "loaded", "wet", "ice")
 CARS = [(name, variant) for name in NAMES for variant in VARIANTS]
 GRADE = 0.2
+BRAKE = 300  # the step at which the brake is pressed
 
 
 def make(name: str, variant: str) -> Vehicle:
@@ -61,8 +62,8 @@ def fleet() -> Vehicle:
 
 @pytest.fixture(scope="module")
 def run(fleet: Vehicle) -> dict:
-    """Full throttle for 4 s, then full brake to a stop; every 20 ms."""
-    pedals = np.repeat([1.0, -1.0], [200, 400]).astype(np.float32)
+    """Full throttle for 6 s, then full brake for 8 s; every 20 ms."""
+    pedals = np.repeat([1.0, -1.0], [BRAKE, 400]).astype(np.float32)
     sim = SimConfig(ctrl_dt=0.02)
     pose, speed = drive(sim, np.zeros((len(CARS), 3)), fleet, pedals)
     return {car: (pose[:, k, 0], speed[:, k]) for k, car in enumerate(CARS)}
@@ -93,16 +94,16 @@ def test_full_brake_stops_within_v_squared_over_2a(run, name, variant):
     _, effective, rolling = numbers(name, variant)
     force = PRESETS[name].mass * PRESETS[name].max_deceleration
     x, speed = run[name, variant]
-    expected = speed[199] ** 2 / 2 * effective / (force + rolling)
+    expected = speed[BRAKE - 1] ** 2 / 2 * effective / (force + rolling)
     # The body pitches forward, some 4 cm; measured -0.9 to -1.2 %.
-    assert x[-1] - x[199] == pytest.approx(expected, rel=0.015)
+    assert x[-1] - x[BRAKE - 1] == pytest.approx(expected, rel=0.015)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_on_ice_the_brake_locks_the_wheels_and_friction_stops_the_car(run, name):
     _, speed = run[name, "ice"]
     # The last second above 0.4 m/s: wheels that spun on the throttle are locked.
-    end = 200 + np.argmax(speed[200:] < 0.4)
+    end = BRAKE + np.argmax(speed[BRAKE:] < 0.4)
     measured = speed[end - 50] - speed[end]
     friction = SURFACES["ice"] * GRAVITY
     assert measured == pytest.approx(friction, rel=0.003)  # measured 0.1 %

@@ -36,8 +36,8 @@ ALLOWED = {
     "physics": BASE | {"vehicle", "layouts", "scene"},
     "randomisation": {"config", "vehicle"},
 } | {name: BASE | TASK | {"layouts"} for name in TASK}
-ENV = {*ALLOWED, "env"}
-ALLOWED["env"] = ENV - {"env", "scene"}
+ENV = {*ALLOWED, "state", "env"}
+ALLOWED["state"] = ALLOWED["env"] = ENV - {"env", "scene"}
 OUTER = {"wrappers", "policy", "rendering", "evaluation", "command_line"}
 
 # No module of the task or below it knows MuJoCo.

@@ -60,7 +60,7 @@ class DesignCar:
     width: float = 1.799
     wheelbase: float = 2.637
     rear_overhang: float = 0.76
-    max_steering: float = math.radians(34.2)
+    max_steering: float = math.radians(34.187)
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):

@@ -57,7 +57,9 @@ def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
         (half - head, -ARROW_WIDTH / 2),
     ]
     tip = trimesh.convex.convex_hull(
-        [(x, y, z) for x, y in corners for z in (-LINE_HEIGHT / 2, LINE_HEIGHT / 2)]
+        np.array(
+            [(x, y, z) for x, y in corners for z in (-LINE_HEIGHT / 2, LINE_HEIGHT / 2)]
+        )
     )
     arrow = merge([shaft, tip])
     spec.add_mesh(

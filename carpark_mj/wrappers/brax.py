@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from brax.envs.base import Env
 from brax.envs.base import State as BraxState
 
-from carpark_mj.env import ParkingEnv, TimeStep
+from carpark_mj.env import ParkingEnv
+from carpark_mj.state import TimeStep
 
 
 class BraxParking(Env):

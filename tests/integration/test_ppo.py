@@ -253,7 +253,7 @@ def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):
 EVALUATION_BAD = {
     "nothing": ((), "give either a run folder or --policy"),
     "missing run": (("nowhere",), "no run folder or checkpoint at nowhere"),
-    "no episodes": (("--policy", "zero", "--episodes", "0"), "num_episodes"),
+    "no episodes": (("--policy", "zero", "--episodes", "0"), "episodes must be at"),
     "unwritable": (
         ("--policy", "zero", "--out", "/proc/x"),
         "/proc/x",

@@ -1,0 +1,51 @@
+"""Frozen, validated configuration of the environment: the only home of its defaults.
+
+Impossible settings raise `ValueError` at construction, in one sentence.
+"""
+
+from carpark_mj.config.env import EnvConfig, PhysicsName
+from carpark_mj.config.layout import (
+    LAYOUT_FILES,
+    LayoutChoice,
+    LayoutConfig,
+    LayoutName,
+)
+from carpark_mj.config.reward import REWARDS, RewardConfig, RewardName, reward_preset
+from carpark_mj.config.simulation import CONTACT_SIM_DT, SimConfig, Surface, TyresName
+from carpark_mj.config.task import (
+    EpisodeConfig,
+    ObservationConfig,
+    ParkedRule,
+    SpawnConfig,
+)
+from carpark_mj.config.variation import (
+    Distribution,
+    DistributionKind,
+    RandomisationConfig,
+    SensorConfig,
+)
+
+__all__ = [
+    "CONTACT_SIM_DT",
+    "LAYOUT_FILES",
+    "REWARDS",
+    "Distribution",
+    "DistributionKind",
+    "EnvConfig",
+    "EpisodeConfig",
+    "LayoutChoice",
+    "LayoutConfig",
+    "LayoutName",
+    "ObservationConfig",
+    "ParkedRule",
+    "PhysicsName",
+    "RandomisationConfig",
+    "RewardConfig",
+    "RewardName",
+    "SensorConfig",
+    "SimConfig",
+    "SpawnConfig",
+    "Surface",
+    "TyresName",
+    "reward_preset",
+]

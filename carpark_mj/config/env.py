@@ -1,0 +1,66 @@
+"""The environment's configuration."""
+
+import dataclasses
+from typing import Literal
+
+from carpark_mj.config.checks import at_least, choose
+from carpark_mj.config.layout import (
+    LAYOUT_FILES,
+    LayoutChoice,
+    LayoutConfig,
+    LayoutName,
+)
+from carpark_mj.config.reward import RewardConfig
+from carpark_mj.config.simulation import SimConfig
+from carpark_mj.config.task import EpisodeConfig, ObservationConfig, SpawnConfig
+from carpark_mj.config.variation import RandomisationConfig, SensorConfig
+
+PhysicsName = Literal["mjx", "scene"]
+
+
+@dataclasses.dataclass(frozen=True)
+class EnvConfig:
+    """A parking environment.
+
+    Attributes:
+        layout: the lot, by name: `tanner` (the study's square, 3.375 m x 5.625 m
+            bays), `compact` (the same with 2.5 m x 5.0 m bays), or a family with its
+            default settings: `street`, `street_parallel`, `angled`, `lot`,
+            `garage_row`, `dead_end`, `mixture`. Or a layout file (.json, or a TPCAP
+            case as .csv). From Python also the config of a family, see
+            `carpark_mj.layouts`.
+        vehicle: name of a preset in `carpark_mj.vehicle`.
+        num_agents: cars that act.
+        num_parked_cars: cars standing in bays.
+        physics: back end. `mjx`: every car alone, crashes by box tests. `scene`: the
+            whole lot in one C MuJoCo world, crashes by its contacts; slow.
+        sim: time steps and ground.
+        spawn: where episodes start.
+        episode: when they end.
+        reward: reward weights.
+        observation: what an agent sees.
+        randomisation: what differs between cars.
+        sensors: errors of what an agent sees.
+    """
+
+    layout: LayoutChoice = "tanner"
+    vehicle: str = "compact"
+    num_agents: int = 2
+    num_parked_cars: int = 16
+    physics: PhysicsName = "mjx"
+    sim: SimConfig = SimConfig()
+    spawn: SpawnConfig = SpawnConfig()
+    episode: EpisodeConfig = EpisodeConfig()
+    reward: RewardConfig = RewardConfig()
+    observation: ObservationConfig = ObservationConfig()
+    randomisation: RandomisationConfig = RandomisationConfig()
+    sensors: SensorConfig = SensorConfig()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.layout, LayoutConfig | str):  # pyright: ignore
+            raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
+        if isinstance(self.layout, str) and not self.layout.endswith(LAYOUT_FILES):
+            choose("layout", self.layout, LayoutName)
+        choose("physics", self.physics, PhysicsName)
+        at_least(self, 1, "num_agents")
+        at_least(self, 0, "num_parked_cars")

@@ -1,0 +1,45 @@
+"""Which lot: names, files, and the base of the families' configs."""
+
+from typing import TYPE_CHECKING, Literal
+
+# Layouts that need no more than a name; `carpark_mj.layouts` knows what they mean.
+LayoutName = Literal[
+    "angled",
+    "compact",
+    "dead_end",
+    "garage_row",
+    "lot",
+    "mixture",
+    "square",
+    "street",
+    "street_parallel",
+    "tanner",
+]
+LAYOUT_FILES = (".json", ".csv")
+
+
+class LayoutConfig:
+    """Base of the configs in `carpark_mj.layouts`, one frozen dataclass per family.
+
+    Attributes:
+        family: name of the generator.
+    """
+
+    family: str
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        raise NotImplementedError
+
+    @property
+    def is_random(self) -> bool:
+        """Whether other keys give other lots."""
+        return True
+
+
+# tyro turns a union with dataclasses into subcommands; as a flag a layout is its name.
+if TYPE_CHECKING:
+    LayoutChoice = LayoutConfig | str
+else:
+    LayoutChoice = str

@@ -1,0 +1,72 @@
+"""Time steps, ground and tyres of the physics."""
+
+import dataclasses
+from typing import Literal
+
+from carpark_mj.config.checks import choose, positive
+
+Surface = Literal["dry", "wet", "ice"]
+TyresName = Literal["brush", "contact"]
+
+CONTACT_SIM_DT = 0.004  # s
+
+
+@dataclasses.dataclass(frozen=True)
+class SimConfig:
+    """Time steps and ground of the physics.
+
+    Attributes:
+        sim_dt: physics substep [s]; 0.01 for training, 0.005 as a reference.
+        ctrl_dt: control period [s], a multiple of `sim_dt`.
+        trace_dt: longest time between two collision checks within a step [s].
+        grade_x: slope of the ground along world x, rise over run; 0.05 = 5 % uphill.
+        grade_y: slope of the ground along world y.
+        tyres: `brush`, or `contact`: MuJoCo's own contacts, for cross-checks; needs a
+            `sim_dt` of at most 0.004 s.
+        surface: how well tyres grip, `carpark_mj.vehicle.surfaces`.
+    """
+
+    sim_dt: float = 0.01
+    ctrl_dt: float = 0.2
+    trace_dt: float = 0.05
+    grade_x: float = 0.0
+    grade_y: float = 0.0
+    tyres: TyresName = "brush"
+    surface: Surface = "dry"
+
+    def __post_init__(self) -> None:
+        choose("tyres", self.tyres, TyresName)
+        choose("surface", self.surface, Surface)
+        positive(self, "sim_dt", "ctrl_dt", "trace_dt")
+        ratio = self.ctrl_dt / self.sim_dt
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
+            raise ValueError(
+                f"ctrl_dt must be a multiple of sim_dt, not {self.ctrl_dt} s with a "
+                f"sim_dt of {self.sim_dt} s"
+            )
+        if self.trace_dt < self.sim_dt:
+            raise ValueError(
+                f"trace_dt must be at least sim_dt {self.sim_dt} s, not {self.trace_dt}"
+            )
+        if self.tyres == "contact" and self.sim_dt > CONTACT_SIM_DT:
+            raise ValueError(
+                f"contact tyres need a sim_dt of at most {CONTACT_SIM_DT} s, not "
+                f"{self.sim_dt}: a locked wheel throws the car"
+            )
+        for name in ("grade_x", "grade_y"):
+            if not abs(getattr(self, name)) < 1.0:
+                raise ValueError(
+                    f"{name} must lie within (-1, 1), not {getattr(self, name)}"
+                )
+
+    @property
+    def num_substeps(self) -> int:
+        """Physics substeps per control step."""
+        return round(self.ctrl_dt / self.sim_dt)
+
+    @property
+    def num_traces(self) -> int:
+        """Poses recorded per control step, the fewest that respect `trace_dt`."""
+        longest = int(self.trace_dt / self.sim_dt + 1e-6)
+        stride = max(k for k in range(1, longest + 1) if self.num_substeps % k == 0)
+        return self.num_substeps // stride

@@ -1,0 +1,81 @@
+"""Starts and ends of episodes, and what agents see."""
+
+import dataclasses
+from typing import Literal
+
+from carpark_mj.config.checks import at_least, choose, ratio
+
+ParkedRule = Literal["tanner", "strict", "precise"]
+
+
+@dataclasses.dataclass(frozen=True)
+class SpawnConfig:
+    """Where agents start an episode.
+
+    Attributes:
+        close_ratio: share of spawns next to the goal, the rest is random.
+        close_distance: longest walk from the point nearest to the goal [m].
+        min_distance: wanted distance to other agents' centres [m]; 7.38 m is Tanner's
+            13.125 world units.
+        num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
+            taken, or the one farthest from the other agents if none does.
+    """
+
+    close_ratio: float = 0.2
+    close_distance: float = 5.625
+    min_distance: float = 7.38
+    num_candidates: int = 16
+
+    def __post_init__(self) -> None:
+        ratio(self, "close_ratio")
+        at_least(self, 0.0, "close_distance", "min_distance")
+        at_least(self, 1, "num_candidates")
+
+
+@dataclasses.dataclass(frozen=True)
+class EpisodeConfig:
+    """When an agent's episode ends.
+
+    Attributes:
+        parked_rule: what "parked" means. `tanner`: centre within 1.001 world units
+            (0.563 m) of the bay's in x and y, at any speed and heading. `strict`:
+            footprint within the bay's lines, heading within 5 deg of the bay's axis
+            either way round, below 0.2 m/s. `precise`: centre within 0.2 m, heading
+            within 3 deg, below 0.05 m/s.
+        max_steps: control steps until an episode is cut off (truncated).
+        respawn: an agent whose episode ends starts a new one at once; otherwise it
+            stays where it is, on the brake, until the lot is reset.
+    """
+
+    parked_rule: ParkedRule = "strict"
+    max_steps: int = 200
+    respawn: bool = True
+
+    def __post_init__(self) -> None:
+        choose("parked_rule", self.parked_rule, ParkedRule)
+        at_least(self, 1, "max_steps")
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservationConfig:
+    """What an agent sees; the fields are listed in `carpark_mj.observations.fields`.
+
+    Attributes:
+        tracked_agents: nearest agents seen.
+        tracked_parked_cars: nearest parked cars seen.
+        rings: diameters [m] of the circles about the car in which walls are counted.
+        ring_cap: largest count a ring reports.
+    """
+
+    tracked_agents: int = 2
+    tracked_parked_cars: int = 2
+    rings: tuple[float, ...] = (5.0, 6.2, 8.0)
+    ring_cap: int = 2
+
+    def __post_init__(self) -> None:
+        at_least(self, 0, "tracked_agents", "tracked_parked_cars")
+        at_least(self, 1, "ring_cap")
+        if any(not d > 0 for d in self.rings):
+            raise ValueError(f"rings must be positive diameters, not {self.rings}")
+        if len({f"{d:g}" for d in self.rings}) < len(self.rings):  # the fields' names
+            raise ValueError(f"rings must be different diameters, not {self.rings}")

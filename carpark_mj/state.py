@@ -1,0 +1,67 @@
+"""What an environment carries from step to step, and what a step returns."""
+
+from typing import Any
+
+import jax
+from flax import struct
+
+from carpark_mj.goals import Occupancy
+from carpark_mj.layouts.types import Layout
+from carpark_mj.metrics import EpisodeStats
+from carpark_mj.sensors import Sensors
+from carpark_mj.types import Events, VehicleState
+
+
+@struct.dataclass
+class State:
+    """Everything about one lot at one time.
+
+    Attributes:
+        physics: state of the back end, (num_agents,) cars.
+        vehicle: the agents' motion, read from it.
+        layout: the lot.
+        occupancy: goals and parked cars.
+        parked_size: (num_parked_cars, 2) footprints [m].
+        step: (num_agents,) int32 control steps made in the running episodes.
+        active: (num_agents,) bool; False once finished when nobody respawns.
+        stats: per-episode sums.
+        sensors: the agents' sensors; None while what they observe is the truth.
+        key: randomness of this lot.
+    """
+
+    physics: Any
+    vehicle: VehicleState
+    layout: Layout
+    occupancy: Occupancy
+    parked_size: jax.Array
+    step: jax.Array
+    active: jax.Array
+    stats: EpisodeStats
+    sensors: Sensors | None
+    key: jax.Array
+
+
+@struct.dataclass
+class TimeStep:
+    """What a step tells the agents; all leading dimension (num_agents,).
+
+    Attributes:
+        observation: (num_agents, observation_size); of the new episode where an agent
+            has respawned.
+        reward: (num_agents,).
+        terminated: (num_agents,) bool, parked or crashed: the cost to go is zero.
+        truncated: (num_agents,) bool, timed out or diverged: it is not.
+        events: what happened.
+        metrics: per-episode numbers, valid where `events.done`.
+        reward_terms: the reward by term.
+        vehicle: motion at the end of the step, before any respawn.
+    """
+
+    observation: jax.Array
+    reward: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+    events: Events
+    metrics: dict[str, jax.Array]
+    reward_terms: dict[str, jax.Array]
+    vehicle: VehicleState
