@@ -16,7 +16,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.command_line import USER_ERRORS, one_line
+from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
 from carpark_mj.config import EnvConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation import (
@@ -169,6 +169,7 @@ def print_table(summary: dict[str, Any], title: str) -> None:
 
 
 if __name__ == "__main__":
+    keep_compiled_programs()
     try:
         main(tyro.cli(EvaluateConfig, description=__doc__))
     except (CheckpointError, *USER_ERRORS) as error:

@@ -20,7 +20,7 @@ missing_gl = choose_gl()  # before MuJoCo is imported
 import tyro
 from rich.progress import track
 
-from carpark_mj.command_line import USER_ERRORS, one_line
+from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
 from carpark_mj.config import EnvConfig, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
@@ -199,6 +199,7 @@ def _write_png(path: Path, picture: object) -> None:
 
 
 if __name__ == "__main__":
+    keep_compiled_programs()
     try:
         main(tyro.cli(RenderConfig, description=__doc__))
     except (CheckpointError, RenderingError, *USER_ERRORS) as error:

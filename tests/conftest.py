@@ -1,8 +1,17 @@
-"""Shared by all tests: JAX on the CPU, and the one car most of them drive."""
+"""Shared by all tests: JAX on the CPU, its compilation cache, and the one car most
+of them drive."""
 
+import atexit
 import os
+import shutil
+import tempfile
 
 os.environ["JAX_PLATFORMS"] = "cpu"
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # Of this session only, and of all its processes: the same programs come again.
+    cache = tempfile.mkdtemp(prefix="carpark_mj_tests_")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = cache
+    atexit.register(shutil.rmtree, cache, ignore_errors=True)
 
 from carpark_mj.rendering.gl import choose_gl
 

@@ -15,7 +15,7 @@ from brax.training.types import Transition
 from jax.sharding import PartitionSpec
 
 from carpark_mj.config import EnvConfig, SimConfig
-from carpark_mj.policy.networks import NetworkConfig, make_networks
+from carpark_mj.policy.networks import MIN_STD, NetworkConfig, make_networks
 from learner import AXIS, Learner, num_devices, schedule
 from presets import PRESETS
 
@@ -221,6 +221,8 @@ def test_a_non_finite_update_is_dropped_whole(learner):
     before = jax.device_get(good)
     assert int(good.skipped) == 0
     kept = learned_leaves(before)
+    # All bays are equal here: what never varied is not blown up either.
+    assert before.normalizer.std.min() == np.float32(MIN_STD)
     poisoned = before.replace(
         env=before.env.replace(obs=np.full_like(before.env.obs, np.nan))
     )

@@ -20,7 +20,7 @@ from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.policy.networks import make_networks, make_policy
+from carpark_mj.policy.networks import MIN_STD, make_networks, make_policy
 from carpark_mj.policy.runs import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
 from presets import PPOConfig
@@ -218,7 +218,10 @@ class Learner:
         entropy_cost = schedule(config.entropy_cost, config.entropy_cost_end, progress)
         clip = schedule(config.clip, config.clip_end, progress)
         normalizer = running_statistics.update(
-            state.normalizer, data.observation, pmap_axis_name=AXIS
+            state.normalizer,
+            data.observation,
+            std_min_value=MIN_STD,
+            pmap_axis_name=AXIS,
         )
         # Logging fields need no shuffling.
         data = data._replace(

@@ -19,7 +19,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.command_line import USER_ERRORS, one_line
+from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
 from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
@@ -44,15 +44,11 @@ class TrainingDivergedError(Exception):
 
 
 def configure_jax() -> None:
-    """One CPU device per core for sharded lots, and a persistent compilation cache."""
+    """One CPU device per core, over which the lots are sharded."""
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
     # jaxlib 0.11.2 crashes compiling a program for several CPU devices; 0.10.2 is fine.
     if jax.__version_info__ < (0, 11):
         jax.config.update("jax_num_cpu_devices", cores or 1)
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        cache = Path.home() / ".cache" / "carpark_mj" / "jax"
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
 
 
 def parse(arguments: Sequence[str] | None = None) -> PPOConfig:
@@ -308,6 +304,7 @@ def finish(config: PPOConfig, folder: Path) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     configure_jax()
+    keep_compiled_programs()
     try:
         config = parse(arguments)
         learner = Learner(config)  # refuses impossible lots before a folder is made

@@ -10,6 +10,11 @@ from brax.training.agents.ppo import networks as ppo_networks
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]
 
+# Smallest standard deviation by which observations (scaled to about 1) are divided:
+# what hardly varied in training (sizes in a lot of equal bays) must not swamp the
+# network where it differs.
+MIN_STD = 0.1
+
 
 @dataclasses.dataclass(frozen=True)
 class NetworkConfig:
