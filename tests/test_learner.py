@@ -238,3 +238,16 @@ def test_a_non_finite_update_is_dropped_whole(learner):
     assert int(final.skipped) == 1
     assert np.isfinite(metrics["loss/total_loss"])
     assert update._cache_size() == 1  # no weak type recompiled it
+    # What a run leaves is the mean of the policies: of the first alone, then with the
+    # third update's at a weight of 1/3; the dropped one changed nothing.
+    final = jax.device_get(final)
+    for first, same, last, mean in zip(
+        *map(
+            jax.tree.leaves,
+            (before.policy, before.average, final.policy, final.average),
+        ),
+        strict=True,
+    ):
+        np.testing.assert_allclose(same, first, atol=1e-7)
+        np.testing.assert_allclose(mean, first + (last - first) / 3, atol=1e-7)
+        assert np.abs(mean - last).max() > 1e-5

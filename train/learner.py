@@ -35,6 +35,7 @@ class TrainingState:
     Attributes:
         normalizer: running statistics of the observations.
         policy: actor parameters.
+        average: their mean over the last updates, the policy that a run leaves.
         value: critic parameters.
         optimizer: Adam's moments.
         key: randomness of acting and shuffling.
@@ -45,6 +46,7 @@ class TrainingState:
 
     normalizer: Any
     policy: Any
+    average: Any
     value: Any
     optimizer: Any
     key: jax.Array
@@ -109,6 +111,7 @@ class Learner:
         state = TrainingState(
             normalizer=init_normalizer(self.env.observation_size),
             policy=params.policy,
+            average=params.policy,
             value=params.value,
             optimizer=self.optimizer.init(params),
             key=key,
@@ -134,6 +137,7 @@ class Learner:
         return TrainingState(
             normalizer=whole,
             policy=whole,
+            average=whole,
             value=whole,
             optimizer=whole,
             key=whole,
@@ -171,9 +175,16 @@ class Learner:
         old = (state.normalizer, state.policy, state.value, state.optimizer)
         kept = jax.tree.map(lambda new, old: jnp.where(finite, new, old), learned, old)
         normalizer, policy, value, optimizer = kept
+        weight = 1.0 / jnp.minimum(state.update + 1.0, self.config.averaged_updates)
+        average = jax.tree.map(
+            lambda mean, last: mean + jnp.where(finite, weight, 0.0) * (last - mean),
+            state.average,
+            policy,
+        )
         new = TrainingState(
             normalizer=normalizer,
             policy=policy,
+            average=average,
             value=value,
             optimizer=optimizer,
             key=key,

@@ -32,6 +32,8 @@ class PPOConfig:
         discount: per control step.
         gae_lambda: of generalised advantage estimation.
         max_grad_norm: gradient clipping.
+        averaged_updates: the policy that is evaluated is the exponential mean over
+            about so many updates; 1 = the last one.
         checkpoint_minutes: time between checkpoints.
         checkpoint_updates: if positive, updates between checkpoints instead.
         eval_episodes: episodes of the evaluation at the end; 0 = none.
@@ -60,6 +62,7 @@ class PPOConfig:
     discount: float = 0.99
     gae_lambda: float = 0.92
     max_grad_norm: float = 1.0
+    averaged_updates: int = 32
     checkpoint_minutes: float = 1.0
     checkpoint_updates: int = 0
     eval_episodes: int = 1024
@@ -74,6 +77,7 @@ class PPOConfig:
             "unroll_length",
             "num_minibatches",
             "num_epochs",
+            "averaged_updates",
         ):
             if getattr(self, name) < 1:
                 raise ValueError(

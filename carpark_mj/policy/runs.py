@@ -163,8 +163,8 @@ def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
     networks = make_networks(network_config, env.observation_size, env.action_size)
     template = {
         "normalizer": init_normalizer(env.observation_size),
-        "policy": networks.policy_network.init(jax.random.key(0)),
+        "average": networks.policy_network.init(jax.random.key(0)),
     }
     tree = checkpoints.load(path, template)
-    policy = make_policy(networks, tree["normalizer"], tree["policy"], deterministic)
+    policy = make_policy(networks, tree["normalizer"], tree["average"], deterministic)
     return LoadedPolicy(env_config, policy, int(header["env_steps"]), path)
