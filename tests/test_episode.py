@@ -134,7 +134,7 @@ def test_hits_agree_with_shapely_at_every_traced_instant():
         layout = template.replace(
             bay_pose=bay_pose, wall_pose=wall_pose, wall_size=wall_size
         )
-        return find_hits(layout, vehicle, parked_bay, parked_size)
+        return find_hits(layout, vehicle, bay_pose[parked_bay], parked_size)
 
     got = jax.jit(jax.vmap(hits))(vehicle, bays, walls, wall_size)
     own = np.asarray(vehicle.trace_w), np.asarray(vehicle.size)[:, :, None]
@@ -342,7 +342,7 @@ def random_events(rule, motion=None):
             layout,
             vehicle,
             jnp.arange(3),
-            jnp.array([3]),
+            bay_pose[3:4],
             jnp.array([[4.0, 2.0]]),
             step,
             active,
