@@ -243,7 +243,8 @@ class Fleet:
         if self.mixed:
             names = config.fleet.agents
             cars = zip(names, self.agents, strict=True)
-            counts = [_fitting("agents", *car, 1.0, SLACK[rule], bays) for car in cars]
+            room = (1.0, SLACK[rule], bays)
+            counts = [_fitting("fleet.agents", *car, *room) for car in cars]
             if layout and max(counts) < config.num_agents:
                 raise ValueError(
                     f"fleet.agents find goals in only {max(counts)} bays of this lot "
@@ -252,7 +253,7 @@ class Fleet:
         if config.num_parked_cars:
             names = config.fleet.parked_cars or (config.vehicle,)
             for car in zip(names, self.parked_cars, strict=True):
-                _fitting("parked_cars", *car, config.jitter.scale[1], 0.0, bays)
+                _fitting("parked cars", *car, config.jitter.scale[1], 0.0, bays)
 
 
 def _fitting(
@@ -269,8 +270,8 @@ def _fitting(
     if not count:
         longest, widest = np.concatenate(lots).max(axis=0)
         raise ValueError(
-            f"the {name} of {kind}, {size[0]:.2f} m x {size[1]:.2f} m, fits with "
-            f"{slack:g} m to spare in no bay of the lot: they are up to "
+            f"{kind}: the {name}, {size[0]:.2f} m x {size[1]:.2f} m, fits with "
+            f"{slack:g} m to spare in no bay of the lot: these are up to "
             f"{longest:.2f} m long and {widest:.2f} m wide"
         )
     return count
