@@ -17,14 +17,18 @@ from carpark_mj.config import (
     ObservationConfig,
     RandomisationConfig,
     SimConfig,
+    SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fit import AWAY, SLACK
 from carpark_mj.geometry import box_inside
+from carpark_mj.goals import Occupancy, evolve, new_goal
 from carpark_mj.layouts import build
 from carpark_mj.observations import observation_size
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
+from carpark_mj.randomisation import make_fleet
+from carpark_mj.respawn import renew
 from carpark_mj.vehicle import PRESETS, make_vehicle
 from scenes import SlidePhysics, check_occupancy, fields_of, placed
 
@@ -32,12 +36,12 @@ AGENTS, PARKED = ("city", "suv", "van"), ("city", "sedan", "van")
 CONFIG = EnvConfig(
     num_agents=4,
     num_parked_cars=20,
-    occupancy=(0.2, 0.5),
+    occupancy=(0.05, 0.5),
     fleet=FleetConfig(AGENTS, (1.0, 1.0, 2.0), PARKED),
     jitter=JitterConfig(
         along=(-0.6, 0.3), across=(-0.4, 0.4), heading=(-0.1, 0.2), scale=(0.95, 1.02)
     ),
-    observation=ObservationConfig(tracked_parked_cars=20),
+    observation=ObservationConfig(tracked_parked_cars=4),
 )
 KEYS, LOTS = 1000, 16
 
@@ -106,10 +110,11 @@ def test_a_thousand_lots_start_with_everybody_where_he_fits(env, started):
     state, observation = started
     assert np.isfinite(observation).all()
     here = check_lots(env, state)
-    # From 0.2 to 0.5 of 40 bays, each number as likely: 77 of a thousand.
+    # From 0.05 to 0.5 of 40 bays, each number as likely: 53 of a thousand.
     count = np.bincount(here.sum(axis=1), minlength=21)
-    assert count.sum() == count[8:].sum() == KEYS
-    assert count[8:21].min() > 40
+    assert count.size == 21
+    assert count[:2].sum() == 0
+    assert count[2:].min() > 25  # 4 deviations
 
 
 def kinds(size, names):
@@ -147,9 +152,9 @@ def test_jitter_fills_its_ranges_and_stays_in_them(started):
 def test_absent_parked_cars_are_not_seen_and_the_others_as_they_stand(env, started):
     state, observation = started
     named = fields_of(observation, env.config.observation)
-    present = sum(named[f"parked_{k}_present"][:, 0, 0] for k in range(20))
+    present = sum(named[f"parked_{k}_present"][:, 0, 0] for k in range(4))
     here = np.asarray(state.occupancy.parked_bay) < LAYOUT.num_bays
-    np.testing.assert_array_equal(present, here.sum(axis=1))
+    np.testing.assert_array_equal(present, np.minimum(here.sum(axis=1), 4))
     gap = np.linalg.norm(
         np.asarray(jax.vmap(env.parked_pose)(state))[..., :2]
         - np.asarray(state.vehicle.pose_w)[:, :1, :2],
@@ -162,9 +167,13 @@ def test_absent_parked_cars_are_not_seen_and_the_others_as_they_stand(env, start
 
 
 @pytest.fixture(scope="module")
-def driven(env, started):
+def step(env):
+    return jax.jit(jax.vmap(env.step))
+
+
+@pytest.fixture(scope="module")
+def driven(env, started, step):
     """Thirty steps in which episodes end by chance, a third of them by parking."""
-    step = jax.jit(jax.vmap(env.step))
     state = jax.tree.map(lambda x: x[:LOTS], started[0])
     rng, states = np.random.default_rng(0), []
     for _ in range(30):
@@ -215,33 +224,82 @@ def test_agents_change_cars_when_they_respawn_and_only_then(driven):
     assert changed > 200
 
 
-def test_a_bay_that_no_parked_car_fits_in_stays_empty():
-    """An agent parks in the only bay of its kind; nothing moves into it."""
-    fleet = FleetConfig(("city",), parked_cars=("van",))
-    env = ParkingEnv(
-        EnvConfig(num_agents=1, num_parked_cars=2, fleet=fleet), SlidePhysics()
-    )
-    sizes = jnp.array([(3.9, 2.0), (5.3, 2.5), (5.3, 2.5), (5.3, 2.5)])
-    bays = jnp.array([(20.0 * k, 30.0, 1.57) for k in range(4)])
-    layout = build.assemble(
-        (90.0, 40.0),
-        build.bays(bays, sizes),
-        build.walls(jnp.array([[0.0, -38.0, 0.0]]), (140.0, 1.0)),
-        build.spawns(jnp.zeros((1, 3)), (10.0, 10.0), np.pi),
-    )
-    state, _ = jax.jit(env.reset_to_layout)(layout, jax.random.key(0))
-    step = jax.jit(env.step)
-    state = state.replace(
-        occupancy=state.occupancy.replace(
-            goal=jnp.array([0], jnp.int32), parked_bay=jnp.array([1, 2], jnp.int32)
+# Five bays in a row, 20 m apart; cars 0 and 1 fit in the first three and in all.
+ROW = build.assemble(
+    (100.0, 40.0),
+    build.bays(jnp.array([(20.0 * k, 30.0, 1.57) for k in range(5)]), (5.0, 2.5)),
+    build.spawns(jnp.zeros((1, 3)), (10.0, 10.0), np.pi),
+)
+FITS = jnp.array([[True, True, True, False, False], [True] * 5])
+
+
+def row(goal, parked_bay):
+    return Occupancy(jnp.array([goal], jnp.int32), jnp.array(parked_bay, jnp.int32))
+
+
+def test_the_farthest_car_that_fits_moves_to_where_an_agent_has_parked():
+    xy = jnp.array([[100.0, 30.0]])
+    agent, parked = jnp.array(0), jnp.array(True)
+    # Car 0 is farther away in both cases and fits in bay 2 only.
+    for goal, expected in ((2, [2, 1]), (3, [0, 3])):
+        after = evolve(ROW, row(goal, [0, 1]), agent, xy, parked, FITS)
+        np.testing.assert_array_equal(after.parked_bay, expected)
+    # Neither an unfit car nor one that the lot has not comes.
+    for cars in ([0, 5], [5, 5]):
+        after = evolve(ROW, row(3, cars), agent, xy, parked, FITS)
+        np.testing.assert_array_equal(after.parked_bay, cars)
+
+
+def test_a_new_goal_fits_and_cars_make_way_to_bays_they_fit_in():
+    goal_bays = jnp.array([True, True, False, True, True])
+    xy, keys = jnp.array([[0.0, -30.0]]), jax.random.split(jax.random.key(0), 300)
+
+    def drawn(before, parked_fits):
+        draw = jax.jit(
+            jax.vmap(
+                lambda key: new_goal(
+                    ROW, before, jnp.array(0), xy, 5.0, key, goal_bays, parked_fits
+                )
+            )
         )
-    )
-    for seed in range(8):
-        start = placed(env, state, bays[:1]).replace(key=jax.random.key(seed))
-        after, timestep = step(start, jnp.zeros((1, 2)))
-        assert timestep.events.parked[0]
-        assert 0 not in after.occupancy.parked_bay
-        assert after.occupancy.goal[0] != 0
+        after = jax.device_get(draw(keys))
+        return after.goal[:, 0], after.parked_bay
+
+    # The old goal is 4, where car 0 does not fit: it makes way to 2 from 0 and 1.
+    goal, bay = drawn(row(4, [0, 1]), FITS)
+    assert set(goal) == {0, 1, 3}
+    assert set(bay[goal == 0, 0]) == {2}
+    assert set(bay[goal == 1, 1]) == {4}
+    np.testing.assert_array_equal(bay[goal == 3], [[0, 1]] * (goal == 3).sum())
+    # With 1 and 2 taken car 0 has nowhere to go, and its bay cannot be a goal.
+    goal, _ = drawn(row(4, [0, 1, 2]), jnp.concatenate([FITS, FITS[1:]]))
+    assert set(goal) == {1, 3}
+
+
+def test_an_agent_for_whose_new_car_there_is_no_bay_keeps_its_goal():
+    """It has parked, yet no car comes to its bay; where there is a bay, one comes."""
+
+    def renewed(goal_bays):
+        occupancy, _ = renew(
+            SpawnConfig(),
+            ROW,
+            row(0, [1, 2]),
+            jnp.zeros((1, 3)),
+            jnp.array([True]),
+            jnp.array([True]),
+            jax.random.key(0),
+            (goal_bays, FITS),
+            lambda *_: None,
+        )
+        return occupancy
+
+    renewed = jax.jit(renewed)
+    nowhere = renewed(jnp.array([[True, False, False, False, False]]))
+    np.testing.assert_array_equal(nowhere.goal, [0])
+    np.testing.assert_array_equal(nowhere.parked_bay, [1, 2])
+    somewhere = renewed(jnp.array([[True, False, False, False, True]]))
+    np.testing.assert_array_equal(somewhere.goal, [4])
+    assert 0 in somewhere.parked_bay
 
 
 def test_agents_see_what_they_drive_only_with_a_fleet(env, started):
@@ -259,24 +317,23 @@ def test_agents_see_what_they_drive_only_with_a_fleet(env, started):
             np.testing.assert_allclose(
                 np.asarray(named[field])[mine] * 5.0, value, rtol=1e-5
             )
-    alike = dataclasses.replace(CONFIG, fleet=FleetConfig(parked_cars=PARKED))
-    assert observation_size(alike.observation) + 5 == env.observation_size
+    alike = EnvConfig(fleet=FleetConfig(parked_cars=PARKED))
+    mixed = EnvConfig(fleet=FleetConfig(AGENTS))
+    sizes = [observation_size(x.observation) for x in (EnvConfig(), alike, mixed)]
+    assert sizes == [59, 59, 64]
 
 
-@pytest.mark.parametrize(("name", "crashed"), [("city", False), ("van", True)])
-def test_a_collision_is_of_the_own_footprint(env, started, name, crashed):
-    """A wall 2.1 m ahead of the centre: 1.77 m of city car, 2.45 m of van."""
-    state = jax.tree.map(lambda x: x[0], started[0])
-    wall = state.layout.replace(wall_pose=jnp.array([[0.0, 2.6, 0.0]]))
-    one = make_vehicle(PRESETS[name])
-    fleet = jax.tree.map(lambda x: jnp.broadcast_to(x, (4, *x.shape)), one)
+def test_a_collision_is_of_the_own_footprint(env, started, step):
+    """A wall 2.1 m ahead of the centre: 1.77 m of city car, 2.28 of SUV."""
+    state = jax.tree.map(lambda x: x[:LOTS], started[0])
+    wall = jnp.broadcast_to(jnp.array([[0.0, 2.6, 0.0]]), state.layout.wall_pose.shape)
     pose = jnp.array([[20.0 * k, 0.0, math.pi / 2] for k in range(4)])
-    physics = env.physics.init(pose, fleet)
-    state = state.replace(
-        layout=wall, physics=physics, vehicle=env.physics.read(physics)
-    )
-    _, timestep = jax.jit(env.step)(state, jnp.zeros((4, 2)))
-    np.testing.assert_array_equal(timestep.events.hit_wall, [crashed] * 4)
+    state = placed(env, state, jnp.broadcast_to(pose, (LOTS, 4, 3)))
+    state = state.replace(layout=state.layout.replace(wall_pose=wall))
+    _, timestep = step(state, jnp.zeros((LOTS, 4, 2)))
+    driven = kinds(state.vehicle.size, AGENTS)
+    assert set(driven.ravel()) == {0, 1, 2}
+    np.testing.assert_array_equal(timestep.events.hit_wall, driven > 0)
 
 
 def test_nobody_spawns_touching_anything_even_in_a_lane_of_a_small_cars_width():
@@ -340,15 +397,15 @@ def test_cars_of_a_mixed_batch_turn_as_each_does_alone(circles):
     assert len(set(np.round(mixed[1], 2))) == len(names)
 
 
-def test_randomisation_varies_about_each_agents_own_car():
+def test_randomisation_varies_about_each_agents_own_car(env):
     random = RandomisationConfig(mass=Distribution(width=0.1))
-    config = dataclasses.replace(CONFIG, randomisation=random)
-    state, _ = jax.jit(ParkingEnv(config, SlidePhysics()).reset)(jax.random.key(1))
-    cars = state.physics.vehicle
-    nominal = np.array([PRESETS[n].mass for n in AGENTS])[kinds(cars.size, AGENTS)]
-    ratio = np.asarray(cars.mass) / nominal
+    nominal, key = env.fleet.draw_agents(jax.random.key(1))
+    cars = make_fleet(random, nominal, 4, key)
+    assert len(set(np.asarray(nominal.mass))) > 1
+    ratio = np.asarray(cars.mass / nominal.mass)
     assert len(set(ratio)) == 4
     assert (np.abs(ratio - 1.0) <= 0.1 + 1e-5).all()
+    np.testing.assert_array_equal(cars.wheelbase, nominal.wheelbase)
 
 
 def test_without_a_fleet_lots_are_drawn_as_before_there_was_one():
