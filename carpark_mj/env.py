@@ -331,9 +331,10 @@ class ParkingEnv:
         if self.fleet.mixed:  # who finds no bay for his new car keeps goal and car
             fleet = where_cars(occupancy.goal != state.occupancy.goal, fleet, old)
         physics = self.physics.place(state.physics, done, pose, fleet)
-        physics = self.physics.arrange(
-            physics, self._parked_pose(state.replace(occupancy=occupancy))
+        parked_pose = self.fleet.parked_pose(
+            layout, occupancy.parked_bay, parked_size, offset
         )
+        physics = self.physics.arrange(physics, parked_pose)
         return dataclasses.replace(
             state,
             physics=physics,

@@ -187,12 +187,11 @@ class Fleet:
 
     def parked_vehicles(self, parked_size: np.ndarray) -> list[VehicleParameters]:
         """The presets, scaled, of parked cars of sizes (num_parked_cars, 2) [m]."""
-        cars = []
+        shapes = np.array([p.length / p.width for p in self.parked_cars])
+        cars: list[VehicleParameters] = []
         for length, width in np.asarray(parked_size, float):
             # The scale keeps proportions, and no two presets share theirs.
-            car = min(
-                self.parked_cars, key=lambda p: abs(p.length / p.width - length / width)
-            )
+            car = self.parked_cars[np.abs(shapes - length / width).argmin()]
             cars.append(scaled(car, length / car.length))
         return cars
 
@@ -234,7 +233,8 @@ class Fleet:
                     f"bays needs num_parked_cars of at least {needed}, not "
                     f"{config.num_parked_cars}"
                 )
-        if not self.varies:
+        one_size = not config.fleet.is_on and config.jitter.scale == (1.0, 1.0)
+        if not self.varies or (one_size and layout is None):
             return
         keys = jax.random.split(jax.random.key(0), SAMPLED_LOTS)
         lots = [layout] if layout else [make_layout(lot, key) for key in keys]

@@ -150,12 +150,13 @@ def main(config: RenderConfig) -> Path:
     seconds = config.frame if config.frame is not None else config.seconds
     num_steps = max(1, round(seconds / env_config.sim.ctrl_dt))
     recording = record(env, policy, num_steps, config.seed)
-    parked_cars = env.fleet.parked_vehicles(recording.parked_size)
+    sizes = recording.parked_size
+    parked_cars = () if sizes is None else env.fleet.parked_vehicles(sizes)
     renderer = LotRenderer(
         recording.layout,
         env.vehicle,
         env_config.num_agents,
-        len(parked_cars),
+        recording.parked_pose.shape[1],
         config.camera,
         (config.width, config.height),
         _show(config, env_config),
