@@ -28,7 +28,7 @@ from carpark_mj.respawn import first_poses, renew
 from carpark_mj.sensors import init_sensors, observed, update_sensors
 from carpark_mj.state import State, TimeStep
 from carpark_mj.types import Events, VehicleState
-from carpark_mj.vehicle import VehicleParameters, drive, make_vehicle, preset
+from carpark_mj.vehicle import VehicleParameters, drive, preset
 
 
 class ParkingEnv:
@@ -64,7 +64,6 @@ class ParkingEnv:
         """
         self.config = config if config is not None else EnvConfig()
         self.vehicle = vehicle if vehicle is not None else preset(self.config.vehicle)
-        self._vehicle = make_vehicle(self.vehicle)
         self.fleet = Fleet(self.config, self.vehicle)
         for params in self.fleet.agents:
             check(self.config.randomisation, params)

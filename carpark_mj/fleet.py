@@ -236,8 +236,7 @@ class Fleet:
         one_size = not config.fleet.is_on and config.jitter.scale == (1.0, 1.0)
         if not self.varies or (one_size and layout is None):
             return
-        keys = jax.random.split(jax.random.key(0), SAMPLED_LOTS)
-        lots = [layout] if layout else [make_layout(lot, key) for key in keys]
+        lots = [layout] if layout is not None else _sample(lot)
         bays = [np.asarray(x.bay_size)[np.asarray(x.bay_mask)] for x in lots]
         rule = config.episode.parked_rule
         if self.mixed:
@@ -245,7 +244,7 @@ class Fleet:
             cars = zip(names, self.agents, strict=True)
             room = (1.0, SLACK[rule], bays)
             counts = [_fitting("fleet.agents", *car, *room) for car in cars]
-            if layout and max(counts) < config.num_agents:
+            if layout is not None and max(counts) < config.num_agents:
                 raise ValueError(
                     f"fleet.agents find goals in only {max(counts)} bays of this lot "
                     f"under the {rule} rule, fewer than num_agents {config.num_agents}"
@@ -254,6 +253,11 @@ class Fleet:
             names = config.fleet.parked_cars or (config.vehicle,)
             for car in zip(names, self.parked_cars, strict=True):
                 _fitting("parked cars", *car, config.jitter.scale[1], 0.0, bays)
+
+
+def _sample(lot: LayoutConfig) -> list[Layout]:
+    keys = jax.random.split(jax.random.key(0), SAMPLED_LOTS)
+    return [make_layout(lot, key) for key in keys]
 
 
 def _fitting(
