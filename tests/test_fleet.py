@@ -28,7 +28,7 @@ from carpark_mj.observations import observation_size
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.randomisation import make_fleet
-from carpark_mj.respawn import renew
+from carpark_mj.respawn import first_poses, renew
 from carpark_mj.vehicle import PRESETS, make_vehicle
 from scenes import SlidePhysics, check_occupancy, fields_of, placed
 
@@ -336,11 +336,7 @@ def test_a_collision_is_of_the_own_footprint(env, started, step):
     np.testing.assert_array_equal(timestep.events.hit_wall, driven > 0)
 
 
-def test_nobody_spawns_touching_anything_even_in_a_lane_of_a_small_cars_width():
-    """A van may not spawn across a lane in which a city car may."""
-    fleet = FleetConfig(("van",))
-    config = EnvConfig(num_agents=1, num_parked_cars=0, fleet=fleet)
-    env = ParkingEnv(config, SlidePhysics())
+def test_a_van_does_not_spawn_across_a_lane_that_is_too_narrow_for_it(env):
     walls = jnp.array([[0.0, y, 0.0] for y in (-2.0, 2.0)])
     layout = build.assemble(
         (70.0, 40.0),
@@ -348,10 +344,15 @@ def test_nobody_spawns_touching_anything_even_in_a_lane_of_a_small_cars_width():
         build.walls(walls, (100.0, 0.2)),
         build.spawns(jnp.zeros((1, 3)), (60.0, 0.2), np.pi),
     )
-    reset = jax.jit(jax.vmap(lambda key: env.reset_to_layout(layout, key)))
-    state, _ = reset(jax.random.split(jax.random.key(0), 300))
-    x, y, yaw = np.asarray(state.vehicle.pose_w)[:, 0].T
-    length, width = np.asarray(state.vehicle.size)[0, 0]
+    size = jnp.array([[PRESETS["van"].length, PRESETS["van"].width]])
+    blocked = env.fleet.blocked(layout, size, size, jnp.zeros((0, 2)), None)
+
+    def spawn(key):
+        return first_poses(SpawnConfig(), layout, row(0, []), key, blocked)
+
+    pose = jax.jit(jax.vmap(spawn))(jax.random.split(jax.random.key(0), 300))
+    x, y, yaw = np.asarray(pose)[:, 0].T
+    length, width = np.asarray(size)[0]
     reach = (length * np.abs(np.sin(yaw)) + width * np.abs(np.cos(yaw))) / 2
     # Of 16 headings each 31 % fit: 1 in 400 lots has none.
     assert (np.abs(y) + reach > 1.9).mean() < 0.02
