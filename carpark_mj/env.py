@@ -15,7 +15,7 @@ from carpark_mj import metrics, rewards
 from carpark_mj.actions import neutralise
 from carpark_mj.config import EnvConfig
 from carpark_mj.episode import judge
-from carpark_mj.goals import Occupancy, evolve, init_occupancy, new_goal
+from carpark_mj.fleet import Fleet
 from carpark_mj.layouts import Layout, generate, layout_config, make_layout
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.physics.base import Physics, where_cars
@@ -24,11 +24,11 @@ from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.precision import full_float32
 from carpark_mj.randomisation import check, make_fleet
+from carpark_mj.respawn import first_poses, renew
 from carpark_mj.sensors import init_sensors, observed, update_sensors
-from carpark_mj.spawn import spawn_pose
 from carpark_mj.state import State, TimeStep
 from carpark_mj.types import Events, VehicleState
-from carpark_mj.vehicle import VehicleParameters, drive, make_vehicle, preset
+from carpark_mj.vehicle import VehicleParameters, drive, preset
 
 
 class ParkingEnv:
@@ -59,13 +59,14 @@ class ParkingEnv:
             vehicle: a car of one's own instead of the preset `config.vehicle`.
 
         Raises:
-            ValueError: the lot cannot hold the cars asked for, or the randomisation
-                could draw an impossible car.
+            ValueError: the lot cannot hold the cars asked for, the randomisation
+                could draw an impossible car, or there is no such preset.
         """
         self.config = config if config is not None else EnvConfig()
         self.vehicle = vehicle if vehicle is not None else preset(self.config.vehicle)
-        check(self.config.randomisation, self.vehicle)
-        self._vehicle = make_vehicle(self.vehicle)
+        self.fleet = Fleet(self.config, self.vehicle)
+        for params in self.fleet.agents:
+            check(self.config.randomisation, params)
         self._lot = layout_config(self.config.layout)
         self._layout = None if self._lot.is_random else make_layout(self._lot)
         bays = self._lot.min_bays
@@ -81,6 +82,7 @@ class ParkingEnv:
                 f"{self.config.num_agents} agents' goals), not "
                 f"{self.config.num_parked_cars}"
             )
+        self.fleet.check(self._lot, self._layout)
         self.physics: Any = physics if physics is not None else self._make_physics()
 
     def _make_physics(self) -> Physics:
@@ -93,6 +95,11 @@ class ParkingEnv:
             raise ValueError(
                 f"scene physics needs the same lot for every key, not "
                 f"{self.config.layout!r}"
+            )
+        if self.config.fleet.is_on or self.config.jitter.scale != (1.0, 1.0):
+            raise ValueError(
+                "scene physics has cars of one kind and size only, no fleet and no "
+                "jitter.scale: use mjx"
             )
         return ScenePhysics(
             self.config.sim,
@@ -144,41 +151,29 @@ class ParkingEnv:
         config = self.config
         key, fleet_key, sensor_key = self._split_if_random(key)
         key, occupancy_key, spawn_key = jax.random.split(key, 3)
-        occupancy = init_occupancy(
-            layout, config.num_agents, config.num_parked_cars, occupancy_key
-        )
-        goal_pose = layout.bay_pose[occupancy.goal]
-
-        def place(carry: tuple[jax.Array, jax.Array], agent: jax.Array):
-            pose, placed = carry
-            drawn = spawn_pose(
-                config.spawn,
-                layout,
-                goal_pose[agent],
-                pose[:, :2],
-                placed,
-                jax.random.fold_in(spawn_key, agent),
-            )
-            return (pose.at[agent].set(drawn), placed.at[agent].set(True)), None
-
-        nowhere = jnp.zeros((config.num_agents, 3), jnp.float32)
-        nobody = jnp.zeros(config.num_agents, bool)
-        agents = jnp.arange(config.num_agents)
-        (pose, _), _ = jax.lax.scan(place, (nowhere, nobody), agents)
+        start = self.fleet.start(layout, occupancy_key)
+        occupancy, parked_size = start.occupancy, start.parked_size
         fleet = make_fleet(
-            config.randomisation, self._vehicle, config.num_agents, fleet_key
+            config.randomisation, start.cars, config.num_agents, fleet_key
+        )
+        offset = start.parked_offset
+        blocked = self.fleet.blocked(
+            layout, fleet.size, fleet.size, parked_size, offset
+        )
+        pose = first_poses(config.spawn, layout, occupancy, spawn_key, blocked)
+        parked_pose = self.fleet.parked_pose(
+            layout, occupancy.parked_bay, parked_size, offset
         )
         physics = self.physics.init(pose, fleet)
-        physics = self.physics.arrange(physics, layout.bay_pose[occupancy.parked_bay])
+        physics = self.physics.arrange(physics, parked_pose)
         vehicle = self.physics.read(physics)
         state = State(
             physics=physics,
             vehicle=vehicle,
             layout=layout,
             occupancy=occupancy,
-            parked_size=jnp.broadcast_to(
-                self._vehicle.size, (config.num_parked_cars, 2)
-            ),
+            parked_size=parked_size,
+            parked_offset=offset,
             step=jnp.zeros(config.num_agents, jnp.int32),
             active=jnp.ones(config.num_agents, bool),
             stats=metrics.init_stats(config.num_agents),
@@ -218,13 +213,14 @@ class ParkingEnv:
                 state.layout,
                 vehicle,
                 state.occupancy.goal,
-                state.occupancy.parked_bay,
+                self._parked_pose(state),
                 state.parked_size,
                 step,
                 state.active,
             )
         with jax.named_scope("rewards"):
-            steering_change = self._vehicle.steering_rate * config.sim.ctrl_dt
+            steering_rate = state.physics.vehicle.steering_rate
+            steering_change = steering_rate * config.sim.ctrl_dt
             terms = rewards.reward_terms(
                 config.reward,
                 state.vehicle,
@@ -271,10 +267,22 @@ class ParkingEnv:
         )
 
     def parked_pose(self, state: State) -> jax.Array:
-        """Poses (num_parked_cars, 3) of the parked cars, pushed or in their bays."""
+        """Poses (num_parked_cars, 3) of the parked cars, pushed or in their bays.
+
+        Cars that `EnvConfig.occupancy` leaves out stand far `fit.AWAY`.
+        """
         if self.physics.contacts:
             return self.physics.parked_pose(state.physics)
-        return state.layout.bay_pose[state.occupancy.parked_bay]
+        return self._parked_pose(state)
+
+    def _parked_pose(self, state: State) -> jax.Array:
+        """Where the parked cars are meant to stand, (num_parked_cars, 3)."""
+        return self.fleet.parked_pose(
+            state.layout,
+            state.occupancy.parked_bay,
+            state.parked_size,
+            state.parked_offset,
+        )
 
     def _freeze(
         self, state: State, physics: Any, vehicle: VehicleState
@@ -292,60 +300,40 @@ class ParkingEnv:
         Without randomisation the key stays as it is: lots are drawn as if there were
         no such thing.
         """
-        if self.config.randomisation.is_on or self.config.sensors.is_on:
+        config = self.config
+        if config.randomisation.is_on or config.sensors.is_on or self.fleet.varies:
             return tuple(jax.random.split(key, 3))
         return key, key, key
 
     def _respawn(self, state: State, events: Events, fleet_key: jax.Array) -> State:
-        """Starts new episodes, one agent after the other so that goals stay apart."""
+        """Starts new episodes: goals, cars and poses of those that are done."""
         config = self.config
         key, respawn_key = jax.random.split(state.key)
         done = events.done
-
-        def renew(carry: tuple[Occupancy, jax.Array], agent: jax.Array):
-            occupancy, pose = carry
-            goal_key, spawn_key = jax.random.split(
-                jax.random.fold_in(respawn_key, agent)
-            )
-            evolved = evolve(
-                state.layout, occupancy, agent, pose[:, :2], events.parked[agent]
-            )
-            renewed = new_goal(
-                state.layout,
-                evolved,
-                agent,
-                pose[:, :2],
-                config.spawn.min_distance,
-                goal_key,
-            )
-            start = spawn_pose(
-                config.spawn,
-                state.layout,
-                state.layout.bay_pose[renewed.goal[agent]],
-                pose[:, :2],
-                jnp.arange(config.num_agents) != agent,
-                spawn_key,
-            )
-            pose = pose.at[agent].set(jnp.where(done[agent], start, pose[agent]))
-            occupancy = jax.tree.map(
-                lambda new, old: jnp.where(done[agent], new, old), renewed, occupancy
-            )
-            return (occupancy, pose), None
-
-        (occupancy, pose), _ = jax.lax.scan(
-            renew,
-            (state.occupancy, state.vehicle.pose_w),
-            jnp.arange(config.num_agents),
+        layout, old = state.layout, state.physics.vehicle
+        fleet = old
+        if config.randomisation.is_on or self.fleet.mixed:
+            cars, fleet_key = self.fleet.draw_agents(fleet_key)
+            fleet = make_fleet(config.randomisation, cars, config.num_agents, fleet_key)
+        parked_size, offset = state.parked_size, state.parked_offset
+        occupancy, pose = renew(
+            config.spawn,
+            layout,
+            state.occupancy,
+            state.vehicle.pose_w,
+            done,
+            events.parked,
+            respawn_key,
+            self.fleet.bays_for(layout, fleet.size, parked_size),
+            self.fleet.blocked(layout, old.size, fleet.size, parked_size, offset),
         )
-        fleet = state.physics.vehicle
-        if config.randomisation.is_on:
-            fleet = make_fleet(
-                config.randomisation, self._vehicle, config.num_agents, fleet_key
-            )
+        if self.fleet.mixed:  # who finds no bay for his new car keeps goal and car
+            fleet = where_cars(occupancy.goal != state.occupancy.goal, fleet, old)
         physics = self.physics.place(state.physics, done, pose, fleet)
-        physics = self.physics.arrange(
-            physics, state.layout.bay_pose[occupancy.parked_bay]
+        parked_pose = self.fleet.parked_pose(
+            layout, occupancy.parked_bay, parked_size, offset
         )
+        physics = self.physics.arrange(physics, parked_pose)
         return dataclasses.replace(
             state,
             physics=physics,
@@ -363,8 +351,12 @@ class ParkingEnv:
             state.layout,
             observed(state.sensors, state.vehicle),
             state.occupancy.goal,
-            state.occupancy.parked_bay,
+            self._parked_pose(state),
             state.parked_size,
             fleet.max_speed,
             fleet.max_steering,
+            state.occupancy.parked_bay < state.layout.num_bays
+            if self.fleet.varies
+            else None,
+            (fleet.wheelbase, fleet.centre_offset),
         )

@@ -60,7 +60,7 @@ def is_parked(
 def find_hits(
     layout: Layout,
     vehicle: VehicleState,
-    parked_bay: jax.Array,
+    parked_pose: jax.Array,
     parked_size: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """What each agent touched during the step.
@@ -71,7 +71,7 @@ def find_hits(
     Args:
         layout: the lot.
         vehicle: the agents (num_agents,).
-        parked_bay: (num_parked_cars,) bays of the parked cars.
+        parked_pose: (num_parked_cars, 3) poses of the parked cars.
         parked_size: (num_parked_cars, 2) footprints of the parked cars [m].
 
     Returns:
@@ -91,7 +91,7 @@ def find_hits(
     parked = boxes_overlap(
         own,
         own_size,
-        layout.bay_pose[parked_bay][None, :, None],
+        parked_pose[None, :, None],
         parked_size[None, :, None],
     )
     walls = boxes_overlap(
@@ -114,7 +114,7 @@ def judge(
     layout: Layout,
     vehicle: VehicleState,
     goal: jax.Array,
-    parked_bay: jax.Array,
+    parked_pose: jax.Array,
     parked_size: jax.Array,
     step: jax.Array,
     active: jax.Array,
@@ -130,13 +130,13 @@ def judge(
         layout: the lot.
         vehicle: the agents (num_agents,).
         goal: (num_agents,) bay indices.
-        parked_bay: (num_parked_cars,) bay indices.
+        parked_pose: (num_parked_cars, 3).
         parked_size: (num_parked_cars, 2) [m].
         step: (num_agents,) int, control steps made in the episode, this one included.
         active: (num_agents,) bool; finished agents have no events.
     """
     hit_agent, hit_parked_car, hit_wall = find_hits(
-        layout, vehicle, parked_bay, parked_size
+        layout, vehicle, parked_pose, parked_size
     )
     hit = hit_agent | hit_parked_car | hit_wall
     in_bay = is_parked(

@@ -19,7 +19,8 @@ class Occupancy:
 
     Attributes:
         goal: (num_agents,) int32 index of each agent's goal bay.
-        parked_bay: (num_parked_cars,) int32 index of each parked car's bay.
+        parked_bay: (num_parked_cars,) int32 index of each parked car's bay;
+            `layout.num_bays` for a car that this lot has not.
     """
 
     goal: jax.Array
@@ -40,12 +41,57 @@ def init_occupancy(
     )
 
 
+def draw_places(
+    fits: jax.Array,
+    weights: jax.Array,
+    free: jax.Array,
+    wanted: jax.Array,
+    key: jax.Array,
+    anywhere: bool,
+) -> tuple[jax.Array, jax.Array]:
+    """Draws kinds of cars and distinct bays for them, one car after the other.
+
+    A kind is drawn by weight among those that fit into a bay still free, and then one
+    of these bays.
+
+    Args:
+        fits: (cars, kinds, bays) bool.
+        weights: (kinds,) > 0.
+        free: (bays,) bool, bays to choose from.
+        wanted: (cars,) bool; the others get no bay.
+        key: consumed.
+        anywhere: whether a car that fits nowhere gets a free bay nevertheless.
+
+    Returns:
+        (cars,) int32 kinds and (cars,) int32 bays; the number of bays where none.
+    """
+    num_bays = free.shape[0]
+
+    def draw(free: jax.Array, car: tuple[jax.Array, jax.Array, jax.Array]):
+        fits, wanted, key = car
+        kind_key, bay_key = jax.random.split(key)
+        possible = (fits & free).any(axis=1)
+        logits = jnp.where(possible | ~possible.any(), jnp.log(weights), -jnp.inf)
+        kind = jax.random.categorical(kind_key, logits)
+        good = free & fits[kind]
+        if anywhere:
+            good = jnp.where(good.any(), good, free)
+        score = jax.random.uniform(bay_key, (num_bays,))
+        bay = jnp.argmax(jnp.where(good, score, -1.0))
+        bay = jnp.where(wanted & good.any(), bay, num_bays).astype(jnp.int32)
+        return free & (jnp.arange(num_bays) != bay), (kind.astype(jnp.int32), bay)
+
+    keys = jax.random.split(key, wanted.shape[0])
+    return jax.lax.scan(draw, free, (fits, wanted, keys))[1]
+
+
 def evolve(
     layout: Layout,
     occupancy: Occupancy,
     agent: jax.Array,
     agent_xy: jax.Array,
     parked: jax.Array,
+    parked_fits: jax.Array | None = None,
 ) -> Occupancy:
     """Moves a parked car into the bay where an agent has just parked.
 
@@ -58,11 +104,18 @@ def evolve(
         agent: () int index of the agent.
         agent_xy: (num_agents, 2) centres of the agents [m].
         parked: () bool; nothing moves where False.
+        parked_fits: (num_parked_cars, bays) bool, bays a car fits in; of the cars that
+            fit into this one the farthest moves. None = all cars fit everywhere.
     """
     if occupancy.parked_bay.shape[0] == 0:
         return occupancy
     car_xy = layout.bay_pose[occupancy.parked_bay, :2]
     gap = jnp.linalg.norm(car_xy[:, None] - agent_xy, axis=-1).min(axis=-1)
+    if parked_fits is not None:
+        able = parked_fits[:, occupancy.goal[agent]]
+        able = able & (occupancy.parked_bay < layout.num_bays)
+        gap = jnp.where(able, gap, -1.0)
+        parked = parked & able.any()
     farthest = jnp.argmax(gap)
     moved = occupancy.parked_bay.at[farthest].set(occupancy.goal[agent])
     parked_bay = jnp.where(parked, moved, occupancy.parked_bay)
@@ -76,6 +129,8 @@ def new_goal(
     agent_xy: jax.Array,
     min_distance: float,
     key: jax.Array,
+    agent_fits: jax.Array | None = None,
+    parked_fits: jax.Array | None = None,
 ) -> Occupancy:
     """Draws a new goal for one agent (Tanner 2022, fixed goals).
 
@@ -91,6 +146,9 @@ def new_goal(
         agent_xy: (num_agents, 2) centres of the agents [m].
         min_distance: [m].
         key: consumed.
+        agent_fits: (bays,) bool, the bays that can be the agent's goal; None = all.
+        parked_fits: (num_parked_cars, bays) bool, the bays a parked car can make way
+            to; None = all.
     """
     goal_key, refuge_key = jax.random.split(key)
     rows = jnp.arange(layout.num_bays)
@@ -106,15 +164,22 @@ def new_goal(
     refuge = ~others_goal & ~has_car & (gap > min_distance)
     # A refuge must not be the new goal itself, which has a car, so it never is.
     can_move = refuge.any()
+    if parked_fits is not None:
+        able = (parked_fits & refuge).any(axis=1)
+        can_move = jnp.zeros(layout.num_bays, bool).at[occupancy.parked_bay].set(able)
     candidate = candidate & (can_move | ~has_car)
+    if agent_fits is not None:
+        candidate = candidate & agent_fits
     # With no bay to choose (every other bay taken) the agent keeps its goal.
     candidate = candidate | ((rows == old) & ~candidate.any())
     score = jax.random.uniform(goal_key, (layout.num_bays,))
     goal = jnp.argmax(jnp.where(candidate, score, -1.0)).astype(jnp.int32)
     score = jax.random.uniform(refuge_key, (layout.num_bays,))
     score = jnp.where(rows == old, 2.0, score)
-    shelter = jnp.argmax(jnp.where(refuge, score, -1.0)).astype(jnp.int32)
     evicted = occupancy.parked_bay == goal
+    if parked_fits is not None:
+        refuge = refuge & (parked_fits & evicted[:, None]).any(axis=0)
+    shelter = jnp.argmax(jnp.where(refuge, score, -1.0)).astype(jnp.int32)
     return Occupancy(
         goal=occupancy.goal.at[agent].set(goal),
         parked_bay=jnp.where(evicted, shelter, occupancy.parked_bay),

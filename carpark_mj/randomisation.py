@@ -5,6 +5,7 @@ with it every judgement of the task, stays as it is.
 """
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -72,12 +73,20 @@ def make_fleet(
 ) -> Vehicle:
     """Cars (count,) as they spawn; all nominal while nothing varies.
 
-    `key` is consumed.
+    Args:
+        config: what varies.
+        vehicle: the nominal car, or one each, (count,).
+        count: of cars.
+        key: consumed.
     """
+    alike = vehicle.mass.ndim == 0
     if not config.is_on:
+        if not alike:
+            return vehicle
         return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), vehicle)
     keys = jax.random.split(key, count)
-    return jax.vmap(lambda k: randomise(config, vehicle, k))(keys)
+    draw_car = partial(randomise, config)
+    return jax.vmap(draw_car, in_axes=(None if alike else 0, 0))(vehicle, keys)
 
 
 def check(config: RandomisationConfig, params: VehicleParameters) -> None:

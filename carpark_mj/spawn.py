@@ -1,5 +1,7 @@
 """Where an agent starts: at random in the spawn regions, or close to its goal."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 
@@ -15,6 +17,7 @@ def spawn_pose(
     other_xy: jax.Array,
     other_mask: jax.Array,
     key: jax.Array,
+    blocked: Callable[[jax.Array], jax.Array] | None = None,
 ) -> jax.Array:
     """Draws a start pose for one agent.
 
@@ -31,6 +34,9 @@ def spawn_pose(
         other_xy: (num_agents, 2) centres of the agents [m].
         other_mask: (num_agents,) bool, the agents to keep away from.
         key: consumed.
+        blocked: says of poses (n, 3) whether the car would touch something there; such
+            draws are taken only if there is no other. None = nowhere, as is true of
+            cars no larger than the one the lot was drawn for.
 
     Returns:
         (3,) pose of the footprint's centre.
@@ -59,6 +65,9 @@ def spawn_pose(
     heading = layout.spawn_pose[region, 2] + layout.spawn_spread[region] * stray
     yaw = wrap_angle(heading)
     gap = room(xy)
+    if blocked is not None:
+        pose = jnp.concatenate([xy, yaw[:, None]], axis=-1)
+        gap = jnp.where(blocked(pose), -1.0, gap)
     keeps = gap > config.min_distance
     best = jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(gap))
     return jnp.concatenate([xy[best], yaw[best][None]])

@@ -22,6 +22,8 @@ class State:
         layout: the lot.
         occupancy: goals and parked cars.
         parked_size: (num_parked_cars, 2) footprints [m].
+        parked_offset: (num_parked_cars, 3) where they stand in their bays if these
+            allow it, see `fit.stand_in_bay`; None while all stand in the middle.
         step: (num_agents,) int32 control steps made in the running episodes.
         active: (num_agents,) bool; False once finished when nobody respawns.
         stats: per-episode sums.
@@ -34,6 +36,7 @@ class State:
     layout: Layout
     occupancy: Occupancy
     parked_size: jax.Array
+    parked_offset: jax.Array | None
     step: jax.Array
     active: jax.Array
     stats: EpisodeStats

@@ -150,14 +150,18 @@ def main(config: RenderConfig) -> Path:
     seconds = config.frame if config.frame is not None else config.seconds
     num_steps = max(1, round(seconds / env_config.sim.ctrl_dt))
     recording = record(env, policy, num_steps, config.seed)
+    sizes = recording.parked_size
+    parked_cars = () if sizes is None else env.fleet.parked_vehicles(sizes)
     renderer = LotRenderer(
         recording.layout,
         env.vehicle,
         env_config.num_agents,
-        env_config.num_parked_cars,
+        recording.parked_pose.shape[1],
         config.camera,
         (config.width, config.height),
         _show(config, env_config),
+        env.fleet.agents,
+        parked_cars,
     )
     try:
         if still:

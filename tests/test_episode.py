@@ -134,7 +134,7 @@ def test_hits_agree_with_shapely_at_every_traced_instant():
         layout = template.replace(
             bay_pose=bay_pose, wall_pose=wall_pose, wall_size=wall_size
         )
-        return find_hits(layout, vehicle, parked_bay, parked_size)
+        return find_hits(layout, vehicle, bay_pose[parked_bay], parked_size)
 
     got = jax.jit(jax.vmap(hits))(vehicle, bays, walls, wall_size)
     own = np.asarray(vehicle.trace_w), np.asarray(vehicle.size)[:, :, None]
@@ -165,7 +165,7 @@ def crossing(trace_between):
 
 
 FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
-NO_CARS = jnp.zeros(0, jnp.int32), jnp.zeros((0, 2))
+NO_CARS = jnp.zeros((0, 3)), jnp.zeros((0, 2))
 
 
 def test_a_car_that_passes_through_another_between_two_instants_is_caught():
@@ -218,7 +218,7 @@ def judged(vehicle, rule="strict", step=1, active=True, layout=FAR_LOT, goal=Non
         layout,
         vehicle,
         jnp.arange(count) if goal is None else jnp.array(goal),
-        jnp.array([2]),
+        layout.bay_pose[jnp.array([2])],
         jnp.array([[4.0, 2.0]]),
         jnp.full(count, step),
         jnp.broadcast_to(jnp.asarray(active), (count,)),
@@ -342,7 +342,7 @@ def random_events(rule, motion=None):
             layout,
             vehicle,
             jnp.arange(3),
-            jnp.array([3]),
+            bay_pose[3:4],
             jnp.array([[4.0, 2.0]]),
             step,
             active,

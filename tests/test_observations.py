@@ -49,7 +49,7 @@ def observed(config, layout, vehicle, goal, parked_bay=(), parked_size=(4.0, 2.0
         layout,
         vehicle,
         jnp.array(goal),
-        parked_bay,
+        layout.bay_pose[parked_bay],
         jnp.broadcast_to(jnp.array(parked_size), (parked_bay.shape[0], 2)),
         jnp.full(count, MAX_SPEED),
         jnp.full(count, MAX_STEERING),

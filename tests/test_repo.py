@@ -24,6 +24,8 @@ TASK = {
     "rewards",
     "metrics",
     "sensors",
+    "fit",
+    "respawn",
 }
 ALLOWED = {
     "geometry": set(),
@@ -35,6 +37,7 @@ ALLOWED = {
     "scene": BASE | {"vehicle", "layouts"},
     "physics": BASE | {"vehicle", "layouts", "scene"},
     "randomisation": {"config", "vehicle"},
+    "fleet": {"config", "vehicle", "layouts", "fit", "goals", "respawn"},
 } | {name: BASE | TASK | {"layouts"} for name in TASK}
 ENV = {*ALLOWED, "state", "env"}
 ALLOWED["state"] = ALLOWED["env"] = ENV - {"env", "scene"}

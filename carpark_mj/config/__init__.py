@@ -4,6 +4,7 @@ Impossible settings raise `ValueError` at construction, in one sentence.
 """
 
 from carpark_mj.config.env import EnvConfig, PhysicsName
+from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.layout import (
     LAYOUT_FILES,
     LayoutChoice,
@@ -33,6 +34,8 @@ __all__ = [
     "DistributionKind",
     "EnvConfig",
     "EpisodeConfig",
+    "FleetConfig",
+    "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
     "LayoutName",

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Literal
 
 from carpark_mj.config.checks import at_least, choose
+from carpark_mj.config.fleet import FleetConfig, JitterConfig, Range, require_range
 from carpark_mj.config.layout import (
     LAYOUT_FILES,
     LayoutChoice,
@@ -32,6 +33,10 @@ class EnvConfig:
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: cars that act.
         num_parked_cars: cars standing in bays.
+        occupancy: share of the lot's bays that hold a parked car, drawn from this range
+            when the lot is reset; `num_parked_cars` is then the most there can be.
+        fleet: presets that cars are drawn from instead of `vehicle`.
+        jitter: how untidily parked cars stand, and their sizes.
         physics: back end. `mjx`: every car alone, crashes by box tests. `scene`: the
             whole lot in one C MuJoCo world, crashes by its contacts; slow.
         sim: time steps and ground.
@@ -47,6 +52,9 @@ class EnvConfig:
     vehicle: str = "compact"
     num_agents: int = 2
     num_parked_cars: int = 16
+    occupancy: Range | None = None
+    fleet: FleetConfig = FleetConfig()
+    jitter: JitterConfig = JitterConfig()
     physics: PhysicsName = "mjx"
     sim: SimConfig = SimConfig()
     spawn: SpawnConfig = SpawnConfig()
@@ -64,3 +72,9 @@ class EnvConfig:
         choose("physics", self.physics, PhysicsName)
         at_least(self, 1, "num_agents")
         at_least(self, 0, "num_parked_cars")
+        if self.occupancy is not None:
+            require_range("occupancy", self.occupancy, 0.0, 1.0)
+        if self.fleet.agents and not self.observation.own_car:
+            # Agents that are not all alike must know what they drive.
+            observation = dataclasses.replace(self.observation, own_car=True)
+            object.__setattr__(self, "observation", observation)

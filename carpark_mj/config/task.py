@@ -65,12 +65,15 @@ class ObservationConfig:
         tracked_parked_cars: nearest parked cars seen.
         rings: diameters [m] of the circles about the car in which walls are counted.
         ring_cap: largest count a ring reports.
+        own_car: see the own size, axles and turning radius; always so where agents are
+            drawn from a fleet.
     """
 
     tracked_agents: int = 2
     tracked_parked_cars: int = 2
     rings: tuple[float, ...] = (5.0, 6.2, 8.0)
     ring_cap: int = 2
+    own_car: bool = False
 
     def __post_init__(self) -> None:
         at_least(self, 0, "tracked_agents", "tracked_parked_cars")

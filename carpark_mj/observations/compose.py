@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from carpark_mj.config import ObservationConfig
 from carpark_mj.geometry import to_local
 from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.ego import own_goal, own_motion
+from carpark_mj.observations.ego import own_car, own_goal, own_motion
 from carpark_mj.observations.fields import FAR, make_fields
 from carpark_mj.observations.localised import localise, nearest
 from carpark_mj.observations.rings import wall_rings
@@ -18,10 +18,12 @@ def observe(
     layout: Layout,
     vehicle: VehicleState,
     goal: jax.Array,
-    parked_bay: jax.Array,
+    parked_pose: jax.Array,
     parked_size: jax.Array,
     max_speed: jax.Array,
     max_steering: jax.Array,
+    parked_present: jax.Array | None = None,
+    axles: tuple[jax.Array, jax.Array] | None = None,
 ) -> jax.Array:
     """Observations of all agents of a lot.
 
@@ -30,10 +32,13 @@ def observe(
         layout: the lot.
         vehicle: the agents (num_agents,).
         goal: (num_agents,) bay indices.
-        parked_bay: (num_parked_cars,) bay indices.
+        parked_pose: (num_parked_cars, 3).
         parked_size: (num_parked_cars, 2) [m].
         max_speed: (num_agents,) forward limits [m/s].
         max_steering: (num_agents,) [rad].
+        parked_present: (num_parked_cars,) bool; None = all.
+        axles: (num_agents,) wheelbases, and rear axles to footprints' centres [m];
+            needed for `own_car`.
 
     Returns:
         (num_agents, observation_size) float32.
@@ -41,6 +46,8 @@ def observe(
     goal_pose = layout.bay_pose[goal]
     values = own_motion(vehicle, max_speed, max_steering)
     values |= own_goal(vehicle, goal_pose, layout.bay_size[goal])
+    if config.own_car and axles is not None:
+        values |= own_car(vehicle, *axles, max_steering)
     own_xy = vehicle.pose_w[:, :2]
 
     if config.tracked_agents:
@@ -60,10 +67,12 @@ def observe(
         }
         values |= _numbered("agent", agents, config.tracked_agents)
     if config.tracked_parked_cars:
-        pose = layout.bay_pose[parked_bay]
+        pose = parked_pose
         if pose.shape[0] == 0:  # nobody to track: a masked stand-in keeps the shapes
             pose, parked_size = jnp.zeros((1, 3)), jnp.zeros((1, 2))
-        mask = jnp.full((own_xy.shape[0], pose.shape[0]), parked_bay.shape[0] > 0)
+        mask = jnp.full((own_xy.shape[0], pose.shape[0]), parked_pose.shape[0] > 0)
+        if parked_present is not None and parked_pose.shape[0]:
+            mask = mask & parked_present
         index, present = nearest(own_xy, pose[:, :2], mask, config.tracked_parked_cars)
         cars = localise(vehicle.pose_w, pose[index], parked_size[index], present)
         values |= _numbered("parked", cars, config.tracked_parked_cars)

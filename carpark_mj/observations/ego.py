@@ -36,3 +36,19 @@ def own_goal(
         "in_bay": jnp.clip(inverse[..., :2] / NEAR, -1.0, 1.0),
         "goal_size": (goal_size - vehicle.size) / 5.0,
     }
+
+
+def own_car(
+    vehicle: VehicleState,
+    wheelbase: jax.Array,
+    rear_axle: jax.Array,
+    max_steering: jax.Array,
+) -> dict[str, jax.Array]:
+    """What every agent drives; the other arguments (num_agents,) [m], [rad]."""
+    radius = wheelbase / jnp.tan(max_steering)
+    return {
+        "own_size": vehicle.size / 5.0,
+        "own_wheelbase": wheelbase[..., None] / 5.0,
+        "own_rear_axle": rear_axle[..., None] / 5.0,
+        "own_turning_radius": radius[..., None] / 5.0,
+    }

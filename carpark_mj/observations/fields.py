@@ -63,6 +63,15 @@ def make_fields(config: ObservationConfig) -> tuple[Field, ...]:
             "goal_size", 2, 0.0, 2.0, "length and width of the goal bay less own [5 m]"
         ),
     ]
+    if config.own_car:
+        fields += [
+            Field("own_size", 2, 0.0, 2.0, "own length and width [5 m]"),
+            Field("own_wheelbase", 1, 0.0, 1.0, "own wheelbase [5 m]"),
+            Field("own_rear_axle", 1, 0.0, 1.0, "own centre ahead of rear axle [5 m]"),
+            Field(
+                "own_turning_radius", 1, 0.0, 2.0, "of the rear axle, full lock [5 m]"
+            ),
+        ]
     for k in range(config.tracked_agents):
         for name, size, low, high, meaning in _CAR + _AGENT:
             fields.append(Field(f"agent_{k}_{name}", size, low, high, meaning))

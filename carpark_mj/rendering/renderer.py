@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -12,9 +13,8 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.gl import MISSING_GL
 from carpark_mj.rendering.markers import Markers
 from carpark_mj.rendering.snapshot import Snapshot, tracked_points
-from carpark_mj.scene import build_scene
+from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.materials import agent_colour
-from carpark_mj.vehicle.mjcf import STEERED, WHEELS
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 FLASH_COLOURS = {
@@ -67,17 +67,22 @@ class LotRenderer:
         camera: str = "topdown",
         size: tuple[int, int] = (1280, 720),
         show: Show | None = None,
+        agent_kinds: Sequence[VehicleParameters] = (),
+        parked_cars: Sequence[VehicleParameters] = (),
     ) -> None:
         """Compiles the scene and opens a GL context.
 
         Args:
             layout: the lot.
-            params: vehicle of all cars.
+            params: vehicle of all cars, unless `agent_kinds` and `parked_cars` say
+                otherwise.
             num_agents: agents.
             num_parked_cars: parked cars.
             camera: see `camera_names`.
             size: width and height of a frame [pixels].
             show: extras to draw.
+            agent_kinds: see `Stage`.
+            parked_cars: see `Stage`.
 
         Raises:
             RenderingError: no GL, or no such camera.
@@ -87,16 +92,13 @@ class LotRenderer:
         self._show = show or Show()
         self.cameras = camera_names(camera, num_agents)
         self.width, self.height = size[0] // len(self.cameras), size[1]
-        self.model = build_scene(layout, params, num_agents, num_parked_cars).compile()
+        self._stage = Stage(
+            layout, params, num_agents, num_parked_cars, agent_kinds, parked_cars
+        )
+        self.model, self.data = self._stage.model, self._stage.data
         for name, aspect in _LEAST_ASPECT.items():
             self._widen(self.model.camera(name).id, aspect)
-        self.data = mujoco.MjData(self.model)
         self._renderer = _mujoco_renderer(self.model, self.width, self.height)
-        self._parked = [
-            self.model.joint(f"parked{k}/x").qposadr[0] for k in range(num_parked_cars)
-        ]
-        self._spin = np.zeros(num_agents)
-        self._last = np.full((num_agents, 3), np.nan)
 
     def _widen(self, camera: int, least_aspect: float) -> None:
         """Opens the vertical field of view until a narrow frame shows all the lot."""
@@ -109,17 +111,11 @@ class LotRenderer:
 
     def place(self, seen: Snapshot) -> None:
         """Puts all cars where they are; wheels roll by the way since the last call."""
-        self._roll(seen.pose_w)
-        for k in range(self._num_agents):
-            self._place_agent(k, seen.pose_w[k], float(seen.steering[k]))
-        for address, pose in zip(self._parked, seen.parked_pose, strict=True):
-            self.data.qpos[address : address + 3] = self._rear_axle(pose)
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
+        self._stage.place(seen.pose_w, seen.steering, seen.parked_pose, seen.size)
 
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
         """Draws what was placed, (height, width, 3) uint8, by one of `cameras`."""
-        self._renderer.update_scene(self.data, camera=camera)
+        self._renderer.update_scene(self.data, camera=self._stage.camera(camera))
         markers = Markers(self._renderer.scene)
         for k in range(self._num_agents):
             rgb = agent_colour(k)[:3]
@@ -144,7 +140,7 @@ class LotRenderer:
 
     def project(self, point: np.ndarray, camera: str) -> tuple[float, float] | None:
         """Pixel (x, y) of a world point (3,) seen by a camera; None behind it."""
-        index = self.model.camera(camera).id
+        index = self.model.camera(self._stage.camera(camera)).id
         axes = self.data.cam_xmat[index].reshape(3, 3)
         x, y, z = axes.T @ (point - self.data.cam_xpos[index])
         if z > -0.1:
@@ -155,32 +151,6 @@ class LotRenderer:
     def close(self) -> None:
         """Frees the GL context."""
         self._renderer.close()
-
-    def _rear_axle(self, centre: np.ndarray) -> tuple[float, float, float]:
-        x, y, yaw = centre
-        offset = self._params.centre_offset
-        return x - offset * math.cos(yaw), y - offset * math.sin(yaw), yaw
-
-    def _roll(self, pose_w: np.ndarray) -> None:
-        """Turns the wheels by the way driven since the last frame."""
-        delta = pose_w - self._last
-        ahead = np.cos(pose_w[:, 2]) * delta[:, 0] + np.sin(pose_w[:, 2]) * delta[:, 1]
-        jumped = np.abs(ahead) > 1.0  # a respawn, or the first frame
-        ahead = np.where(np.isnan(ahead) | jumped, 0.0, ahead)
-        self._spin += ahead / self._params.wheel_radius
-        self._last = np.array(pose_w, float)
-
-    def _place_agent(self, agent: int, centre: np.ndarray, steering: float) -> None:
-        x, y, yaw = self._rear_axle(centre)
-        turn = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
-        self.data.joint(f"agent{agent}/root").qpos = [x, y, 0.0, *turn]
-        tan = math.tan(steering)
-        skew = self._params.track_width / (2 * self._params.wheelbase) * tan
-        for name, sign in zip(STEERED, (-1.0, 1.0), strict=True):
-            angle = math.atan(tan / (1.0 + sign * self._params.ackermann * skew))
-            self.data.joint(f"agent{agent}/steer_{name}").qpos = angle
-        for name in WHEELS:
-            self.data.joint(f"agent{agent}/spin_{name}").qpos = self._spin[agent]
 
 
 def camera_names(camera: str, num_agents: int) -> tuple[str, ...]:

@@ -23,12 +23,15 @@ class Recording:
         steering: (t, agents) bicycle angles at the end of the steps [rad].
         speed: (t, agents) signed speeds at the end of the steps [m/s].
         goal: (t, agents) bays aimed at during the steps.
-        parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends.
+        parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends;
+            cars that the lot has not are left out.
         active: (t, agents) bool.
         parked: (t, agents) bool, parked in this step; likewise the others.
         crashed: see `parked`.
         timed_out: see `parked`.
         step: (t, agents) control steps made in the episode, this one included.
+        size: (t, agents, 2) footprints during the steps [m]; None if all are alike.
+        parked_size: (parked cars, 2) [m]; None if all are alike.
     """
 
     layout: Layout
@@ -43,6 +46,8 @@ class Recording:
     crashed: np.ndarray
     timed_out: np.ndarray
     step: np.ndarray
+    size: np.ndarray | None = None
+    parked_size: np.ndarray | None = None
 
 
 def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Recording:
@@ -66,13 +71,19 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
             "crashed": events.crashed,
             "timed_out": events.timed_out,
             "step": state.step + 1,
+            "size": timestep.vehicle.size,
         }
         return (after, timestep.observation), frame
 
     run = jax.jit(lambda carry, keys: jax.lax.scan(step, carry, keys))
     _, frames = run((state, observation), jax.random.split(act_key, num_steps))
+    frames = {name: np.asarray(value) for name, value in frames.items()}
+    # A lot keeps its parked cars: who is absent at the start never comes.
+    here = np.asarray(state.occupancy.parked_bay) < state.layout.num_bays
+    frames["parked_pose"] = frames["parked_pose"][:, here]
     return Recording(
         layout=state.layout,
         ctrl_dt=env.config.sim.ctrl_dt,
-        **{name: np.asarray(value) for name, value in frames.items()},
+        parked_size=np.asarray(state.parked_size)[here],
+        **frames,
     )

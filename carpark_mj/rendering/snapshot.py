@@ -45,6 +45,7 @@ class Snapshot:
         state: a word or two per agent: what it does, or how its episode ended.
         tally: episodes ended so far, by outcome.
         flashes: episodes that ended a moment ago.
+        size: (agents, 2) footprints [m]; None if all are alike.
     """
 
     seconds: float
@@ -57,6 +58,7 @@ class Snapshot:
     state: tuple[str, ...]
     tally: dict[str, int]
     flashes: tuple[Flash, ...]
+    size: np.ndarray | None = None
 
 
 def num_frames(recording: Recording) -> int:
@@ -96,6 +98,7 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
         state=tuple(_state(recording, step, agent) for agent in range(len(goal))),
         tally={name: int(events[:over].sum()) for name, events in ended.items()},
         flashes=tuple(flashes),
+        size=None if recording.size is None else recording.size[step],
     )
 
 

@@ -4,11 +4,13 @@ One builder serves three purposes: the renderer's pictures, the `scene` back end
 which everything touches everything, and exported models that drive in the viewer.
 """
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from carpark_mj.layouts.types import Layout
-from carpark_mj.scene import car_look, markings, parts
+from carpark_mj.scene import markings, parts
 from carpark_mj.scene.numbers import add_bay_numbers
 from carpark_mj.vehicle.contact_wheels import (
     add_contact_wheels,
@@ -26,6 +28,8 @@ def build_scene(
     num_agents: int,
     num_parked_cars: int,
     contact_wheels: bool = False,
+    agent_kinds: Sequence[VehicleParameters] = (),
+    parked_cars: Sequence[VehicleParameters] = (),
 ) -> mujoco.MjSpec:
     """Builds the scene of one lot, all cars at the origin.
 
@@ -39,6 +43,9 @@ def build_scene(
         contact_wheels: tyres that touch the ground and the controls `agentK/steer`,
             `/drive` and `/brake`. Without them a car has steering servos only, and
             its tyres are forces that the physics applies.
+        agent_kinds: several cars for each agent, of which a picture shows one, instead
+            of `params`; the names of the second begin with `agentK/kind1/`...
+        parked_cars: vehicles of the parked cars, one each, instead of `params`.
 
     Returns:
         A spec; cameras are `topdown`, `overview` and `agentK/chase`.
@@ -48,15 +55,15 @@ def build_scene(
     spec.visual.global_.offwidth = OFFSCREEN_WIDTH
     spec.visual.global_.offheight = OFFSCREEN_HEIGHT
     extent = np.asarray(layout.extent, float)
-    car_look.add_meshes(spec, params)
     parts.add_ground(spec)
     markings.add_bay_lines(spec, layout)
     markings.add_lane_arrows(spec, layout)
     add_bay_numbers(spec, layout)
     parts.add_walls(spec, layout)
     parts.add_discs(spec, layout)
-    parts.add_parked_cars(spec, params, num_parked_cars)
-    parts.add_agents(spec, params, num_agents, servos=not contact_wheels)
+    parts.add_parked_cars(spec, tuple(parked_cars) or (params,) * num_parked_cars)
+    for k, kind in enumerate(tuple(agent_kinds) or (params,)):
+        parts.add_agents(spec, kind, num_agents, servos=not contact_wheels, kind=k)
     if contact_wheels:
         set_contact_options(spec)
         for k in range(num_agents):

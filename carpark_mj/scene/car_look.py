@@ -4,6 +4,7 @@ Looks only; mass properties are the vehicle's. Meshes are written into the model
 an exported scene needs no files.
 """
 
+import zlib
 from typing import cast
 
 import mujoco
@@ -103,11 +104,18 @@ def details(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
     }
 
 
-def add_meshes(spec: mujoco.MjSpec, params: VehicleParameters) -> None:
-    """Adds the car's meshes to a spec, once for all cars."""
+def _shape(spec: mujoco.MjSpec, params: VehicleParameters) -> str:
+    """What the names of a car's meshes begin with; they come with its first car."""
+    shape = f"car_{zlib.crc32(repr(params).encode()):08x}"
+    if spec.mesh(f"{shape}/body") is None:
+        _add_meshes(spec, params, shape)
+    return shape
+
+
+def _add_meshes(spec: mujoco.MjSpec, params: VehicleParameters, shape: str) -> None:
     for name, mesh in (body_hulls(params) | details(params)).items():
         spec.add_mesh(
-            name=f"car_{name}",
+            name=f"{shape}/{name}",
             uservert=np.asarray(mesh.vertices).ravel().tolist(),
             userface=np.asarray(mesh.faces).ravel().tolist(),
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
@@ -120,8 +128,14 @@ def _look(body: mujoco.MjsBody, **fields: object) -> None:
     body.add_geom(contype=0, conaffinity=0, group=2, mass=0.0, **fields)
 
 
-def add_body_look(car: mujoco.MjsBody, colour: Colour) -> None:
+def add_body_look(
+    spec: mujoco.MjSpec,
+    car: mujoco.MjsBody,
+    params: VehicleParameters,
+    colour: Colour,
+) -> None:
     """Adds body, windows and lights to a car's body."""
+    shape = _shape(spec, params)
     for name, rgba in (
         ("body", colour),
         ("cabin", materials.GLASS),
@@ -129,7 +143,9 @@ def add_body_look(car: mujoco.MjsBody, colour: Colour) -> None:
         ("headlights", materials.HEADLIGHT),
         ("tail_lights", materials.TAIL_LIGHT),
     ):
-        _look(car, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"car_{name}", rgba=rgba)
+        _look(
+            car, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{shape}/{name}", rgba=rgba
+        )
 
 
 def add_wheel_look(wheel: mujoco.MjsBody, params: VehicleParameters) -> None:
@@ -156,12 +172,17 @@ def add_wheel_look(wheel: mujoco.MjsBody, params: VehicleParameters) -> None:
     )
 
 
-def add_standing_car(body: mujoco.MjsBody, colour: Colour) -> None:
+def add_standing_car(
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    params: VehicleParameters,
+    colour: Colour,
+) -> None:
     """Everything of a car that does not move; the frame is the rear axle's."""
-    add_body_look(body, colour)
+    add_body_look(spec, body, params, colour)
     _look(
         body,
         type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname="car_wheels",
+        meshname=f"{_shape(spec, params)}/wheels",
         rgba=materials.TYRE,
     )

@@ -1,6 +1,7 @@
 """The parts of a lot's scene; each function adds one kind of thing to a spec."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -131,16 +132,16 @@ def add_hull(body: mujoco.MjsBody, params: VehicleParameters, name: str) -> None
     )
 
 
-def add_parked_cars(spec: mujoco.MjSpec, params: VehicleParameters, count: int) -> None:
+def add_parked_cars(spec: mujoco.MjSpec, cars: Sequence[VehicleParameters]) -> None:
     """Parked cars `parked0`... that slide on locked tyres when they are pushed.
 
     Each moves in the plane only: two slides and a hinge, whose coordinates are the pose
     of its rear axle's centre, with the dry friction of four locked wheels. (Friction
     acts per axis: a push across the diagonal meets up to 1.4 times as much.)
     """
-    slip = params.tyre.friction * params.mass * GRAVITY  # N
-    wheel_distance = math.hypot(params.wheelbase, params.track_width) / 2
-    for k in range(count):
+    for k, params in enumerate(cars):
+        slip = params.tyre.friction * params.mass * GRAVITY  # N
+        wheel_distance = math.hypot(params.wheelbase, params.track_width) / 2
         name = f"parked{k}"
         body = spec.worldbody.add_body(name=name)
         body.mass = params.mass
@@ -158,18 +159,27 @@ def add_parked_cars(spec: mujoco.MjSpec, params: VehicleParameters, count: int) 
             )
         add_hull(body, params, f"{name}/hull")
         colour = materials.PARKED[k % len(materials.PARKED)]
-        car_look.add_standing_car(body, colour)
+        car_look.add_standing_car(spec, body, params, colour)
+
+
+def car_prefix(agent: int, kind: int = 0) -> str:
+    """What the names of an agent's car begin with, or of the several it may show."""
+    return f"agent{agent}/kind{kind}/" if kind else f"agent{agent}/"
 
 
 def add_agents(
-    spec: mujoco.MjSpec, params: VehicleParameters, count: int, servos: bool = True
+    spec: mujoco.MjSpec,
+    params: VehicleParameters,
+    count: int,
+    servos: bool = True,
+    kind: int = 0,
 ) -> None:
     """Agents' cars with prefixes `agent0/`..., each with a chase camera."""
     for k in range(count):
-        prefix = f"agent{k}/"
+        prefix = car_prefix(k, kind)
         car = add_car(spec.worldbody, spec, params, prefix, servos)
         add_hull(car, params, f"{prefix}hull")
-        car_look.add_body_look(car, materials.agent_colour(k))
+        car_look.add_body_look(spec, car, params, materials.agent_colour(k))
         for name in WHEELS:
             car_look.add_wheel_look(spec.body(f"{prefix}wheel_{name}"), params)
         add_camera(

@@ -267,3 +267,26 @@ class VehicleParameters:
     def cg_to_rear_axle(self) -> float:
         """Centre of gravity ahead of the rear axle [m]."""
         return self.wheelbase - self.cg_to_front_axle
+
+
+_LENGTHS = (
+    "length",
+    "width",
+    "height",
+    "wheelbase",
+    "track_width",
+    "rear_overhang",
+    "cg_to_front_axle",
+    "cg_height",
+    "wheel_radius",
+    "tyre_width",
+    "turning_circle",
+)
+
+
+def scaled(params: VehicleParameters, factor: float) -> VehicleParameters:
+    """The car enlarged by a factor; masses stay, it is made to be looked at."""
+    if abs(factor - 1.0) < 1e-6:  # float32 has been there
+        return params
+    lengths = {name: factor * getattr(params, name) for name in _LENGTHS}
+    return dataclasses.replace(params, **lengths)

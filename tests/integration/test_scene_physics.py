@@ -152,7 +152,9 @@ def test_box_tests_and_contacts_agree_on_ten_thousand_configurations():
             trace_w=pose[:, None],
             finite=zero == 0,
         )
-        hits = jnp.stack(find_hits(LAYOUT, vehicle, bays, parked_size), axis=-1)
+        hits = jnp.stack(
+            find_hits(LAYOUT, vehicle, LAYOUT.bay_pose[bays], parked_size), axis=-1
+        )
         # How near each kind is to being hit, and how deep, by growing and shrinking.
         gaps = []
         for grown in (size + 0.1, size - 0.1):

@@ -1,0 +1,100 @@
+"""Which cars there are, and how parked cars stand in their bays."""
+
+import dataclasses
+import math
+
+Range = tuple[float, float]  # lowest and highest value; equal = fixed
+
+
+@dataclasses.dataclass(frozen=True)
+class FleetConfig:
+    """Vehicle presets to draw cars from; an empty list means `EnvConfig.vehicle`.
+
+    Attributes:
+        agents: presets of the agents, drawn anew at every spawn.
+        agent_weights: how often each is drawn, in proportion; empty = equally often.
+        parked_cars: presets of the parked cars, drawn when the lot is reset.
+        parked_weights: the same for them.
+    """
+
+    agents: tuple[str, ...] = ()
+    agent_weights: tuple[float, ...] = ()
+    parked_cars: tuple[str, ...] = ()
+    parked_weights: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for names, weights in (
+            ("agents", "agent_weights"),
+            ("parked_cars", "parked_weights"),
+        ):
+            count, given = len(getattr(self, names)), getattr(self, weights)
+            if given and len(given) != count:
+                raise ValueError(
+                    f"{weights} must be one for each of the {count} presets in "
+                    f"{names}, not {given}"
+                )
+            if any(not (math.isfinite(w) and w > 0) for w in given):
+                raise ValueError(f"{weights} must be positive, not {given}")
+
+    @property
+    def is_on(self) -> bool:
+        """Whether cars of several kinds may meet."""
+        return bool(self.agents or self.parked_cars)
+
+
+@dataclasses.dataclass(frozen=True)
+class JitterConfig:
+    """Ranges by which parked cars differ from neat ones; nothing by default.
+
+    Drawn for every parked car when the lot is reset and kept when it changes its bay.
+    A car that fits into its bay stays within the lines, whatever is drawn.
+
+    Attributes:
+        along: from the bay's centre along its heading [m].
+        across: from the bay's centre to the left of its heading [m].
+        heading: from the bay's heading [rad], counter-clockwise.
+        scale: factor on length and width.
+    """
+
+    along: Range = (0.0, 0.0)
+    across: Range = (0.0, 0.0)
+    heading: Range = (0.0, 0.0)
+    scale: Range = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        # Beyond a quarter turn a car stands the other way round; half or double its
+        # size it is no such car any more.
+        for name, least, most in (
+            ("along", -math.inf, math.inf),
+            ("across", -math.inf, math.inf),
+            ("heading", -math.pi / 2, math.pi / 2),
+            ("scale", 0.5, 2.0),
+        ):
+            require_range(f"jitter.{name}", getattr(self, name), least, most)
+
+    @property
+    def moves(self) -> bool:
+        """Whether cars stand elsewhere than in the middle of their bays."""
+        neat = (0.0, 0.0)
+        return not self.along == self.across == self.heading == neat
+
+    @property
+    def is_on(self) -> bool:
+        """Whether anything varies."""
+        return self != JitterConfig()
+
+
+def require_range(name: str, value: Range, least: float, most: float) -> None:
+    """Refuses what is no range (low, high) of finite numbers within bounds.
+
+    Raises:
+        ValueError: naming the value and what is allowed.
+    """
+    low, high = value
+    if not (
+        math.isfinite(low) and math.isfinite(high) and least <= low <= high <= most
+    ):
+        within = f" within [{least:.4g}, {most:.4g}]" if math.isfinite(most) else ""
+        raise ValueError(
+            f"{name} must be a lowest and a highest number{within}, not {value}"
+        )

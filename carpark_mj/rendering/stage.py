@@ -1,0 +1,129 @@
+"""The scene of a lot with its cars put where they are; needs no OpenGL."""
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from carpark_mj.layouts.types import Layout
+from carpark_mj.scene import build_scene
+from carpark_mj.scene.parts import car_prefix
+from carpark_mj.vehicle.mjcf import STEERED, WHEELS
+from carpark_mj.vehicle.parameters import VehicleParameters
+
+HIDDEN = -50.0  # m, under the ground: where the cars stand that an agent does not drive
+
+
+class Stage:
+    """A compiled scene and the poses of everything in it."""
+
+    def __init__(
+        self,
+        layout: Layout,
+        params: VehicleParameters,
+        num_agents: int,
+        num_parked_cars: int,
+        agent_kinds: Sequence[VehicleParameters] = (),
+        parked_cars: Sequence[VehicleParameters] = (),
+    ) -> None:
+        """Compiles the scene.
+
+        Args:
+            layout: the lot.
+            params: vehicle of all cars, unless the following say otherwise.
+            num_agents: agents.
+            num_parked_cars: parked cars.
+            agent_kinds: vehicles that agents may drive.
+            parked_cars: vehicles of the parked cars, one each.
+        """
+        self._kinds = tuple(agent_kinds) or (params,)
+        self._sizes = np.array([(p.length, p.width) for p in self._kinds])
+        self._kind = np.zeros(num_agents, int)
+        self._parked_cars = tuple(parked_cars) or (params,) * num_parked_cars
+        self.model = build_scene(
+            layout,
+            params,
+            num_agents,
+            num_parked_cars,
+            agent_kinds=self._kinds,
+            parked_cars=self._parked_cars,
+        ).compile()
+        self.data = mujoco.MjData(self.model)
+        self._parked = [
+            self.model.joint(f"parked{k}/x").qposadr[0] for k in range(num_parked_cars)
+        ]
+        self._spin = np.zeros(num_agents)
+        self._last = np.full((num_agents, 3), np.nan)
+
+    def place(
+        self,
+        pose_w: np.ndarray,
+        steering: np.ndarray,
+        parked_pose: np.ndarray,
+        size: np.ndarray | None = None,
+    ) -> None:
+        """Puts all cars in their places; wheels roll by the way since the last call.
+
+        Args:
+            pose_w: (agents, 3) footprint centres.
+            steering: (agents,) bicycle angles [rad].
+            parked_pose: (parked cars, 3) footprint centres.
+            size: (agents, 2) footprints [m], by which the cars that agents drive are
+                told apart; None if there is one kind.
+        """
+        if size is not None:
+            error = np.abs(size[:, None] - self._sizes).max(axis=-1)
+            self._kind = error.argmin(axis=1)
+        self._roll(pose_w)
+        for agent, shown in enumerate(self._kind):
+            for kind in range(len(self._kinds)):
+                root = self.data.joint(f"{car_prefix(agent, kind)}root")
+                root.qpos = [0.0, 0.0, HIDDEN, 1.0, 0.0, 0.0, 0.0]
+            self._place_agent(agent, int(shown), pose_w[agent], float(steering[agent]))
+        for address, pose, params in zip(
+            self._parked, parked_pose, self._parked_cars, strict=True
+        ):
+            self.data.qpos[address : address + 3] = _rear_axle(params, pose)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    def camera(self, name: str) -> str:
+        """The camera `agentK/...` of the car that the agent drives; others as named."""
+        owner, slash, rest = name.partition("/")
+        if not slash:
+            return name
+        agent = int(owner.removeprefix("agent"))
+        return f"{car_prefix(agent, int(self._kind[agent]))}{rest}"
+
+    def _roll(self, pose_w: np.ndarray) -> None:
+        """Turns the wheels by the way driven since the last frame."""
+        delta = pose_w - self._last
+        ahead = np.cos(pose_w[:, 2]) * delta[:, 0] + np.sin(pose_w[:, 2]) * delta[:, 1]
+        jumped = np.abs(ahead) > 1.0  # a respawn, or the first frame
+        ahead = np.where(np.isnan(ahead) | jumped, 0.0, ahead)
+        self._spin += ahead / [self._kinds[kind].wheel_radius for kind in self._kind]
+        self._last = np.array(pose_w, float)
+
+    def _place_agent(
+        self, agent: int, kind: int, centre: np.ndarray, steering: float
+    ) -> None:
+        params, prefix = self._kinds[kind], car_prefix(agent, kind)
+        x, y, yaw = _rear_axle(params, centre)
+        turn = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+        self.data.joint(f"{prefix}root").qpos = [x, y, 0.0, *turn]
+        tan = math.tan(steering)
+        skew = params.track_width / (2 * params.wheelbase) * tan
+        for name, sign in zip(STEERED, (-1.0, 1.0), strict=True):
+            angle = math.atan(tan / (1.0 + sign * params.ackermann * skew))
+            self.data.joint(f"{prefix}steer_{name}").qpos = angle
+        for name in WHEELS:
+            self.data.joint(f"{prefix}spin_{name}").qpos = self._spin[agent]
+
+
+def _rear_axle(
+    params: VehicleParameters, centre: np.ndarray
+) -> tuple[float, float, float]:
+    x, y, yaw = centre
+    offset = params.centre_offset
+    return x - offset * math.cos(yaw), y - offset * math.sin(yaw), yaw
