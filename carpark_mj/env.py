@@ -309,8 +309,9 @@ class ParkingEnv:
         key, respawn_key = jax.random.split(state.key)
         done = events.done
 
-        def renew(carry: tuple[Occupancy, jax.Array], agent: jax.Array):
-            occupancy, pose = carry
+        def renew(carry: tuple[Occupancy, jax.Array, jax.Array]):
+            occupancy, pose, waiting = carry
+            agent = jnp.argmax(waiting)
             goal_key, spawn_key = jax.random.split(
                 jax.random.fold_in(respawn_key, agent)
             )
@@ -333,16 +334,13 @@ class ParkingEnv:
                 jnp.arange(config.num_agents) != agent,
                 spawn_key,
             )
-            pose = pose.at[agent].set(jnp.where(done[agent], start, pose[agent]))
-            occupancy = jax.tree.map(
-                lambda new, old: jnp.where(done[agent], new, old), renewed, occupancy
-            )
-            return (occupancy, pose), None
+            return renewed, pose.at[agent].set(start), waiting.at[agent].set(False)
 
-        (occupancy, pose), _ = jax.lax.scan(
+        # A loop over those who are done only: most steps end nobody's episode.
+        occupancy, pose, _ = jax.lax.while_loop(
+            lambda carry: carry[2].any(),
             renew,
-            (state.occupancy, state.vehicle.pose_w),
-            jnp.arange(config.num_agents),
+            (state.occupancy, state.vehicle.pose_w, done),
         )
         fleet = state.physics.vehicle
         if config.randomisation.is_on:

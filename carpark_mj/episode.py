@@ -5,7 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.broad_phase import is_crowded, near_hits
+from carpark_mj.broad_phase import is_crowded, near_box_hits, near_disc_hits
 from carpark_mj.config import EpisodeConfig
 from carpark_mj.geometry import (
     axis_angle_error,
@@ -84,16 +84,7 @@ def find_hits(
         return agent, parked_car, wall
     parked_pose = layout.bay_pose[parked_bay]
     agents, parked, walls = _box_hits(layout, vehicle, parked_pose, parked_size)
-    own = vehicle.trace_w[:, None]  # (agents, 1, traces, 3)
-    # A disc is as quickly tested as ruled out.
-    discs = box_disc_overlap(
-        own,
-        vehicle.size[:, None, None],
-        layout.disc_centre[None, :, None],
-        layout.disc_radius[None, :, None],
-    )
-    discs = discs & layout.disc_mask[None, :, None]
-    return agents, parked, walls | discs.any((1, 2))
+    return agents, parked, walls | _disc_hits(layout, vehicle)
 
 
 def _box_hits(
@@ -106,7 +97,7 @@ def _box_hits(
     num_agents, num_parked = vehicle.size.shape[0], parked_size.shape[0]
     num_walls = layout.wall_mask.shape[0]
     if is_crowded(num_agents, num_agents + num_parked + num_walls):
-        hits = near_hits(
+        hits = near_box_hits(
             vehicle,
             jnp.concatenate([parked_pose, layout.wall_pose]),
             jnp.concatenate([parked_size, layout.wall_size]),
@@ -128,6 +119,20 @@ def _box_hits(
     )
     walls = walls & layout.wall_mask[None, :, None]
     return agents.any((1, 2)), parked.any((1, 2)), walls.any((1, 2))
+
+
+def _disc_hits(layout: Layout, vehicle: VehicleState) -> jax.Array:
+    """Who overlapped a disc; (num_agents,) bool."""
+    centre, radius, mask = layout.disc_centre, layout.disc_radius, layout.disc_mask
+    if is_crowded(vehicle.size.shape[0], mask.shape[0]):
+        return near_disc_hits(vehicle, centre, radius, mask)
+    discs = box_disc_overlap(
+        vehicle.trace_w[:, None],
+        vehicle.size[:, None, None],
+        centre[None, :, None],
+        radius[None, :, None],
+    )
+    return (discs & mask[None, :, None]).any((1, 2))
 
 
 def judge(

@@ -7,9 +7,9 @@ Terms that are "sums" are paid a share each step so that a whole episode of
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.broad_phase import is_crowded, visit_near
+from carpark_mj.broad_phase import box_gaps, is_crowded, visit_near
 from carpark_mj.config import RewardConfig
-from carpark_mj.geometry import axis_angle_error, box_distance, point_box_distance
+from carpark_mj.geometry import axis_angle_error, box_distance
 from carpark_mj.types import Events, VehicleState
 
 
@@ -41,7 +41,7 @@ def agent_clearance(vehicle: VehicleState) -> jax.Array:
         return jnp.minimum(gap, jnp.min(jnp.where(valid, found, jnp.inf), axis=1))
 
     reach = jnp.linalg.norm(size, axis=-1) / 2
-    bound = point_box_distance(pose[:, None, :2], pose, size) - reach[:, None]
+    bound = box_gaps(pose[:, :2], pose, size) - reach[:, None]
     bound = jnp.where(own, jnp.inf, bound)
     alone = jnp.full(pose.shape[0], jnp.inf, pose.dtype)
     return visit_near(bound, lambda gap: gap, shorten, alone, chunk=2)

@@ -5,9 +5,8 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.broad_phase import is_crowded, visit_near
+from carpark_mj.broad_phase import box_gaps, disc_gaps, is_crowded, visit_near
 from carpark_mj.geometry import (
-    point_box_distance,
     ray_box_distance,
     ray_disc_distance,
     rotate,
@@ -67,12 +66,12 @@ def cast_rays(
     still = jnp.broadcast_to(still, (num_agents, still.shape[0]))
     others = ~jnp.eye(num_agents, dtype=bool)
     counts = jnp.concatenate([others, still], axis=1)
-    gap = point_box_distance(origin[:, :, 0], pose, size)
+    gap = box_gaps(own_pose[:, :2], pose, size)
     way = outline + reach  # nothing farther away is seen
     way = _shorten(way, jnp.where(counts, gap, jnp.inf), box_way, pose, size)
     if layout.disc_mask.shape[0]:
         centre, radius = layout.disc_centre, layout.disc_radius
-        gap = jnp.linalg.norm(origin[:, :, 0] - centre, axis=-1) - radius
+        gap = disc_gaps(own_pose[:, :2], centre, radius)
         gap = jnp.where(layout.disc_mask, gap, jnp.inf)
         way = _shorten(way, gap, disc_way, centre, radius)
     return jnp.clip((way - outline) / reach, 0.0, 1.0)

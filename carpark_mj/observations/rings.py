@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.broad_phase import disc_gaps
 from carpark_mj.geometry import point_box_distance
 from carpark_mj.layouts.types import Layout
 
@@ -23,9 +24,9 @@ def count_rings(
     gap = point_box_distance(own_xy[:, None], layout.wall_pose, layout.wall_size)
     gap = jnp.where(layout.wall_mask, gap, jnp.inf)
     if layout.disc_mask.shape[0]:
-        offset = jnp.linalg.norm(own_xy[:, None] - layout.disc_centre, axis=-1)
-        disc_gap = jnp.where(layout.disc_mask, offset - layout.disc_radius, jnp.inf)
-        gap = jnp.concatenate([gap, disc_gap], axis=1)
+        discs = disc_gaps(own_xy, layout.disc_centre, layout.disc_radius)
+        discs = jnp.where(layout.disc_mask, discs, jnp.inf)
+        gap = jnp.concatenate([gap, discs], axis=1)
     radii = jnp.array(diameters, gap.dtype) / 2
     count = jnp.sum(gap[:, :, None] < radii, axis=1)
     return jnp.minimum(count, cap) / cap
