@@ -17,7 +17,7 @@ from carpark_mj.geometry import box_corners, box_disc_overlap, boxes_overlap
 from carpark_mj.types import VehicleState
 
 # Pairs above which the bounds pay, measured by `eval/broad_phase.py`.
-MANY_PAIRS = 1000
+MANY_PAIRS = 500
 # What float32 may lose of a bound at coordinates of some hundred metres.
 MARGIN = 1e-3  # m
 HITS_CHUNK = 3  # pairs per agent tested at a time for overlap: few are near

@@ -52,8 +52,7 @@ def cast_rays(
     outline = jnp.min(0.5 * own_size[:, None] / jnp.abs(ahead), axis=-1)
 
     def box_way(pose: jax.Array, size: jax.Array) -> jax.Array:
-        way = ray_box_distance(origin, direction, pose[..., None, :], size[:, :, None])
-        return way
+        return ray_box_distance(origin, direction, pose[..., None, :], size[:, :, None])
 
     def disc_way(centre: jax.Array, radius: jax.Array) -> jax.Array:
         return ray_disc_distance(
