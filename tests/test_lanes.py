@@ -24,6 +24,7 @@ from scenes import (
     polygons,
 )
 
+is_wrong_way_jit, nearest_lane_jit = jax.jit(is_wrong_way), jax.jit(nearest_lane)
 EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2
 
 
@@ -79,21 +80,21 @@ def test_wrong_way_is_motion_that_no_lane_there_allows(motion):
     # The case on the line between the lanes cannot survive rounding.
     keep = [case[0][1] != 0.0 or motion[2] == 0.0 for case in CASES]
     layout = moved_lot(PLAN, motion)
-    got = np.asarray(is_wrong_way(layout, moved_cars(case_cars(), motion)))
+    got = np.asarray(is_wrong_way_jit(layout, moved_cars(case_cars(), motion)))
     wrong = [c for c, g, k in zip(CASES, got, keep, strict=True) if k and g != c[2]]
     assert wrong == []
 
 
 def test_padding_is_no_lane():
     unmarked = PLAN.replace(lane_mask=jnp.zeros(4, bool))
-    assert not is_wrong_way(unmarked, case_cars()).any()
+    assert not is_wrong_way_jit(unmarked, case_cars()).any()
     padded = with_lanes(
         build.lanes([(0.0, 0.0, EAST)] * 2, (4.0, 4.0)), mask=[True, False]
     )
-    index, present = nearest_lane(padded, jnp.array([(0.0, 0.0, 1.0)]))
+    index, present = nearest_lane_jit(padded, jnp.array([(0.0, 0.0, 1.0)]))
     assert (int(index[0]), bool(present[0])) == (0, True)
     none = padded.replace(lane_mask=jnp.zeros(2, bool))
-    assert not nearest_lane(none, jnp.array([(0.0, 0.0, 1.0)]))[1].any()
+    assert not nearest_lane_jit(none, jnp.array([(0.0, 0.0, 1.0)]))[1].any()
 
 
 @pytest.mark.parametrize("name", ["street", "angled", "lot", "garage_row"])
@@ -101,8 +102,8 @@ def test_cars_that_follow_their_lane_are_right_and_those_that_go_back_are_wrong(
     layout = make_layout(name)
     rows = np.flatnonzero(layout.lane_mask)
     pose = np.asarray(layout.lane_pose)[rows]
-    there = is_wrong_way(layout, cars(pose, speed=1.0))
-    back = np.asarray(is_wrong_way(layout, cars(pose, speed=-1.0)))
+    there = is_wrong_way_jit(layout, cars(pose, speed=1.0))
+    back = np.asarray(is_wrong_way_jit(layout, cars(pose, speed=-1.0)))
     assert not there.any()
     # Another lane of the crossing may allow it, which shapely tells.
     inside = shapely.covers(
@@ -117,7 +118,7 @@ def test_cars_that_follow_their_lane_are_right_and_those_that_go_back_are_wrong(
 def test_the_nearest_lane_is_shapely_s_and_on_a_crossing_the_one_along_the_car():
     rng = np.random.default_rng(0)
     pose = np.float32(rng.uniform((-30, -20, -3.1), (30, 20, 3.1), (2000, 3)))
-    index, present = nearest_lane(PLAN, jnp.asarray(pose))
+    index, present = nearest_lane_jit(PLAN, jnp.asarray(pose))
     assert present.all()
     gap = shapely.distance(
         polygons(PLAN.lane_pose, PLAN.lane_size), shapely.points(pose[:, None, :2])
@@ -190,7 +191,7 @@ def test_the_way_driven_wrong_starts_anew_with_the_episode(street):
 
 def test_a_lot_without_lanes_has_neither_term_nor_metric_and_sees_zeros():
     env = street_env("tanner")
-    state, observation = env.reset(jax.random.key(0))
+    state, observation = jax.jit(env.reset)(jax.random.key(0))
     assert not has_lanes(state.layout)
     seen = fields_of(observation, env.config.observation)
     for name in ("lane_present", "lane_heading", "lane_one_way"):

@@ -19,12 +19,14 @@ from scenes import NOISE, cars, fields_of, lot, moved, moved_cars, moved_lot, po
 
 COUNT, REACH = 8, 10.0
 AGENTS, PARKED, WALLS, DISCS = 3, 4, 3, 3
+cast_rays_jit = jax.jit(cast_rays, static_argnums=(6, 7))
+observe_jit = jax.jit(observe, static_argnums=0)
 NOBODY = jnp.zeros((0, 3)), jnp.zeros((0, 2)), jnp.zeros(0, bool)
 
 
 def ways(vehicle, layout, parked=NOBODY, count=4, reach=10.0):
     """Free ways [m] (agents, count)."""
-    seen = cast_rays(vehicle.pose_w, vehicle.size, *parked, layout, count, reach)
+    seen = cast_rays_jit(vehicle.pose_w, vehicle.size, *parked, layout, count, reach)
     return np.asarray(seen) * reach
 
 
@@ -205,11 +207,11 @@ def test_rays_are_a_field_of_the_observation():
     layout = lot([(9.0, 0.0, 0.0), (0.0, 7.0, 0.0)], walls=[(0.0, -5.0, 0.0)])
     vehicle, one = cars([(0.0, 0.0, 0.0)]), jnp.ones(1)
     parked = jnp.array([0, 1]), jnp.full((2, 2), 2.0)
-    seen = observe(config, layout, vehicle, jnp.array([0]), *parked, one, one)
+    seen = observe_jit(config, layout, vehicle, jnp.array([0]), *parked, one, one)
     rays = fields_of(seen, config)["rays"]
     # 8 - 2 m ahead, 6 - 1 m left, nothing behind, 4.5 - 1 m to the wall on the right.
     np.testing.assert_allclose(rays, [[6 / 8, 5 / 8, 1.0, 3.5 / 8]], atol=1e-6)
-    again = observe(
+    again = observe_jit(
         config,
         moved_lot(layout, (5.0, 3.0, 2.0)),
         moved_cars(vehicle, (5.0, 3.0, 2.0)),
