@@ -64,6 +64,11 @@ def test_a_limit_that_shrinks_ends_the_search_at_the_nearest():
     assert (float(best), seen) == (2.5, [1, 3])  # 3 is beyond what was found at 1
 
 
+def test_a_bound_that_is_not_a_number_hides_no_other():
+    bound = jnp.array([[jnp.nan, 0.5, jnp.nan]])
+    np.testing.assert_array_equal(visited(bound, jnp.ones(1), 1), [[0, 1, 0]])
+
+
 def test_nothing_to_visit_leaves_the_carry_alone():
     empty = visited(jnp.zeros((3, 0)), jnp.ones(3), 4)
     assert empty.shape == (3, 0)
