@@ -16,6 +16,7 @@ from carpark_mj.actions import neutralise
 from carpark_mj.config import EnvConfig
 from carpark_mj.episode import judge
 from carpark_mj.fleet import Fleet
+from carpark_mj.lanes import has_lanes, is_wrong_way
 from carpark_mj.layouts import Layout, generate, layout_config, make_layout
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.physics.base import Physics, where_cars
@@ -176,7 +177,7 @@ class ParkingEnv:
             parked_offset=offset,
             step=jnp.zeros(config.num_agents, jnp.int32),
             active=jnp.ones(config.num_agents, bool),
-            stats=metrics.init_stats(config.num_agents),
+            stats=metrics.init_stats(config.num_agents, has_lanes(layout)),
             sensors=init_sensors(config.sensors, vehicle, sensor_key),
             key=key,
         )
@@ -218,6 +219,9 @@ class ParkingEnv:
                 step,
                 state.active,
             )
+        wrong_way = None
+        if has_lanes(state.layout):
+            wrong_way = is_wrong_way(state.layout, vehicle)
         with jax.named_scope("rewards"):
             steering_rate = state.physics.vehicle.steering_rate
             steering_change = steering_rate * config.sim.ctrl_dt
@@ -229,6 +233,7 @@ class ParkingEnv:
                 events,
                 steering_change,
                 config.episode.max_steps,
+                wrong_way,
             )
             terms = {
                 name: jnp.where(state.active, term, 0.0) for name, term in terms.items()
@@ -236,7 +241,9 @@ class ParkingEnv:
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
         stats = jax.tree.map(
             lambda new, old: jnp.where(state.active, new, old),
-            metrics.update_stats(state.stats, state.vehicle, vehicle, reward, invalid),
+            metrics.update_stats(
+                state.stats, state.vehicle, vehicle, reward, invalid, wrong_way
+            ),
             state.stats,
         )
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
@@ -340,7 +347,11 @@ class ParkingEnv:
             vehicle=where_cars(done, self.physics.read(physics), state.vehicle),
             occupancy=occupancy,
             step=jnp.where(done, 0, state.step),
-            stats=where_cars(done, metrics.init_stats(config.num_agents), state.stats),
+            stats=where_cars(
+                done,
+                metrics.init_stats(config.num_agents, has_lanes(state.layout)),
+                state.stats,
+            ),
             key=key,
         )
 

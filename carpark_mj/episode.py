@@ -5,6 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.broad_phase import is_crowded, near_box_hits, near_disc_hits
 from carpark_mj.config import EpisodeConfig
 from carpark_mj.geometry import (
     axis_angle_error,
@@ -81,7 +82,28 @@ def find_hits(
     if vehicle.touched is not None:
         agent, parked_car, wall = jnp.moveaxis(vehicle.touched, -1, 0)
         return agent, parked_car, wall
-    num_agents = vehicle.size.shape[0]
+    agents, parked, walls = _box_hits(layout, vehicle, parked_pose, parked_size)
+    return agents, parked, walls | _disc_hits(layout, vehicle)
+
+
+def _box_hits(
+    layout: Layout,
+    vehicle: VehicleState,
+    parked_pose: jax.Array,
+    parked_size: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Who overlapped another agent, a parked car, a wall; (num_agents,) bool each."""
+    num_agents, num_parked = vehicle.size.shape[0], parked_size.shape[0]
+    num_walls = layout.wall_mask.shape[0]
+    if is_crowded(num_agents, num_agents + num_parked + num_walls):
+        hits = near_box_hits(
+            vehicle,
+            jnp.concatenate([parked_pose, layout.wall_pose]),
+            jnp.concatenate([parked_size, layout.wall_size]),
+            jnp.concatenate([jnp.ones(num_parked, bool), layout.wall_mask]),
+            1 + (jnp.arange(num_parked + num_walls) >= num_parked),
+        )
+        return hits[:, 0], hits[:, 1], hits[:, 2]
     own = vehicle.trace_w[:, None]  # (agents, 1, traces, 3)
     own_size = vehicle.size[:, None, None]
     agents = boxes_overlap(
@@ -89,24 +111,27 @@ def find_hits(
     )
     agents = agents & ~jnp.eye(num_agents, dtype=bool)[..., None]
     parked = boxes_overlap(
-        own,
-        own_size,
-        parked_pose[None, :, None],
-        parked_size[None, :, None],
+        own, own_size, parked_pose[None, :, None], parked_size[None, :, None]
     )
     walls = boxes_overlap(
         own, own_size, layout.wall_pose[None, :, None], layout.wall_size[None, :, None]
     )
     walls = walls & layout.wall_mask[None, :, None]
+    return agents.any((1, 2)), parked.any((1, 2)), walls.any((1, 2))
+
+
+def _disc_hits(layout: Layout, vehicle: VehicleState) -> jax.Array:
+    """Who overlapped a disc; (num_agents,) bool."""
+    centre, radius, mask = layout.disc_centre, layout.disc_radius, layout.disc_mask
+    if is_crowded(vehicle.size.shape[0], mask.shape[0]):
+        return near_disc_hits(vehicle, centre, radius, mask)
     discs = box_disc_overlap(
-        own,
-        own_size,
-        layout.disc_centre[None, :, None],
-        layout.disc_radius[None, :, None],
+        vehicle.trace_w[:, None],
+        vehicle.size[:, None, None],
+        centre[None, :, None],
+        radius[None, :, None],
     )
-    discs = discs & layout.disc_mask[None, :, None]
-    solid = walls.any((1, 2)) | discs.any((1, 2))
-    return agents.any((1, 2)), parked.any((1, 2)), solid
+    return (discs & mask[None, :, None]).any((1, 2))
 
 
 def judge(

@@ -116,7 +116,11 @@ def _chunk(
 
 
 def summarise(rows: list[dict[str, float]], ctrl_dt: float) -> dict[str, Any]:
-    """Rates with intervals and means of episode rows; times in seconds."""
+    """Rates with intervals and means of episode rows; times in seconds.
+
+    Where the lot has lanes, `wrong_way_share` is the share of all metres driven that
+    went against them.
+    """
     count = len(rows)
 
     def rate(name: str) -> dict[str, float]:
@@ -130,6 +134,11 @@ def summarise(rows: list[dict[str, float]], ctrl_dt: float) -> dict[str, Any]:
         return float(np.mean(values)) if values else float("nan")
 
     parked = [row for row in rows if row["parked"]]
+    lanes = {}
+    if rows and "wrong_way" in rows[0]:
+        path = sum(row["path"] for row in rows)
+        wrong = sum(row["wrong_way"] for row in rows)
+        lanes["wrong_way_share"] = wrong / path if path else 0.0
     return {
         "episodes": count,
         **{name: rate(name) for name in OUTCOMES + HITS},
@@ -140,6 +149,7 @@ def summarise(rows: list[dict[str, float]], ctrl_dt: float) -> dict[str, Any]:
         "parked_distance_error": mean("final_distance", parked),
         "parked_heading_error_deg": math.degrees(mean("final_heading", parked)),
         "parked_speed": mean("final_speed", parked),
+        **lanes,
     }
 
 

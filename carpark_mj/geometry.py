@@ -147,6 +147,45 @@ def box_disc_overlap(
     return point_box_distance(centre, pose, size) < radius
 
 
+def ray_box_distance(
+    origin: jax.Array, direction: jax.Array, pose: jax.Array, size: jax.Array
+) -> jax.Array:
+    """Way [m] along rays to boxes (..., 3), (..., 2): the slab test.
+
+    Args:
+        origin: (..., 2) starts of the rays [m].
+        direction: (..., 2) unit vectors.
+        pose: (..., 3) centre poses of the boxes [m, m, rad].
+        size: (..., 2) length and width [m].
+
+    Returns:
+        (...) 0 from inside, inf without a hit; a ray along an edge misses.
+    """
+    start = rotate(origin - pose[..., :2], -pose[..., 2])
+    # A ray along a slab gives +-inf, the right ends of its interval; on the edge 0 / 0,
+    # and NaN fails the comparison.
+    inverse = 1.0 / rotate(direction, -pose[..., 2])
+    half = 0.5 * size
+    one, other = (-half - start) * inverse, (half - start) * inverse
+    enter = jnp.max(jnp.minimum(one, other), axis=-1)
+    leave = jnp.min(jnp.maximum(one, other), axis=-1)
+    hit = (enter <= leave) & (leave >= 0.0)
+    return jnp.where(hit, jnp.maximum(enter, 0.0), jnp.inf)
+
+
+def ray_disc_distance(
+    origin: jax.Array, direction: jax.Array, centre: jax.Array, radius: jax.Array
+) -> jax.Array:
+    """Way [m] along rays to discs (..., 2), (...); as `ray_box_distance`."""
+    offset = centre - origin
+    along = jnp.sum(direction * offset, axis=-1)
+    aside = direction[..., 0] * offset[..., 1] - direction[..., 1] * offset[..., 0]
+    # From the chord, not from the quadratic formula, which cancels far away.
+    chord = jnp.sqrt(jnp.maximum(radius**2 - aside**2, 0.0))
+    hit = (jnp.abs(aside) < radius) & (along + chord >= 0.0)
+    return jnp.where(hit, jnp.maximum(along - chord, 0.0), jnp.inf)
+
+
 def swept_half_size(size: jax.Array, spread: jax.Array) -> jax.Array:
     """Half length and half width (..., 2) [m] that hold a box whose heading strays.
 

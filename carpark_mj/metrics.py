@@ -19,6 +19,8 @@ class EpisodeStats:
         gear_changes: times the direction of travel changed.
         direction: sign of the last motion, 0 before the first.
         invalid_actions: steps whose action was NaN or outside [-1, 1].
+        wrong_way: part of the path driven against the lanes [m]; None in lots that
+            never have lanes.
     """
 
     episode_return: jax.Array
@@ -27,15 +29,16 @@ class EpisodeStats:
     gear_changes: jax.Array
     direction: jax.Array
     invalid_actions: jax.Array
+    wrong_way: jax.Array | None = None
 
 
 MOVING = 0.05  # m/s, slower cars have no direction of travel
 
 
-def init_stats(num_agents: int) -> EpisodeStats:
-    """Statistics at the start of an episode."""
+def init_stats(num_agents: int, lanes: bool = False) -> EpisodeStats:
+    """Statistics at the start of an episode, in a lot with lanes or without."""
     zero = jnp.zeros(num_agents, jnp.float32)
-    return EpisodeStats(zero, zero, zero, zero, zero, zero)
+    return EpisodeStats(zero, zero, zero, zero, zero, zero, zero if lanes else None)
 
 
 def update_stats(
@@ -44,14 +47,21 @@ def update_stats(
     after: VehicleState,
     reward: jax.Array,
     invalid_action: jax.Array,
+    wrong_way: jax.Array | None = None,
 ) -> EpisodeStats:
-    """Adds a step; states before and after it, the latter before any respawn."""
+    """Adds a step; states before and after it, the latter before any respawn.
+
+    `wrong_way` (num_agents,) bool says who drove against the lanes; None without lanes.
+    """
     points = jnp.concatenate(
         [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
     )
     path = jnp.linalg.norm(jnp.diff(points, axis=-2), axis=-1).sum(axis=-1)
     direction = jnp.sign(after.speed) * (jnp.abs(after.speed) > MOVING)
     changed = (direction * stats.direction) < 0
+    wrong_path = stats.wrong_way
+    if wrong_path is not None and wrong_way is not None:
+        wrong_path = wrong_path + path * wrong_way
     return EpisodeStats(
         episode_return=stats.episode_return + reward,
         length=stats.length + 1.0,
@@ -59,6 +69,7 @@ def update_stats(
         gear_changes=stats.gear_changes + changed,
         direction=jnp.where(direction != 0, direction, stats.direction),
         invalid_actions=stats.invalid_actions + invalid_action,
+        wrong_way=wrong_path,
     )
 
 
@@ -88,4 +99,6 @@ def step_metrics(
         "final_heading": heading,
         "final_speed": jnp.abs(after.speed),
     }
+    if stats.wrong_way is not None:
+        metrics["wrong_way"] = stats.wrong_way
     return {name: value.astype(jnp.float32) for name, value in metrics.items()}

@@ -90,8 +90,9 @@ def renew(
     goal_bays, parked_bays = bays
     num_agents = done.shape[0]
 
-    def one(carry: tuple[Occupancy, jax.Array], agent: jax.Array):
-        occupancy, pose = carry
+    def one(carry: tuple[Occupancy, jax.Array, jax.Array]):
+        occupancy, pose, waiting = carry
+        agent = jnp.argmax(waiting)
         goal_key, spawn_key = jax.random.split(jax.random.fold_in(key, agent))
         evolved = evolve(
             layout, occupancy, agent, pose[:, :2], parked[agent], parked_bays
@@ -118,8 +119,10 @@ def renew(
             spawn_key,
             blocked(agent, renewed, found),
         )
-        pose = pose.at[agent].set(jnp.where(done[agent], start, pose[agent]))
-        occupancy = jax.tree.map(partial(jnp.where, done[agent]), renewed, occupancy)
-        return (occupancy, pose), None
+        return renewed, pose.at[agent].set(start), waiting.at[agent].set(False)
 
-    return jax.lax.scan(one, (occupancy, pose_w), jnp.arange(num_agents))[0]
+    # A loop over those who are done only: most steps end nobody's episode.
+    occupancy, pose, _ = jax.lax.while_loop(
+        lambda carry: carry[2].any(), one, (occupancy, pose_w, done)
+    )
+    return occupancy, pose

@@ -7,6 +7,7 @@ Terms that are "sums" are paid a share each step so that a whole episode of
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.broad_phase import box_gaps, is_crowded, visit_near
 from carpark_mj.config import RewardConfig
 from carpark_mj.geometry import axis_angle_error, box_distance
 from carpark_mj.types import Events, VehicleState
@@ -29,11 +30,21 @@ def goal_potential(
 
 def agent_clearance(vehicle: VehicleState) -> jax.Array:
     """Gap (num_agents,) [m] from each agent to the nearest other; inf if alone."""
-    gap = box_distance(
-        vehicle.pose_w[:, None], vehicle.size[:, None], vehicle.pose_w, vehicle.size
-    )
-    own = jnp.eye(gap.shape[0], dtype=bool)
-    return jnp.min(jnp.where(own, jnp.inf, gap), axis=1)
+    pose, size = vehicle.pose_w, vehicle.size
+    own = jnp.eye(pose.shape[0], dtype=bool)
+    if not is_crowded(*own.shape):
+        gap = box_distance(pose[:, None], size[:, None], pose, size)
+        return jnp.min(jnp.where(own, jnp.inf, gap), axis=1)
+
+    def shorten(gap: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
+        found = box_distance(pose[:, None], size[:, None], pose[index], size[index])
+        return jnp.minimum(gap, jnp.min(jnp.where(valid, found, jnp.inf), axis=1))
+
+    reach = jnp.linalg.norm(size, axis=-1) / 2
+    bound = box_gaps(pose[:, :2], pose, size) - reach[:, None]
+    bound = jnp.where(own, jnp.inf, bound)
+    alone = jnp.full(pose.shape[0], jnp.inf, pose.dtype)
+    return visit_near(bound, lambda gap: gap, shorten, alone, chunk=2)
 
 
 def reward_terms(
@@ -44,6 +55,7 @@ def reward_terms(
     events: Events,
     max_steering_change: jax.Array,
     max_steps: int,
+    wrong_way: jax.Array | None = None,
 ) -> dict[str, jax.Array]:
     """The reward of one step, term by term.
 
@@ -55,6 +67,7 @@ def reward_terms(
         events: of the step.
         max_steering_change: (num_agents,) largest possible in one step [rad].
         max_steps: episode length the sums refer to.
+        wrong_way: (num_agents,) bool, driving against the lanes; None without lanes.
 
     Returns:
         Named terms (num_agents,), weights and signs applied; 0 for a diverged car.
@@ -80,6 +93,8 @@ def reward_terms(
         "closeness": -config.closeness * share * too_close,
         "reverse": -config.reverse * share * (after.speed < 0.0),
     }
+    if wrong_way is not None:
+        terms["wrong_way"] = -config.wrong_way * share * wrong_way
     return {
         name: jnp.where(events.diverged, 0.0, term).astype(jnp.float32)
         for name, term in terms.items()

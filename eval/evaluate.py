@@ -155,6 +155,9 @@ def print_table(summary: dict[str, Any], title: str) -> None:
         )
     console = Console()
     console.print(table)
+    if "wrong_way_share" in summary:
+        share = summary["wrong_way_share"]
+        console.print(f"{share:.1%} of the way driven against the lanes")
     if not summary["parked"]["count"]:
         console.print("no parked episode to describe")
         return

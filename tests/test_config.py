@@ -164,6 +164,7 @@ def test_the_tanner_reward_preset_has_the_numbers_of_table_c9():
         "progress": 0.0,
         "alignment": 0.0,
         "closeness": 0.0,
+        "wrong_way": 0.0,
     }
 
 

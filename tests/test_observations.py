@@ -34,6 +34,7 @@ CONFIGS = [
         tracked_agents=5, tracked_parked_cars=1, rings=(4.5,), ring_cap=3
     ),
     ObservationConfig(tracked_agents=0, tracked_parked_cars=4, rings=(3.0, 7.25)),
+    ObservationConfig(rays=5, lane=True),
 ]
 MAX_SPEED, MAX_STEERING = 3.0, 0.6
 
@@ -184,6 +185,18 @@ def test_rings_do_not_count_padding_walls():
     np.testing.assert_array_equal(named["ring_4m"], [[0.25]])
 
 
+def test_rings_count_discs_with_the_walls_and_no_padding_discs():
+    # Discs whose rims are 1.5 m and 2.5 m away, and a wall at 1 m.
+    discs = [(2.0, 0.0, 0.5), (0.0, -2.75, 0.25)]
+    layout = lot([(20.0, 0.0, 0.0)], [(-1.5, 0.0, 0.0)], discs=discs)
+    config = ObservationConfig(rings=(1.9, 2.9, 3.1, 4.9, 5.1), ring_cap=3)
+    for mask, expected in (([1, 1], [0, 1, 2, 2, 3]), ([1, 0], [0, 1, 2, 2, 2])):
+        masked = layout.replace(disc_mask=jnp.array(mask, bool))
+        named = observed(config, masked, cars([(0.0, 0.0, 1.0)]), [0])
+        count = [3 * named[f"ring_{d:g}m"].item() for d in config.rings]
+        np.testing.assert_allclose(count, expected, atol=1e-6)
+
+
 def tracked(named, kind):
     names = [name for name in named if name.startswith(kind)]
     assert names
@@ -325,6 +338,9 @@ def test_moving_a_pose_by_hand_agrees_with_the_scene_helper():
         ({"tracked_parked_cars": 3}, +9),  # present, 4 x 2
         ({"rings": (5.0,)}, -2),
         ({"ring_cap": 1}, 0),
+        ({"rays": 7}, 7),
+        ({"ray_range": 3.0}, 0),
+        ({"lane": True}, 4),  # present, 2 of its heading, one-way
     ],
 )
 def test_each_setting_adds_or_drops_its_numbers(change, numbers):

@@ -17,6 +17,8 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 BASE = {"geometry", "types", "config", "precision"}
 TASK = {
     "actions",
+    "broad_phase",
+    "lanes",
     "observations",
     "goals",
     "spawn",

@@ -24,6 +24,8 @@ class RewardConfig:
             taken when it does not (Tanner's "move towards goal").
         smoothness: taken over a whole episode, times the steering change used.
         reverse: taken over a whole episode, for each step in reverse.
+        wrong_way: taken over a whole episode, for each step driven against the lanes
+            (`carpark_mj.lanes`); no term in lots that never have lanes.
         closeness: taken over a whole episode, for each step times the share of
             `closeness_range` by which the nearest other agent is too close.
         closeness_range: clearance between agents at which closeness begins [m].
@@ -38,6 +40,7 @@ class RewardConfig:
     approach: float = 0.0
     smoothness: float = 0.0
     reverse: float = 0.0
+    wrong_way: float = 0.0
     closeness: float = 10.0
     closeness_range: float = 3.0
 

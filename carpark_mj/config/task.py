@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose, ratio
+from carpark_mj.config.checks import at_least, choose, positive, ratio
 
 ParkedRule = Literal["tanner", "strict", "precise"]
 
@@ -63,10 +63,17 @@ class ObservationConfig:
     Attributes:
         tracked_agents: nearest agents seen.
         tracked_parked_cars: nearest parked cars seen.
-        rings: diameters [m] of the circles about the car in which walls are counted.
+        rings: diameters [m] of the circles about the car in which walls and discs are
+            counted.
         ring_cap: largest count a ring reports.
         own_car: see the own size, axles and turning radius; always so where agents are
             drawn from a fleet.
+        rays: bearings along which the free way is seen, evenly spaced about the car
+            from straight ahead; 0 = none. Field `rays`, one number each: from the car's
+            outline to the nearest wall, disc, parked car or other agent.
+        ray_range: longest way seen along a ray [m].
+        lane: see the lane the car is in, or the nearest. Fields `lane_present`,
+            `lane_heading` (cos and sin, body frame) and `lane_one_way`.
     """
 
     tracked_agents: int = 2
@@ -74,9 +81,13 @@ class ObservationConfig:
     rings: tuple[float, ...] = (5.0, 6.2, 8.0)
     ring_cap: int = 2
     own_car: bool = False
+    rays: int = 0
+    ray_range: float = 10.0
+    lane: bool = False
 
     def __post_init__(self) -> None:
-        at_least(self, 0, "tracked_agents", "tracked_parked_cars")
+        at_least(self, 0, "tracked_agents", "tracked_parked_cars", "rays")
+        positive(self, "ray_range")
         at_least(self, 1, "ring_cap")
         if any(not d > 0 for d in self.rings):
             raise ValueError(f"rings must be positive diameters, not {self.rings}")

@@ -8,8 +8,10 @@ from carpark_mj.geometry import to_local
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.ego import own_car, own_goal, own_motion
 from carpark_mj.observations.fields import FAR, make_fields
+from carpark_mj.observations.lane import own_lane
 from carpark_mj.observations.localised import localise, nearest
-from carpark_mj.observations.rings import wall_rings
+from carpark_mj.observations.rays import cast_rays
+from carpark_mj.observations.rings import count_rings
 from carpark_mj.types import VehicleState
 
 
@@ -67,26 +69,34 @@ def observe(
         }
         values |= _numbered("agent", agents, config.tracked_agents)
     if config.tracked_parked_cars:
-        pose = parked_pose
+        pose, size = parked_pose, parked_size
         if pose.shape[0] == 0:  # nobody to track: a masked stand-in keeps the shapes
-            pose, parked_size = jnp.zeros((1, 3)), jnp.zeros((1, 2))
+            pose, size = jnp.zeros((1, 3)), jnp.zeros((1, 2))
         mask = jnp.full((own_xy.shape[0], pose.shape[0]), parked_pose.shape[0] > 0)
         if parked_present is not None and parked_pose.shape[0]:
             mask = mask & parked_present
         index, present = nearest(own_xy, pose[:, :2], mask, config.tracked_parked_cars)
-        cars = localise(vehicle.pose_w, pose[index], parked_size[index], present)
+        cars = localise(vehicle.pose_w, pose[index], size[index], present)
         values |= _numbered("parked", cars, config.tracked_parked_cars)
     if config.rings:
-        count = wall_rings(
-            own_xy,
-            layout.wall_pose,
-            layout.wall_size,
-            layout.wall_mask,
-            config.rings,
-            config.ring_cap,
-        )
+        count = count_rings(own_xy, layout, config.rings, config.ring_cap)
         for k, diameter in enumerate(config.rings):
             values[f"ring_{diameter:g}m"] = count[:, k : k + 1]
+    if config.rays:
+        values["rays"] = cast_rays(
+            vehicle.pose_w,
+            vehicle.size,
+            parked_pose,
+            parked_size,
+            jnp.ones(parked_pose.shape[0], bool)
+            if parked_present is None
+            else parked_present,
+            layout,
+            config.rays,
+            config.ray_range,
+        )
+    if config.lane:
+        values |= own_lane(layout, vehicle.pose_w)
 
     ordered = [values.pop(field.name) for field in make_fields(config)]
     if values:

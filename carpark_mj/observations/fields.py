@@ -78,10 +78,23 @@ def make_fields(config: ObservationConfig) -> tuple[Field, ...]:
     for k in range(config.tracked_parked_cars):
         for name, size, low, high, meaning in _CAR:
             fields.append(Field(f"parked_{k}_{name}", size, low, high, meaning))
-    meaning = f"walls within the circle about the car [{config.ring_cap}], capped"
+    meaning = (
+        f"walls and discs within the circle about the car [{config.ring_cap}], capped"
+    )
     fields.extend(
         Field(f"ring_{diameter:g}m", 1, 0.0, 1.0, meaning) for diameter in config.rings
     )
+    if config.rays:
+        meaning = (
+            f"free way along bearings from ahead to the left [{config.ray_range:g} m]"
+        )
+        fields.append(Field("rays", config.rays, 0.0, 1.0, meaning))
+    if config.lane:
+        fields += [
+            Field("lane_present", 1, 0.0, 1.0, "1 if the lot has lanes; else all 0"),
+            Field("lane_heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
+            Field("lane_one_way", 1, 0.0, 1.0, "1 if only that direction is right"),
+        ]
     return tuple(fields)
 
 

@@ -1,31 +1,32 @@
-"""Proximity rings: how many walls a circle about the car touches."""
+"""Proximity rings: how many walls and discs a circle about the car touches."""
 
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.broad_phase import disc_gaps
 from carpark_mj.geometry import point_box_distance
+from carpark_mj.layouts.types import Layout
 
 
-def wall_rings(
-    own_xy: jax.Array,
-    wall_pose: jax.Array,
-    wall_size: jax.Array,
-    wall_mask: jax.Array,
-    diameters: tuple[float, ...],
-    cap: int,
+def count_rings(
+    own_xy: jax.Array, layout: Layout, diameters: tuple[float, ...], cap: int
 ) -> jax.Array:
-    """Capped wall counts (num_agents, rings), divided by the cap.
+    """Capped counts (num_agents, rings) of walls and discs, divided by the cap.
+
+    Every wall is looked at: nothing cheaper than this distance could rule it out.
 
     Args:
         own_xy: (num_agents, 2) centres of the circles [m].
-        wall_pose: (walls, 3).
-        wall_size: (walls, 2) [m].
-        wall_mask: (walls,) bool.
+        layout: the lot.
         diameters: of the rings [m].
         cap: largest count reported.
     """
-    gap = point_box_distance(own_xy[:, None], wall_pose, wall_size)
-    gap = jnp.where(wall_mask, gap, jnp.inf)
+    gap = point_box_distance(own_xy[:, None], layout.wall_pose, layout.wall_size)
+    gap = jnp.where(layout.wall_mask, gap, jnp.inf)
+    if layout.disc_mask.shape[0]:
+        discs = disc_gaps(own_xy, layout.disc_centre, layout.disc_radius)
+        discs = jnp.where(layout.disc_mask, discs, jnp.inf)
+        gap = jnp.concatenate([gap, discs], axis=1)
     radii = jnp.array(diameters, gap.dtype) / 2
     count = jnp.sum(gap[:, :, None] < radii, axis=1)
     return jnp.minimum(count, cap) / cap
