@@ -62,12 +62,12 @@ def test_loads_and_resistances_by_hand():
 
 def test_load_transfers_by_hand():
     # (1000 x 0.5 + 4 x 0.9 / 0.3) kg m x 2 m/s^2 = 1024 N m over track or wheelbase.
-    rigid = formulas.lateral_load_transfer(PLAIN, 2.0, rigid=True)
+    rigid = formulas.lateral_load_transfer(PLAIN, 2.0, "rigid")
     assert rigid == pytest.approx(1024 / 1.5)
     # 4905 N m/rad of leaning weight against springs of 63 000 N m/rad.
     soft = formulas.lateral_load_transfer(PLAIN, 2.0)
     assert soft == pytest.approx(1024 / 1.5 / (1 - 4905 / 63_000))
-    rigid = formulas.longitudinal_load_transfer(PLAIN, 2.0, rigid=True)
+    rigid = formulas.longitudinal_load_transfer(PLAIN, 2.0, "rigid")
     assert rigid == pytest.approx(1024 / 2.5)
     pitching = formulas.longitudinal_load_transfer(PLAIN, 2.0)
     plain = 1024 / 2.5 / (1 - 4905 / 175_000)

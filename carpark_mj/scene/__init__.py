@@ -26,6 +26,7 @@ def build_scene(
     num_agents: int,
     num_parked_cars: int,
     contact_wheels: bool = False,
+    suspension: bool = False,
 ) -> mujoco.MjSpec:
     """Builds the scene of one lot, all cars at the origin.
 
@@ -39,6 +40,7 @@ def build_scene(
         contact_wheels: tyres that touch the ground and the controls `agentK/steer`,
             `/drive` and `/brake`. Without them a car has steering servos only, and
             its tyres are forces that the physics applies.
+        suspension: springs between the contact wheels and the cars.
 
     Returns:
         A spec; cameras are `topdown`, `overview` and `agentK/chase`.
@@ -56,11 +58,13 @@ def build_scene(
     parts.add_walls(spec, layout)
     parts.add_discs(spec, layout)
     parts.add_parked_cars(spec, params, num_parked_cars)
-    parts.add_agents(spec, params, num_agents, servos=not contact_wheels)
+    parts.add_agents(
+        spec, params, num_agents, servos=not contact_wheels, suspension=suspension
+    )
     if contact_wheels:
         set_contact_options(spec)
         for k in range(num_agents):
-            add_contact_wheels(spec, params, f"agent{k}/", parts.GROUND)
+            add_contact_wheels(spec, params, f"agent{k}/", parts.GROUND, suspension)
             add_controls(spec, params, f"agent{k}/")
     parts.add_lights(spec, extent)
     parts.add_cameras(spec, extent)

@@ -162,12 +162,16 @@ def add_parked_cars(spec: mujoco.MjSpec, params: VehicleParameters, count: int) 
 
 
 def add_agents(
-    spec: mujoco.MjSpec, params: VehicleParameters, count: int, servos: bool = True
+    spec: mujoco.MjSpec,
+    params: VehicleParameters,
+    count: int,
+    servos: bool = True,
+    suspension: bool = False,
 ) -> None:
     """Agents' cars with prefixes `agent0/`..., each with a chase camera."""
     for k in range(count):
         prefix = f"agent{k}/"
-        car = add_car(spec.worldbody, spec, params, prefix, servos)
+        car = add_car(spec.worldbody, spec, params, prefix, servos, suspension)
         add_hull(car, params, f"{prefix}hull")
         car_look.add_body_look(car, materials.agent_colour(k))
         for name in WHEELS:
