@@ -5,6 +5,7 @@ alone, and so is its reason where that is more than agreed.
 """
 
 import dataclasses
+import re
 from collections.abc import Sequence
 
 from physics.table import Row
@@ -143,13 +144,13 @@ def tolerance_table(rows: Sequence[Row]) -> str:
             if not own:
                 continue
             widths = [_width(row, agreed.unit) for row in own]
-            limit = agreed.tolerance * (1 + 1e-9)
+            limit = 1.001 * agreed.tolerance  # rounding
             whys = {r.why for r, w in zip(own, widths, strict=True) if w > limit}
             if whys:
                 verdict = "wider: " + "; ".join(sorted(w or NO_REASON for w in whys))
             else:
                 verdict = (
-                    "tighter" if max(widths) < agreed.tolerance / 1.001 else "same"
+                    "tighter" if max(widths) < 0.999 * agreed.tolerance else "same"
                 )
             cells = (
                 _text(agreed.tolerance, agreed.unit),
@@ -168,7 +169,8 @@ def unagreed_table(rows: Sequence[Row]) -> str:
     for row in rows:
         names = [a.rows for a in AGREED if row.tyres in a.tyres]
         if not any(row.row.startswith(name) for name in names):
-            groups.setdefault((row.row.split(",")[0], row.tyres), []).append(row)
+            name = re.sub(r", [\d.]+ deg", "", row.row)  # each car has its own
+            groups.setdefault((name, row.tyres), []).append(row)
     for (name, tyres), own in groups.items():
         share = all(0 < row.tolerance < abs(row.expected) for row in own)
         unit = "" if share else own[0].unit
