@@ -113,8 +113,6 @@ def rolling_turns(
         0.0,
         0.02,
     )
-    x, y = np.transpose(measured)
-    study.curve("understeer", "preset", x / GRAVITY, np.degrees(y), "o")
     _load_transfer(study, tracks[len(commands) - 1], "rigid")
     for v, angle, track in zip(speeds, angles, tracks[len(commands) :], strict=True):
         gain = math.tan(angle) / angle / params.wheelbase
@@ -218,8 +216,8 @@ def lateral_limit(
             float(mean.max()),
             0.935,
             0.065,
-            "outer tyres of tall cars slide at slip angles above 20 deg, whose cosine "
-            "is lost",
+            "loaded outer tyres slide at slip angles above 20 deg, whose cosine is "
+            "lost",
         )
     else:  # sliding contact wheels hop: only long means have a meaning
         late = track.late(track.lateral_acceleration, STEADY) / grip
