@@ -16,11 +16,10 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx
 
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.car import CarIndex, gravity_vector, rotation_matrix
-from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.physics.mjx import MjxPhysics, mjx  # pyright: ignore[reportAttributeAccessIssue]
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.contact_wheels import add_contact_wheels, set_contact_options
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, add_car

@@ -13,9 +13,14 @@ are square to the body, so that forces along the ground pitch and roll it in ful
 anti-dive, roll centre on the ground.
 """
 
+from typing import TypeVar
+
+import jax
 import mujoco
 
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+
+Number = TypeVar("Number", float, jax.Array)
 
 TRAVEL = 0.10  # m, from rest to the stop in bump and in rebound [est]
 
@@ -25,7 +30,7 @@ TRAVEL = 0.10  # m, from rest to the stop in bump and in rebound [est]
 SOLIMP = (0.994, 0.994, 0.001)
 
 
-def spring_reference(load: float, unsprung_mass: float, stiffness: float) -> float:
+def spring_reference(load: Number, unsprung_mass: Number, stiffness: Number) -> Number:
     """Where a corner's spring would rest without its load [m], below the wheel's place.
 
     Args:
