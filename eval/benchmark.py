@@ -4,19 +4,18 @@ python eval/benchmark.py
 python eval/benchmark.py --batches 8192 65536
 
 Each model runs at the longest substep at which it passes the physics report: 10 ms on
-brush tyres, 4 ms on contact wheels in MJX. Rates are of the machine it runs on; compare
-only figures of one run.
+brush tyres, 4 ms on contact wheels in MJX. Prints a markdown table, whose rows name
+the device; compare only figures of one run. A GPU needs no flag: JAX takes it.
 """
 
 import dataclasses
+import os
 import sys
 import time
 
 import jax
 import jax.numpy as jnp
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from carpark_mj.command_line import USER_ERRORS, one_line
 from carpark_mj.config import CONTACT_SIM_DT, SimConfig
@@ -79,35 +78,53 @@ def measure(config: BenchmarkConfig, tyres: str, batch: int) -> tuple[float, flo
     return batch * config.steps * sim.num_substeps / best, compiling
 
 
-def main(config: BenchmarkConfig) -> None:
-    """Measures and prints the table.
+COLUMNS = (
+    "device",
+    "vehicle",
+    "tyres",
+    "cars",
+    "substep",
+    "car-substeps/s",
+    "x real time",
+    "compile",
+)
+
+
+def main(config: BenchmarkConfig) -> list[list[str]]:
+    """Measures and prints a markdown table, row by row; returns the rows.
 
     Raises:
         ValueError: unknown vehicle.
     """
-    device = jax.devices()[0].device_kind
-    table = Table(title=f"{config.vehicle} in MJX on {device}, float32")
-    for name in (
-        "tyres",
-        "cars",
-        "substep",
-        "car-substeps/s",
-        "x real time",
-        "compile",
-    ):
-        table.add_column(name, justify="left" if name == "tyres" else "right")
+    preset(config.vehicle)  # before anything is compiled
+    print("| " + " | ".join(COLUMNS) + " |")
+    print("|" + "---|" * 3 + "---:|" * (len(COLUMNS) - 3), flush=True)
+    rows = []
     for tyres, sim in SIMS.items():
         for batch in config.batches:
             rate, compiling = measure(config, tyres, batch)
-            table.add_row(
-                tyres,
-                f"{batch:,}",
-                f"{1e3 * sim.sim_dt:g} ms",
-                f"{rate:,.0f}",
-                f"{rate * sim.sim_dt:,.0f}",
-                f"{compiling:.0f} s",
+            rows.append(
+                [
+                    device_name(),
+                    config.vehicle,
+                    tyres,
+                    f"{batch:,}",
+                    f"{1e3 * sim.sim_dt:g} ms",
+                    f"{rate:,.0f}",
+                    f"{rate * sim.sim_dt:,.0f}",
+                    f"{compiling:.0f} s",
+                ]
             )
-    Console().print(table)
+            print("| " + " | ".join(rows[-1]) + " |", flush=True)
+    return rows
+
+
+def device_name() -> str:
+    """What JAX computes on: the GPU's name, or the number of CPU cores."""
+    device = jax.devices()[0]
+    if device.platform == "cpu":
+        return f"{os.cpu_count()} CPU cores"
+    return device.device_kind
 
 
 if __name__ == "__main__":

@@ -17,8 +17,10 @@ import tyro
 
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.vehicle import PRESETS, VehicleParameters, preset
-from physics import braking, energy, handling, numerics, plots, statics, turning
+from physics import agreed, braking, energy, handling, numerics, plots, statics, turning
 from physics.contact import ContactTestbed
+from physics.contact_engines import contact_engines
+from physics.suspension import suspension
 from physics.table import Row, Study, markdown, write_csv
 from physics.testbed import BrushTestbed, Testbed
 
@@ -35,20 +37,19 @@ COMMON: tuple[Manoeuvre, ...] = (
     statics.slip_threshold,
     energy.balance,
     numerics.mirror,
-)
-# What contact wheels do not have: slip angles, scrub torque, another engine.
-BRUSH: tuple[Manoeuvre, ...] = (
-    turning.locked_axle,
-    handling.understeer,
-    handling.step_steer,
     handling.lateral_limit,
     statics.scrub_torque,
     numerics.convergence,
-    numerics.engines,
 )
 SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
-    "brush": COMMON + BRUSH,
-    "contact": COMMON,
+    "brush": (
+        *COMMON,
+        turning.locked_axle,
+        handling.understeer,
+        handling.step_steer,
+        numerics.engines,
+    ),
+    "contact": (*COMMON, handling.rolling_turns, contact_engines, suspension),
 }
 TESTBEDS: dict[Tyres, Callable[[], Testbed]] = {
     "brush": BrushTestbed,
@@ -68,6 +69,24 @@ manoeuvre and the car.
 - *contact*: C MuJoCo in float64 at 2 ms with the contact wheels of exported scenes.
   They roll without slip and have no scrub torque. On locked wheels they hop (the steps
   in the plot of stops); the stopping distance is right, momentary loads are not.
+  Rows of *suspension* put these wheels on their optional springs.
+"""
+
+TOLERANCES = """## Tolerances
+
+Agreed on before the cars were driven, beside the widest that the rows below have;
+where that is wider, the physical reason.
+
+{agreed}
+
+Rows without an agreed tolerance:
+
+{unagreed}
+"""
+
+ABSENT = """## Rows that a tyre model does not have, and why
+
+{absent}
 """
 
 
@@ -113,6 +132,14 @@ def write_report(folder: Path, study: Study, command: str) -> None:
     if missed:
         parts.append(f"## Outside their tolerance\n\n{markdown(missed)}\n")
     parts.extend(f"![{plots.FIGURES[name][0]}]({name}.png)\n" for name in figures)
+    parts.append(
+        TOLERANCES.format(
+            agreed=agreed.tolerance_table(study.rows),
+            unagreed=agreed.unagreed_table(study.rows),
+        )
+    )
+    if absent := agreed.absent_table(study.rows):
+        parts.append(ABSENT.format(absent=absent))
     for key in dict.fromkeys((row.preset, row.tyres) for row in study.rows):
         rows = [row for row in study.rows if (row.preset, row.tyres) == key]
         parts.append(f"## {key[0]}, {key[1]} tyres\n\n{markdown(rows)}\n")

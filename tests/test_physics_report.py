@@ -62,17 +62,22 @@ def test_loads_and_resistances_by_hand():
 
 def test_load_transfers_by_hand():
     # (1000 x 0.5 + 4 x 0.9 / 0.3) kg m x 2 m/s^2 = 1024 N m over track or wheelbase.
-    rigid = formulas.lateral_load_transfer(PLAIN, 2.0, rigid=True)
+    rigid = formulas.lateral_load_transfer(PLAIN, 2.0, "rigid")
     assert rigid == pytest.approx(1024 / 1.5)
     # 4905 N m/rad of leaning weight against springs of 63 000 N m/rad.
     soft = formulas.lateral_load_transfer(PLAIN, 2.0)
     assert soft == pytest.approx(1024 / 1.5 / (1 - 4905 / 63_000))
-    rigid = formulas.longitudinal_load_transfer(PLAIN, 2.0, rigid=True)
+    rigid = formulas.longitudinal_load_transfer(PLAIN, 2.0, "rigid")
     assert rigid == pytest.approx(1024 / 2.5)
     pitching = formulas.longitudinal_load_transfer(PLAIN, 2.0)
     plain = 1024 / 2.5 / (1 - 4905 / 175_000)
     lower = 0.25 * plain / 70_000  # m, of a mass 0.25 m ahead of the middle
     assert pitching == pytest.approx(plain - 1000 * lower * 2.0 / 2.5)
+    # Over hubs 0.3 m high only 0.2 m of the height leans: 1962 N m/rad.
+    hubs = formulas.lateral_load_transfer(PLAIN, 2.0, "hubs")
+    assert hubs == pytest.approx(1024 / 1.5 / (1 - 1962 / 63_000))
+    # A side's two springs of 28 kN/m move by a roll of 1 % times 0.75 m.
+    assert formulas.tilt_angle(PLAIN, 2 * 28_000 * 0.0075, 1.5) == pytest.approx(0.01)
 
 
 def test_turning_geometry_by_hand():
@@ -191,11 +196,18 @@ def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):
 
 @pytest.mark.parametrize(
     "manoeuvre",
-    [turning.turning, statics.slip_threshold, energy.balance],
+    [
+        turning.turning,
+        statics.slip_threshold,
+        statics.scrub_torque,
+        energy.balance,
+        handling.rolling_turns,
+        handling.lateral_limit,
+        numerics.convergence,
+    ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )
 def test_the_compact_passes_on_contact_wheels(manoeuvre):
-    pytest.importorskip("carpark_mj.vehicle.contact_wheels")
     check(manoeuvre(ContactTestbed(), "compact", COMPACT, True))
 
 

@@ -23,6 +23,7 @@ class SimConfig:
         grade_y: slope of the ground along world y.
         tyres: `brush`, or `contact`: MuJoCo's own contacts, for cross-checks; needs a
             `sim_dt` of at most 0.004 s.
+        suspension: springs between contact tyres and car; brush tyres have them anyway.
         surface: how well tyres grip, `carpark_mj.vehicle.surfaces`.
     """
 
@@ -32,6 +33,7 @@ class SimConfig:
     grade_x: float = 0.0
     grade_y: float = 0.0
     tyres: TyresName = "brush"
+    suspension: bool = False
     surface: Surface = "dry"
 
     def __post_init__(self) -> None:
@@ -52,6 +54,11 @@ class SimConfig:
             raise ValueError(
                 f"contact tyres need a sim_dt of at most {CONTACT_SIM_DT} s, not "
                 f"{self.sim_dt}: a locked wheel throws the car"
+            )
+        if self.suspension and self.tyres != "contact":
+            raise ValueError(
+                f"suspension must be False with {self.tyres} tyres, whose vertical "
+                "spring is the suspension; it is for tyres='contact'"
             )
         for name in ("grade_x", "grade_y"):
             if not abs(getattr(self, name)) < 1.0:

@@ -3,6 +3,7 @@
 The wheels of `carpark_mj.vehicle.contact_wheels` under the same driver as `mjx`: drive
 torques through open differentials, brakes and rolling resistance as dry friction of
 the axles, changed while it runs. They have no bristles: `CarState.tyres` stays zero.
+`SimConfig.suspension` puts the car on springs.
 
 Settings that survive locked wheels in MJX, where fewer iterations throw the car:
 elliptic cone, impratio 1, 20 Newton iterations with 50 line-search steps, substeps of
@@ -15,16 +16,16 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.car import gravity_vector, rotation_matrix
-from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.physics.car import CarIndex, gravity_vector, rotation_matrix
+from carpark_mj.physics.mjx import MjxPhysics, mjx  # pyright: ignore[reportAttributeAccessIssue]
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.contact_wheels import add_contact_wheels, set_contact_options
-from carpark_mj.vehicle.mjcf import WHEELS, add_car
+from carpark_mj.vehicle.mjcf import STEERED, WHEELS, add_car
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.presets import COMPACT
+from carpark_mj.vehicle.suspension import spring_reference
 from carpark_mj.vehicle.vehicle import Vehicle
 
 IMPRATIO = 1.0
@@ -46,8 +47,8 @@ def contact_car_model(params: VehicleParameters, sim: SimConfig) -> mujoco.MjMod
         contype=0,
         conaffinity=0,
     )
-    add_car(spec.worldbody, spec, params, prefix="")
-    add_contact_wheels(spec, params, "", "ground")
+    add_car(spec.worldbody, spec, params, prefix="", suspension=sim.suspension)
+    add_contact_wheels(spec, params, "", "ground", sim.suspension)
     return spec.compile()
 
 
@@ -57,14 +58,55 @@ def axle_friction(vehicle: Vehicle, brake: jax.Array) -> jax.Array:
     return brake + rolling * vehicle.wheel_radius
 
 
+class WheelIndex:
+    """Addresses of a car's tyres, unsprung bodies and springs, looked up once."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        """Looks them up by name; `travel` is empty without a suspension."""
+        self.tyres = np.array([model.geom(f"tyre_{wheel}").id for wheel in WHEELS])
+        self.bodies = np.array([model.body(f"wheel_{wheel}").id for wheel in WHEELS])
+        self.knuckles = np.array([model.body(f"knuckle_{w}").id for w in STEERED])
+        slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+        self.travel = np.flatnonzero(slides)  # in the order of `WHEELS`
+        self.travel_qpos = model.jnt_qposadr[slides]
+        self.travel_dof = model.jnt_dofadr[slides]
+
+
+def with_wheels(
+    model: mjx.Model,
+    index: CarIndex,
+    wheels: WheelIndex,
+    vehicle: Vehicle,
+    brake: jax.Array,
+) -> mjx.Model:
+    """The model with one vehicle's tyres, springs and brake torques (4,) [N m]."""
+    loss = model.dof_frictionloss.at[index.spin_dof].set(axle_friction(vehicle, brake))
+    grip = model.pair_friction.at[:, :2].set(vehicle.tyres.friction)
+    size = model.geom_size.at[wheels.tyres, 0].set(vehicle.wheel_radius)
+    change = {"dof_frictionloss": loss, "pair_friction": grip, "geom_size": size}
+    if wheels.travel.size:
+        stiffness, damping = (
+            vehicle.tyres.vertical_stiffness,
+            vehicle.tyres.vertical_damping,
+        )
+        unsprung = vehicle.body_mass[wheels.bodies]
+        unsprung = unsprung.at[:2].add(vehicle.body_mass[wheels.knuckles])
+        rest = spring_reference(vehicle.tyres.static_load, unsprung, stiffness)
+        change |= {
+            "jnt_stiffness": model.jnt_stiffness.at[wheels.travel].set(stiffness),
+            "dof_damping": model.dof_damping.at[wheels.travel_dof].set(damping),
+            "qpos_spring": model.qpos_spring.at[wheels.travel_qpos].set(rest),
+        }
+    return model.tree_replace(change)
+
+
 class ContactPhysics(MjxPhysics):
     """MJX with contact wheels behind the `Physics` interface."""
 
     def __init__(self, sim: SimConfig) -> None:
         """Compiles the car model for the given time steps, slope and surface."""
         super().__init__(sim)
-        model = contact_car_model(COMPACT, sim)
-        self._tyres = np.array([model.geom(f"tyre_{wheel}").id for wheel in WHEELS])
+        self._wheels = WheelIndex(contact_car_model(COMPACT, sim))
 
     def _compile(self, sim: SimConfig) -> mujoco.MjModel:
         return contact_car_model(COMPACT, sim)
@@ -78,18 +120,7 @@ class ContactPhysics(MjxPhysics):
         actuators, ctrl, torque, brake = drive.actuate(
             vehicle, actuators, controls, speed, qvel[spin_dof], self.sim.sim_dt
         )
-        loss = model.dof_frictionloss.at[spin_dof].set(axle_friction(vehicle, brake))
-        model = model.tree_replace(
-            {
-                "dof_frictionloss": loss,
-                "pair_friction": model.pair_friction.at[:, :2].set(
-                    vehicle.tyres.friction
-                ),
-                "geom_size": model.geom_size.at[self._tyres, 0].set(
-                    vehicle.wheel_radius
-                ),
-            }
-        )
+        model = with_wheels(model, self.index, self._wheels, vehicle, brake)
         data = self._data.replace(
             qpos=qpos,
             qvel=qvel,

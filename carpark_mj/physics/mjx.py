@@ -49,8 +49,8 @@ class CarState:
     """Physics state of cars; any leading batch shape.
 
     Attributes:
-        qpos: (..., 13) MuJoCo positions of the 12-dof car.
-        qvel: (..., 12) MuJoCo velocities.
+        qpos: (..., 13) MuJoCo positions of the 12-dof car; 17 with a suspension.
+        qvel: (..., 12) MuJoCo velocities; 16 with a suspension.
         tyres: bristle deflections.
         actuators: what steering and drive have reached.
         vehicle: parameters.
@@ -91,8 +91,9 @@ class MjxPhysics:
         self.sim = sim
         self.ground = ground
         model = self._compile(sim)
-        if model.nv != 12 or model.njnt != 7:
-            raise ValueError(f"the car must have 12 dofs, not {model.nv}")
+        self._nv = 16 if sim.suspension else 12
+        if model.nv != self._nv or model.njnt != self._nv - 5:
+            raise ValueError(f"the car must have {self._nv} dofs, not {model.nv}")
         self.index = CarIndex(model)
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(model)
@@ -144,11 +145,13 @@ class MjxPhysics:
         if self.ground is not None:
             height, normal = self.ground(jnp.stack([x, y])[None])
             z, quat = height[0], upright(normal[0], yaw)
-        qpos = jnp.concatenate([jnp.stack([x, y, z]), quat, jnp.zeros(6, dtype)])
+        qpos = jnp.concatenate(
+            [jnp.stack([x, y, z]), quat, jnp.zeros(self._nv - 6, dtype)]
+        )
         pose = jnp.stack([pose_w[0], pose_w[1], wrap_angle(yaw)])
         return CarState(
             qpos=qpos,
-            qvel=jnp.zeros(12, dtype),
+            qvel=jnp.zeros(self._nv, dtype),
             tyres=init_tyres(dtype),
             actuators=drive.init_actuators(dtype),
             vehicle=vehicle,

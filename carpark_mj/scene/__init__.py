@@ -30,6 +30,7 @@ def build_scene(
     contact_wheels: bool = False,
     agent_kinds: Sequence[VehicleParameters] = (),
     parked_cars: Sequence[VehicleParameters] = (),
+    suspension: bool = False,
 ) -> mujoco.MjSpec:
     """Builds the scene of one lot, all cars at the origin.
 
@@ -46,6 +47,7 @@ def build_scene(
         agent_kinds: several cars for each agent, of which a picture shows one, instead
             of `params`; the names of the second begin with `agentK/kind1/`...
         parked_cars: vehicles of the parked cars, one each, instead of `params`.
+        suspension: springs between the contact wheels and the cars.
 
     Returns:
         A spec; cameras are `topdown`, `overview` and `agentK/chase`.
@@ -63,11 +65,18 @@ def build_scene(
     parts.add_discs(spec, layout)
     parts.add_parked_cars(spec, tuple(parked_cars) or (params,) * num_parked_cars)
     for k, kind in enumerate(tuple(agent_kinds) or (params,)):
-        parts.add_agents(spec, kind, num_agents, servos=not contact_wheels, kind=k)
+        parts.add_agents(
+            spec,
+            kind,
+            num_agents,
+            servos=not contact_wheels,
+            kind=k,
+            suspension=suspension,
+        )
     if contact_wheels:
         set_contact_options(spec)
         for k in range(num_agents):
-            add_contact_wheels(spec, params, f"agent{k}/", parts.GROUND)
+            add_contact_wheels(spec, params, f"agent{k}/", parts.GROUND, suspension)
             add_controls(spec, params, f"agent{k}/")
     parts.add_lights(spec, extent)
     parts.add_cameras(spec, extent)

@@ -2,7 +2,7 @@
 
 python -m carpark_mj.scene --layout square --out scene.xml
 python -m mujoco.viewer --mjcf=scene.xml
-python -m carpark_mj.scene --layout square --view
+python -m carpark_mj.scene --layout square --suspension --view
 """
 
 import dataclasses
@@ -42,6 +42,7 @@ class SceneConfig:
         num_agents: cars to drive.
         num_parked_cars: cars standing in bays.
         vehicle: preset of all cars.
+        suspension: springs between the wheels and the cars to drive.
         seed: of what stands where.
     """
 
@@ -51,6 +52,7 @@ class SceneConfig:
     num_agents: int = 2
     num_parked_cars: int = 16
     vehicle: str = "compact"
+    suspension: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -80,6 +82,7 @@ def make_scene(config: SceneConfig) -> mujoco.MjSpec:
         preset(config.vehicle),
         np.asarray(state.vehicle.pose_w),
         np.asarray(state.layout.bay_pose[state.occupancy.parked_bay]),
+        config.suspension,
     )
 
 

@@ -40,6 +40,7 @@ def drivable_scene(
     params: VehicleParameters,
     agent_pose: np.ndarray,
     parked_pose: np.ndarray,
+    suspension: bool = False,
 ) -> mujoco.MjSpec:
     """Builds a scene on contact wheels with everything in its place, at rest.
 
@@ -48,11 +49,12 @@ def drivable_scene(
         params: the vehicle of all cars.
         agent_pose: (num_agents, 3) footprint centres of the cars to drive.
         parked_pose: (num_parked_cars, 3) footprint centres of the parked cars.
+        suspension: springs between the wheels and the cars to drive.
     """
     spec = build_scene(
-        layout, params, len(agent_pose), len(parked_pose), contact_wheels=True
+        layout, params, len(agent_pose), len(parked_pose), True, suspension
     )
-    height, pitch = rest_attitude(params)
+    height, pitch = rest_attitude(params, suspension)
     for k, pose in enumerate(agent_pose):
         _put(spec.body(f"agent{k}/car"), params, pose, height, pitch)
     for k, pose in enumerate(parked_pose):
@@ -60,13 +62,15 @@ def drivable_scene(
     return spec
 
 
-def rest_attitude(params: VehicleParameters) -> tuple[float, float]:
+def rest_attitude(
+    params: VehicleParameters, suspension: bool = False
+) -> tuple[float, float]:
     """Height [m] and pitch [rad] at which a car on contact wheels is at rest."""
     spec = mujoco.MjSpec()
     set_contact_options(spec)
     parts.add_ground(spec)
-    add_car(spec.worldbody, spec, params, "", servos=False)
-    add_contact_wheels(spec, params, "", parts.GROUND)
+    add_car(spec.worldbody, spec, params, "", servos=False, suspension=suspension)
+    add_contact_wheels(spec, params, "", parts.GROUND, suspension)
     add_controls(spec, params, "")
     model = spec.compile()
     data = mujoco.MjData(model)

@@ -173,11 +173,12 @@ def add_agents(
     count: int,
     servos: bool = True,
     kind: int = 0,
+    suspension: bool = False,
 ) -> None:
     """Agents' cars with prefixes `agent0/`..., each with a chase camera."""
     for k in range(count):
         prefix = car_prefix(k, kind)
-        car = add_car(spec.worldbody, spec, params, prefix, servos)
+        car = add_car(spec.worldbody, spec, params, prefix, servos, suspension)
         add_hull(car, params, f"{prefix}hull")
         car_look.add_body_look(spec, car, params, materials.agent_colour(k))
         for name in WHEELS:

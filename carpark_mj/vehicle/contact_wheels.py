@@ -3,7 +3,8 @@
 Tyres are spheres on explicit pairs with the ground (one contact point each, so no
 scrub couple), elliptic cone, torque through open differentials. The wheels roll
 without slip up to the friction limit; scrub torque, relaxation and exact hold belong
-to the brush tyres of `carpark_mj.physics.tyres`.
+to the brush tyres of `carpark_mj.physics.tyres`. The car stands on them rigidly, or on
+the springs of `carpark_mj.vehicle.suspension`.
 
 Controls of a car, one actuator each:
 
@@ -23,7 +24,8 @@ import mujoco
 import numpy as np
 
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, per_wheel
-from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.suspension import SOLIMP as SUSPENDED_SOLIMP
 
 # Solver settings that survive locked wheels; fewer iterations throw the car.
 TIMESTEP = 0.002  # s
@@ -88,13 +90,24 @@ def set_contact_options(spec: mujoco.MjSpec) -> None:
 
 
 def add_contact_wheels(
-    spec: mujoco.MjSpec, params: VehicleParameters, prefix: str, ground: str
+    spec: mujoco.MjSpec,
+    params: VehicleParameters,
+    prefix: str,
+    ground: str,
+    suspension: bool = False,
 ) -> None:
-    """Gives the wheels of a car tyres that touch the geom `ground`, a plane."""
-    load = params.mass * GRAVITY
-    loads = load * np.array(per_wheel(params.cg_to_rear_axle / params.wheelbase))
+    """Gives the wheels of a car tyres that touch the geom `ground`, a plane.
+
+    Args:
+        spec: the model with the car of `mjcf.add_car` in it.
+        params: the vehicle.
+        prefix: of the car's names.
+        ground: name of the geom.
+        suspension: whether the car has one.
+    """
     friction = params.tyre.friction
-    for name, wheel_load in zip(WHEELS, loads, strict=True):
+    solimp = SUSPENDED_SOLIMP if suspension else SOLIMP
+    for name, wheel_load in zip(WHEELS, params.static_loads, strict=True):
         tyre = f"{prefix}tyre_{name}"
         spec.body(f"{prefix}wheel_{name}").add_geom(
             name=tyre,
@@ -112,7 +125,7 @@ def add_contact_wheels(
             condim=3,
             friction=[friction, friction, 0.0, 0.0, 0.0],
             solref=SOLREF,
-            solimp=[*SOLIMP, 0.5, 2.0],
+            solimp=[*solimp, 0.5, 2.0],
         )
         spin = spec.joint(f"{prefix}spin_{name}")
         spin.frictionloss = (

@@ -2,15 +2,17 @@
 
 The body frame is the rear-axle centre projected on the ground, x forward. Degrees of
 freedom: root (0-5), steer and spin front left and right, spin rear left and right:
-12 in all. Steering joints carry no range: in MJX a joint limit is a permanent solver
-row, and the command is clipped before it gets there. The model has no contacts: tyre
-forces come from `carpark_mj.physics.tyres`.
+12 in all, and four more where contact wheels have a suspension. Steering joints carry
+no range: in MJX a joint limit is a permanent solver row, and the command is clipped
+before it gets there. The model has no contacts: tyre forces come from
+`carpark_mj.physics.tyres`.
 """
 
 import mujoco
 import numpy as np
 
 from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.suspension import add_travel
 
 WHEELS = ("fl", "fr", "rl", "rr")  # the order of every (4,) array of wheels
 STEERED = ("fl", "fr")
@@ -88,6 +90,7 @@ def add_car(
     params: VehicleParameters,
     prefix: str,
     servos: bool = True,
+    suspension: bool = False,
 ) -> mujoco.MjsBody:
     """Adds a car as a free body of `parent`; every name starts with `prefix`.
 
@@ -97,13 +100,17 @@ def add_car(
         params: the vehicle.
         prefix: of all names.
         servos: whether each front wheel gets a steering servo.
+        suspension: whether the wheels move up and down on springs, four degrees of
+            freedom more (`travel_fl`...), each before the joints of its body.
     """
     mass, com, inertia = chassis_inertial(params)
     car = parent.add_body(name=f"{prefix}car")
     car.add_freejoint(name=f"{prefix}root")
     _set_inertial(car, mass, com, inertia)
     tilt, spin = params.wheel_tilt_inertia, params.wheel_inertia
-    for name, hub in zip(WHEELS, hub_positions(params), strict=True):
+    hubs, loads = hub_positions(params), params.static_loads
+    for name, hub, load in zip(WHEELS, hubs, loads, strict=True):
+        travel = f"{prefix}travel_{name}"
         carrier, position = car, hub
         if name in STEERED:
             carrier = car.add_body(name=f"{prefix}knuckle_{name}", pos=hub)
@@ -113,6 +120,9 @@ def add_car(
                 np.zeros(3),
                 np.full(3, params.knuckle_inertia),
             )
+            if suspension:
+                unsprung = params.knuckle_mass + params.wheel_mass
+                add_travel(carrier, params, travel, load, unsprung)
             carrier.add_joint(
                 name=f"{prefix}steer_{name}",
                 type=mujoco.mjtJoint.mjJNT_HINGE,
@@ -127,6 +137,8 @@ def add_car(
         _set_inertial(
             wheel, params.wheel_mass, np.zeros(3), np.array([tilt, spin, tilt])
         )
+        if suspension and name not in STEERED:
+            add_travel(wheel, params, travel, load, params.wheel_mass)
         wheel.add_joint(
             name=f"{prefix}spin_{name}",
             type=mujoco.mjtJoint.mjJNT_HINGE,

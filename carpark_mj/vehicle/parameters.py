@@ -268,6 +268,13 @@ class VehicleParameters:
         """Centre of gravity ahead of the rear axle [m]."""
         return self.wheelbase - self.cg_to_front_axle
 
+    @property
+    def static_loads(self) -> tuple[float, float, float, float]:
+        """Loads of the wheels at rest on level ground [N]: two front, two rear."""
+        weight = self.mass * GRAVITY / self.wheelbase / 2
+        front, rear = weight * self.cg_to_rear_axle, weight * self.cg_to_front_axle
+        return front, front, rear, rear
+
 
 _LENGTHS = (
     "length",

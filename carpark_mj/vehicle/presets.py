@@ -1,7 +1,8 @@
 """The cars that come by name, each number with its source.
 
-[press] manufacturer's data as quoted by motor1 (Fiat), VW's press release (Golf),
-Wikipedia (BMW), laketahoenews (RAV4) and motorblock (T6); [circle] published
+[press] manufacturer's data as quoted by motor1 and motor-car.net (Fiat), VW's press
+release and stuff.co.nz (Golf), Wikipedia (BMW), autoreviewers and
+chicagonow (Camry), laketahoenews (RAV4) and motorblock (T6); [circle] published
 kerb-to-kerb circle: carspecslab (Fiat 9.0 to 9.7), 10.9 to 11.1 (Golf), Chrono (E90,
 about 11.0), laketahoenews (RAV4, 36.7 ft); [ch] Project Chrono's BMW E90; [fiat]
 published weight distribution of 62 % front; [od] openpilot's scaling rule I_zz =
@@ -20,11 +21,11 @@ from carpark_mj.vehicle.parameters import TyreParameters, VehicleParameters
 CITY = VehicleParameters(
     length=3.546,  # [press]
     width=1.627,  # [press]
-    height=1.488,  # [est]
+    height=1.488,  # [press]
     wheelbase=2.300,  # [press]
     track_width=1.41,  # [est]
     rear_overhang=0.576,  # [est]
-    mass=1000.0,  # [est] kerb mass and a driver
+    mass=1000.0,  # [est] kerb mass of 865 to 980 kg [press] and a driver
     cg_to_front_axle=0.87,  # [fiat]
     cg_height=0.53,  # [est]
     roll_inertia=310.0,  # [od]
@@ -33,7 +34,7 @@ CITY = VehicleParameters(
     wheel_radius=0.293,  # [est] 185/55 R15
     tyre_width=0.185,  # [est]
     turning_circle=9.3,  # [circle]
-    front_drive=1.0,  # [est]
+    front_drive=1.0,  # [press]
     max_drive_torque=1350.0,  # [est] 102 N m x 13.4
     max_power=51e3,  # [est]
     wheel_mass=15.0,  # [est]
@@ -47,7 +48,7 @@ CITY = VehicleParameters(
 COMPACT = VehicleParameters(
     length=4.255,  # [press]
     width=1.799,  # [press]
-    height=1.452,  # [est]
+    height=1.452,  # [press]
     wheelbase=2.637,  # [press]
     track_width=1.54,  # [est]
     rear_overhang=0.76,  # [est]
@@ -60,9 +61,9 @@ COMPACT = VehicleParameters(
     wheel_radius=0.316,  # [est] 205/55 R16
     tyre_width=0.205,  # [est]
     turning_circle=10.9,  # [circle]
-    front_drive=1.0,  # [est]
-    max_drive_torque=2600.0,  # [est] 200 N m x 13
-    max_power=90e3,  # [est]
+    front_drive=1.0,  # [press]
+    max_drive_torque=2600.0,  # 200 N m [press] x 13 [est]
+    max_power=90e3,  # [press]
 )
 
 # BMW 320i (E90), rear-driven.
@@ -102,12 +103,12 @@ SEDAN_FWD = VehicleParameters(
     roll_inertia=606.0,  # [od]
     pitch_inertia=2735.0,  # [od]
     yaw_inertia=2820.0,  # [od]
-    wheel_radius=0.335,  # [est] 215/55 R17
-    tyre_width=0.215,  # [est]
+    wheel_radius=0.335,  # [press] 215/55 R17
+    tyre_width=0.215,  # [press]
     turning_circle=11.2,  # [est]
     front_drive=1.0,  # [est]
-    max_drive_torque=2800.0,  # [est] 231 N m x 12
-    max_power=133e3,  # [est]
+    max_drive_torque=2800.0,  # 231 N m [press] x 12 [est]
+    max_power=133e3,  # [press] 178 hp
     tyre=TyreParameters(vertical_stiffness=30_000.0, vertical_damping=2400.0),  # [est]
 )
 

@@ -167,9 +167,7 @@ def _array(value: ArrayLike | list[float]) -> jax.Array:
 
 def _make_tyres(params: VehicleParameters) -> Tyres:
     tyre = params.tyre
-    weight = params.mass * GRAVITY / params.wheelbase / 2
-    front, rear = weight * params.cg_to_rear_axle, weight * params.cg_to_front_axle
-    load = _array([front, front, rear, rear])
+    load = _array(list(params.static_loads))
     # Scrub torque of a uniformly loaded disc: M = 2/3 mu Fz R_patch (Sharp & Granger).
     torque_limit = tyre.friction * (2 / 3) * tyre.patch_radius * load
     return Tyres(

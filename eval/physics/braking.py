@@ -108,7 +108,8 @@ def load_transfer(
     deceleration = -track.trend(track.speed, 1.4, 2.4)
     front = track.load[track.at(1.4) : track.at(2.4), :2].sum(1).mean()
     rigid = bed.tyres == "contact"
-    expected = formulas.longitudinal_load_transfer(params, deceleration, rigid)
+    stance: formulas.Stance = "rigid" if rigid else "patches"
+    expected = formulas.longitudinal_load_transfer(params, deceleration, stance)
     study.row(
         "longitudinal load transfer, 0.3 g",
         "(m h + 4 I / r) a / L" + ("" if rigid else " / (1 - m g h / (k L^2))"),

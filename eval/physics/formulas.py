@@ -6,8 +6,17 @@ left. Axle quantities are (front, rear).
 """
 
 import math
+from typing import Literal
 
+import numpy as np
+from scipy import linalg
+
+from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+
+# What a car stands on: springs over tyre patches, which stay where they are when it
+# leans (brush tyres), springs over hubs, which lean with it, or nothing soft.
+Stance = Literal["patches", "hubs", "rigid"]
 
 
 def rolling_mass(params: VehicleParameters) -> float:
@@ -98,45 +107,90 @@ def understeer_gradient(
 
 
 def lateral_load_transfer(
-    params: VehicleParameters, acceleration: float, rigid: bool = False
+    params: VehicleParameters, acceleration: float, stance: Stance = "patches"
 ) -> float:
     """Load that moves from the inner to the outer wheels [N].
 
-    (m h + 4 I / r) a_y / T / (1 - m g h / (k T^2)): moment of the centrifugal force and
+    (m h + 4 I / r) a_y / T / (1 - m g l / (k T^2)): moment of the centrifugal force and
     of the turning wheels' spin (gyroscopic), and the centre of gravity's own shift as
-    the car rolls on springs k per corner, unless they are rigid.
+    the car rolls on springs k per corner, l above what it stands on: its height h over
+    tyre patches, h - r over the hubs of a suspension, 0 if the car is rigid.
     """
-    return _load_transfer(params, acceleration, params.track_width, rigid)
+    return _load_transfer(params, acceleration, params.track_width, stance)
 
 
 def longitudinal_load_transfer(
-    params: VehicleParameters, acceleration: float, rigid: bool = False
+    params: VehicleParameters, acceleration: float, stance: Stance = "patches"
 ) -> float:
     """Load that moves to the front axle at a deceleration [N].
 
-    (m h + 4 I / r) a / L / (1 - m g h / (k L^2)): as for roll, with the wheels' spin
+    (m h + 4 I / r) a / L / (1 - m g l / (k L^2)): as for roll, with the wheels' spin
     that stops in place of their gyroscopic moment. The car pitches about the middle of
     its wheelbase, which lowers a centre of gravity ahead of it, so m h loses
     m (b - L / 2) times the pitch angle.
     """
     base = params.wheelbase
-    shift = _load_transfer(params, acceleration, base, rigid)
-    if rigid:
+    shift = _load_transfer(params, acceleration, base, stance)
+    if stance == "rigid":
         return shift
-    pitch = shift / (params.tyre.vertical_stiffness * base)
+    pitch = tilt_angle(params, shift, base)
     lower = params.mass * (params.cg_to_rear_axle - base / 2) * pitch
     return shift - lower * acceleration / base
 
 
+def tilt_angle(params: VehicleParameters, shift: float, base: float) -> float:
+    """Pitch or roll [rad] of a load shift [N] over the wheelbase or track width [m].
+
+    Two springs k give half the shift each: shift / (k base).
+    """
+    return shift / (params.tyre.vertical_stiffness * base)
+
+
 def _load_transfer(
-    params: VehicleParameters, acceleration: float, base: float, rigid: bool
+    params: VehicleParameters, acceleration: float, base: float, stance: Stance
 ) -> float:
     spinning = 4 * params.wheel_inertia / params.wheel_radius
     moment = (params.mass * params.cg_height + spinning) * acceleration
+    above = {
+        "patches": params.cg_height,
+        "hubs": params.cg_height - params.wheel_radius,
+        "rigid": 0.0,
+    }[stance]
     # Four springs k at half the base from their middle resist tilting by k base^2.
     stiffness = params.tyre.vertical_stiffness * base**2
-    lean = 0.0 if rigid else params.mass * GRAVITY * params.cg_height / stiffness
-    return moment / base / (1 - lean)
+    return moment / base / (1 - params.mass * GRAVITY * above / stiffness)
+
+
+def bounce(params: VehicleParameters) -> tuple[float, np.ndarray]:
+    """The slower of heave and pitch on the suspension: damped frequency and shape.
+
+    Eigenvectors of M^-1 K with springs k at both ends of the wheelbase; their dampers c
+    are in proportion, so that zeta = c omega / (2 k) and omega_d = omega
+    sqrt(1 - zeta^2). Where the sprung centre of gravity lies in the middle it is
+    heave alone, sqrt(4 k / m). Pitching, the sprung mass leans over the hubs, l below
+    it, and pushes the freely rolling wheels to and fro.
+
+    Returns:
+        Frequency [Hz], and speeds (2,) of the sprung centre of gravity up [m/s] and of
+        pitch, nose down [rad/s].
+    """
+    mass, (x, _, z), inertia = chassis_inertial(params)
+    above = z - params.wheel_radius
+    unsprung = rolling_mass(params) - mass
+    pushed = mass * unsprung / (mass + unsprung) * above**2
+    k, c = params.tyre.vertical_stiffness, params.tyre.vertical_damping
+    front, rear = params.wheelbase - x, -x
+    # Nose down by q lifts a point x ahead by -q x.
+    stiffness = (
+        2
+        * k
+        * np.array([[2.0, -(front + rear)], [-(front + rear), front**2 + rear**2]])
+    )
+    stiffness[1, 1] -= mass * GRAVITY * above
+    squares, shapes = linalg.eigh(stiffness, np.diag([mass, inertia[1] + pushed]))
+    omega = math.sqrt(squares[0])
+    zeta = c * omega / (2 * k)
+    return omega * math.sqrt(1 - zeta**2) / (2 * math.pi), shapes[:, 0]
 
 
 def scrub_torque(params: VehicleParameters) -> float:

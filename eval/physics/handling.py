@@ -11,11 +11,13 @@ from physics.steady_turn import steady_turn
 from physics.step_response import step_response
 from physics.table import Study, relative
 from physics.testbed import Testbed
-from physics.tracks import crossing
+from physics.tracks import Track, crossing
 
 SPEED = 20.0  # m/s, of the understeer test
 ACCELERATIONS = np.arange(0.04, 0.201, 0.04) * GRAVITY  # m/s^2
 STEADY = 2.0  # s at the end of a run over which steady values are averaged
+STEP_SPEEDS = (5.0, 10.0, 20.0)  # m/s, of step steer
+STEP = 1.0  # m/s^2, lateral acceleration that the step asks for
 DEGREES = math.degrees(GRAVITY)  # from rad s^2/m to deg/g
 
 # A preset's axles have the same stiffness per load, which makes linear theory neutral;
@@ -37,12 +39,11 @@ def understeer(
         ]  # fmt: skip
         measured: list[tuple[float, float]] = []  # lateral acceleration, excess angle
         corrected: list[tuple[float, float]] = []
-        load = np.zeros(4)
-        for command, track in zip(commands, bed.drive(runs), strict=True):
+        tracks = bed.drive(runs)
+        for command, track in zip(commands, tracks, strict=True):
             speed = track.late(track.speed, STEADY)
             curvature = track.late(track.yaw_rate, STEADY) / speed
             angle = track.late(track.steering, STEADY)
-            load = track.load[-track.at(STEADY) :].mean(0)
             measured.append(
                 (curvature * speed**2, angle - _ackermann(params, curvature))
             )
@@ -51,7 +52,7 @@ def understeer(
             corrected.append((speed**2 / turn.radius, excess))
         gradient, brush = (DEGREES * _slope(points) for points in (measured, corrected))
         linear = DEGREES * formulas.understeer_gradient(params, factors)
-        neutral = "linear theory is neutral here: absolute tolerance"
+        neutral = "a neutral car, whose gradient is near 0: absolute tolerance"
         study.row(
             f"understeer gradient, {axles}, linear",
             "K = (m / L) (b / C_f - a / C_r)",
@@ -77,17 +78,69 @@ def understeer(
         x = ACCELERATIONS / GRAVITY
         study.curve("understeer", f"{axles}, linear", x, linear * x, ":")
         if axles == "preset":
-            transfer = float(load[1] + load[3] - load[0] - load[2]) / 2
-            expected = formulas.lateral_load_transfer(params, measured[-1][0])
-            study.row(
-                "lateral load transfer, 0.2 g",
-                "(m h + 4 I / r) a_y / T / (1 - m g h / (k T^2))",
-                "N",
-                transfer,
-                expected,
-                relative(expected, 0.01),
-            )
+            _load_transfer(study, tracks[-1], "patches")
     return study
+
+
+def rolling_turns(
+    bed: Testbed, name: str, params: VehicleParameters, quick: bool
+) -> Study:
+    """Fast turns on wheels that roll without slip: they go where they point."""
+    study = Study(name, bed.tyres)
+    commands = np.arctan(params.wheelbase * ACCELERATIONS / SPEED**2)
+    speeds = STEP_SPEEDS[1:2] if quick else STEP_SPEEDS
+    angles = [params.wheelbase * STEP / v**2 for v in speeds]
+    runs = [
+        Run(params, 12.0, speed=SPEED, target=SPEED, steering=ramp(c, 0.0, 2.0))
+        for c in commands
+    ]
+    runs += [
+        Run(params, 6.0, speed=v, target=v, steering=step(angle, 1.0))
+        for v, angle in zip(speeds, angles, strict=True)
+    ]
+    tracks = bed.drive(runs)
+    measured: list[tuple[float, float]] = []  # lateral acceleration, excess angle
+    for track in tracks[: len(commands)]:
+        speed = track.late(track.speed, STEADY)
+        curvature = track.late(track.yaw_rate, STEADY) / speed
+        excess = track.late(track.steering, STEADY) - _ackermann(params, curvature)
+        measured.append((curvature * speed**2, excess))
+    study.row(
+        "understeer gradient, preset, rolling",
+        "0: no slip angles",
+        "deg/g",
+        DEGREES * _slope(measured),
+        0.0,
+        0.02,
+    )
+    _load_transfer(study, tracks[len(commands) - 1], "rigid")
+    for v, angle, track in zip(speeds, angles, tracks[len(commands) :], strict=True):
+        gain = math.tan(angle) / angle / params.wheelbase
+        reached = track.late(track.speed, 1.0)
+        study.row(
+            f"step steer, yaw-rate gain, {v:g} m/s",
+            "v tan(delta) / (L delta)",
+            "1/s",
+            track.late(track.yaw_rate, 1.0) / angle,
+            gain * reached,
+            relative(gain * reached, 0.01),
+        )
+    return study
+
+
+def _load_transfer(study: Study, track: Track, stance: formulas.Stance) -> None:
+    load = track.load[-track.at(STEADY) :].mean(0)
+    lateral = track.late(track.yaw_rate, STEADY) * track.late(track.speed, STEADY)
+    expected = formulas.lateral_load_transfer(track.params, lateral, stance)
+    springs = "" if stance == "rigid" else " / (1 - m g h / (k T^2))"
+    study.row(
+        "lateral load transfer, 0.2 g",
+        f"(m h + 4 I / r) a_y / T{springs}",
+        "N",
+        float(load[1] + load[3] - load[0] - load[2]) / 2,
+        expected,
+        relative(expected, 0.01),
+    )
 
 
 def _ackermann(params: VehicleParameters, curvature: float) -> float:
@@ -104,8 +157,8 @@ def step_steer(
 ) -> Study:
     """Steady yaw-rate gain, and the time to 90 % from half the steering step."""
     study = Study(name, bed.tyres)
-    speeds = (10.0,) if quick else (5.0, 10.0, 20.0)
-    angles = [params.wheelbase * 1.0 / v**2 for v in speeds]  # a_y about 1 m/s^2
+    speeds = STEP_SPEEDS[1:2] if quick else STEP_SPEEDS
+    angles = [params.wheelbase * STEP / v**2 for v in speeds]
     runs = [
         Run(params, 6.0, speed=v, target=v, steering=step(angle, 1.0))
         for v, angle in zip(speeds, angles, strict=True)
@@ -154,15 +207,22 @@ def lateral_limit(
     window = track.at(0.5)
     smooth = np.ones(window) / window
     mean = np.convolve(track.lateral_acceleration, smooth, "valid") / grip
-    study.row(
-        "lateral limit, 15 m/s, coasting",
-        "0.87 to 1.0 mu g",
-        "mu g",
-        float(mean.max()),
-        0.935,
-        0.065,
-        "loaded outer tyres slide at slip angles above 20 deg, whose cosine is lost",
-    )
+    what = "lateral limit, 15 m/s, coasting"
+    if bed.tyres == "brush":
+        study.row(
+            what,
+            "0.87 to 1.0 mu g, largest mean of 0.5 s",
+            "mu g",
+            float(mean.max()),
+            0.935,
+            0.065,
+            "loaded outer tyres slide at slip angles above 20 deg, whose cosine is "
+            "lost",
+        )
+    else:  # sliding contact wheels hop: only long means have a meaning
+        late = track.late(track.lateral_acceleration, STEADY) / grip
+        formula = f"0.93 to 1.0 mu g, mean of the last {STEADY:g} s, sliding"
+        study.row(what, formula, "mu g", late, 0.965, 0.035)
     angle = np.convolve(track.steering, smooth, "valid")
     study.curve("lateral_limit", "measured", np.degrees(angle), mean)
     return study

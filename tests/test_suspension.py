@@ -1,0 +1,134 @@
+"""Contact wheels on springs: as high as without, and moving as formulas say."""
+
+import dataclasses
+import math
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from carpark_mj.config import SimConfig
+from carpark_mj.layouts import make_layout
+from carpark_mj.physics.car import CarIndex
+from carpark_mj.physics.contact import WheelIndex, contact_car_model, with_wheels
+from carpark_mj.physics.mjx import mjx  # pyright: ignore[reportAttributeAccessIssue]
+from carpark_mj.scene.export import drivable_scene
+from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
+from carpark_mj.vehicle.mjcf import WHEELS
+from physics import formulas, suspension
+from physics.contact import contact_model
+
+DT = 0.002
+SPRUNG = SimConfig(sim_dt=0.004, tyres="contact", suspension=True)
+
+
+def settled(params, suspension: bool, seconds: float = 4.0):
+    model = contact_model(params, DT, suspension)
+    data = mujoco.MjData(model)
+    for _ in range(round(seconds / DT)):
+        mujoco.mj_step(model, data)
+    return model, data
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_car_sits_as_high_and_as_level_as_without_springs(name):
+    _, rigid = settled(PRESETS[name], False)
+    _, sprung = settled(PRESETS[name], True)
+    # A tenth of a millimetre, at both axles; pitch is twice the quaternion's y.
+    apart = np.abs(sprung.qpos[[2, 5]] - rigid.qpos[[2, 5]])
+    assert apart[0] < 1e-4
+    assert 2 * apart[1] * PRESETS[name].wheelbase < 1e-4
+    assert np.abs([sprung.joint(f"travel_{w}").qpos for w in WHEELS]).max() < 1e-4
+    assert np.abs(sprung.qvel).max() < 1e-4
+
+
+def test_a_spring_carries_its_corner_without_the_wheel():
+    model = contact_model(COMPACT, DT, True)
+    # In front a knuckle stands on the tyre beside the wheel.
+    front, rear = formulas.axle_loads(COMPACT)
+    wheel_weight, knuckle_weight = (
+        COMPACT.wheel_mass * 9.81,
+        COMPACT.knuckle_mass * 9.81,
+    )
+    expected = {
+        "fl": front / 2 - wheel_weight - knuckle_weight,
+        "rr": rear / 2 - wheel_weight,
+    }
+    for wheel, force in expected.items():
+        joint = model.joint(f"travel_{wheel}")
+        spring = -model.qpos_spring[joint.qposadr[0]] * joint.stiffness[0]
+        assert spring == pytest.approx(force, rel=1e-9)
+
+
+def test_a_balanced_car_bounces_at_the_root_of_stiffness_over_mass():
+    # Sprung centre of gravity midway, hardly damped: heave alone, sqrt(4 k / m) / 2 pi.
+    knuckles = 2 * COMPACT.knuckle_mass * COMPACT.wheelbase / 2 / COMPACT.mass
+    tyre = dataclasses.replace(COMPACT.tyre, vertical_damping=1.0)
+    middle = COMPACT.wheelbase / 2 - knuckles
+    car = dataclasses.replace(COMPACT, cg_to_front_axle=middle, tyre=tyre)
+    model = contact_model(car, DT, True)
+    data = mujoco.MjData(model)
+    data.qvel[2] = 0.1
+    for wheel in WHEELS:
+        data.joint(f"travel_{wheel}").qvel = -0.1
+    height = []
+    for _ in range(round(3.0 / DT)):
+        mujoco.mj_step(model, data)
+        height.append(data.qpos[2])
+    ups = np.flatnonzero(np.diff(np.sign(height)) > 0) * DT
+    sprung = car.mass - 4 * car.wheel_mass - 2 * car.knuckle_mass
+    expected = math.sqrt(4 * tyre.vertical_stiffness / sprung) / (2 * math.pi)
+    assert 1.3 < expected < 1.6  # Hz, a passenger car's
+    assert 1 / np.diff(ups).mean() == pytest.approx(expected, rel=0.01)
+    assert np.ptp(data.qpos[4:6]) < 1e-3  # it does not pitch
+
+
+def test_it_pitches_rolls_turns_and_stops_by_the_formulas_and_stands_still():
+    study = suspension.suspension(suspension.BED, "compact", COMPACT, True)
+    missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]
+    assert missed == []
+    by_name = {row.row: row for row in study.rows}
+    # By hand for 0.3 g and 0.2 g, where the driver's speed is within a few per cent.
+    moment = 1380 * 0.54 + 4 * COMPACT.wheel_inertia / 0.316
+    lean = 1380 * 9.81 * (0.54 - 0.316)
+    pitch = math.degrees(moment * 0.3 * 9.81 / (28_000 * 2.637**2 - lean))
+    roll = math.degrees(moment * 0.2 * 9.81 / (28_000 * 1.54**2 - lean))
+    found = by_name["suspension: pitch braking at 0.3 g"].measured
+    assert found == pytest.approx(pitch, rel=0.03)
+    found = by_name["suspension: roll cornering at 0.2 g"].measured
+    assert found == pytest.approx(roll, rel=0.03)
+
+
+def test_in_mjx_the_springs_are_each_cars_own():
+    """The van's data in the compact's model are the van's model."""
+    van = PRESETS["van"]
+    model, expected = (contact_car_model(p, SPRUNG) for p in (COMPACT, van))
+    vehicle = make_vehicle(van)
+    changed = with_wheels(
+        mjx.put_model(model), CarIndex(model), WheelIndex(model), vehicle, jnp.zeros(4)
+    )
+    for name in ("jnt_stiffness", "dof_damping", "qpos_spring", "dof_frictionloss"):
+        found = np.asarray(getattr(changed, name))
+        assert found == pytest.approx(getattr(expected, name), rel=1e-5), name
+    assert not np.allclose(model.qpos_spring, expected.qpos_spring)
+
+
+def test_an_exported_scene_has_springs_if_asked():
+    layout = make_layout("tanner")
+    poses = np.array([[0.0, 0.0, 0.0]])
+    for sprung, count in ((False, 0), (True, 4)):
+        spec = drivable_scene(layout, COMPACT, poses, np.zeros((0, 3)), sprung)
+        model = spec.compile()
+        slides = [model.joint(i).name for i in range(model.njnt)]
+        assert sum(name.startswith("agent0/travel_") for name in slides) == count
+        data = mujoco.MjData(model)
+        for _ in range(500):
+            mujoco.mj_step(model, data)
+        assert np.abs(data.qpos[:2] - model.qpos0[:2]).max() < 1e-3
+        assert abs(data.qpos[2] - model.qpos0[2]) < 2e-4
+
+
+def test_brush_tyres_have_no_second_suspension():
+    with pytest.raises(ValueError, match="suspension must be False with brush tyres"):
+        SimConfig(suspension=True)
