@@ -12,9 +12,9 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.gl import MISSING_GL
 from carpark_mj.rendering.markers import Markers
 from carpark_mj.rendering.snapshot import Snapshot, tracked_points
-from carpark_mj.scene import build_scene
+from carpark_mj.rendering.stage import Stage
+from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
 from carpark_mj.scene.materials import agent_colour
-from carpark_mj.vehicle.mjcf import STEERED, WHEELS
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 FLASH_COLOURS = {
@@ -22,8 +22,6 @@ FLASH_COLOURS = {
     "crashed": (0.95, 0.15, 0.15),
     "timed_out": (0.75, 0.75, 0.75),
 }
-# The narrowest frame, width over height, in which a fixed camera still shows the lot.
-_LEAST_ASPECT = {"topdown": 1.0, "overview": 4 / 3}
 
 
 class RenderingError(Exception):
@@ -87,35 +85,18 @@ class LotRenderer:
         self._show = show or Show()
         self.cameras = camera_names(camera, num_agents)
         self.width, self.height = size[0] // len(self.cameras), size[1]
-        self.model = build_scene(layout, params, num_agents, num_parked_cars).compile()
-        for name, aspect in _LEAST_ASPECT.items():
-            self._widen(self.model.camera(name).id, aspect)
-        self.data = mujoco.MjData(self.model)
+        self._stage = Stage(layout, params, num_agents, num_parked_cars)
+        self.model, self.data = self._stage.model, self._stage.data
+        extent, aspect = np.asarray(layout.extent), self.width / self.height
+        for name in LOT_CAMERAS:
+            index = self.model.camera(name).id
+            eye, quat = frame_lot(name, extent, aspect)
+            self.model.cam_pos[index], self.model.cam_quat[index] = eye, quat
         self._renderer = _mujoco_renderer(self.model, self.width, self.height)
-        self._parked = [
-            self.model.joint(f"parked{k}/x").qposadr[0] for k in range(num_parked_cars)
-        ]
-        self._spin = np.zeros(num_agents)
-        self._last = np.full((num_agents, 3), np.nan)
-
-    def _widen(self, camera: int, least_aspect: float) -> None:
-        """Opens the vertical field of view until a narrow frame shows all the lot."""
-        short = least_aspect * self.height / self.width
-        if short > 1.0:
-            half = math.radians(self.model.cam_fovy[camera]) / 2
-            self.model.cam_fovy[camera] = 2 * math.degrees(
-                math.atan(math.tan(half) * short)
-            )
 
     def place(self, seen: Snapshot) -> None:
         """Puts all cars where they are; wheels roll by the way since the last call."""
-        self._roll(seen.pose_w)
-        for k in range(self._num_agents):
-            self._place_agent(k, seen.pose_w[k], float(seen.steering[k]))
-        for address, pose in zip(self._parked, seen.parked_pose, strict=True):
-            self.data.qpos[address : address + 3] = self._rear_axle(pose)
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
+        self._stage.place(seen.pose_w, seen.steering, seen.parked_pose)
 
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
         """Draws what was placed, (height, width, 3) uint8, by one of `cameras`."""
@@ -139,7 +120,7 @@ class LotRenderer:
         for flash in seen.flashes:
             rgba = (*FLASH_COLOURS[flash.outcome], 1.0 - 0.8 * flash.age)
             radius = self._params.length * (0.6 + 0.5 * flash.age)
-            markers.circle(flash.pose_w, radius, rgba, 0.25)
+            markers.circle(flash.pose_w, radius, rgba, 0.35)
         return self._renderer.render()
 
     def project(self, point: np.ndarray, camera: str) -> tuple[float, float] | None:
@@ -156,51 +137,25 @@ class LotRenderer:
         """Frees the GL context."""
         self._renderer.close()
 
-    def _rear_axle(self, centre: np.ndarray) -> tuple[float, float, float]:
-        x, y, yaw = centre
-        offset = self._params.centre_offset
-        return x - offset * math.cos(yaw), y - offset * math.sin(yaw), yaw
-
-    def _roll(self, pose_w: np.ndarray) -> None:
-        """Turns the wheels by the way driven since the last frame."""
-        delta = pose_w - self._last
-        ahead = np.cos(pose_w[:, 2]) * delta[:, 0] + np.sin(pose_w[:, 2]) * delta[:, 1]
-        jumped = np.abs(ahead) > 1.0  # a respawn, or the first frame
-        ahead = np.where(np.isnan(ahead) | jumped, 0.0, ahead)
-        self._spin += ahead / self._params.wheel_radius
-        self._last = np.array(pose_w, float)
-
-    def _place_agent(self, agent: int, centre: np.ndarray, steering: float) -> None:
-        x, y, yaw = self._rear_axle(centre)
-        turn = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
-        self.data.joint(f"agent{agent}/root").qpos = [x, y, 0.0, *turn]
-        tan = math.tan(steering)
-        skew = self._params.track_width / (2 * self._params.wheelbase) * tan
-        for name, sign in zip(STEERED, (-1.0, 1.0), strict=True):
-            angle = math.atan(tan / (1.0 + sign * self._params.ackermann * skew))
-            self.data.joint(f"agent{agent}/steer_{name}").qpos = angle
-        for name in WHEELS:
-            self.data.joint(f"agent{agent}/spin_{name}").qpos = self._spin[agent]
-
 
 def camera_names(camera: str, num_agents: int) -> tuple[str, ...]:
     """Names in the scene of what a camera flag asks for, left to right.
 
-    `topdown`, `overview`, `chase:K` behind agent K, `split` (topdown and chase:0) or
-    `split:K`.
+    `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its wheel, `split`
+    (topdown and chase:0) or `split:K`.
 
     Raises:
         RenderingError: no such camera; the message lists them.
     """
     kind, colon, agent = camera.partition(":")
     known = agent.isdecimal() and int(agent) < num_agents
-    if camera in ("topdown", "overview"):
+    if camera in LOT_CAMERAS:
         return (camera,)
-    if kind == "chase" and known:
-        return (f"agent{int(agent)}/chase",)
+    if kind in ("chase", "driver") and known:
+        return (f"agent{int(agent)}/{kind}",)
     if kind == "split" and (known or not colon):
         return ("topdown", f"agent{int(agent or 0)}/chase")
     raise RenderingError(
-        f"no camera {camera!r}; choose topdown, overview, chase:K, split or split:K "
-        f"with K from 0 to {num_agents - 1}"
+        f"no camera {camera!r}; choose topdown, overview, chase:K, driver:K, split "
+        f"or split:K with K from 0 to {num_agents - 1}"
     )

@@ -1,0 +1,130 @@
+"""A lot in the browser, through mjviser: driven by sliders, or live by a policy."""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from carpark_mj.rendering.live import LiveLot
+from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
+from carpark_mj.scene.materials import ASPHALT, agent_colour
+
+HOST, PORT = "localhost", 8080
+MISSING_WEB = (
+    "the browser view needs mjviser: pip install 'carpark_mj[web]' "
+    "(or write a file with --out and open it elsewhere)"
+)
+_SLAB = 0.05  # m, thickness of the asphalt in the browser
+
+
+def _make_server(port: int) -> tuple[Any, Any]:
+    """The classes' module and a server of viser.
+
+    Raises:
+        OSError: mjviser is not installed.
+    """
+    try:
+        import mjviser
+        import viser
+    except ImportError:
+        raise OSError(MISSING_WEB) from None
+    return mjviser, viser.ViserServer(HOST, port, label="carpark_mj", verbose=False)
+
+
+def make_viewer(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    extent: np.ndarray,
+    port: int = PORT,
+    step: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
+    reset: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
+) -> tuple[Any, Any]:
+    """Serves a scene on localhost; `run()` of the viewer keeps it moving.
+
+    Args:
+        model: of the scene.
+        data: its state.
+        extent: (2,) half widths of the lot [m].
+        port: where to serve; the next free one if it is taken.
+        step: advances `data` by a time step; MuJoCo's own if None.
+        reset: starts anew; MuJoCo's own if None.
+
+    Returns:
+        The viewer of mjviser and its server of viser.
+
+    Raises:
+        OSError: mjviser is not installed.
+    """
+    mjviser, server = _make_server(port)
+    # mjviser prefers a material's colour to the geom's own, which is the car's.
+    model.geom_matid[:] = -1
+    viewer = mjviser.Viewer(model, data, step_fn=step, reset_fn=reset, server=server)
+    viewer.scene.camera_tracking_enabled = False
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    # Planes become grids there; this is the ground of the lot.
+    server.scene.add_box(
+        "/asphalt",
+        _bytes(ASPHALT),
+        (2 * extent[0], 2 * extent[1], _SLAB),
+        position=(0.0, 0.0, -_SLAB / 2),
+        cast_shadow=False,
+    )
+    eye, _ = frame_lot("overview", extent, LEAST_ASPECT)
+    # mjviser sets its camera when a browser connects, from these.
+    viewer.scene.create_scene_gui = functools.partial(
+        viewer.scene.create_scene_gui,
+        camera_distance=0.75 * float(np.linalg.norm(eye)),
+        camera_azimuth=math.degrees(math.atan2(-eye[1], -eye[0])),
+        camera_elevation=45.0,
+    )
+    return viewer, server
+
+
+def make_live_viewer(lot: LiveLot, port: int = PORT) -> tuple[Any, Any]:
+    """Serves a lot in which a policy drives; see `make_viewer`."""
+    goals: list[Any] = []
+
+    def show() -> None:
+        for goal, pose in zip(goals, lot.goal_pose, strict=True):
+            goal.position = (float(pose[0]), float(pose[1]), 0.0)
+            goal.wxyz = _turn(float(pose[2]))
+        words = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in lot.tally())
+        tally.content = f"**{lot.seconds:.0f} s**: {words}"
+
+    def step(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        if lot.step():
+            show()
+
+    def reset(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        lot.reset()
+        show()
+
+    stage = lot.stage
+    viewer, server = make_viewer(
+        stage.model, stage.data, np.asarray(lot.extent), port, step, reset
+    )
+    for agent, size in enumerate(lot.goal_size):
+        goals.append(
+            server.scene.add_box(
+                f"/goals/{agent}",
+                _bytes(agent_colour(agent)),
+                (float(size[0]) - 0.3, float(size[1]) - 0.3, 0.02),
+                opacity=0.5,
+                cast_shadow=False,
+            )
+        )
+    tally = server.gui.add_markdown("")
+    show()
+    return viewer, server
+
+
+def _turn(yaw: float) -> tuple[float, float, float, float]:
+    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+
+
+def _bytes(colour: tuple[float, ...]) -> tuple[int, int, int]:
+    r, g, b = (round(255 * c) for c in colour[:3])
+    return r, g, b
