@@ -37,7 +37,8 @@ def test_the_file_is_whole_and_the_same_model(exported, model):
     text = exported.read_text()
     assert "file=" not in text  # no mesh or texture of its own
     assert "agentK/steer" in text.split("<mujoco")[0]  # the guide comes first
-    built = make_scene(SceneConfig(out="x.xml")).compile()
+    spec, _ = make_scene(SceneConfig(out="x.xml"))
+    built = spec.compile()
     assert [model.actuator(k).name for k in range(model.nu)] == [
         f"agent{k}/{c}" for k in range(2) for c in ("steer", "drive", "brake")
     ]
@@ -122,4 +123,4 @@ def test_without_a_display_the_way_out_is_named(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(OSError, match="--out and open it elsewhere"):
-        main(SceneConfig(view=True))
+        main(SceneConfig(view="window"))

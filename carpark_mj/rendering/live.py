@@ -32,8 +32,7 @@ class LiveLot:
         state, _ = self._start
         layout = state.layout
         self.extent = np.asarray(layout.extent)
-        self._bays = np.asarray(layout.bay_pose)
-        self.goal_size = np.asarray(layout.bay_size)[np.asarray(state.occupancy.goal)]
+        self._bays = np.asarray(layout.bay_pose), np.asarray(layout.bay_size)
         config = env.config
         self.stage = Stage(
             layout, env.vehicle, config.num_agents, config.num_parked_cars
@@ -68,7 +67,7 @@ class LiveLot:
         self._seen = None
         self._ended = dict.fromkeys(OUTCOMES, 0)
         self.seconds = 0.0
-        self.goal_pose = self._bays[np.asarray(state.occupancy.goal)]
+        self._aim(np.asarray(state.occupancy.goal))
         vehicle = state.vehicle
         self.stage.place(
             np.asarray(vehicle.pose_w),
@@ -85,7 +84,7 @@ class LiveLot:
             self._seen = jax.device_get(seen)
             self._steps, self._trace = self._steps + 1, 0
             self.seconds = self._steps * self._env.config.sim.ctrl_dt
-            self.goal_pose = self._bays[self._seen["goal"]]
+            self._aim(self._seen["goal"])
             for name in OUTCOMES:
                 self._ended[name] += int(self._seen[name])
         seen = self._seen
@@ -94,6 +93,9 @@ class LiveLot:
         self.stage.place(pose, seen["steering"], seen["parked_pose"])
         self._trace += 1
         return begins
+
+    def _aim(self, goal: np.ndarray) -> None:
+        self.goal_pose, self.goal_size = (bays[goal] for bays in self._bays)
 
     def tally(self) -> Iterator[tuple[str, int]]:
         """Episodes ended so far, by outcome."""

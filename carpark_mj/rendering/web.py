@@ -1,6 +1,7 @@
 """A lot in the browser, through mjviser: driven by sliders, or live by a policy."""
 
 import functools
+import logging
 import math
 from collections.abc import Callable
 from typing import Any
@@ -17,21 +18,16 @@ MISSING_WEB = (
     "the browser view needs mjviser: pip install 'carpark_mj[web]' "
     "(or write a file with --out and open it elsewhere)"
 )
+DAYLIGHT = 0.25  # of the environment; more washes the colours out
 _SLAB = 0.05  # m, thickness of the asphalt in the browser
 
 
-def _make_server(port: int) -> tuple[Any, Any]:
-    """The classes' module and a server of viser.
-
-    Raises:
-        OSError: mjviser is not installed.
-    """
+def require_web() -> None:
+    """Raises OSError unless the browser view is installed."""
     try:
-        import mjviser
-        import viser
+        import mjviser  # noqa: F401
     except ImportError:
         raise OSError(MISSING_WEB) from None
-    return mjviser, viser.ViserServer(HOST, port, label="carpark_mj", verbose=False)
 
 
 def make_viewer(
@@ -58,11 +54,18 @@ def make_viewer(
     Raises:
         OSError: mjviser is not installed.
     """
-    mjviser, server = _make_server(port)
+    require_web()
+    import mjviser
+    import viser
+
+    # Browsers open connections that they may never use.
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+    server = viser.ViserServer(HOST, port, label="carpark_mj", verbose=False)
     # mjviser prefers a material's colour to the geom's own, which is the car's.
     model.geom_matid[:] = -1
     viewer = mjviser.Viewer(model, data, step_fn=step, reset_fn=reset, server=server)
     viewer.scene.camera_tracking_enabled = False
+    server.scene.configure_environment_map(environment_intensity=DAYLIGHT)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     # Planes become grids there; this is the ground of the lot.
     server.scene.add_box(
@@ -88,7 +91,9 @@ def make_live_viewer(lot: LiveLot, port: int = PORT) -> tuple[Any, Any]:
     goals: list[Any] = []
 
     def show() -> None:
-        for goal, pose in zip(goals, lot.goal_pose, strict=True):
+        marks = zip(goals, lot.goal_pose, lot.goal_size, strict=True)
+        for goal, pose, size in marks:
+            goal.dimensions = (float(size[0]) - 0.3, float(size[1]) - 0.3, 0.02)
             goal.position = (float(pose[0]), float(pose[1]), 0.0)
             goal.wxyz = _turn(float(pose[2]))
         words = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in lot.tally())
@@ -106,14 +111,11 @@ def make_live_viewer(lot: LiveLot, port: int = PORT) -> tuple[Any, Any]:
     viewer, server = make_viewer(
         stage.model, stage.data, np.asarray(lot.extent), port, step, reset
     )
-    for agent, size in enumerate(lot.goal_size):
+    for agent in range(len(lot.goal_pose)):
+        colour = _bytes(agent_colour(agent))
         goals.append(
             server.scene.add_box(
-                f"/goals/{agent}",
-                _bytes(agent_colour(agent)),
-                (float(size[0]) - 0.3, float(size[1]) - 0.3, 0.02),
-                opacity=0.5,
-                cast_shadow=False,
+                f"/goals/{agent}", colour, opacity=0.5, cast_shadow=False
             )
         )
     tally = server.gui.add_markdown("")

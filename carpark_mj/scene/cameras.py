@@ -17,7 +17,7 @@ _FOVY = {"topdown": 30.0, "overview": 38.0}  # deg
 _ELEVATION = {"topdown": math.pi / 2, "overview": math.radians(45)}  # rad
 # What must be in the frame: walls stand on the edge of the lot.
 _MARGIN, _TALL = 0.8, 1.0  # m
-_WORTH = 1.05  # how much larger a lot must look to be seen from the west
+_LONG = 1.05  # over its width; a longer lot is seen from its side
 
 
 def fit_eye(
@@ -45,7 +45,8 @@ def frame_lot(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where `topdown` or `overview` stands to fill a frame with the lot.
 
-    From the south, or from the west if a long lot fills the frame better that way.
+    From the south, or from the west if the lot's longer side then lies along the
+    frame's.
 
     Args:
         camera: name of the camera.
@@ -57,21 +58,14 @@ def frame_lot(
     """
     corners = np.array(list(itertools.product((-1, 1), (-1, 1), (0, 1))))
     corners = corners * [*(np.asarray(extent, float) + _MARGIN), _TALL]
+    x, y = extent if aspect >= 1.0 else extent[::-1]
+    yaw = -math.pi / 2 if y > _LONG * x else 0.0  # of the camera's right
     rise = _ELEVATION[camera]
-    views = []
-    for towards in (0.0, -math.pi / 2):  # the camera's right, from x
-        right = np.array([math.cos(towards), math.sin(towards), 0.0])
-        behind = np.array([right[1], -right[0], 0.0])
-        back = math.cos(rise) * behind + math.sin(rise) * np.array([0.0, 0.0, 1.0])
-        axes = np.stack([right, np.cross(back, right), back], axis=1)
-        eye = fit_eye(corners, axes, _FOVY[camera], aspect)
-        seen = (corners[::2] - eye) @ axes  # on the ground
-        (x0, y0), (x1, y1), (x2, y2), (x3, y3) = seen[:, :2] / seen[:, 2:]
-        area = abs((x0 - x3) * (y1 - y2) - (x1 - x2) * (y0 - y3))
-        views.append((area, eye, axes))
-    south, west = views
-    _, eye, axes = west if west[0] > _WORTH * south[0] else south
-    return eye, _quaternion(axes)
+    right = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    behind = np.array([right[1], -right[0], 0.0])
+    back = math.cos(rise) * behind + math.sin(rise) * np.array([0.0, 0.0, 1.0])
+    axes = np.stack([right, np.cross(back, right), back], axis=1)
+    return fit_eye(corners, axes, _FOVY[camera], aspect), _quaternion(axes)
 
 
 def add_lot_cameras(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
