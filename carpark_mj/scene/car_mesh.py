@@ -91,7 +91,9 @@ def _arches(params: VehicleParameters) -> np.ndarray:
     return np.concatenate([half, params.wheelbase + half])
 
 
-def _lower_edge(params: VehicleParameters, x: np.ndarray, sill: np.ndarray):
+def _lower_edge(
+    params: VehicleParameters, x: np.ndarray, sill: np.ndarray
+) -> np.ndarray:
     """Height [m] of the body's lower edge at points x: sills and wheel arches."""
     radius = params.wheel_radius + ARCH_GAP
     off = np.abs(x[:, None] - [0.0, params.wheelbase]).min(axis=1)
@@ -101,12 +103,14 @@ def _lower_edge(params: VehicleParameters, x: np.ndarray, sill: np.ndarray):
 
 def _shell(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     """The body up to the windows, with open wheel arches, as rings along x."""
+    nose, tail = _x(params, np.array([0.0, 1.0]))
     arches = _arches(params)
-    share = [u for u, _ in (*style.top, *_PLAN)]
-    plain = _x(params, np.array(share))
+    arches = arches[(arches > tail) & (arches < nose)]
+    plain = _x(params, np.array([u for u, _ in (*style.top, *_PLAN)]))
     # Stations close to an arch's own would make slivers.
     free = np.abs(plain[:, None] - arches).min(axis=1) > 0.06
-    x = np.unique(np.round(np.concatenate([plain[free], arches]), DECIMALS))
+    x = np.concatenate([plain[free], arches, [nose, tail]])
+    x = np.unique(np.round(x, DECIMALS))
     u = 1.0 - (x + params.rear_overhang) / params.length
     top = params.height * np.interp(u, *np.transpose(style.top))
     half = params.width / 2 * np.interp(u, *np.transpose(_PLAN))
@@ -115,8 +119,8 @@ def _shell(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     z = under[:, None] + (top - under)[:, None] * _RISE
     z = np.maximum(z, low[:, None] + 0.015 * np.arange(len(_RISE)))
     y = half[:, None] * _SECTION
-    nose = np.maximum(0.0, 1.0 - u / 0.07) - np.maximum(0.0, 1.0 - (1.0 - u) / 0.05)
-    along = np.broadcast_to(x[:, None] - nose[:, None] * _LEAN, y.shape)
+    lean = np.maximum(0.0, 1.0 - u / 0.07) - np.maximum(0.0, 1.0 - (1.0 - u) / 0.05)
+    along = x[:, None] - lean[:, None] * _LEAN
     left = np.stack([along, y, z], -1)
     right = left[:, ::-1] * [1.0, -1.0, 1.0]
     return loft(np.concatenate([left, right], axis=1))
@@ -150,13 +154,10 @@ def _cabin(
 
 def _pillar(side: np.ndarray, start: float, end: float, sign: int) -> trimesh.Trimesh:
     """A strip over a side window (3, levels, 3) between two shares of its length."""
-    share = np.array([0.0, 0.5, 1.0])
 
     def edge(at: float) -> np.ndarray:
-        column = np.array([np.interp(at, share, side[:, k, 0]) for k in range(3)])
-        across = np.array([np.interp(at, share, side[:, k, 1]) for k in range(3)])
-        height = np.array([np.interp(at, share, side[:, k, 2]) for k in range(3)])
-        return np.stack([column, across, height], -1)
+        half = int(at >= 0.5)
+        return side[half] + (2 * at - half) * (side[half + 1] - side[half])
 
     out = np.array([0.0, _PROUD, 0.0])
     into = np.array([0.0, -_DEEP, 0.0])
@@ -188,8 +189,7 @@ def _pair(low: tuple[float, ...], high: tuple[float, ...]) -> trimesh.Trimesh:
 
 
 def _lights(params: VehicleParameters, style: CarStyle) -> dict[str, trimesh.Trimesh]:
-    nose = params.length - params.rear_overhang
-    tail = -params.rear_overhang
+    nose, tail = _x(params, np.array([0.0, 1.0]))
     half, height = params.width / 2, params.height
     bonnet = np.interp(0.0, *np.transpose(style.top)) * height
     boot = np.interp(1.0, *np.transpose(style.top)) * height
@@ -209,7 +209,7 @@ def _lights(params: VehicleParameters, style: CarStyle) -> dict[str, trimesh.Tri
 
 def _trim(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     """Dark parts: underbody between the wheels, grille, bumper slots, dashboard."""
-    nose = params.length - params.rear_overhang
+    nose, tail = _x(params, np.array([0.0, 1.0]))
     half = params.width / 2
     bonnet = np.interp(0.0, *np.transpose(style.top)) * params.height
     (foot, belt), _, _, (foot_rear, _) = style.windows
@@ -220,8 +220,12 @@ def _trim(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     return merge(
         [
             block(
-                (-reach, -inner, style.clearance + 0.02),
-                (params.wheelbase + reach, inner, 2 * params.wheel_radius),
+                (max(-reach, tail + 0.05), -inner, style.clearance + 0.02),
+                (
+                    min(params.wheelbase + reach, nose - 0.05),
+                    inner,
+                    2 * params.wheel_radius,
+                ),
             ),
             block(
                 (nose - 0.15, -0.40 * half, bonnet - 0.15),
@@ -229,11 +233,11 @@ def _trim(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
             ),
             block(
                 (nose - 0.15, -0.62 * half, style.clearance + 0.10),
-                (nose + 0.0, 0.62 * half, style.clearance + 0.20),
+                (nose, 0.62 * half, style.clearance + 0.20),
             ),
             block(
-                (-params.rear_overhang, -0.60 * half, style.clearance + 0.10),
-                (-params.rear_overhang + 0.15, 0.60 * half, style.clearance + 0.19),
+                (tail, -0.60 * half, style.clearance + 0.10),
+                (tail + 0.15, 0.60 * half, style.clearance + 0.19),
             ),
             # Covers the body's deck under the glass, which the driver looks down on.
             block(

@@ -31,7 +31,8 @@ _GUIDE = """
                   It stops the car on this level ground; on a slope it would creep.
 
   Contact wheels roll without slip up to a friction of {friction:g}. Cars, parked cars
-  (on locked wheels) and walls collide. Cameras: topdown, overview, agentK/chase.
+  (on locked wheels) and walls collide. Cameras: topdown, overview, agentK/chase,
+  agentK/driver.
 """
 
 
