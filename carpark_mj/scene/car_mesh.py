@@ -72,10 +72,11 @@ def standing_wheels(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
 def driver_eye(params: VehicleParameters) -> tuple[float, float, float]:
     """Where the driver of a left-hand-drive car looks from [m]."""
     style = STYLES[nearest_preset(params)]
-    (foot, _), (roof, _), *_ = style.windows
+    (foot, belt), (roof, top), *_ = style.windows
     behind_nose = foot + 0.78 * (roof - foot)
     x = params.length * (1 - behind_nose) - params.rear_overhang
-    return x, 0.2 * params.width, style.windows[1][1] * params.height - 0.17
+    z = min(top * params.height - 0.17, belt * params.height + 0.32)
+    return x, 0.2 * params.width, z
 
 
 def _x(params: VehicleParameters, behind_nose: np.ndarray) -> np.ndarray:
