@@ -12,13 +12,15 @@ import numpy as np
 from carpark_mj.rendering.live import LiveLot
 from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
 from carpark_mj.scene.materials import ASPHALT, agent_colour
+from carpark_mj.scene.parts import VERGE_GAP
 
 HOST, PORT = "localhost", 8080
 MISSING_WEB = (
     "the browser view needs mjviser: pip install 'carpark_mj[web]' "
     "(or write a file with --out and open it elsewhere)"
 )
-DAYLIGHT = 0.25  # of the environment; more washes the colours out
+DAYLIGHT = 0.5  # of the environment
+GAMMA = 2.2  # of screens
 _SLAB = 0.05  # m, thickness of the asphalt in the browser
 
 
@@ -63,6 +65,8 @@ def make_viewer(
     server = viser.ViserServer(HOST, port, label="carpark_mj", verbose=False)
     # mjviser prefers a material's colour to the geom's own, which is the car's.
     model.geom_matid[:] = -1
+    # Its meshes travel as glTF, where colours of points are linear.
+    model.geom_rgba[:, :3] **= GAMMA
     viewer = mjviser.Viewer(model, data, step_fn=step, reset_fn=reset, server=server)
     viewer.scene.camera_tracking_enabled = False
     server.scene.configure_environment_map(environment_intensity=DAYLIGHT)
@@ -71,7 +75,7 @@ def make_viewer(
     server.scene.add_box(
         "/asphalt",
         _bytes(ASPHALT),
-        (2 * extent[0], 2 * extent[1], _SLAB),
+        (2 * (extent[0] + VERGE_GAP), 2 * (extent[1] + VERGE_GAP), _SLAB),
         position=(0.0, 0.0, -_SLAB / 2),
         cast_shadow=False,
     )
@@ -79,7 +83,7 @@ def make_viewer(
     # mjviser sets its camera when a browser connects, from these.
     viewer.scene.create_scene_gui = functools.partial(
         viewer.scene.create_scene_gui,
-        camera_distance=0.75 * float(np.linalg.norm(eye)),
+        camera_distance=0.65 * float(np.linalg.norm(eye)),
         camera_azimuth=math.degrees(math.atan2(-eye[1], -eye[0])),
         camera_elevation=45.0,
     )
