@@ -111,7 +111,7 @@ def test_a_browser_shows_the_car_in_its_colour(page, tmp_path):
     flags = "--headless=new --no-sandbox --use-angle=swiftshader --window-size=800,500"
     command = [str(CHROMIUM), *flags.split(), "--enable-unsafe-swiftshader"]
     command += [f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={path}"]
-    command += ["--virtual-time-budget=10000", page]
+    command += ["--virtual-time-budget=20000", page]
     subprocess.run(command, check=True, capture_output=True, timeout=120)
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
     scene = picture[:, :480]  # the rest is under the panel

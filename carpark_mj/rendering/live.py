@@ -69,6 +69,7 @@ class LiveLot:
         self.seconds = 0.0
         self._aim(np.asarray(state.occupancy.goal))
         vehicle = state.vehicle
+        self.stage.reset()
         self.stage.place(
             np.asarray(vehicle.pose_w),
             np.asarray(vehicle.steering),

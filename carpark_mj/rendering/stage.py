@@ -36,8 +36,12 @@ class Stage:
         self._parked = [
             self.model.joint(f"parked{k}/x").qposadr[0] for k in range(num_parked_cars)
         ]
-        self._spin = np.zeros(num_agents)
-        self._last = np.full((num_agents, 3), np.nan)
+        self.reset()
+
+    def reset(self) -> None:
+        """Turns the wheels back; the next poses are the first."""
+        self._spin = np.zeros(self._num_agents)
+        self._last = np.full((self._num_agents, 3), np.nan)
 
     def place(
         self, pose_w: np.ndarray, steering: np.ndarray, parked_pose: np.ndarray

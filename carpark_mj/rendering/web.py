@@ -12,7 +12,7 @@ import numpy as np
 from carpark_mj.rendering.live import LiveLot
 from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
 from carpark_mj.scene.materials import ASPHALT, agent_colour
-from carpark_mj.scene.parts import VERGE_GAP
+from carpark_mj.scene.parts import GROUND, VERGE_GAP
 
 HOST, PORT = "localhost", 8080
 MISSING_WEB = (
@@ -71,7 +71,8 @@ def make_viewer(
     viewer.scene.camera_tracking_enabled = False
     server.scene.configure_environment_map(environment_intensity=DAYLIGHT)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
-    # Planes become grids there; this is the ground of the lot.
+    # Planes become grids there; asphalt takes the ground's place.
+    server.scene.remove_by_name(f"/fixed_bodies/world/{GROUND}")
     server.scene.add_box(
         "/asphalt",
         _bytes(ASPHALT),
