@@ -1,6 +1,7 @@
 """A lot in the browser, through mjviser: driven by sliders, or live by a policy."""
 
 import functools
+import importlib.util
 import logging
 import math
 from collections.abc import Callable
@@ -26,10 +27,8 @@ _SLAB = 0.05  # m, thickness of the asphalt in the browser
 
 def require_web() -> None:
     """Raises OSError unless the browser view is installed."""
-    try:
-        import mjviser  # noqa: F401
-    except ImportError:
-        raise OSError(MISSING_WEB) from None
+    if importlib.util.find_spec("mjviser") is None:
+        raise OSError(MISSING_WEB)
 
 
 def make_viewer(
