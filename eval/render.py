@@ -4,7 +4,9 @@ python eval/render.py runs/cpu-0
 python eval/render.py runs/cpu-0 --camera split:1 --show tracked,rings
 python eval/render.py runs/cpu-0 --physics scene --respawn false
 python eval/render.py runs/cpu-0 --camera chase:0 --seconds 30
+python eval/render.py runs/cpu-0 --camera driver:0 --layout lot --seed 3
 python eval/render.py runs/cpu-0 --frame 12 --out frame.png
+python eval/render.py --gallery --out gallery.png
 """
 
 import dataclasses
@@ -18,6 +20,7 @@ from carpark_mj.rendering.gl import choose_gl
 missing_gl = choose_gl()  # before MuJoCo is imported
 
 import tyro
+from PIL import Image
 from rich.progress import track
 
 from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
@@ -25,6 +28,12 @@ from carpark_mj.config import EnvConfig, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
 from carpark_mj.policy.runs import load_policy
+from carpark_mj.rendering.gallery import (
+    FAMILIES,
+    cell_size,
+    contact_sheet,
+    draw_lots,
+)
 from carpark_mj.rendering.renderer import (
     LotRenderer,
     RenderingError,
@@ -45,14 +54,16 @@ class RenderConfig:
     Attributes:
         run: run folder, checkpoint file, or `zero` or `random`.
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
-            `frame.png` in the run folder.
-        camera: `topdown`, `overview`, `chase:K` behind agent K, or `split:K`: topdown
-            and chase:K side by side.
+            `frame.png` in the run folder, `gallery.png` here for the gallery.
+        camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
+            wheel, or `split:K`: topdown and chase:K side by side.
         show: extras, with commas between: `tracked` links every agent to the cars it
             tracks, `rings` draws the circles in which it counts walls.
         seconds: length of the video [s].
         fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
         frame: write a still at this time [s] instead of a video.
+        gallery: write a contact sheet instead, `width` wide: two lots of every family,
+            from `overview`, with seeds from `seed` on. It needs no run.
         width: of a frame [pixels], even.
         height: of a frame [pixels], even.
         seed: of the held-out lot.
@@ -64,13 +75,14 @@ class RenderConfig:
         respawn: whether finished agents start anew; `false` tells one whole story.
     """
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
     out: str = ""
     camera: str = "topdown"
     show: str = ""
     seconds: float = 20.0
     fps: float = 10.0
     frame: float | None = None
+    gallery: bool = False
     width: int = 1280
     height: int = 720
     seed: int = 0
@@ -81,6 +93,11 @@ class RenderConfig:
     respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:
+        if bool(self.run) == self.gallery:
+            raise ValueError(
+                "give a run folder, zero or random, or --gallery, "
+                f"not {'both' if self.run else 'none of them'}"
+            )
         if not 0 < self.seconds <= 3600:
             raise ValueError(f"seconds must lie in (0, 3600], not {self.seconds}")
         if self.frame is not None and not 0 <= self.frame <= 3600:
@@ -115,6 +132,8 @@ def main(config: RenderConfig) -> Path:
         ValueError: impossible settings.
         OSError: the file cannot be written.
     """
+    if config.gallery:
+        return _gallery(config)
     if config.run in BASELINES:
         env_config, folder = EnvConfig(), Path("runs") / config.run
         policy = BASELINES[config.run](2)
@@ -165,7 +184,8 @@ def main(config: RenderConfig) -> Path:
     )
     try:
         if still:
-            _write_png(out, draw_frame(recording, renderer, num_frames(recording) - 1))
+            picture = draw_frame(recording, renderer, num_frames(recording) - 1)
+            _write_png(out, Image.fromarray(picture))
             print(f"wrote {out}: {seconds:g} s, camera {config.camera}")
             return out
         stride = frame_stride(recording, config.fps)
@@ -195,11 +215,26 @@ def _show(config: RenderConfig, env: EnvConfig) -> Show:
     )
 
 
-def _write_png(path: Path, picture: object) -> None:
-    from PIL import Image
+def _gallery(config: RenderConfig) -> Path:
+    out = Path(config.out or "gallery.png")
+    if out.suffix != ".png":
+        raise ValueError(f"a gallery ends in .png, not {out.name!r}")
+    if missing_gl:
+        raise RenderingError(missing_gl)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    size = cell_size(config.width)
+    cells = [
+        cell
+        for family in track(FAMILIES, "rendering", transient=True)
+        for cell in draw_lots(family, size, "overview", config.seed)
+    ]
+    _write_png(out, contact_sheet(cells))
+    print(f"wrote {out}: {len(cells)} lots")
+    return out
 
-    image = Image.fromarray(picture)  # pyright: ignore[reportArgumentType]
-    write_atomically(path, lambda temporary: image.save(temporary, optimize=True))
+
+def _write_png(path: Path, picture: Image.Image) -> None:
+    write_atomically(path, lambda temporary: picture.save(temporary, optimize=True))
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from carpark_mj.scene import car_look
 from carpark_mj.scene.__main__ import SceneConfig, main, make_scene
 from carpark_mj.vehicle import COMPACT
 
@@ -37,7 +38,8 @@ def test_the_file_is_whole_and_the_same_model(exported, model):
     text = exported.read_text()
     assert "file=" not in text  # no mesh or texture of its own
     assert "agentK/steer" in text.split("<mujoco")[0]  # the guide comes first
-    built = make_scene(SceneConfig(out="x.xml")).compile()
+    spec, _ = make_scene(SceneConfig(out="x.xml"))
+    built = spec.compile()
     assert [model.actuator(k).name for k in range(model.nu)] == [
         f"agent{k}/{c}" for k in range(2) for c in ("steer", "drive", "brake")
     ]
@@ -122,4 +124,32 @@ def test_without_a_display_the_way_out_is_named(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(OSError, match="--out and open it elsewhere"):
-        main(SceneConfig(view=True))
+        main(SceneConfig(view="window"))
+
+
+def test_looks_change_no_mass_and_no_motion(monkeypatch):
+    """The same drive, bit for bit, in scenes with and without the cars' looks."""
+
+    def drive():
+        spec, _ = make_scene(SceneConfig(out="x.xml", num_parked_cars=2))
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        data.ctrl[:3] = [0.3, 1.0, 0.0]
+        run(model, data, 0.5)
+        return model, data
+
+    with_looks, moved = drive()
+    monkeypatch.setattr(car_look, "_add_looks", lambda *_: None)
+    without, expected = drive()
+    assert with_looks.nmesh > without.nmesh
+    for field in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_M0"):
+        np.testing.assert_array_equal(
+            getattr(with_looks, field), getattr(without, field)
+        )
+    np.testing.assert_array_equal(moved.qpos, expected.qpos)
+    assert np.abs(moved.qvel).max() > 0.3
+
+
+def test_looks_are_only_seen(model):
+    for geom in np.flatnonzero(model.geom_group == 2):
+        assert model.geom_contype[geom] == model.geom_conaffinity[geom] == 0

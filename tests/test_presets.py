@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.scene.car_look import body_hulls
 from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import (
@@ -87,13 +86,6 @@ def test_ride_frequency_and_damping_are_those_of_passenger_cars(
     damping = 4 * params.tyre.vertical_damping / 2 / math.sqrt(stiffness * params.mass)
     assert 1.2 <= frequency <= 1.5
     assert 0.25 <= damping <= 0.4
-
-
-@pytest.mark.parametrize("params", CARS)
-def test_preset_has_a_body_to_look_at_of_its_own_size(params: VehicleParameters):
-    low, high = body_hulls(params)["body"].bounds
-    assert high[0] - low[0] == pytest.approx(params.length)
-    assert high[1] - low[1] == pytest.approx(params.width)
 
 
 def test_a_custom_car_takes_one_call_and_drives_in_the_environment():

@@ -123,10 +123,10 @@ def test_parked_cars_stand_in_their_bays_and_move_when_told(renderer):
     after = draw(renderer, parked=BAYS[[10, 12]]).astype(int)
 
     def change(bay):
-        centre = np.array([*np.asarray(LAYOUT.bay_pose[bay])[:2], 0.0])
+        roof = np.array([*np.asarray(LAYOUT.bay_pose[bay])[:2], COMPACT.height])
         return np.abs(
-            patch(after, project(renderer, centre))
-            - patch(before, project(renderer, centre))
+            patch(after, project(renderer, roof))
+            - patch(before, project(renderer, roof))
         ).sum()
 
     assert change(30) > 60
@@ -159,9 +159,19 @@ def test_the_status_is_written_in_the_top_left_corner_only(renderer):
 
 def test_cameras_are_refused_by_name():
     assert camera_names("chase:1", 2) == ("agent1/chase",)
+    assert camera_names("driver:0", 2) == ("agent0/driver",)
     assert camera_names("split", 2) == ("topdown", "agent0/chase")
     assert camera_names("split:1", 2) == ("topdown", "agent1/chase")
-    for name in ("chase:2", "chase:", "chase:-1", "top", "", "split:", "split:2"):
+    for name in (
+        "chase:2",
+        "driver:2",
+        "chase:",
+        "chase:-1",
+        "top",
+        "",
+        "split:",
+        "split:2",
+    ):
         with pytest.raises(RenderingError, match="choose topdown, overview, chase:K"):
             camera_names(name, 2)
 

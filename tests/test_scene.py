@@ -6,7 +6,6 @@ import pytest
 
 from carpark_mj.layouts import make_layout
 from carpark_mj.scene import build_scene
-from carpark_mj.scene.car_look import body_hulls
 from carpark_mj.vehicle import COMPACT
 
 AGENTS, PARKED = 3, 4
@@ -41,7 +40,7 @@ def test_the_cast_is_complete(model, layout):
     assert cameras == {
         "topdown",
         "overview",
-        *(f"agent{k}/chase" for k in range(AGENTS)),
+        *(f"agent{k}/{seat}" for k in range(AGENTS) for seat in ("chase", "driver")),
     }
     walls = [k for k in range(model.ngeom) if model.geom(k).name.startswith("wall")]
     assert len(walls) == int(layout.wall_mask.sum())
@@ -66,24 +65,6 @@ def test_an_agent_s_car_has_the_vehicle_s_mass_and_looks_weigh_nothing(model):
     for k in range(AGENTS):
         body = model.body(f"agent{k}/car")
         assert model.body_subtreemass[body.id] == pytest.approx(COMPACT.mass)
-
-
-@pytest.mark.parametrize("part", ["body", "cabin", "roof"])
-def test_car_bodies_are_watertight_and_inside_the_footprint(part):
-    hull = body_hulls(COMPACT)[part]
-    assert hull.is_watertight
-    low, high = hull.bounds
-    rear = -COMPACT.rear_overhang
-    assert low[0] >= rear - 1e-9
-    assert high[0] <= rear + COMPACT.length + 1e-9
-    assert max(-low[1], high[1]) <= COMPACT.width / 2 + 1e-9
-    assert high[2] <= COMPACT.height + 1e-9
-
-
-def test_the_body_spans_the_footprint():
-    low, high = body_hulls(COMPACT)["body"].bounds
-    assert high[0] - low[0] == pytest.approx(COMPACT.length)
-    assert high[1] - low[1] == pytest.approx(COMPACT.width)
 
 
 @pytest.mark.parametrize("camera", ["topdown", "overview"])

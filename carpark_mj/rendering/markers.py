@@ -28,12 +28,12 @@ class Markers:
         mujoco.mjv_initGeom(
             geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(rgba)
         )
+        geom.castshadow = 0
         scene.ngeom += 1
         return geom
 
     def bay(self, pose: np.ndarray, size: np.ndarray, rgba: Rgba) -> None:
         """Fills a bay of pose (3,) and size (2,)."""
-        # A plane throws no shadow on itself.
         geom = self._add(mujoco.mjtGeom.mjGEOM_PLANE, rgba)
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
         geom.pos[:] = [pose[0], pose[1], GROUND]

@@ -18,7 +18,8 @@ GROUND = (10, 10, 12, 190)  # behind text
 
 
 @cache
-def _font(pixels: int) -> Any:
+def font(pixels: int) -> Any:
+    """The font of all captions, this many pixels high."""
     from PIL import ImageFont
 
     return ImageFont.load_default(pixels)
@@ -57,7 +58,7 @@ def draw_labels(
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image, "RGBA")
     radius = max(9, round(renderer.height / 55))
-    font, small = _font(round(radius * 1.5)), _font(round(radius * 1.15))
+    large, small = font(round(radius * 1.5)), font(round(radius * 1.15))
 
     def tag(x: float, y: float, text: str, ink: Colour) -> None:
         box = draw.textbbox((x, y), text, font=small, anchor="mt")
@@ -88,7 +89,7 @@ def draw_labels(
             x, y = pixel
             box = (x - radius, y - radius, x + radius, y + radius)
             shape(box, fill=colour, outline=WHITE, width=2)
-            draw.text((x, y), str(agent), _ink(colour), font=font, anchor="mm")
+            draw.text((x, y), str(agent), _ink(colour), font=large, anchor="mm")
             if shape == draw.ellipse:
                 tag(x, y + radius + 3, state, WHITE)
     return np.asarray(image)
@@ -104,9 +105,9 @@ def draw_status(frame: np.ndarray, seen: Snapshot) -> np.ndarray:
     tallies = [f"{name.replace('_', ' ')} {n}" for name, n in seen.tally.items()]
     text = "\n".join([f"{seen.seconds:.1f} s", *tallies])
     corner = (size * 0.9, size * 0.7)
-    box = draw.multiline_textbbox(corner, text, font=_font(size))
+    box = draw.multiline_textbbox(corner, text, font=font(size))
     pad = size * 0.4
     ground = (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad)
     draw.rounded_rectangle(ground, pad, fill=GROUND)
-    draw.multiline_text(corner, text, WHITE, font=_font(size))
+    draw.multiline_text(corner, text, WHITE, font=font(size))
     return np.asarray(image)

@@ -14,6 +14,7 @@ from carpark_mj.rendering.gl import MISSING_GL
 from carpark_mj.rendering.markers import Markers
 from carpark_mj.rendering.snapshot import Snapshot, tracked_points
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
 from carpark_mj.scene.materials import agent_colour
 from carpark_mj.vehicle.parameters import VehicleParameters
 
@@ -22,8 +23,6 @@ FLASH_COLOURS = {
     "crashed": (0.95, 0.15, 0.15),
     "timed_out": (0.75, 0.75, 0.75),
 }
-# The narrowest frame, width over height, in which a fixed camera still shows the lot.
-_LEAST_ASPECT = {"topdown": 1.0, "overview": 4 / 3}
 
 
 class RenderingError(Exception):
@@ -96,18 +95,12 @@ class LotRenderer:
             layout, params, num_agents, num_parked_cars, agent_kinds, parked_cars
         )
         self.model, self.data = self._stage.model, self._stage.data
-        for name, aspect in _LEAST_ASPECT.items():
-            self._widen(self.model.camera(name).id, aspect)
+        extent, aspect = np.asarray(layout.extent), self.width / self.height
+        for name in LOT_CAMERAS:
+            index = self.model.camera(name).id
+            eye, quat = frame_lot(name, extent, aspect)
+            self.model.cam_pos[index], self.model.cam_quat[index] = eye, quat
         self._renderer = _mujoco_renderer(self.model, self.width, self.height)
-
-    def _widen(self, camera: int, least_aspect: float) -> None:
-        """Opens the vertical field of view until a narrow frame shows all the lot."""
-        short = least_aspect * self.height / self.width
-        if short > 1.0:
-            half = math.radians(self.model.cam_fovy[camera]) / 2
-            self.model.cam_fovy[camera] = 2 * math.degrees(
-                math.atan(math.tan(half) * short)
-            )
 
     def place(self, seen: Snapshot) -> None:
         """Puts all cars where they are; wheels roll by the way since the last call."""
@@ -135,7 +128,7 @@ class LotRenderer:
         for flash in seen.flashes:
             rgba = (*FLASH_COLOURS[flash.outcome], 1.0 - 0.8 * flash.age)
             radius = self._params.length * (0.6 + 0.5 * flash.age)
-            markers.circle(flash.pose_w, radius, rgba, 0.25)
+            markers.circle(flash.pose_w, radius, rgba, 0.35)
         return self._renderer.render()
 
     def project(self, point: np.ndarray, camera: str) -> tuple[float, float] | None:
@@ -156,21 +149,21 @@ class LotRenderer:
 def camera_names(camera: str, num_agents: int) -> tuple[str, ...]:
     """Names in the scene of what a camera flag asks for, left to right.
 
-    `topdown`, `overview`, `chase:K` behind agent K, `split` (topdown and chase:0) or
-    `split:K`.
+    `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its wheel, `split`
+    (topdown and chase:0) or `split:K`.
 
     Raises:
         RenderingError: no such camera; the message lists them.
     """
     kind, colon, agent = camera.partition(":")
     known = agent.isdecimal() and int(agent) < num_agents
-    if camera in ("topdown", "overview"):
+    if camera in LOT_CAMERAS:
         return (camera,)
-    if kind == "chase" and known:
-        return (f"agent{int(agent)}/chase",)
+    if kind in ("chase", "driver") and known:
+        return (f"agent{int(agent)}/{kind}",)
     if kind == "split" and (known or not colon):
         return ("topdown", f"agent{int(agent or 0)}/chase")
     raise RenderingError(
-        f"no camera {camera!r}; choose topdown, overview, chase:K, split or split:K "
-        f"with K from 0 to {num_agents - 1}"
+        f"no camera {camera!r}; choose topdown, overview, chase:K, driver:K, split "
+        f"or split:K with K from 0 to {num_agents - 1}"
     )

@@ -53,6 +53,11 @@ class Stage:
         self._parked = [
             self.model.joint(f"parked{k}/x").qposadr[0] for k in range(num_parked_cars)
         ]
+        self.reset()
+
+    def reset(self) -> None:
+        """Turns the wheels back; the next poses are the first."""
+        num_agents = self._kind.shape[0]
         self._spin = np.zeros(num_agents)
         self._last = np.full((num_agents, 3), np.nan)
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from carpark_mj.layouts.types import Layout
-from carpark_mj.scene import markings, parts
+from carpark_mj.scene import cameras, markings, materials, parts
 from carpark_mj.scene.numbers import add_bay_numbers
 from carpark_mj.vehicle.contact_wheels import (
     add_contact_wheels,
@@ -50,14 +50,17 @@ def build_scene(
         suspension: springs between the contact wheels and the cars.
 
     Returns:
-        A spec; cameras are `topdown`, `overview` and `agentK/chase`.
+        A spec; cameras are `topdown`, `overview`, `agentK/chase` and
+        `agentK/driver`.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "carpark"
     spec.visual.global_.offwidth = OFFSCREEN_WIDTH
     spec.visual.global_.offheight = OFFSCREEN_HEIGHT
     extent = np.asarray(layout.extent, float)
+    materials.add_materials(spec)
     parts.add_ground(spec)
+    parts.add_verge(spec, extent)
     markings.add_bay_lines(spec, layout)
     markings.add_lane_arrows(spec, layout)
     add_bay_numbers(spec, layout)
@@ -79,7 +82,7 @@ def build_scene(
             add_contact_wheels(spec, params, f"agent{k}/", parts.GROUND, suspension)
             add_controls(spec, params, f"agent{k}/")
     parts.add_lights(spec, extent)
-    parts.add_cameras(spec, extent)
+    cameras.add_lot_cameras(spec, extent)
     return spec
 
 

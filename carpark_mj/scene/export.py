@@ -31,7 +31,8 @@ _GUIDE = """
                   It stops the car on this level ground; on a slope it would creep.
 
   Contact wheels roll without slip up to a friction of {friction:g}. Cars, parked cars
-  (on locked wheels) and walls collide. Cameras: topdown, overview, agentK/chase.
+  (on locked wheels) and walls collide. Cameras: topdown, overview, agentK/chase,
+  agentK/driver.
 """
 
 
@@ -52,7 +53,12 @@ def drivable_scene(
         suspension: springs between the wheels and the cars to drive.
     """
     spec = build_scene(
-        layout, params, len(agent_pose), len(parked_pose), True, suspension
+        layout,
+        params,
+        len(agent_pose),
+        len(parked_pose),
+        contact_wheels=True,
+        suspension=suspension,
     )
     height, pitch = rest_attitude(params, suspension)
     for k, pose in enumerate(agent_pose):

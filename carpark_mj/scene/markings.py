@@ -8,7 +8,7 @@ import trimesh
 
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import materials
-from carpark_mj.scene.car_look import merge
+from carpark_mj.scene.mesh import add_mesh, merge
 from carpark_mj.scene.parts import yaw_quat
 
 LINE_WIDTH = 0.10  # m, painted bay lines
@@ -37,6 +37,7 @@ def add_bay_lines(spec: mujoco.MjSpec, layout: Layout) -> None:
                 quat=yaw_quat(yaw),
                 size=[half_x, half_y, LINE_HEIGHT],
                 rgba=materials.LINE,
+                castshadow=False,
                 contype=0,
                 conaffinity=0,
                 group=1,
@@ -62,13 +63,7 @@ def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
         )
     )
     arrow = merge([shaft, tip])
-    spec.add_mesh(
-        name="arrow",
-        uservert=np.asarray(arrow.vertices).ravel().tolist(),
-        userface=np.asarray(arrow.faces).ravel().tolist(),
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        smoothnormal=False,
-    )
+    add_mesh(spec, "arrow", arrow)
     for lane in rows:
         x, y, yaw = np.asarray(layout.lane_pose[lane], float)
         length = float(layout.lane_size[lane, 0])
@@ -82,6 +77,7 @@ def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
                 pos=[x + along * math.cos(yaw), y + along * math.sin(yaw), 0.0],
                 quat=yaw_quat(yaw),
                 rgba=materials.LINE,
+                castshadow=False,
                 contype=0,
                 conaffinity=0,
                 group=1,

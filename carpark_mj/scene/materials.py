@@ -1,17 +1,24 @@
-"""Colours of the scene, RGBA in [0, 1]."""
+"""Colours of the scene, RGBA in [0, 1], and how surfaces shine."""
+
+import mujoco
+
+Colour = tuple[float, float, float, float]
 
 ASPHALT = (0.23, 0.24, 0.26, 1.0)
 LINE = (0.93, 0.93, 0.90, 1.0)
 CONCRETE = (0.62, 0.61, 0.58, 1.0)
 KERB = (0.72, 0.72, 0.70, 1.0)
 GREEN = (0.36, 0.45, 0.30, 1.0)
+GRASS = (0.32, 0.38, 0.27, 1.0)
 GATE = (0.80, 0.35, 0.15, 1.0)
 ZENITH = (0.45, 0.58, 0.72, 1.0)
 HORIZON = (0.80, 0.84, 0.87, 1.0)
 GLASS = (0.10, 0.13, 0.17, 1.0)
+TRIM = (0.09, 0.09, 0.10, 1.0)
+SHADE = (0.0, 0.0, 0.0, 0.17)  # of one of the sheets below a car
 TYRE = (0.06, 0.06, 0.06, 1.0)
 RIM = (0.70, 0.71, 0.73, 1.0)
-HEADLIGHT = (1.0, 0.97, 0.80, 1.0)
+HEADLIGHT = (0.98, 0.98, 0.95, 1.0)
 TAIL_LIGHT = (0.75, 0.05, 0.05, 1.0)
 
 # Greys of parked cars, taken in turn.
@@ -38,6 +45,24 @@ AGENTS = (
 )
 
 
-def agent_colour(agent: int) -> tuple[float, float, float, float]:
+def agent_colour(agent: int) -> Colour:
     """RGBA of an agent, by index."""
     return AGENTS[agent % len(AGENTS)]
+
+
+# Specular, shininess and emission.
+_SURFACES = {
+    "paint": (0.3, 0.6, 0.0),
+    "glass": (0.9, 0.9, 0.0),
+    "metal": (0.6, 0.5, 0.0),
+    "rubber": (0.1, 0.1, 0.0),
+    "lamp": (0.5, 0.5, 0.35),
+}
+
+
+def add_materials(spec: mujoco.MjSpec) -> None:
+    """Adds the surfaces of cars; their colours are the geoms' own."""
+    for name, (specular, shininess, emission) in _SURFACES.items():
+        spec.add_material(
+            name=name, specular=specular, shininess=shininess, emission=emission
+        )

@@ -8,7 +8,7 @@ import trimesh
 
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import materials
-from carpark_mj.scene.car_look import merge
+from carpark_mj.scene.mesh import add_mesh, merge
 
 HEIGHT, WIDTH = 0.42, 0.24  # m, of a digit
 STROKE = 0.06  # m
@@ -59,13 +59,7 @@ def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Paints every bay's index at its open end, to be read from the aisle."""
     for digit in range(10):
         mesh = digit_mesh(digit)
-        spec.add_mesh(
-            name=f"digit{digit}",
-            uservert=np.asarray(mesh.vertices).ravel().tolist(),
-            userface=np.asarray(mesh.faces).ravel().tolist(),
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-            smoothnormal=False,
-        )
+        add_mesh(spec, f"digit{digit}", mesh)
     for bay in np.flatnonzero(np.asarray(layout.bay_mask)):
         x, y, yaw = np.asarray(layout.bay_pose[bay], float)
         reach = float(layout.bay_size[bay, 0]) / 2 - EDGE_DISTANCE
@@ -82,6 +76,7 @@ def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:
                 pos=[x + along * math.cos(turn), y + along * math.sin(turn), 0.0],
                 quat=[math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)],
                 rgba=materials.LINE,
+                castshadow=False,
                 contype=0,
                 conaffinity=0,
                 group=1,

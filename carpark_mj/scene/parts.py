@@ -9,11 +9,15 @@ import numpy as np
 
 from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.scene import car_look, materials
+from carpark_mj.scene.cameras import add_car_cameras
 from carpark_mj.vehicle.mjcf import WHEELS, add_car
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 WALL_HEIGHT = 0.9  # m, low enough for the cameras
 GROUND = "ground"
+VERGE = 20.0  # reach of the grass, in the lot's larger half width
+VERGE_GAP, VERGE_HEIGHT = 1.0, 0.01  # m, asphalt left around the walls, and grass
+GROUND_CLEARANCE = 0.16  # m, under the hull with which a car touches others
 HULL_GROUP = 3  # hidden by default, like all collision geoms
 # Cars, walls and parked cars touch each other; sheet metal slides on sheet metal.
 _WALL_LOOKS = {  # height [m] and colour
@@ -70,6 +74,29 @@ def add_ground(spec: mujoco.MjSpec) -> None:
     )
 
 
+def add_verge(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
+    """Grass around the lot, to be seen only."""
+    far = VERGE * float(np.max(extent))
+    x, y = np.asarray(extent, float) + VERGE_GAP
+    for name, centre, size in (
+        ("north", (0.0, (y + far) / 2), (far, (far - y) / 2)),
+        ("south", (0.0, -(y + far) / 2), (far, (far - y) / 2)),
+        ("east", ((x + far) / 2, 0.0), ((far - x) / 2, y)),
+        ("west", (-(x + far) / 2, 0.0), ((far - x) / 2, y)),
+    ):
+        spec.worldbody.add_geom(
+            name=f"verge/{name}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[*centre, 0.0],
+            size=[*size, VERGE_HEIGHT],
+            rgba=materials.GRASS,
+            castshadow=False,
+            contype=0,
+            conaffinity=0,
+            group=1,
+        )
+
+
 def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Walls, kerbs, islands and gates as boxes `wall0`..., all of them solid.
 
@@ -120,7 +147,7 @@ def add_discs(spec: mujoco.MjSpec, layout: Layout) -> None:
 
 def add_hull(body: mujoco.MjsBody, params: VehicleParameters, name: str) -> None:
     """The box with which a car touches others: its footprint, up to its roof."""
-    low, high = car_look.GROUND_CLEARANCE, params.height
+    low, high = GROUND_CLEARANCE, params.height
     body.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -175,17 +202,16 @@ def add_agents(
     kind: int = 0,
     suspension: bool = False,
 ) -> None:
-    """Agents' cars with prefixes `agent0/`..., each with a chase camera."""
+    """Agents' cars with prefixes `agent0/`..., each with its cameras."""
     for k in range(count):
         prefix = car_prefix(k, kind)
         car = add_car(spec.worldbody, spec, params, prefix, servos, suspension)
         add_hull(car, params, f"{prefix}hull")
         car_look.add_body_look(spec, car, params, materials.agent_colour(k))
         for name in WHEELS:
-            car_look.add_wheel_look(spec.body(f"{prefix}wheel_{name}"), params)
-        add_camera(
-            car, f"{prefix}chase", eye=(-7.0, 0.0, 4.2), target=(3.0, 0.0, 0.3), fovy=60
-        )
+            wheel = spec.body(f"{prefix}wheel_{name}")
+            car_look.add_wheel_look(spec, wheel, params)
+        add_car_cameras(car, params, prefix)
 
 
 def add_lights(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
@@ -202,42 +228,9 @@ def add_lights(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
     spec.visual.headlight.ambient = [0.42, 0.42, 0.44]
     spec.visual.headlight.diffuse = [0.18, 0.18, 0.18]
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+    spec.visual.rgba.haze = materials.HORIZON
     spec.visual.quality.shadowsize = 4096
     # A tight shadow map shows stripes on the ground where it ends.
     spec.visual.map.shadowclip = 3.0
     spec.stat.center = [0.0, 0.0, 0.0]
     spec.stat.extent = float(np.max(extent))
-
-
-def add_cameras(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
-    """`topdown` and `overview`, both showing the whole lot."""
-    reach = float(np.max(extent))
-    fovy = 30.0
-    height = 1.04 * reach / math.tan(math.radians(fovy / 2))
-    world = spec.worldbody
-    world.add_camera(name="topdown", pos=[0, 0, height], fovy=fovy)
-    add_camera(
-        world,
-        "overview",
-        eye=(0.0, -2.35 * reach, 2.15 * reach),
-        target=(0.0, -0.10 * reach, 0.0),
-        fovy=38,
-    )
-
-
-def add_camera(
-    body: mujoco.MjsBody,
-    name: str,
-    eye: tuple[float, float, float],
-    target: tuple[float, float, float],
-    fovy: float,
-) -> None:
-    """A camera at `eye` looking at `target` in the body's frame, z up."""
-    back = np.subtract(eye, target)
-    back = back / np.linalg.norm(back)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right = right / np.linalg.norm(right)
-    up = np.cross(back, right)
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.stack([right, up, back], axis=1).ravel())
-    body.add_camera(name=name, pos=eye, quat=quat, fovy=fovy)

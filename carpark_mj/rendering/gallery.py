@@ -1,0 +1,108 @@
+"""A contact sheet of lots: two of every family, each with its name."""
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import jax
+import numpy as np
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation import evaluation_key
+from carpark_mj.layouts import layout_config
+from carpark_mj.rendering.overlays import font
+from carpark_mj.rendering.renderer import LotRenderer
+from carpark_mj.rendering.snapshot import Snapshot
+
+FAMILIES = (
+    "square",
+    "street",
+    "street_parallel",
+    "angled",
+    "lot",
+    "garage_row",
+    "dead_end",
+)
+LOTS = 2  # of each family
+COLUMNS = 4
+NUM_AGENTS, MOST_PARKED_CARS = 2, 24
+GAP = 8  # pixels between pictures
+PAPER, INK = (255, 255, 255), (30, 30, 30)
+COLOURS = 256  # of the palette
+
+
+def cell_size(width: int) -> tuple[int, int]:
+    """Width and height of a picture on a sheet this wide [pixels]."""
+    wide = max(2, (width + GAP) // COLUMNS - GAP)
+    return wide, max(2, 2 * wide // 3)
+
+
+def draw_lots(
+    family: str, size: tuple[int, int], camera: str, seed: int
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Draws a family's held-out lots as episodes start in them, half of the bays full.
+
+    Args:
+        family: name of the layout.
+        size: width and height of a picture [pixels].
+        camera: a camera of `LotRenderer`.
+        seed: of the first lot, the next has the next seed.
+
+    Yields:
+        A caption and a picture (height, width, 3) uint8 for each.
+    """
+    env = ParkingEnv(
+        EnvConfig(
+            layout=family,
+            num_agents=NUM_AGENTS,
+            num_parked_cars=min(layout_config(family).min_bays // 2, MOST_PARKED_CARS),
+        )
+    )
+    reset = jax.jit(env.reset)
+    for number in range(seed, seed + LOTS):
+        state, _ = reset(evaluation_key(number))
+        parked_pose = np.asarray(env.parked_pose(state))
+        goal = np.asarray(state.occupancy.goal)
+        seen = Snapshot(
+            seconds=0.0,
+            pose_w=np.asarray(state.vehicle.pose_w),
+            steering=np.asarray(state.vehicle.steering),
+            goal_pose=np.asarray(state.layout.bay_pose)[goal],
+            goal_size=np.asarray(state.layout.bay_size)[goal],
+            parked_pose=parked_pose,
+            active=np.zeros(NUM_AGENTS, bool),  # no lines to the goals
+            state=("",) * NUM_AGENTS,
+            tally={},
+            flashes=(),
+        )
+        renderer = LotRenderer(
+            state.layout, env.vehicle, NUM_AGENTS, len(parked_pose), camera, size
+        )
+        try:
+            renderer.place(seen)
+            yield f"{family}, seed {number}", renderer.draw(seen, renderer.cameras[0])
+        finally:
+            renderer.close()
+
+
+def contact_sheet(cells: Iterable[tuple[str, np.ndarray]]) -> Any:
+    """Puts captioned pictures of one size in rows of `COLUMNS`; an image of PIL.
+
+    Its colours come from a palette, which makes it a small file.
+    """
+    from PIL import Image, ImageDraw
+
+    cells = list(cells)
+    height, width = cells[0][1].shape[:2]
+    letters = max(10, round(height / 14))
+    strip = round(1.5 * letters)
+    rows = -(-len(cells) // COLUMNS)
+    across, down = width + GAP, height + strip + GAP
+    sheet = Image.new("RGB", (COLUMNS * across - GAP, rows * down - GAP), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    for k, (caption, picture) in enumerate(cells):
+        row, column = divmod(k, COLUMNS)
+        x, y = column * across, row * down
+        sheet.paste(Image.fromarray(picture), (x, y + strip))
+        draw.text((x + 4, y + strip / 2), caption, INK, font=font(letters), anchor="lm")
+    return sheet.quantize(COLOURS, dither=Image.Dither.NONE)

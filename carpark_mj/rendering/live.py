@@ -1,0 +1,110 @@
+"""A policy driving one lot now, step by step, for a viewer that asks for more."""
+
+from collections.abc import Iterator
+
+import jax
+import numpy as np
+
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation import OUTCOMES, evaluation_key
+from carpark_mj.policy.networks import Policy
+from carpark_mj.rendering.stage import Stage
+
+
+class LiveLot:
+    """A lot, its cars on a `Stage`, and the policy that drives them.
+
+    Attributes:
+        stage: the scene, always at the present instant.
+        extent: (2,) half widths of the lot [m].
+        goal_pose: (agents, 3) bays aimed at.
+        goal_size: (agents, 2) their sizes [m].
+        seconds: driven so far.
+    """
+
+    def __init__(self, env: ParkingEnv, policy: Policy, seed: int) -> None:
+        """Compiles and starts a held-out lot."""
+        self._env, self._policy = env, policy
+        self._key = evaluation_key(seed)
+        self._reset = jax.jit(env.reset)
+        self._step = jax.jit(self._control_step)
+        self._start = self._reset(self._key)
+        state, _ = self._start
+        layout = state.layout
+        self.extent = np.asarray(layout.extent)
+        self._bays = np.asarray(layout.bay_pose), np.asarray(layout.bay_size)
+        config = env.config
+        self.stage = Stage(
+            layout,
+            env.vehicle,
+            config.num_agents,
+            config.num_parked_cars,
+            env.fleet.agents,
+            env.fleet.parked_vehicles(np.asarray(state.parked_size)),
+        )
+        traces = self._run_once()
+        # One call of `step` is one traced pose.
+        self.stage.model.opt.timestep = config.sim.ctrl_dt / traces
+        self.reset()
+
+    def _control_step(self, carry, key):
+        state, observation = carry
+        action, _ = self._policy(observation, key)
+        after, timestep = self._env.step(state, action)
+        seen = {
+            "pose_w": timestep.vehicle.trace_w.swapaxes(0, 1),
+            "steering": timestep.vehicle.steering,
+            "size": timestep.vehicle.size,
+            "parked_pose": self._env.parked_pose(state),
+            "goal": after.occupancy.goal,
+            **{name: getattr(timestep.events, name).sum() for name in OUTCOMES},
+        }
+        return (after, timestep.observation), seen
+
+    def _run_once(self) -> int:
+        """Compiles; returns the number of poses traced in a control step."""
+        _, seen = self._step(self._start, self._key)
+        return seen["pose_w"].shape[0]
+
+    def reset(self) -> None:
+        """Starts the lot again, with the same luck."""
+        state, _ = self._carry = self._start
+        self._steps = self._trace = 0
+        self._seen = None
+        self._ended = dict.fromkeys(OUTCOMES, 0)
+        self.seconds = 0.0
+        self._aim(np.asarray(state.occupancy.goal))
+        vehicle = state.vehicle
+        self.stage.reset()
+        self.stage.place(
+            np.asarray(vehicle.pose_w),
+            np.asarray(vehicle.steering),
+            np.asarray(self._env.parked_pose(state)),
+            np.asarray(vehicle.size),
+        )
+
+    def step(self) -> bool:
+        """Goes on by one traced pose; True if a control step has begun with it."""
+        begins = self._seen is None or self._trace == len(self._seen["pose_w"])
+        if begins:
+            key = jax.random.fold_in(self._key, self._steps)
+            self._carry, seen = self._step(self._carry, key)
+            self._seen = jax.device_get(seen)
+            self._steps, self._trace = self._steps + 1, 0
+            self.seconds = self._steps * self._env.config.sim.ctrl_dt
+            self._aim(self._seen["goal"])
+            for name in OUTCOMES:
+                self._ended[name] += int(self._seen[name])
+        seen = self._seen
+        assert seen is not None
+        pose = seen["pose_w"][self._trace]
+        self.stage.place(pose, seen["steering"], seen["parked_pose"], seen["size"])
+        self._trace += 1
+        return begins
+
+    def _aim(self, goal: np.ndarray) -> None:
+        self.goal_pose, self.goal_size = (bays[goal] for bays in self._bays)
+
+    def tally(self) -> Iterator[tuple[str, int]]:
+        """Episodes ended so far, by outcome."""
+        return iter(self._ended.items())

@@ -1,0 +1,304 @@
+"""A car's meshes from its parameters: body, glass, lights, trim, tyre and rim.
+
+Every car has the silhouette of a style (`scene.car_style`), stretched to its own
+length, width, height, wheelbase, overhangs and wheels. All parts are watertight. Frame:
+the MJCF body's (rear axle on the ground, x forward, y left, z up); tyre and rim about
+their hub.
+"""
+
+import numpy as np
+import trimesh
+
+from carpark_mj.scene.car_style import STYLES, CarStyle, nearest_preset
+from carpark_mj.scene.mesh import DECIMALS, block, loft, merge, revolve
+from carpark_mj.vehicle.mjcf import hub_positions
+from carpark_mj.vehicle.parameters import VehicleParameters
+
+SECTIONS = 16  # of a wheel
+SPOKES = 5
+ARCH_GAP = 0.05  # m, between tyre and wheel arch
+RIM = 0.66  # radius of the rim over the tyre's
+# Half width in plan over the car's, along the length from the nose.
+_PLAN = (
+    (0.0, 0.80),
+    (0.02, 0.90),
+    (0.08, 0.97),
+    (0.16, 1.0),
+    (0.86, 1.0),
+    (0.98, 0.93),
+    (1.0, 0.85),
+)
+# The body's section: height between underside and upper edge, and half width.
+_RISE = np.array([0.0, 0.30, 0.60, 0.86, 1.0])
+_SECTION = np.array([0.965, 0.99, 1.0, 0.965, 0.87])
+_LEAN = np.array([0.025, 0.0, 0.0, 0.02, 0.05])  # m, nose and tail lean inwards
+# The cabin's section: height between foot and roof, and what is left of its slant.
+_CABIN_RISE = np.array([0.0, 0.55, 1.0])
+_CABIN_SLANT = np.array([0.0, 0.48, 1.0])
+_SHADE = (0.20, 0.12, 0.04, -0.04)  # m, of the sheets beyond the footprint
+_PROUD, _DEEP = 0.008, 0.03  # m, of pillars over and under the glass
+
+
+def car_meshes(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
+    """Meshes of a car by part.
+
+    `body`, `glass`, `headlights`, `tail_lights`, `trim` and the soft `shade` on the
+    ground below are in the body frame, `tyre` and `rim` of a wheel about its hub, the
+    axle along y.
+    """
+    style = STYLES[nearest_preset(params)]
+    glass, cage = _cabin(params, style)
+    return {
+        "body": merge([_shell(params, style), *cage]),
+        "glass": glass,
+        **_lights(params, style),
+        "trim": _trim(params, style),
+        "shade": _shade(params),
+        "tyre": _tyre(params),
+        "rim": _rim(params),
+    }
+
+
+def standing_wheels(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
+    """All four `tyres` and `rims` in the body frame, straight ahead."""
+    return {
+        f"{name}s": merge(
+            [mesh.copy().apply_translation(hub) for hub in hub_positions(params)]
+        )
+        for name, mesh in (("tyre", _tyre(params)), ("rim", _rim(params)))
+    }
+
+
+def driver_eye(params: VehicleParameters) -> tuple[float, float, float]:
+    """Where the driver of a left-hand-drive car looks from [m]."""
+    style = STYLES[nearest_preset(params)]
+    (foot, belt), (roof, top), *_ = style.windows
+    behind_nose = foot + 0.78 * (roof - foot)
+    x = params.length * (1 - behind_nose) - params.rear_overhang
+    z = min(top * params.height - 0.17, belt * params.height + 0.32)
+    return x, 0.2 * params.width, z
+
+
+def _x(params: VehicleParameters, behind_nose: np.ndarray) -> np.ndarray:
+    """Coordinates [m] of shares of the length behind the nose."""
+    return params.length * (1.0 - behind_nose) - params.rear_overhang
+
+
+def _arches(params: VehicleParameters) -> np.ndarray:
+    """Stations [m] at the wheel arches; the outermost stand on the sill."""
+    radius = params.wheel_radius + ARCH_GAP
+    half = np.append(radius * np.cos(np.linspace(0.0, np.pi, 6)), radius + 0.01)
+    half = np.append(half, -radius - 0.01)
+    return np.concatenate([half, params.wheelbase + half])
+
+
+def _lower_edge(
+    params: VehicleParameters, x: np.ndarray, sill: np.ndarray
+) -> np.ndarray:
+    """Height [m] of the body's lower edge at points x: sills and wheel arches."""
+    radius = params.wheel_radius + ARCH_GAP
+    off = np.abs(x[:, None] - [0.0, params.wheelbase]).min(axis=1)
+    rise = np.sqrt(np.maximum(radius**2 - off**2, 0.0))
+    return np.where(off <= radius + 1e-6, params.wheel_radius + rise, sill)
+
+
+def _shell(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
+    """The body up to the windows, with open wheel arches, as rings along x."""
+    nose, tail = _x(params, np.array([0.0, 1.0]))
+    arches = _arches(params)
+    arches = arches[(arches > tail) & (arches < nose)]
+    plain = _x(params, np.array([u for u, _ in (*style.top, *_PLAN)]))
+    # Stations close to an arch's own would make slivers.
+    free = np.abs(plain[:, None] - arches).min(axis=1) > 0.06
+    x = np.concatenate([plain[free], arches, [nose, tail]])
+    x = np.unique(np.round(x, DECIMALS))
+    u = 1.0 - (x + params.rear_overhang) / params.length
+    top = params.height * np.interp(u, *np.transpose(style.top))
+    half = params.width / 2 * np.interp(u, *np.transpose(_PLAN))
+    under = style.clearance + 0.06 * np.interp(u, [0, 0.08, 0.9, 1], [1, 0, 0, 1])
+    low = _lower_edge(params, x, under)
+    z = under[:, None] + (top - under)[:, None] * _RISE
+    z = np.maximum(z, low[:, None] + 0.015 * np.arange(len(_RISE)))
+    y = half[:, None] * _SECTION
+    lean = np.maximum(0.0, 1.0 - u / 0.07) - np.maximum(0.0, 1.0 - (1.0 - u) / 0.05)
+    along = x[:, None] - lean[:, None] * _LEAN
+    left = np.stack([along, y, z], -1)
+    right = left[:, ::-1] * [1.0, -1.0, 1.0]
+    return loft(np.concatenate([left, right], axis=1))
+
+
+def _cabin(
+    params: VehicleParameters, style: CarStyle
+) -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:
+    """The glass as rings from the belt upwards; roof and pillars around it."""
+    (u0, h0), (u1, h1), (u2, h2), (u3, h3) = style.windows
+    foot_front, front, rear, foot_rear = _x(params, np.array([u0, u1, u2, u3]))
+    rise, slant = _CABIN_RISE, _CABIN_SLANT
+    ahead = foot_front + slant * (front - foot_front)
+    behind = foot_rear + slant * (rear - foot_rear)
+    wide = params.width / 2 * (0.86 + slant * (style.roof - 0.86))
+    belt = params.height * min(h0, h3) - 0.02
+    # Front and rear edge of the side windows: (levels, x, y, z).
+    z = np.stack([belt + rise * (params.height * h - belt) for h in (h1, h2)])
+    fore = np.stack([ahead, 0.90 * wide, z[0]], -1)
+    middle = np.stack([(ahead + behind) / 2, wide, z.mean(0)], -1)
+    aft = np.stack([behind, 0.92 * wide, z[1]], -1)
+    centre = np.array([1.0, 0.35, 1.0])  # windscreen and rear window bulge
+    left = np.stack([fore * centre, fore, middle, aft, aft * centre], 1)
+    left[:, 0, 0] += 0.05
+    left[:, -1, 0] -= 0.02
+    rings = np.concatenate([left, left[:, ::-1] * [1.0, -1.0, 1.0]], axis=1)
+    side = np.stack([fore, middle, aft])
+    cage = [_pillar(side, a, b, sign) for a, b in style.pillars for sign in (1, -1)]
+    return loft(rings), [_roof(params, left[-1]), *cage]
+
+
+def _pillar(side: np.ndarray, start: float, end: float, sign: int) -> trimesh.Trimesh:
+    """A strip over a side window (3, levels, 3) between two shares of its length."""
+
+    def edge(at: float) -> np.ndarray:
+        half = int(at >= 0.5)
+        return side[half] + (2 * at - half) * (side[half + 1] - side[half])
+
+    out = np.array([0.0, _PROUD, 0.0])
+    into = np.array([0.0, -_DEEP, 0.0])
+    a, b = edge(start), edge(end)
+    rings = np.stack([a + out, b + out, b + into, a + into], axis=1)
+    return loft(rings * [1.0, sign, 1.0])
+
+
+def _roof(params: VehicleParameters, rim: np.ndarray) -> trimesh.Trimesh:
+    """A crowned panel over the cabin's upper ring (5, 3), its left half."""
+    front, rear = rim[0, 0] + 0.01, rim[-1, 0] - 0.02
+    x = front + np.array([0.0, 0.12, 0.5, 0.88, 1.0]) * (rear - front)
+    wide = np.interp(x, rim[::-1, 0], rim[::-1, 1]) + 0.012
+    wide[[0, -1]] = rim[[1, 3], 1] * [0.94, 0.96]
+    top = params.height - np.array([0.035, 0.008, 0.0, 0.012, 0.045])
+    low = np.interp(x, rim[::-1, 0], rim[::-1, 2]) - 0.012
+    low = np.minimum(low, top - 0.02)
+    across, down = np.array([1.0, 0.96, 0.72]), np.array([1.0, 0.35, 0.0])
+    y = wide[:, None] * across
+    z = top[:, None] - down * (top - low)[:, None]
+    left = np.stack([np.broadcast_to(x[:, None], y.shape), y, z], -1)
+    return loft(np.concatenate([left, left[:, ::-1] * [1.0, -1.0, 1.0]], axis=1))
+
+
+def _pair(low: tuple[float, ...], high: tuple[float, ...]) -> trimesh.Trimesh:
+    """A block and its mirror image on the right."""
+    left = block(low, high)
+    return merge([left, block((low[0], -high[1], low[2]), (high[0], -low[1], high[2]))])
+
+
+def _lights(params: VehicleParameters, style: CarStyle) -> dict[str, trimesh.Trimesh]:
+    nose, tail = _x(params, np.array([0.0, 1.0]))
+    half, height = params.width / 2, params.height
+    bonnet = np.interp(0.0, *np.transpose(style.top)) * height
+    boot = np.interp(1.0, *np.transpose(style.top)) * height
+    z = boot - (0.26 if style.tall_lights else 0.15), boot - 0.01
+    deep = 0.16
+    return {
+        "headlights": _pair(
+            (nose - deep, 0.46 * half, bonnet - 0.17),
+            (nose - 0.018, 0.79 * half, bonnet - 0.05),
+        ),
+        "tail_lights": _pair(
+            (tail + 0.014, (0.68 if style.tall_lights else 0.5) * half, z[0]),
+            (tail + deep, 0.825 * half, z[1]),
+        ),
+    }
+
+
+def _trim(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
+    """Dark parts: underbody between the wheels, grille, bumper slots, dashboard."""
+    nose, tail = _x(params, np.array([0.0, 1.0]))
+    half = params.width / 2
+    bonnet = np.interp(0.0, *np.transpose(style.top)) * params.height
+    (foot, belt), _, _, (foot_rear, _) = style.windows
+    inner = params.track_width / 2 - params.tyre_width / 2 - 0.6 * params.wheel_radius
+    reach = params.wheel_radius + 2 * ARCH_GAP
+    dash_rear, dash = _x(params, np.array([foot_rear - 0.04, foot + 0.02]))
+    deck = belt * params.height
+    return merge(
+        [
+            block(
+                (max(-reach, tail + 0.05), -inner, style.clearance + 0.02),
+                (
+                    min(params.wheelbase + reach, nose - 0.05),
+                    inner,
+                    2 * params.wheel_radius,
+                ),
+            ),
+            block(
+                (nose - 0.15, -0.40 * half, bonnet - 0.15),
+                (nose - 0.010, 0.40 * half, bonnet - 0.06),
+            ),
+            block(
+                (nose - 0.15, -0.62 * half, style.clearance + 0.10),
+                (nose, 0.62 * half, style.clearance + 0.20),
+            ),
+            block(
+                (tail, -0.60 * half, style.clearance + 0.10),
+                (tail + 0.15, 0.60 * half, style.clearance + 0.19),
+            ),
+            # Covers the body's deck under the glass, which the driver looks down on.
+            block(
+                (dash_rear, -0.72 * half, deck - 0.03),
+                (dash, 0.72 * half, deck + 0.015),
+            ),
+        ]
+    )
+
+
+def _shade(params: VehicleParameters) -> trimesh.Trimesh:
+    """Sheets on the ground below the car, one on another: darker towards the middle."""
+    sheets = []
+    for k, grow in enumerate(_SHADE):
+        x, y = params.length / 2 + grow, params.width / 2 + grow
+        corner = 0.45 + grow
+        along = params.centre_offset + np.array([-x, corner - x, x - corner, x])
+        across = np.array([y - corner, y, y, y - corner])
+        z = 0.004 + 0.001 * np.array([k, k + 0.5])
+        low, high = (np.stack([along, across, np.full(4, h)], -1) for h in z)
+        left = np.stack([low, high], axis=1)
+        sheets.append(
+            loft(np.concatenate([left, left[:, ::-1] * [1.0, -1.0, 1.0]], axis=1))
+        )
+    return merge(sheets)
+
+
+def _tyre(params: VehicleParameters) -> trimesh.Trimesh:
+    """Tread, shoulders and side walls down to the rim, and a dark disc inside it."""
+    radius, half = params.wheel_radius, params.tyre_width / 2
+    inner = RIM * radius
+    profile = [
+        (inner, -0.92 * half),
+        (0.90 * radius, -half),
+        (radius, -0.80 * half),
+        (radius, 0.80 * half),
+        (0.90 * radius, half),
+        (inner, 0.92 * half),
+    ]
+    disc = [
+        (0.04, -0.55 * half),
+        (inner + 0.01, -0.55 * half),
+        (inner + 0.01, 0.55 * half),
+        (0.04, 0.55 * half),
+    ]
+    return merge(
+        [revolve(np.array(profile), SECTIONS), revolve(np.array(disc), SECTIONS)]
+    )
+
+
+def _rim(params: VehicleParameters) -> trimesh.Trimesh:
+    """A flange, a hub and spokes, alike on both sides of the wheel."""
+    radius, half = RIM * params.wheel_radius, 0.93 * params.tyre_width / 2
+    flange = [(radius - 0.022, 0.0), (radius, -half), (radius, half)]
+    hub = [(0.02, -half), (0.24 * radius, -half), (0.24 * radius, half), (0.02, half)]
+    parts = [revolve(np.array(flange), SECTIONS), revolve(np.array(hub), 10)]
+    long, wide = radius - 0.01, 0.075 * params.wheel_radius
+    for k in range(SPOKES):
+        angle = 2 * np.pi * k / SPOKES
+        spoke = block((0.03, -0.9 * half, -wide), (long, 0.9 * half, wide))
+        turn = trimesh.transformations.rotation_matrix(angle, (0.0, 1.0, 0.0))
+        parts.append(spoke.apply_transform(turn))
+    return merge(parts)

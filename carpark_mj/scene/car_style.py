@@ -1,0 +1,139 @@
+"""Silhouettes of the vehicle presets, and which of them suits another car.
+
+Shares read off side views of the models in `vehicle.presets` by eye; they are looks and
+nothing else.
+"""
+
+import dataclasses
+import math
+
+from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.presets import PRESETS
+
+Line = tuple[tuple[float, float], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class CarStyle:
+    """A side view. Points are (share of the length behind the nose, share of height).
+
+    Attributes:
+        top: upper edge of the body without its cabin, from nose to tail.
+        windows: foot of the windscreen, front and rear end of the roof, foot of the
+            rear window.
+        pillars: from and to, as shares of a side window's length.
+        roof: half width of the roof over half width of the car.
+        clearance: of the sills above the ground [m].
+        tall_lights: tail lights stand beside the rear window instead of lying.
+    """
+
+    top: Line
+    windows: Line
+    pillars: Line
+    roof: float = 0.72
+    clearance: float = 0.17
+    tall_lights: bool = True
+
+
+STYLES = {
+    "city": CarStyle(
+        top=(
+            (0.0, 0.44),
+            (0.02, 0.52),
+            (0.08, 0.575),
+            (0.25, 0.645),
+            (0.90, 0.65),
+            (0.97, 0.62),
+            (1.0, 0.54),
+        ),
+        windows=((0.235, 0.64), (0.43, 0.965), (0.80, 0.955), (0.955, 0.64)),
+        pillars=((0.0, 0.035), (0.54, 0.64), (0.90, 1.0)),
+        roof=0.70,
+    ),
+    "compact": CarStyle(
+        top=(
+            (0.0, 0.46),
+            (0.02, 0.525),
+            (0.08, 0.575),
+            (0.26, 0.655),
+            (0.93, 0.67),
+            (0.98, 0.65),
+            (1.0, 0.56),
+        ),
+        windows=((0.25, 0.65), (0.43, 0.965), (0.86, 0.955), (0.962, 0.66)),
+        pillars=((0.0, 0.035), (0.44, 0.50), (0.82, 1.0)),
+    ),
+    "sedan": CarStyle(
+        top=(
+            (0.0, 0.45),
+            (0.02, 0.52),
+            (0.08, 0.575),
+            (0.28, 0.655),
+            (0.82, 0.69),
+            (0.97, 0.675),
+            (1.0, 0.58),
+        ),
+        windows=((0.27, 0.65), (0.43, 0.965), (0.67, 0.955), (0.835, 0.68)),
+        pillars=((0.0, 0.035), (0.46, 0.52), (0.90, 1.0)),
+        roof=0.70,
+        tall_lights=False,
+    ),
+    "sedan_fwd": CarStyle(
+        top=(
+            (0.0, 0.45),
+            (0.02, 0.52),
+            (0.08, 0.58),
+            (0.27, 0.66),
+            (0.85, 0.70),
+            (0.975, 0.69),
+            (1.0, 0.60),
+        ),
+        windows=((0.26, 0.655), (0.42, 0.965), (0.68, 0.955), (0.865, 0.69)),
+        pillars=((0.0, 0.035), (0.44, 0.50), (0.90, 1.0)),
+        roof=0.72,
+        tall_lights=False,
+    ),
+    "suv": CarStyle(
+        top=(
+            (0.0, 0.50),
+            (0.015, 0.575),
+            (0.07, 0.615),
+            (0.26, 0.665),
+            (0.94, 0.68),
+            (0.985, 0.66),
+            (1.0, 0.58),
+        ),
+        windows=((0.25, 0.66), (0.40, 0.965), (0.88, 0.955), (0.968, 0.67)),
+        pillars=((0.0, 0.035), (0.42, 0.47), (0.74, 0.79), (0.94, 1.0)),
+        roof=0.77,
+        clearance=0.22,
+    ),
+    "van": CarStyle(
+        top=(
+            (0.0, 0.42),
+            (0.015, 0.475),
+            (0.05, 0.505),
+            (0.17, 0.565),
+            (0.95, 0.575),
+            (0.99, 0.57),
+            (1.0, 0.53),
+        ),
+        windows=((0.15, 0.56), (0.29, 0.965), (0.95, 0.96), (0.968, 0.57)),
+        pillars=((0.0, 0.035), (0.32, 0.5), (0.5, 0.75), (0.75, 1.0)),
+        roof=0.86,
+        clearance=0.20,
+    ),
+}
+
+
+def nearest_preset(params: VehicleParameters) -> str:
+    """Name of the preset whose length, width and height are most like a car's."""
+
+    def difference(name: str) -> float:
+        other = PRESETS[name]
+        return sum(
+            math.log(getattr(params, side) / getattr(other, side)) ** 2
+            for side in ("length", "width", "height")
+        )
+
+    return min(PRESETS, key=difference)

@@ -1,0 +1,98 @@
+"""Cameras: the lot fills the frame, and a driver sees the road over the bonnet."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from carpark_mj.layouts import make_layout
+from carpark_mj.rendering.renderer import LotRenderer
+from carpark_mj.rendering.snapshot import Snapshot
+from carpark_mj.scene.cameras import fit_eye, frame_lot
+from carpark_mj.scene.materials import ASPHALT, ZENITH, agent_colour
+from carpark_mj.vehicle import PRESETS
+
+LAYOUT = make_layout("tanner")
+
+
+def seen_from(pos, quat, fovy, points):
+    """Where points (n, 3) are in the frame: x and y over half its height."""
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, quat)
+    local = (points - pos) @ axes.reshape(3, 3)
+    assert (local[:, 2] < 0).all()
+    return local[:, :2] / -local[:, 2:] / np.tan(np.radians(fovy) / 2)
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 4 / 3, 16 / 9])
+@pytest.mark.parametrize("extent", [(21.0, 21.0), (38.0, 6.0), (9.0, 20.0)])
+@pytest.mark.parametrize(("camera", "fovy"), [("topdown", 30.0), ("overview", 38.0)])
+def test_the_lot_fills_the_frame_and_no_corner_is_cut(camera, fovy, extent, aspect):
+    pos, quat = frame_lot(camera, np.array(extent), aspect)
+    corners = np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)]) * [*extent, 0]
+    x, y = seen_from(pos, quat, fovy, corners).T
+    assert np.abs(x).max() < aspect
+    assert np.abs(y).max() < 1.0
+    # At most the walls' thickness away from two opposite edges.
+    assert max(np.abs(x).max() / aspect, np.abs(y).max()) > 0.8
+    # The longer side lies along the frame's longer side.
+    if extent[0] != extent[1] and aspect != 1.0:
+        across = seen_from(pos, quat, fovy, np.array([[-1.0, 0, 0], [1.0, 0, 0]]))
+        long_across = abs(across[1, 0] - across[0, 0]) > 1e-3
+        assert long_across == ((extent[0] > extent[1]) == (aspect > 1.0))
+
+
+def test_no_nearer_eye_sees_all_points():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-5.0, 5.0, (30, 3))
+    axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    eye = fit_eye(points, axes, 40.0, 1.5)
+
+    def all_seen(at):
+        x, y, back = ((points - at) @ axes).T
+        tangent = np.tan(np.radians(20.0))
+        return (
+            (back < 0).all()
+            and (np.abs(x) <= -back * tangent * 1.5 + 1e-9).all()
+            and (np.abs(y) <= -back * tangent + 1e-9).all()
+        )
+
+    assert all_seen(eye)
+    for step in rng.uniform(-0.5, 0.5, (200, 3)):
+        nearer = eye + axes @ [*step[:2], -abs(step[2]) - 1e-3]
+        assert not all_seen(nearer)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_driver_sees_sky_asphalt_and_bonnet_not_the_inside_of_the_body(name):
+    pose = np.array([[-6.0, 0.0, 0.0]])
+    goal = np.asarray(LAYOUT.bay_pose)[[3]]
+    seen = Snapshot(
+        seconds=0.0,
+        pose_w=pose,
+        steering=np.zeros(1),
+        goal_pose=goal,
+        goal_size=np.asarray(LAYOUT.bay_size)[[3]],
+        parked_pose=np.zeros((0, 3)),
+        active=np.zeros(1, bool),
+        state=("",),
+        tally={},
+        flashes=(),
+    )
+    renderer = LotRenderer(LAYOUT, PRESETS[name], 1, 0, "driver:0", (160, 120))
+    try:
+        renderer.place(seen)
+        frame = renderer.draw(seen, "agent0/driver").astype(float)
+    finally:
+        renderer.close()
+
+    def share(rows, colour):
+        """Of the middle third's pixels whose hue is a colour's."""
+        pixels = frame[rows, 53:107].reshape(-1, 3)
+        cos = pixels @ np.array(colour[:3])
+        cos /= np.linalg.norm(pixels, axis=1) * np.linalg.norm(colour[:3]) + 1e-9
+        bright = pixels.sum(axis=1) > 90  # the dashboard is nearly black
+        return ((np.degrees(np.arccos(np.clip(cos, -1, 1))) < 8) & bright).mean()
+
+    assert share(slice(0, 40), ZENITH) > 0.9
+    assert share(slice(58, 76), ASPHALT) > 0.7
+    assert share(slice(70, 118), agent_colour(0)) > 0.1
