@@ -6,6 +6,8 @@ from typing import Literal
 from carpark_mj.config import EnvConfig, RewardConfig
 from carpark_mj.policy.networks import NetworkConfig
 
+PresetName = Literal["auto", "cpu", "gpu", "cpu-mixture", "gpu-mixture"]
+
 
 @dataclasses.dataclass(frozen=True)
 class PPOConfig:
@@ -20,6 +22,8 @@ class PPOConfig:
         seed: of everything.
         num_steps: agent steps in all.
         num_lots: lots simulated at once.
+        lot_life: updates, at most, until a random lot gives way to another, a few lots
+            after every update; 0 = never. A lot that no key changes stays.
         unroll_length: control steps between updates.
         num_minibatches: per epoch.
         num_epochs: passes over the data of an update.
@@ -40,7 +44,7 @@ class PPOConfig:
         env: the environment.
     """
 
-    preset: Literal["auto", "cpu", "gpu"] = "auto"
+    preset: PresetName = "auto"
     name: str = ""
     runs_dir: str = "runs"
     resume: str = ""
@@ -48,6 +52,7 @@ class PPOConfig:
     seed: int = 0
     num_steps: int = 8_000_000
     num_lots: int = 64
+    lot_life: int = 16
     unroll_length: int = 64
     num_minibatches: int = 16
     num_epochs: int = 4
@@ -88,6 +93,7 @@ class PPOConfig:
                     f"{name} must lie in [0, 1], not {getattr(self, name)}"
                 )
         for name in (
+            "lot_life",
             "learning_rate_end",
             "entropy_cost",
             "entropy_cost_end",
@@ -119,19 +125,31 @@ class PPOConfig:
         return -(-self.num_steps // self.steps_per_update)
 
 
+_CPU = PPOConfig(preset="cpu")
+_GPU = PPOConfig(
+    preset="gpu",
+    num_steps=100_000_000,
+    num_lots=512,
+    num_minibatches=64,
+    learning_rate=1e-3,
+    learning_rate_end=1e-4,
+    networks=NetworkConfig((256, 256), (256, 256)),
+    env=EnvConfig(
+        num_agents=7,
+        reward=RewardConfig(crash=2.5, closeness=0.0),
+    ),
+)
+# A square, streets with perpendicular and with parallel bays, angled bays, all of real
+# size; the streets have 18 bays and more.
+_MIXTURE = EnvConfig(layout="mixture", num_parked_cars=10)
+
 PRESETS: dict[str, PPOConfig] = {
-    "cpu": PPOConfig(preset="cpu"),
-    "gpu": PPOConfig(
-        preset="gpu",
-        num_steps=100_000_000,
-        num_lots=512,
-        num_minibatches=64,
-        learning_rate=1e-3,
-        learning_rate_end=1e-4,
-        networks=NetworkConfig((256, 256), (256, 256)),
-        env=EnvConfig(
-            num_agents=7,
-            reward=RewardConfig(crash=2.5, closeness=0.0),
-        ),
+    "cpu": _CPU,
+    "gpu": _GPU,
+    "cpu-mixture": dataclasses.replace(_CPU, preset="cpu-mixture", env=_MIXTURE),
+    "gpu-mixture": dataclasses.replace(
+        _GPU,
+        preset="gpu-mixture",
+        env=dataclasses.replace(_MIXTURE, num_agents=4),
     ),
 }
