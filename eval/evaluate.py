@@ -47,7 +47,8 @@ class EvaluateConfig:
         seed: of the held-out lots; training never uses these keys.
         rule: judge by another parked rule than the run was trained under.
         num_agents: another number of agents than the run was trained with.
-        layout: another lot than the run was trained in: a name or a layout file.
+        layout: another lot than the run was trained in: a name or a layout file, or
+            several with commas between.
         num_parked_cars: another number of parked cars.
         physics: another back end: `scene` judges crashes by the contacts of one MuJoCo
             world.
@@ -95,7 +96,6 @@ def main(config: EvaluateConfig) -> Evaluation:
         folder = loaded.path.parent
         folder = folder.parent if folder.name == "checkpoints" else folder
     folder = Path(config.out) if config.out else folder
-    folder.mkdir(parents=True, exist_ok=True)
     env_config = adapt(
         env_config,
         rule=config.rule,
@@ -105,6 +105,7 @@ def main(config: EvaluateConfig) -> Evaluation:
         physics=config.physics,
     )
     env = ParkingEnv(env_config)
+    folder.mkdir(parents=True, exist_ok=True)  # unwritable? Say so before the work.
     policy = policy or BASELINES[name](env.action_size)
     result = evaluate(env, policy, config.episodes, config.seed)
     title = f"{name}: {env_config.num_agents} agents, {env_config.episode.parked_rule}"

@@ -308,6 +308,19 @@ def test_the_command_checks_and_draws(tmp_path, capsys):
     assert target.read_bytes()[:4] == b"\x89PNG"
     assert main(["ring", "--check", "1"]) == 2
     assert "unknown layout 'ring'" in capsys.readouterr().err
+    assert main(["nowhere.json", "--run", "1"]) == 2
+    told = capsys.readouterr().err
+    assert told == (
+        "layouts: cannot read the layout nowhere.json: No such file or directory\n"
+    )
+
+
+@pytest.mark.parametrize("options", [[], ["--check", "0"], ["street", "--run", "-1"]])
+def test_a_command_without_anything_to_do_says_what_there_is(options, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(options)
+    assert stop.value.code == 2
+    assert "nothing to do: give --plot FILE" in capsys.readouterr().err
 
 
 IMPOSSIBLE = [
@@ -318,8 +331,13 @@ IMPOSSIBLE = [
     (
         StreetConfig,
         {"bays_per_side": (9,)},
-        r"a lowest and a highest value, not \(9,\)",
+        r"a tuple \(lowest, highest value\), not \(9,\)",
     ),
+    (StreetConfig, {"bays_per_side": 9}, r"bays_per_side must be a tuple .* not 9"),
+    (StreetConfig, {"bay_width": [2.4, 2.6]}, r"must be a tuple .* not \[2.4, 2.6\]"),
+    (StreetConfig, {"bays_per_side": (9.5, 12)}, r"whole numbers from 1 up, not \(9.5"),
+    (StreetConfig, {"aisle_width": ("a", "b")}, r"numbers from 0 up, not \('a', 'b'\)"),
+    (StreetConfig, {"wall_thickness": None}, "wall_thickness must be .* not None"),
     (StreetConfig, {"wall_thickness": 0.0}, "wall_thickness must be at least 0.01"),
     (StreetParallelConfig, {"aisle_width": (2.5, 2.5)}, r"aisle_width .* not 2.5"),
     (StreetParallelConfig, {"bay_length": (4.0, 6.0)}, "bay_length .* from 4.255 up"),

@@ -19,6 +19,7 @@ from carpark_mj.layouts import (
     SquareConfig,
     StreetConfig,
     generate,
+    layout_config,
     member_shares,
     mixture,
 )
@@ -134,6 +135,11 @@ def test_the_fewest_bays_of_any_member_limit_the_cars():
         ParkingEnv(EnvConfig(layout=config, num_parked_cars=5), SlidePhysics())
 
 
+def test_names_with_commas_between_are_a_mixture():
+    config = EnvConfig(layout="compact,street,street")
+    assert layout_config(config.layout) == mixture(["compact", "street", "street"])
+
+
 @pytest.mark.parametrize(
     "layout",
     [
@@ -166,6 +172,10 @@ def test_a_stored_layout_of_an_unknown_family_is_refused():
             r"weights must be positive, not \(0.0,\)",
         ),
         (lambda: MixtureConfig(members=("x",)), "members must be layout configs"),  # type: ignore
+        (lambda: MixtureConfig(members=[StreetConfig()]), "members of a mixture must"),  # type: ignore
+        (lambda: mixture(["compact"], ["1"]), r"weights must be positive"),  # type: ignore
+        (lambda: EnvConfig(layout="street,ring"), "unknown layout 'ring'; choose from"),
+        (lambda: EnvConfig(layout="street.jsn"), r"or name a file \(.json, .csv\)"),
         (lambda: FromFileConfig(), "path must end in one of"),
     ],
 )

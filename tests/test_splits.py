@@ -9,7 +9,7 @@ import pytest
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import StreetConfig, generate, mixture
+from carpark_mj.layouts import StreetConfig, make_layout, mixture
 from carpark_mj.layouts.splits import TEST, TRAIN, lot_key, lot_number
 from scenes import SlidePhysics
 
@@ -67,24 +67,24 @@ def test_an_environment_s_lots_are_those_of_the_split_asked_for():
     config = EnvConfig(layout=STREET, num_agents=1, num_parked_cars=0)
     env, key = ParkingEnv(config, SlidePhysics()), jax.random.key(3)
     layout_key = jax.random.split(key)[1]
+    reset = jax.jit(env.reset, static_argnums=1)
     for split, span in (("train", TRAIN), ("test", TEST)):
-        state, _ = env.reset(key, split)
+        state, _ = reset(key, split)
         number = int(lot_number(split, layout_key))
         assert number in span
-        lot = generate(STREET, lot_key(number))
+        lot = make_layout(STREET, lot_key(number))
         for mine, drawn in zip(*map(jax.tree.leaves, (state.layout, lot)), strict=True):
             np.testing.assert_allclose(mine, drawn, atol=2e-5)  # float32 at 20 m
-    plain, _ = env.reset(key)
-    train, _ = env.reset(key, "train")
-    np.testing.assert_array_equal(plain.layout.bay_pose, train.layout.bay_pose)
+    plain, train = env.draw_layout(layout_key), env.draw_layout(layout_key, "train")
+    np.testing.assert_array_equal(plain.bay_pose, train.bay_pose)
 
 
 def test_a_lot_that_no_key_changes_starts_as_if_there_were_no_splits():
     env = ParkingEnv(EnvConfig(layout="compact", num_agents=1), SlidePhysics())
     key = jax.random.key(8)
-    plain, _ = env.reset_to_layout(generate(env.lot, key), key)
+    plain, _ = jax.jit(env.reset_to_layout)(make_layout("compact"), key)
     for split in ("train", "test"):
-        state, _ = env.reset(key, split)
+        state, _ = jax.jit(env.reset, static_argnums=1)(key, split)
         for mine, other in zip(*map(jax.tree.leaves, (state, plain)), strict=True):
             if jnp.issubdtype(mine.dtype, jax.dtypes.prng_key):
                 mine, other = map(jax.random.key_data, (mine, other))

@@ -131,11 +131,16 @@ class Learner:
 
     def place(self, state: TrainingState) -> TrainingState:
         """Lays a state out over the devices: lots sharded, the rest replicated."""
-        specs = self._specs()
         return jax.tree.map(
-            lambda spec, part: jax.device_put(part, NamedSharding(self.mesh, spec)),
-            specs,
+            lambda sharding, part: jax.device_put(part, sharding),
+            self._shardings(),
             state,
+        )
+
+    def _shardings(self) -> TrainingState:
+        return jax.tree.map(
+            lambda spec: NamedSharding(self.mesh, spec),
+            self._specs(),
             is_leaf=lambda x: isinstance(x, PartitionSpec),
         )
 
@@ -162,7 +167,10 @@ class Learner:
             out_specs=(self._specs(), PartitionSpec()),
             check_vma=False,
         )
-        return jax.jit(update, donate_argnums=0)
+        # Said of the results too, or on one device JAX calls some lots replicated and
+        # compiles the second update anew.
+        placed = (self._shardings(), NamedSharding(self.mesh, PartitionSpec()))
+        return jax.jit(update, donate_argnums=0, out_shardings=placed)
 
     def update(
         self, state: TrainingState

@@ -125,6 +125,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--run", type=int, default=0, help="run so many scenes each")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
+    if not (options.plot or options.check > 0 or options.run > 0):
+        parser.error("nothing to do: give --plot FILE, --check N or --run N (N > 0)")
     shown = {name: name for name in options.layouts} or SHOWN
     sound = True
     try:

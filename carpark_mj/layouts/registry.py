@@ -50,13 +50,16 @@ def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
     """The config that a layout's name stands for; a config stands for itself.
 
     Args:
-        layout: a name, a layout file (.json or .csv), or a config.
+        layout: a name, a layout file (.json or .csv), several of them with commas
+            between for their mixture, or a config.
 
     Raises:
         ValueError: unknown name, the message lists the known ones; or a bad file.
     """
     if isinstance(layout, LayoutConfig):
         return layout
+    if "," in layout:
+        return mixture(layout.split(","))
     if layout.endswith(LAYOUT_FILES):
         return FromFileConfig(path=layout)
     if layout in SQUARES:
