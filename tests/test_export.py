@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.scene.__main__ import SceneConfig, main, make_scene
+from carpark_mj.scene.export import try_out
 from carpark_mj.vehicle import COMPACT
 
 ROOT = Path(__file__).parents[1]
@@ -123,3 +124,11 @@ def test_without_a_display_the_way_out_is_named(monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(OSError, match="--out and open it elsewhere"):
         main(SceneConfig(view=True))
+
+
+def test_a_scene_that_blows_up_is_told_by_mujoco_s_own_word(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT
+    spec = make_scene(SceneConfig(out="x.xml", num_agents=1, num_parked_cars=0))
+    assert try_out(spec, 0.1) == []
+    spec.option.gravity = [0.0, 0.0, -1e12]
+    assert any("BADQACC" in warning for warning in try_out(spec, 0.1))

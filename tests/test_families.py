@@ -27,7 +27,7 @@ from carpark_mj.layouts import (
     make_layout,
     pad_layout,
 )
-from carpark_mj.layouts.__main__ import SHOWN, main
+from carpark_mj.layouts.__main__ import SHOWN, main, run_scene
 from carpark_mj.layouts.garage_row import draw_tight_bay
 from carpark_mj.spawn import spawn_pose
 from carpark_mj.vehicle import COMPACT
@@ -42,6 +42,7 @@ HARD = [
 ]
 NAMES = HARD + [n for n in SHOWN if "," not in n or "angled" in n or "lot" in n]
 NAMES = [name for name in NAMES if name not in ("tanner", "mixture")]
+PLAIN = [name for name in NAMES if "," not in name]
 PARALLEL = [name for name in NAMES if "parallel" in name]
 CAR = DesignCar()
 AREA = 0.02  # m^2; rounding of 1e-5 m along a few hundred metres of edges
@@ -299,6 +300,13 @@ def test_every_garage_bay_has_a_wall_on_both_sides_and_one_opposite(name):
             across = shapely.LineString([(middle, low), (middle, low - 20)])
             gap = across.intersection(walls).distance(shapely.Point(middle, low))
             assert gap == pytest.approx(aisle, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", [*PLAIN, *HARD[1::2]])
+def test_scenes_run_without_a_warning(name):
+    """More keys: `python -m carpark_mj.layouts --run 20`."""
+    for layout in lots(name, 2):
+        assert run_scene(layout) == []
 
 
 def test_the_command_checks_and_draws(tmp_path, capsys):

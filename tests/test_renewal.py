@@ -36,18 +36,31 @@ CONFIG = dataclasses.replace(
 
 @pytest.fixture(scope="module")
 def history():
-    """States before and after each of four updates, and the learner."""
+    """A learner, its compiled update, and its states before and after four of them."""
     learner = Learner(CONFIG)
     learner.env.env.physics = SlidePhysics()
     update = learner.compile()
-    states = [learner.init()]
-    seen = [host(states[0])]
+    start = jax.device_get(learner.init())
+    state, seen = learner.place(start), [host(start)]
     for _ in range(4):
-        state, _ = update(states.pop())
-        states.append(state)
+        state, _ = update(state)
         seen.append(host(state))
-    assert update._cache_size() == 1
-    return learner, update, seen
+    assert update._cache_size() == 1  # neither weak types nor layout recompiled it
+    return learner, update, start, seen
+
+
+@pytest.fixture(scope="module")
+def renewal(history):
+    """An unroll, the lots after it, after renewal, and the two fresh ones in them."""
+    learner, _, start, _ = history
+
+    def run(state, key):
+        env_state, data = learner._collect(state, key)
+        renewed = learner._renew(env_state, jnp.int32(1), key)
+        return data, env_state, renewed, learner.env.reset(jax.random.split(key))
+
+    found = jax.jit(run)(start, jax.random.key(1))
+    return tuple(map(host, found))
 
 
 def host(state):
@@ -79,7 +92,7 @@ def test_lots_take_turns_and_none_lasts_longer_than_its_life(num_lots, life):
 
 
 def test_an_update_draws_the_lots_that_are_due_and_keeps_the_others(history):
-    _, _, seen = history
+    _, _, _, seen = history
     for number, (before, after) in enumerate(itertools.pairwise(seen)):
         due = due_lots(number, LOTS, CONFIG.lot_life).tolist()
         changed = np.any(layouts(before).extent != layouts(after).extent, axis=-1)
@@ -93,50 +106,33 @@ def test_an_update_draws_the_lots_that_are_due_and_keeps_the_others(history):
     assert len(drawn) == LOTS + 4 * 2
 
 
-def test_a_renewed_lot_is_a_fresh_one_and_the_others_stay(history):
-    learner, _, _ = history
-    keys = jax.random.split(jax.random.key(2), 2)
-    state = jax.tree.map(jnp.asarray, learner.init().env)
-    renewed = jax.jit(learner.env.renew)(state, jnp.array([4, 1]), keys)
-    fresh = jax.jit(learner.env.reset)(keys)
-    rows = np.array([8, 9, 2, 3])  # agents of lots 4 and 1
-    np.testing.assert_array_equal(renewed.obs[rows], fresh.obs)
-    rest = np.setdiff1d(np.arange(LOTS * AGENTS), rows)
-    np.testing.assert_array_equal(renewed.obs[rest], state.obs[rest])
-    for new, old, start in zip(
-        *map(
-            jax.tree.leaves,
-            (
-                host(renewed).pipeline_state,
-                host(state).pipeline_state,
-                host(fresh).pipeline_state,
-            ),
-        ),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(new[[4, 1]], start)
-        np.testing.assert_array_equal(new[[0, 2, 3, 5]], old[[0, 2, 3, 5]])
+def test_a_renewed_lot_is_a_fresh_one_and_the_others_stay(renewal):
+    _, before, after, fresh = renewal
+    agents = np.arange(4, 8)  # of lots 2 and 3, whose turn it is
+    rest = np.setdiff1d(np.arange(LOTS * AGENTS), agents)
+    np.testing.assert_array_equal(after.obs[agents], fresh.obs)
+    np.testing.assert_array_equal(after.obs[rest], before.obs[rest])
+    lots = [jax.tree.leaves(x.pipeline_state) for x in (before, after, fresh)]
+    for old, new, start in zip(*lots, strict=True):
+        np.testing.assert_array_equal(new[[2, 3]], start)
+        np.testing.assert_array_equal(new[[0, 1, 4, 5]], old[[0, 1, 4, 5]])
 
 
-def test_the_episodes_cut_off_are_bootstrapped_in_the_lot_they_were_in(history):
+def test_the_episodes_cut_off_are_bootstrapped_in_the_lot_they_were_in(renewal):
     """The last step of an unroll keeps what the agents saw before the renewal."""
-    learner, _, _ = history
-    state = learner.init()
-    env_state, data = jax.jit(learner._collect)(state, jax.random.key(1))
+    data, before, after, _ = renewal
     assert data.next_observation.shape[:2] == (LOTS * AGENTS, UNROLL)
-    np.testing.assert_array_equal(data.next_observation[:, -1], env_state.obs)
-    renewed = learner._renew(env_state, jnp.int32(0), jax.random.key(2))
-    cut = np.any(renewed.obs != env_state.obs, axis=-1)
-    assert np.flatnonzero(cut).tolist() == [0, 1, 2, 3]  # two lots of two agents
+    np.testing.assert_array_equal(data.next_observation[:, -1], before.obs)
+    cut = np.any(after.obs != data.next_observation[:, -1], axis=-1)
+    assert np.flatnonzero(cut).tolist() == [4, 5, 6, 7]
     # Neither the end of an episode nor a reward is made up for the cut.
     ended = data.extras["state_extras"]["episode_done"]
     np.testing.assert_array_equal(data.discount, 1.0 - ended)
 
 
 def test_a_resumed_training_draws_the_same_lots(history):
-    learner, update, seen = history
-    again = learner.init()
-    again, _ = update(again)
+    learner, update, start, seen = history
+    again, _ = update(learner.place(start))
     again, _ = update(learner.place(jax.device_get(again)))  # as through a checkpoint
     for mine, other in zip(*map(jax.tree.leaves, (host(again), seen[2])), strict=True):
         np.testing.assert_array_equal(mine, other)

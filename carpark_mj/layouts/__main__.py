@@ -95,19 +95,25 @@ def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
 
 
 def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """What MuJoCo warns of while the scenes of so many keys run, a sentence each.
+    """What MuJoCo warns of while the scenes of so many keys run, a sentence each."""
+    return [
+        f"key {number}: {warning}"
+        for number, drawn in enumerate(draw(layout, num_keys, seed))
+        for warning in run_scene(drawn)
+    ]
+
+
+def run_scene(layout: Layout) -> list[str]:
+    """What MuJoCo warns of while the scene of one lot runs for a second.
 
     Every bay holds a parked car; cars to drive stand in the first spawn regions.
     """
     from carpark_mj.scene.export import drivable_scene, try_out
     from carpark_mj.vehicle import COMPACT
 
-    found = []
-    for number, drawn in enumerate(draw(layout, num_keys, seed)):
-        starts = drawn.spawn_pose[drawn.spawn_mask][:NUM_DRIVEN]
-        spec = drivable_scene(drawn, COMPACT, starts, drawn.bay_pose[drawn.bay_mask])
-        found += [f"key {number}: {warning}" for warning in try_out(spec)]
-    return found
+    starts = layout.spawn_pose[layout.spawn_mask][:NUM_DRIVEN]
+    parked = layout.bay_pose[layout.bay_mask]
+    return try_out(drivable_scene(layout, COMPACT, starts, parked))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -76,7 +76,7 @@ def try_out(spec: mujoco.MjSpec, seconds: float = 1.0) -> list[str]:
         mujoco.mj_step(model, data)
     names = [name.removeprefix("mjWARN_") for name in mujoco.mjtWarning.__members__]
     return [
-        f"{data.warning[k].number} times {names[k]}"
+        f"{names[k]}, {data.warning[k].number} times"
         for k in range(mujoco.mjtWarning.mjNWARNING)
         if data.warning[k].number
     ]
