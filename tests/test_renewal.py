@@ -10,8 +10,9 @@ import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.layouts import StreetConfig
+from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import NetworkConfig
-from learner import Learner, due_lots
+from learner import Learner, TrainingState, due_lots
 from presets import PRESETS
 from scenes import SlidePhysics
 
@@ -35,31 +36,42 @@ CONFIG = dataclasses.replace(
 
 
 @pytest.fixture(scope="module")
-def history():
-    """A learner, its compiled update, and its states before and after four of them."""
+def history(tmp_path_factory):
+    """A learner, its compiled update, and its states before and after four of them.
+
+    Also what loads the state before the first update, or after it, from a checkpoint.
+    """
     learner = Learner(CONFIG)
     learner.env.env.physics = SlidePhysics()
     update = learner.compile()
-    start = jax.device_get(learner.init())
-    state, seen = learner.place(start), [host(start)]
-    for _ in range(4):
+    state = learner.init()
+    folder, seen = tmp_path_factory.mktemp("run"), [host(state)]
+    for number in range(4):
+        if number < 2:
+            checkpoints.save(folder / f"{number}.npz", vars(state), {})
         state, _ = update(state)
         seen.append(host(state))
     assert update._cache_size() == 1  # neither weak types nor layout recompiled it
-    return learner, update, start, seen
+
+    def load(number):
+        template = vars(jax.eval_shape(learner.build))
+        tree = checkpoints.load(folder / f"{number}.npz", template)
+        return learner.place(TrainingState(**tree))
+
+    return learner, update, load, seen
 
 
 @pytest.fixture(scope="module")
 def renewal(history):
     """An unroll, the lots after it, after renewal, and the two fresh ones in them."""
-    learner, _, start, _ = history
+    learner, _, load, _ = history
 
     def run(state, key):
         env_state, data = learner._collect(state, key)
         renewed = learner._renew(env_state, jnp.int32(1), key)
         return data, env_state, renewed, learner.env.reset(jax.random.split(key))
 
-    found = jax.jit(run)(start, jax.random.key(1))
+    found = jax.jit(run)(load(0), jax.random.key(1))
     return tuple(map(host, found))
 
 
@@ -131,9 +143,8 @@ def test_the_episodes_cut_off_are_bootstrapped_in_the_lot_they_were_in(renewal):
 
 
 def test_a_resumed_training_draws_the_same_lots(history):
-    learner, update, start, seen = history
-    again, _ = update(learner.place(start))
-    again, _ = update(learner.place(jax.device_get(again)))  # as through a checkpoint
+    _, update, load, seen = history
+    again, _ = update(load(1))
     for mine, other in zip(*map(jax.tree.leaves, (host(again), seen[2])), strict=True):
         np.testing.assert_array_equal(mine, other)
 
