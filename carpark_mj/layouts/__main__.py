@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from carpark_mj.command_line import USER_ERRORS, one_line
 from carpark_mj.config import LayoutConfig
@@ -111,8 +112,8 @@ def run_scene(layout: Layout) -> list[str]:
     from carpark_mj.scene.export import drivable_scene, try_out
     from carpark_mj.vehicle import COMPACT
 
-    starts = layout.spawn_pose[layout.spawn_mask][:NUM_DRIVEN]
-    parked = layout.bay_pose[layout.bay_mask]
+    starts = np.asarray(layout.spawn_pose[layout.spawn_mask][:NUM_DRIVEN])
+    parked = np.asarray(layout.bay_pose[layout.bay_mask])
     return try_out(drivable_scene(layout, COMPACT, starts, parked))
 
 

@@ -54,7 +54,7 @@ class MixtureConfig(LayoutConfig):
                 f"not {self.weights}"
             )
         if any(
-            not (isinstance(w, int | float) and math.isfinite(w) and w > 0)
+            not (isinstance(w, int | float) and math.isfinite(w) and w > 0)  # pyright: ignore
             for w in self.weights
         ):
             raise ValueError(f"weights must be positive, not {self.weights}")

@@ -45,7 +45,7 @@ class SquareConfig(LayoutConfig):
     family: str = "square"
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.bays_per_side, int) and self.bays_per_side >= 1):
+        if not (isinstance(self.bays_per_side, int) and self.bays_per_side >= 1):  # pyright: ignore
             raise ValueError(
                 f"bays_per_side must be a whole number of at least 1, not "
                 f"{self.bays_per_side!r}"
