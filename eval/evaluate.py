@@ -175,7 +175,7 @@ def _family_rows(result: Evaluation) -> list[dict[str, Any]]:
 
 def print_families(result: Evaluation) -> None:
     """Prints the outcomes of every family, with 95 % intervals."""
-    table = Table(title="by family: rate and 95 % interval")
+    table = Table(title="by family: rate, and below it the 95 % interval [%]")
     table.add_column("family")
     for column in ("episodes", "parked", "crashed", "timed out"):
         table.add_column(column, justify="right")
@@ -184,7 +184,10 @@ def print_families(result: Evaluation) -> None:
         table.add_row(
             family,
             f"{summary['episodes']}",
-            *(f"{r['rate']:.1%} ({r['low']:.1%} … {r['high']:.1%})" for r in rates),
+            *(
+                f"{r['rate']:.1%}\n{100 * r['low']:.1f} … {100 * r['high']:.1f}"
+                for r in rates
+            ),
             end_section=family == list(result.families)[-1],
         )
     Console().print(table)
