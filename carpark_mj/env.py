@@ -13,11 +13,12 @@ import jax.numpy as jnp
 
 from carpark_mj import metrics, rewards
 from carpark_mj.actions import neutralise
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.episode import judge
 from carpark_mj.fleet import Fleet
 from carpark_mj.lanes import has_lanes, is_wrong_way
-from carpark_mj.layouts import Layout, generate, layout_config, make_layout
+from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
+from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.contact import ContactPhysics
@@ -116,6 +117,11 @@ class ParkingEnv:
         return self.config.num_agents
 
     @property
+    def lot(self) -> LayoutConfig:
+        """The lot, or the family it is drawn from."""
+        return self._lot
+
+    @property
     def observation_size(self) -> int:
         """Length of an agent's observation."""
         return observation_size(self.config.observation)
@@ -125,11 +131,16 @@ class ParkingEnv:
         """Length of an agent's action."""
         return 2
 
-    def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
+    def reset(
+        self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
+    ) -> tuple[State, jax.Array]:
         """Starts a lot: its layout if it is random, parked cars, goals and agents.
 
         Args:
             key: consumed.
+            split: lots to draw a random layout from; those of `test` are held out for
+                evaluation (`carpark_mj.layouts.splits`).
+            member: () int32 which member of a mixture the lot is of; drawn if None.
 
         Returns:
             The state and the observations (num_agents, observation_size).
@@ -137,12 +148,14 @@ class ParkingEnv:
         if self._layout is not None:
             return self.reset_to_layout(self._layout, key)
         key, layout_key = jax.random.split(key)
-        return self.reset_to_layout(self.draw_layout(layout_key), key)
+        return self.reset_to_layout(self.draw_layout(layout_key, split, member), key)
 
     @full_float32
-    def draw_layout(self, key: jax.Array) -> Layout:
+    def draw_layout(
+        self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
+    ) -> Layout:
         """Draws a layout as `reset` does; always of the same shape."""
-        return generate(self._lot, key)
+        return generate_member(self._lot, member, lot_key(lot_number(split, key)))
 
     @full_float32
     def reset_to_layout(

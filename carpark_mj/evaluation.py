@@ -1,7 +1,8 @@
 """Evaluation of a policy: whole episodes on held-out seeds, rates with intervals.
 
 Of every agent the first few episodes count, however long they are, so that short
-episodes are not over-represented.
+episodes are not over-represented. Every member of a mixture gets its share of the lots
+exactly, not by chance.
 """
 
 import dataclasses
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import member_shares
 from carpark_mj.policy.networks import Policy
 from carpark_mj.state import State
 
@@ -22,7 +24,10 @@ CHUNK = 50  # control steps per compiled call
 
 
 def evaluation_key(seed: int) -> jax.Array:
-    """The key of an evaluation; training uses `fold_in(..., 0)`, so they never meet."""
+    """The key of an evaluation; training uses `fold_in(..., 0)`, so they never meet.
+
+    Random layouts come from the `test` split besides (`carpark_mj.layouts.splits`).
+    """
     return jax.random.fold_in(jax.random.key(seed), 1)
 
 
@@ -46,12 +51,16 @@ class Evaluation:
     """What an evaluation found.
 
     Attributes:
-        episodes: a row per episode: lot, agent, episode, outcome flags, numbers.
+        episodes: a row per episode: lot, agent, episode, outcome flags, numbers, and
+            the lot's family by name.
         summary: episodes, rates with Wilson 95 % intervals, means.
+        families: the same for the lots of each member of a mixture, by name; the lot's
+            own if it is no mixture.
     """
 
-    episodes: list[dict[str, float]]
+    episodes: list[dict[str, Any]]
     summary: dict[str, Any]
+    families: dict[str, dict[str, Any]]
 
 
 def evaluate(
@@ -64,7 +73,8 @@ def evaluate(
         policy: acting function over observations (agents, size).
         num_episodes: rounded up to the same number for every agent.
         seed: of the held-out lots, goals and spawns.
-        num_lots: lots run side by side; fewer if the episodes do not fill them.
+        num_lots: lots run side by side; fewer if the episodes do not fill them, but
+            one for each member of a mixture.
 
     Raises:
         ValueError: no episodes, or an environment without respawn.
@@ -73,16 +83,19 @@ def evaluate(
         raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
     if not env.config.episode.respawn:
         raise ValueError("evaluation needs episode.respawn = True")
+    shares = member_shares(env.lot)
     num_lots = min(num_lots, -(-num_episodes // env.num_agents))
+    num_lots = max(num_lots, len(shares))
+    member = allot(list(shares.values()), num_lots)
     quota = -(-num_episodes // (num_lots * env.num_agents))
     reset_key, act_key = jax.random.split(evaluation_key(seed))
-    state, observation = jax.jit(jax.vmap(env.reset))(
-        jax.random.split(reset_key, num_lots)
-    )
+    reset = jax.jit(jax.vmap(lambda key, member: env.reset(key, "test", member)))
+    state, observation = reset(jax.random.split(reset_key, num_lots), member)
     chunk = jax.jit(lambda carry: _chunk(env, policy, carry))
     carry = (state, observation, act_key)
     finished = np.zeros((num_lots, env.num_agents), int)
-    rows: list[dict[str, float]] = []
+    names = [list(shares)[index] for index in member]
+    rows: list[dict[str, Any]] = []
     while finished.min() < quota:
         carry, (done, metrics) = chunk(carry)
         done = np.asarray(done)
@@ -91,10 +104,26 @@ def evaluate(
             if finished[lot, agent] < quota:
                 row = {"lot": lot, "agent": agent, "episode": finished[lot, agent]}
                 row |= {name: value[t, lot, agent] for name, value in metrics.items()}
-                rows.append({name: float(value) for name, value in row.items()})
+                row = {name: float(value) for name, value in row.items()}
+                rows.append(row | {"family": names[lot]})
             finished[lot, agent] += 1
     rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
-    return Evaluation(rows, summarise(rows, env.config.sim.ctrl_dt))
+    ctrl_dt = env.config.sim.ctrl_dt
+    families = {
+        name: summarise([row for row in rows if row["family"] == name], ctrl_dt)
+        for name in shares
+    }
+    return Evaluation(rows, summarise(rows, ctrl_dt), families)
+
+
+def allot(shares: list[float], num_lots: int) -> np.ndarray:
+    """Members (num_lots,) int32 of a mixture's lots, in proportion to their shares.
+
+    The k-th lot goes to the member within whose part of [0, 1] (k + 1/2) / n falls.
+    """
+    middle = (np.arange(num_lots) + 0.5) / num_lots
+    ends = np.cumsum(shares)[:-1]
+    return np.searchsorted(ends, middle, side="right").astype(np.int32)
 
 
 def _chunk(
@@ -115,7 +144,7 @@ def _chunk(
     return jax.lax.scan(step, carry, None, length=CHUNK)
 
 
-def summarise(rows: list[dict[str, float]], ctrl_dt: float) -> dict[str, Any]:
+def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
     """Rates with intervals and means of episode rows; times in seconds.
 
     Where the lot has lanes, `wrong_way_share` is the share of all metres driven that
@@ -129,7 +158,7 @@ def summarise(rows: list[dict[str, float]], ctrl_dt: float) -> dict[str, Any]:
         share = total / count if count else float("nan")
         return {"rate": share, "low": low, "high": high, "count": total}
 
-    def mean(name: str, among: list[dict[str, float]]) -> float:
+    def mean(name: str, among: list[dict[str, Any]]) -> float:
         values = [row[name] for row in among]
         return float(np.mean(values)) if values else float("nan")
 

@@ -1,6 +1,9 @@
 """Evaluates a policy on held-out seeds: a table, `evaluation.csv`, `evaluation.json`.
 
+In a mixture of families also a table with a row per family, and `families.csv`.
+
 python eval/evaluate.py runs/cpu-0
+python eval/evaluate.py runs/cpu-mixture-0
 python eval/evaluate.py --policy random --episodes 500
 """
 
@@ -44,7 +47,8 @@ class EvaluateConfig:
         seed: of the held-out lots; training never uses these keys.
         rule: judge by another parked rule than the run was trained under.
         num_agents: another number of agents than the run was trained with.
-        layout: another lot than the run was trained in: a name or a layout file.
+        layout: another lot than the run was trained in: a name or a layout file, or
+            several with commas between.
         num_parked_cars: another number of parked cars.
         physics: another back end: `scene` judges crashes by the contacts of one MuJoCo
             world.
@@ -92,7 +96,6 @@ def main(config: EvaluateConfig) -> Evaluation:
         folder = loaded.path.parent
         folder = folder.parent if folder.name == "checkpoints" else folder
     folder = Path(config.out) if config.out else folder
-    folder.mkdir(parents=True, exist_ok=True)
     env_config = adapt(
         env_config,
         rule=config.rule,
@@ -102,6 +105,7 @@ def main(config: EvaluateConfig) -> Evaluation:
         physics=config.physics,
     )
     env = ParkingEnv(env_config)
+    folder.mkdir(parents=True, exist_ok=True)  # unwritable? Say so before the work.
     policy = policy or BASELINES[name](env.action_size)
     result = evaluate(env, policy, config.episodes, config.seed)
     title = f"{name}: {env_config.num_agents} agents, {env_config.episode.parked_rule}"
@@ -110,8 +114,11 @@ def main(config: EvaluateConfig) -> Evaluation:
         f"seed {config.seed}"
     )
     print_table(result.summary, title)
-    write_evaluation(folder, result, {"policy": name, **dataclasses.asdict(config)})
-    print(f"wrote {folder / 'evaluation.csv'} and {folder / 'evaluation.json'}")
+    if len(result.families) > 1:
+        print_families(result)
+    settings = {"policy": name, **dataclasses.asdict(config)}
+    written = write_evaluation(folder, result, settings)
+    print(f"wrote {', '.join(map(str, written))}")
     return result
 
 
@@ -123,20 +130,67 @@ def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> Env
     return dataclasses.replace(env, **given)
 
 
-def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> None:
-    """Writes `evaluation.csv` (episodes) and `evaluation.json` (summary)."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(result.episodes[0]))
-    writer.writeheader()
-    writer.writerows(result.episodes)
-    path = folder / "evaluation.csv"
-    write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))
-    summary = {
+def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> list[Path]:
+    """Writes `evaluation.csv` (episodes) and `evaluation.json` (summaries).
+
+    Of a mixture also `families.csv`, a row per family and one for all of them.
+
+    Returns:
+        The files.
+    """
+    written = [folder / "evaluation.csv", folder / "evaluation.json"]
+    _write_csv(written[0], result.episodes)
+    data = {
         "settings": settings,
         "device": jax.devices()[0].device_kind,
         "summary": result.summary,
     }
-    write_json(folder / "evaluation.json", summary)
+    if len(result.families) > 1:
+        data["families"] = result.families
+        written.append(folder / "families.csv")
+        _write_csv(written[2], _family_rows(result))
+    write_json(written[1], data)
+    return written
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))
+
+
+def _family_rows(result: Evaluation) -> list[dict[str, Any]]:
+    """Episodes, counts, rates and intervals of every family, and of all together."""
+    rows: list[dict[str, Any]] = []
+    for family, summary in {**result.families, "all": result.summary}.items():
+        row: dict[str, Any] = {"family": family, "episodes": summary["episodes"]}
+        for outcome in OUTCOMES:
+            for name, value in summary[outcome].items():
+                row[f"{outcome}_{name}"] = value
+        rows.append(row)
+    return rows
+
+
+def print_families(result: Evaluation) -> None:
+    """Prints the outcomes of every family, with 95 % intervals."""
+    table = Table(title="by family: rate, and below it the 95 % interval [%]")
+    table.add_column("family")
+    for column in ("episodes", "parked", "crashed", "timed out"):
+        table.add_column(column, justify="right")
+    for family, summary in {**result.families, "all": result.summary}.items():
+        rates = [summary[name] for name in ("parked", "crashed", "timed_out")]
+        table.add_row(
+            family,
+            f"{summary['episodes']}",
+            *(
+                f"{r['rate']:.1%}\n{100 * r['low']:.1f} … {100 * r['high']:.1f}"
+                for r in rates
+            ),
+            end_section=family == list(result.families)[-1],
+        )
+    Console().print(table)
 
 
 def print_table(summary: dict[str, Any], title: str) -> None:

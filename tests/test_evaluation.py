@@ -1,6 +1,8 @@
 """Evaluation: intervals, whole episodes, fixed quotas, the same result twice."""
 
 import collections
+import csv
+import json
 
 import jax
 import numpy as np
@@ -11,6 +13,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation import (
     HITS,
     OUTCOMES,
+    allot,
     evaluate,
     evaluation_key,
     random_policy,
@@ -18,6 +21,8 @@ from carpark_mj.evaluation import (
     wilson_interval,
     zero_policy,
 )
+from carpark_mj.layouts import StreetConfig, mixture
+from scenes import SlidePhysics
 
 
 def test_wilson_intervals_match_published_values():
@@ -97,6 +102,105 @@ def test_evaluation_never_uses_training_s_key():
         training = jax.random.key_data(jax.random.fold_in(jax.random.key(seed), 0))
         held_out = jax.random.key_data(evaluation_key(seed))
         assert (training != held_out).any()
+
+
+@pytest.mark.parametrize(
+    ("shares", "lots", "counts"),
+    [
+        ([0.25] * 4, 128, [32] * 4),
+        ([0.25] * 4, 4, [1] * 4),
+        ([0.25, 0.5, 0.25], 8, [2, 4, 2]),
+        ([1.0], 3, [3]),
+        ([1 / 3] * 3, 10, [3, 4, 3]),
+    ],
+)
+def test_members_of_a_mixture_get_their_shares_of_the_lots(shares, lots, counts):
+    assert np.bincount(allot(shares, lots), minlength=len(shares)).tolist() == counts
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """Six episodes asked for, in a mixture of a square and streets."""
+    street = StreetConfig(bays_per_side=(3, 4))
+    env = ParkingEnv(
+        EnvConfig(
+            layout=mixture(["compact", street], [2, 1]),
+            num_agents=1,
+            num_parked_cars=1,
+            episode=EpisodeConfig(max_steps=5),
+        ),
+        SlidePhysics(),
+    )
+    return evaluate(env, random_policy(2), num_episodes=6, seed=3), env
+
+
+def test_families_are_summed_up_apart_and_add_up(mixed):
+    result, _ = mixed
+    of_lot = {row["lot"]: row["family"] for row in result.episodes}
+    assert of_lot == dict(enumerate(["compact"] * 4 + ["street"] * 2))
+    assert list(result.families) == ["compact", "street"]
+    for name, summary in result.families.items():
+        rows = [row for row in result.episodes if row["family"] == name]
+        assert summary["episodes"] == len(rows)
+        for outcome in OUTCOMES:
+            rate = summary[outcome]
+            assert rate["count"] == sum(row[outcome] for row in rows)
+            expected = wilson_interval(rate["count"], len(rows))
+            assert (rate["low"], rate["high"]) == expected
+    for outcome in OUTCOMES:
+        total = sum(summary[outcome]["count"] for summary in result.families.values())
+        assert result.summary[outcome]["count"] == total
+
+
+def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(mixed, monkeypatch):
+    result, env = mixed
+    asked = []
+
+    def reset(key, split="train", member=None):
+        asked.append(split)
+        return ParkingEnv.reset(env, key, split, member)
+
+    monkeypatch.setattr(env, "reset", reset)
+    again = evaluate(env, random_policy(2), num_episodes=6, seed=3)
+    assert again.episodes == result.episodes
+    assert asked == ["test"]
+
+
+def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
+    mixed, tmp_path, capsys
+):
+    import evaluate as command
+
+    result, _ = mixed
+    files = command.write_evaluation(tmp_path, result, {})
+    assert [path.name for path in files] == [
+        "evaluation.csv",
+        "evaluation.json",
+        "families.csv",
+    ]
+    with files[2].open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["family"] for row in rows] == ["compact", "street", "all"]
+    assert [int(row["episodes"]) for row in rows] == [4, 2, 6]
+    for row in rows:
+        rates = [float(row[f"{outcome}_rate"]) for outcome in OUTCOMES]
+        assert sum(rates) == pytest.approx(1.0)
+        assert float(row["parked_low"]) <= rates[0] <= float(row["parked_high"])
+    stored = json.loads(files[1].read_text())
+    assert stored["families"]["street"]["episodes"] == 2
+    command.print_families(result)
+    printed = capsys.readouterr().out
+    for name in ("compact", "street", "all"):
+        assert name in printed
+
+
+def test_a_single_lot_has_no_table_of_families(result, tmp_path):
+    import evaluate as command
+
+    files = command.write_evaluation(tmp_path, result, {})
+    assert len(files) == 2
+    assert "families" not in json.loads(files[1].read_text())
+    assert {row["family"] for row in result.episodes} == {"tanner"}
 
 
 def test_impossible_evaluations_are_refused(env):

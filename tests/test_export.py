@@ -12,6 +12,7 @@ import pytest
 
 from carpark_mj.scene import car_look
 from carpark_mj.scene.__main__ import SceneConfig, main, make_scene
+from carpark_mj.scene.export import try_out
 from carpark_mj.vehicle import COMPACT
 
 ROOT = Path(__file__).parents[1]
@@ -153,3 +154,11 @@ def test_looks_change_no_mass_and_no_motion(monkeypatch):
 def test_looks_are_only_seen(model):
     for geom in np.flatnonzero(model.geom_group == 2):
         assert model.geom_contype[geom] == model.geom_conaffinity[geom] == 0
+
+
+def test_a_scene_that_blows_up_is_told_by_mujoco_s_own_word(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT
+    spec, _ = make_scene(SceneConfig(out="x.xml", num_agents=1, num_parked_cars=0))
+    assert try_out(spec, 0.1) == []
+    spec.option.gravity = [0.0, 0.0, -1e12]
+    assert any("BADQACC" in warning for warning in try_out(spec, 0.1))

@@ -27,7 +27,7 @@ from carpark_mj.layouts import (
     make_layout,
     pad_layout,
 )
-from carpark_mj.layouts.__main__ import SHOWN, main
+from carpark_mj.layouts.__main__ import SHOWN, main, run_scene
 from carpark_mj.layouts.garage_row import draw_tight_bay
 from carpark_mj.spawn import spawn_pose
 from carpark_mj.vehicle import COMPACT
@@ -42,6 +42,7 @@ HARD = [
 ]
 NAMES = HARD + [n for n in SHOWN if "," not in n or "angled" in n or "lot" in n]
 NAMES = [name for name in NAMES if name not in ("tanner", "mixture")]
+PLAIN = [name for name in NAMES if "," not in name]
 PARALLEL = [name for name in NAMES if "parallel" in name]
 CAR = DesignCar()
 AREA = 0.02  # m^2; rounding of 1e-5 m along a few hundred metres of edges
@@ -301,6 +302,13 @@ def test_every_garage_bay_has_a_wall_on_both_sides_and_one_opposite(name):
             assert gap == pytest.approx(aisle, abs=1e-4)
 
 
+@pytest.mark.parametrize("name", [*PLAIN, *HARD[1::2]])
+def test_scenes_run_without_a_warning(name):
+    """More keys: `python -m carpark_mj.layouts --run 20`."""
+    for layout in lots(name, 2):
+        assert run_scene(layout) == []
+
+
 def test_the_command_checks_and_draws(tmp_path, capsys):
     target = tmp_path / "plan.png"
     assert main(["dead_end", "--plot", str(target), "--check", "2"]) == 0
@@ -308,6 +316,19 @@ def test_the_command_checks_and_draws(tmp_path, capsys):
     assert target.read_bytes()[:4] == b"\x89PNG"
     assert main(["ring", "--check", "1"]) == 2
     assert "unknown layout 'ring'" in capsys.readouterr().err
+    assert main(["nowhere.json", "--run", "1"]) == 2
+    told = capsys.readouterr().err
+    assert told == (
+        "layouts: cannot read the layout nowhere.json: No such file or directory\n"
+    )
+
+
+@pytest.mark.parametrize("options", [[], ["--check", "0"], ["street", "--run", "-1"]])
+def test_a_command_without_anything_to_do_says_what_there_is(options, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(options)
+    assert stop.value.code == 2
+    assert "nothing to do: give --plot FILE" in capsys.readouterr().err
 
 
 IMPOSSIBLE = [
@@ -318,8 +339,13 @@ IMPOSSIBLE = [
     (
         StreetConfig,
         {"bays_per_side": (9,)},
-        r"a lowest and a highest value, not \(9,\)",
+        r"a tuple \(lowest, highest value\), not \(9,\)",
     ),
+    (StreetConfig, {"bays_per_side": 9}, r"bays_per_side must be a tuple .* not 9"),
+    (StreetConfig, {"bay_width": [2.4, 2.6]}, r"must be a tuple .* not \[2.4, 2.6\]"),
+    (StreetConfig, {"bays_per_side": (9.5, 12)}, r"whole numbers from 1 up, not \(9.5"),
+    (StreetConfig, {"aisle_width": ("a", "b")}, r"numbers from 0 up, not \('a', 'b'\)"),
+    (StreetConfig, {"wall_thickness": None}, "wall_thickness must be .* not None"),
     (StreetConfig, {"wall_thickness": 0.0}, "wall_thickness must be at least 0.01"),
     (StreetParallelConfig, {"aisle_width": (2.5, 2.5)}, r"aisle_width .* not 2.5"),
     (StreetParallelConfig, {"bay_length": (4.0, 6.0)}, "bay_length .* from 4.255 up"),

@@ -88,6 +88,11 @@ BAD_JSON = [
     (changed(bays=[{"pose": [0, 0], "size": [5, 2]}]), 4, r"bays\[0\].pose must be 3"),
     (changed(walls=[{"pose": [0, "x", 0], "size": [1, 1]}]), 7, r"walls\[0\].pose"),
     (changed(discs=[{"centre": [0, 0], "radius": math.nan}]), 10, "must be a number"),
+    (changed(discs=[{"centre": [0, 0], "radius": -1}]), 10, "must be positive, not -1"),
+    (changed(bays=[{"pose": [0, 0, 0], "size": [5, 0]}]), 4, "size must be positive"),
+    (changed(extent=[-10, 10]), 1, r"extent must be positive, not \[-10, 10\]"),
+    (changed(walls=[{"pose": [0, 9e9, 0], "size": [1, 1]}]), 7, "at most 10000"),
+    (changed(walls=[{"pose": [0, 10**400, 0], "size": [1, 1]}]), 7, "at most 10000"),
     (changed(discs=[{"centre": [0, 0], "radius": 1, "r": 2}]), 10, r"unknown \['r'\]"),
     (changed(walls=[{**HAND["walls"][0], "kind": "hedge"}]), 7, "'hedge'; choose"),
     (changed(lanes=[{**HAND["lanes"][0], "one_way": 1}]), 13, "true or false, not 1"),
@@ -112,7 +117,13 @@ def test_text_that_is_no_json_names_the_line(tmp_path):
     path.write_text("[1, 2]")
     with pytest.raises(ValueError, match="line 1: a layout is an object, not list"):
         make_layout(str(path))
-    with pytest.raises(ValueError, match=r"cannot read the layout .*nowhere.json"):
+    path.write_text("[" * 100_000)
+    with pytest.raises(ValueError, match="brackets are nested too deeply"):
+        make_layout(str(path))
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match=r"cannot read .*broken.json: it is no text"):
+        make_layout(str(path))
+    with pytest.raises(ValueError, match=r"nowhere.json: No such file or directory"):
         make_layout("nowhere.json")
     with pytest.raises(ValueError, match=r"path must end in one of \.json, \.csv"):
         FromFileConfig(path="lot.txt")
@@ -207,6 +218,8 @@ BAD_CSV = [
     ("0,0,0,5,12,0\n1\n2\n", 3, "vertex count of obstacle 0 .* at least 3, not 2"),
     ("0,0,0,5,12,0,1,3\n1,1,2,2,3\n", 2, "make 14 numbers, not 13"),
     ("0,0,0,5,12,0,0,inf\n", 1, "'inf' is no number"),
+    ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", 2, "at the goal would stand in an"),
+    ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", 1, "at the start would stand in an"),
 ]
 
 

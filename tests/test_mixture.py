@@ -11,7 +11,6 @@ import pytest
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation import evaluation_key
 from carpark_mj.layouts import (
     DeadEndConfig,
     FromFileConfig,
@@ -20,6 +19,8 @@ from carpark_mj.layouts import (
     SquareConfig,
     StreetConfig,
     generate,
+    layout_config,
+    member_shares,
     mixture,
 )
 from carpark_mj.policy import runs
@@ -88,19 +89,22 @@ def test_other_keys_and_other_families_need_no_other_program():
     assert step._cache_size() == 1
 
 
-def test_evaluation_lots_are_never_training_lots():
-    """Layouts come from the reset keys, which training and evaluation never share."""
-    _, reset, _ = compiled()
-    training = jax.random.fold_in(jax.random.key(7), 0)  # as the learner's
-    seen = {}
-    for name, key in (("training", training), ("evaluation", evaluation_key(7))):
-        state, _ = reset(jax.random.split(key, LOTS))
-        drawn = jax.device_get(state.layout)
-        random = member(drawn) != 0  # squares of one config are all alike
-        lots = np.c_[drawn.bay_pose.reshape(LOTS, -1), drawn.extent]
-        seen[name] = {lot.tobytes() for lot in lots[random]}
-        assert len(seen[name]) == random.sum()
-    assert not seen["training"] & seen["evaluation"]
+def test_members_are_called_by_their_names_with_their_shares():
+    tight = [GarageRowConfig(level=level) for level in ("normal", "complex")]
+    members = ["compact", *tight, SquareConfig(bays_per_side=5)]
+    assert member_shares(mixture(members, [1, 1, 2, 4])) == {
+        "compact": 0.125,
+        "garage_row": 0.125,
+        "garage_row 2": 0.25,
+        "square": 0.5,
+    }
+    assert list(member_shares(MixtureConfig())) == [
+        "compact",
+        "street",
+        "street_parallel",
+        "angled",
+    ]
+    assert member_shares(StreetConfig()) == {"street": 1.0}
 
 
 def test_the_layout_of_a_lot_follows_from_its_reset_key_alone():
@@ -129,6 +133,11 @@ def test_the_fewest_bays_of_any_member_limit_the_cars():
     )
     with pytest.raises(ValueError, match=r"num_parked_cars must be at most 4 \(6 bays"):
         ParkingEnv(EnvConfig(layout=config, num_parked_cars=5), SlidePhysics())
+
+
+def test_names_with_commas_between_are_a_mixture():
+    config = EnvConfig(layout="compact,street,street")
+    assert layout_config(config.layout) == mixture(["compact", "street", "street"])
 
 
 @pytest.mark.parametrize(
@@ -163,6 +172,10 @@ def test_a_stored_layout_of_an_unknown_family_is_refused():
             r"weights must be positive, not \(0.0,\)",
         ),
         (lambda: MixtureConfig(members=("x",)), "members must be layout configs"),  # type: ignore
+        (lambda: MixtureConfig(members=[StreetConfig()]), "members of a mixture must"),  # type: ignore
+        (lambda: mixture(["compact"], ["1"]), r"weights must be positive"),  # type: ignore
+        (lambda: EnvConfig(layout="street,ring"), "unknown layout 'ring'; choose from"),
+        (lambda: EnvConfig(layout="street.jsn"), r"or name a file \(.json, .csv\)"),
         (lambda: FromFileConfig(), "path must end in one of"),
     ],
 )

@@ -70,6 +70,16 @@ def schedule(start: float, end: float, progress: jax.Array) -> jax.Array:
     return start + (end - start) * jnp.clip(progress, 0.0, 1.0)
 
 
+def due_lots(update: jax.Array | int, num_lots: int, life: int) -> jax.Array:
+    """Lots (n,) int32 that are drawn anew after an update; they take turns.
+
+    n is the same for all updates, and the least for which no lot outlives `life`
+    updates.
+    """
+    count = -(-num_lots // life)
+    return (update * count + jnp.arange(count)) % num_lots
+
+
 class Learner:
     """Builds the initial training state and the compiled update of a config."""
 
@@ -77,6 +87,7 @@ class Learner:
         """Sets up environment, networks, optimiser and mesh."""
         self.config = config
         self.env = BraxParking(ParkingEnv(config.env))
+        self.renews_lots = config.lot_life > 0 and self.env.env.lot.is_random
         self.networks = make_networks(
             config.networks, self.env.observation_size, self.env.action_size
         )
@@ -123,11 +134,16 @@ class Learner:
 
     def place(self, state: TrainingState) -> TrainingState:
         """Lays a state out over the devices: lots sharded, the rest replicated."""
-        specs = self._specs()
         return jax.tree.map(
-            lambda spec, part: jax.device_put(part, NamedSharding(self.mesh, spec)),
-            specs,
+            lambda sharding, part: jax.device_put(part, sharding),
+            self._shardings(),
             state,
+        )
+
+    def _shardings(self) -> TrainingState:
+        return jax.tree.map(
+            lambda spec: NamedSharding(self.mesh, spec),
+            self._specs(),
             is_leaf=lambda x: isinstance(x, PartitionSpec),
         )
 
@@ -155,7 +171,10 @@ class Learner:
             out_specs=(self._specs(), PartitionSpec()),
             check_vma=False,
         )
-        return jax.jit(update, donate_argnums=0)
+        # Said of the results too, or on one device JAX calls some lots replicated and
+        # compiles the second update anew.
+        placed = (self._shardings(), NamedSharding(self.mesh, PartitionSpec()))
+        return jax.jit(update, donate_argnums=0, out_shardings=placed)
 
     def update(
         self, state: TrainingState
@@ -168,6 +187,10 @@ class Learner:
         key, act_key, learn_key = jax.random.split(state.key, 3)
         local = jax.lax.axis_index(AXIS)
         env_state, data = self._collect(state, jax.random.fold_in(act_key, local))
+        if self.renews_lots:
+            key, renew_key = jax.random.split(key)
+            renew_key = jax.random.fold_in(renew_key, local)
+            env_state = self._renew(env_state, state.update, renew_key)
         learned, losses = self._learn(state, data, jax.random.fold_in(learn_key, local))
         finite = jnp.stack(
             [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((learned, losses))]
@@ -216,6 +239,17 @@ class Learner:
             ),
         )
         return env_state, jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
+
+    def _renew(self, env_state: Any, update: jax.Array, key: jax.Array) -> Any:
+        """Draws the lots that are due anew (one device's share).
+
+        It happens between unrolls, where the value of what comes next is bootstrapped
+        anyway: the episodes cut off are truncated without any further doing. They are
+        not counted among the episodes that ended.
+        """
+        num_lots = self.config.num_lots // self.mesh.size
+        lots = due_lots(update, num_lots, self.config.lot_life)
+        return self.env.renew(env_state, lots, jax.random.split(key, len(lots)))
 
     def _learn(
         self, state: TrainingState, data: Transition, key: jax.Array

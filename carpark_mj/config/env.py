@@ -1,7 +1,7 @@
 """The environment's configuration."""
 
 import dataclasses
-from typing import Literal
+from typing import Literal, get_args
 
 from carpark_mj.config.checks import at_least, choose
 from carpark_mj.config.fleet import FleetConfig, JitterConfig, Range, require_range
@@ -28,7 +28,8 @@ class EnvConfig:
             bays), `compact` (the same with 2.5 m x 5.0 m bays), or a family with its
             default settings: `street`, `street_parallel`, `angled`, `lot`,
             `garage_row`, `dead_end`, `mixture`. Or a layout file (.json, or a TPCAP
-            case as .csv). From Python also the config of a family, see
+            case as .csv). Several, with commas between, are a mixture of them. From
+            Python also the config of a family, see
             `carpark_mj.layouts`.
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: cars that act.
@@ -67,8 +68,13 @@ class EnvConfig:
     def __post_init__(self) -> None:
         if not isinstance(self.layout, LayoutConfig | str):  # pyright: ignore
             raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
-        if isinstance(self.layout, str) and not self.layout.endswith(LAYOUT_FILES):
-            choose("layout", self.layout, LayoutName)
+        for name in self.layout.split(",") if isinstance(self.layout, str) else ():
+            if not name.endswith(LAYOUT_FILES) and name not in get_args(LayoutName):
+                raise ValueError(
+                    f"unknown layout {name!r}; choose from "
+                    f"{sorted(get_args(LayoutName))}, or name a file "
+                    f"({', '.join(LAYOUT_FILES)})"
+                )
         choose("physics", self.physics, PhysicsName)
         at_least(self, 1, "num_agents")
         at_least(self, 0, "num_parked_cars")

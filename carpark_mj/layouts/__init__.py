@@ -10,8 +10,10 @@ from carpark_mj.layouts.registry import (
     FAMILIES,
     SQUARES,
     generate,
+    generate_member,
     layout_config,
     make_layout,
+    member_shares,
     mixture,
 )
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
@@ -19,6 +21,7 @@ from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.street import StreetConfig
 from carpark_mj.layouts.street_parallel import StreetParallelConfig
 from carpark_mj.layouts.types import (
+    ROWS,
     BayKind,
     DiscKind,
     Layout,
@@ -31,6 +34,7 @@ from carpark_mj.layouts.types import (
 __all__ = [
     "COMPACT",
     "FAMILIES",
+    "ROWS",
     "SQUARES",
     "TANNER",
     "AngledConfig",
@@ -49,9 +53,11 @@ __all__ = [
     "StreetParallelConfig",
     "WallKind",
     "generate",
+    "generate_member",
     "layout_config",
     "layout_maxima",
     "make_layout",
+    "member_shares",
     "mixture",
     "pad_layout",
     "square",

@@ -1,4 +1,9 @@
-"""Looks at layouts: `python -m carpark_mj.layouts --plot lots.png --check 1000`."""
+"""Looks at layouts: pictures, checks of their plans, trial runs of their scenes.
+
+python -m carpark_mj.layouts --plot lots.png
+python -m carpark_mj.layouts --check 1000 --run 20
+python -m carpark_mj.layouts street my_lot.json --check 1000
+"""
 
 import argparse
 import sys
@@ -6,7 +11,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import jax
+import numpy as np
 
+from carpark_mj.command_line import USER_ERRORS, one_line
 from carpark_mj.config import LayoutConfig
 from carpark_mj.layouts import (
     AngledConfig,
@@ -22,6 +29,7 @@ from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
 
 CHUNK = 250  # layouts drawn at once
+NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
 
 _LEVELS: tuple[tuple[Orientation, Level], ...] = (
     ("perpendicular", "normal"),
@@ -87,16 +95,45 @@ def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
     return found
 
 
+def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
+    """What MuJoCo warns of while the scenes of so many keys run, a sentence each."""
+    return [
+        f"key {number}: {warning}"
+        for number, drawn in enumerate(draw(layout, num_keys, seed))
+        for warning in run_scene(drawn)
+    ]
+
+
+def run_scene(layout: Layout) -> list[str]:
+    """What MuJoCo warns of while the scene of one lot runs for a second.
+
+    Every bay holds a parked car; cars to drive stand in the first spawn regions.
+    """
+    from carpark_mj.scene.export import drivable_scene, try_out
+    from carpark_mj.vehicle import COMPACT
+
+    starts = np.asarray(layout.spawn_pose[layout.spawn_mask][:NUM_DRIVEN])
+    parked = np.asarray(layout.bay_pose[layout.bay_mask])
+    return try_out(drivable_scene(layout, COMPACT, starts, parked))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code, 1 if a layout is not sound."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m carpark_mj.layouts",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument(
         "layouts", nargs="*", help="names or layout files; all families if none"
     )
     parser.add_argument("--plot", type=Path, help="write a picture, two lots of each")
     parser.add_argument("--check", type=int, default=0, help="check so many keys each")
+    parser.add_argument("--run", type=int, default=0, help="run so many scenes each")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
+    if not (options.plot or options.check > 0 or options.run > 0):
+        parser.error("nothing to do: give --plot FILE, --check N or --run N (N > 0)")
     shown = {name: name for name in options.layouts} or SHOWN
     sound = True
     try:
@@ -107,13 +144,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for drawn in draw(layout, 2, options.seed)
             ]
             print(f"wrote {contact_sheet(pictures, options.plot)}")
-        for name, layout in shown.items() if options.check > 0 else ():
-            found = check(layout, options.check, options.seed)
-            sound = sound and not found
-            print(f"{name}: {options.check} keys, {len(found)} problems")
-            print("".join(f"  {problem}\n" for problem in found[:10]), end="")
-    except (OSError, ValueError) as error:
-        print(f"layouts: {error}", file=sys.stderr)
+        for name, layout in shown.items():
+            for judge, number in ((check, options.check), (run, options.run)):
+                if number < 1:
+                    continue
+                found = judge(layout, number, options.seed)
+                sound = sound and not found
+                what = "problems" if judge is check else "warnings"
+                print(f"{name}: {number} keys, {len(found)} {what}", flush=True)
+                print("".join(f"  {problem}\n" for problem in found[:10]), end="")
+    except USER_ERRORS as error:
+        print(f"layouts: {one_line(error)}", file=sys.stderr)
         return 2
     return 0 if sound else 1
 

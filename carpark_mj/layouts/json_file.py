@@ -16,7 +16,6 @@ is told with its line, and so is a layout that is not sound (`layouts.checks`).
 """
 
 import json
-import math
 from json import scanner
 from pathlib import Path
 from typing import Any
@@ -39,6 +38,8 @@ _SCHEMA: dict[str, dict[str, Any]] = {
     "spawns": {"pose": 3, "size": 2, "spread": 1},
 }
 _DEFAULTS: dict[str, Any] = {"one_way": True, "spread": build.LANE_SPREAD}
+_POSITIVE = ("size", "radius", "extent")
+FARTHEST = 1e4  # m; float32 resolves a millimetre there
 _NEEDED = ("format", "bays", "spawns", "extent")
 
 
@@ -82,11 +83,14 @@ def read_json(path: Path) -> Layout:
     try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"cannot read the layout {path}: {error}") from None
+        why = getattr(error, "strerror", None) or "it is no text"
+        raise ValueError(f"cannot read the layout {path}: {why}") from None
     try:
         layout = _parse(text)
     except json.JSONDecodeError as error:
         raise ValueError(f"{path}, line {error.lineno}: {error.msg}") from None
+    except RecursionError:
+        raise ValueError(f"{path}: brackets are nested too deeply") from None
     except _RowError as error:
         raise ValueError(f"{path}, line {error.line}: {error}") from None
     if problems := layout.is_well_formed():
@@ -190,9 +194,13 @@ def _number(line: int, what: str, value: Any, count: int) -> Any:
     values = [value] if count == 1 else value
     good = isinstance(values, list) and len(values) == count
     if not good or not all(
-        isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x)
+        isinstance(x, int | float) and not isinstance(x, bool) and x == x
         for x in values
     ):
         wanted = "a number" if count == 1 else f"{count} numbers"
         raise _RowError(line, f"{what} must be {wanted}, not {value!r}")
+    if max(map(abs, values)) > FARTHEST:
+        raise _RowError(line, f"{what} must be at most {FARTHEST:g}, not {value!r}")
+    if what.rsplit(".", 1)[-1] in _POSITIVE and min(values) <= 0:
+        raise _RowError(line, f"{what} must be positive, not {value!r}")
     return value

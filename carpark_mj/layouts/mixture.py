@@ -38,6 +38,11 @@ class MixtureConfig(LayoutConfig):
     family: str = "mixture"
 
     def __post_init__(self) -> None:
+        for name in ("members", "weights"):
+            if not isinstance(getattr(self, name), tuple):  # hashed, so no lists
+                raise ValueError(
+                    f"{name} of a mixture must be a tuple, not {getattr(self, name)!r}"
+                )
         if not self.members:
             raise ValueError("members of a mixture must be one config or more, not ()")
         for member in self.members:
@@ -48,7 +53,10 @@ class MixtureConfig(LayoutConfig):
                 f"weights must be one for each of the {len(self.members)} members, "
                 f"not {self.weights}"
             )
-        if any(not (math.isfinite(w) and w > 0) for w in self.weights):
+        if any(
+            not (isinstance(w, int | float) and math.isfinite(w) and w > 0)  # pyright: ignore
+            for w in self.weights
+        ):
             raise ValueError(f"weights must be positive, not {self.weights}")
 
     @property
@@ -59,6 +67,14 @@ class MixtureConfig(LayoutConfig):
 
 def draw_mixture(config: MixtureConfig, key: jax.Array) -> Layout:
     """Draws a family, then a lot of it."""
+    weights = jnp.array(config.weights or (1.0,) * len(config.members), jnp.float32)
+    pick_key, lot_key = jax.random.split(key)
+    pick = jax.random.categorical(pick_key, jnp.log(weights))
+    return draw_member(config, pick, lot_key)
+
+
+def draw_member(config: MixtureConfig, member: jax.Array, key: jax.Array) -> Layout:
+    """Draws a lot of one member, () int32, padded like all lots of the mixture."""
     from carpark_mj.layouts.registry import generate  # which lists this module too
 
     def branch(member: LayoutConfig):
@@ -66,8 +82,5 @@ def draw_mixture(config: MixtureConfig, key: jax.Array) -> Layout:
 
     branches = [branch(member) for member in config.members]
     maxima = layout_maxima(jax.eval_shape(make, key) for make in branches)
-    weights = jnp.array(config.weights or (1.0,) * len(branches), jnp.float32)
-    pick_key, lot_key = jax.random.split(key)
-    pick = jax.random.categorical(pick_key, jnp.log(weights))
     padded = [lambda key, make=make: pad_layout(make(key), maxima) for make in branches]
-    return jax.lax.switch(pick, padded, lot_key)
+    return jax.lax.switch(member, padded, key)

@@ -39,15 +39,25 @@ def require_ranges(config: Any, minimum: float, *names: str) -> None:
     """
     for name in names:
         value = getattr(config, name)
-        if len(value) != 2:
+        # Ranges are part of a config's hash, so no lists.
+        if not (isinstance(value, tuple) and len(value) == 2):
             raise ValueError(
-                f"{name} must be a lowest and a highest value, not {value}"
+                f"{name} must be a tuple (lowest, highest value), not {value!r}"
             )
         low, high = value
-        if not (math.isfinite(low) and math.isfinite(high) and minimum <= low <= high):
+        whole = "whole numbers " if _is_whole(config, name) else ""
+        kinds = int if whole else (int, float)
+        good = all(isinstance(x, kinds) and math.isfinite(x) for x in value)
+        if not (good and minimum <= low <= high):
             raise ValueError(
-                f"{name} must be a range (low, high) from {minimum:g} up, not {value}"
+                f"{name} must be a range (low, high) of {whole or 'numbers '}from "
+                f"{minimum:g} up, not {value!r}"
             )
+
+
+def _is_whole(config: Any, name: str) -> bool:
+    """Whether the range was declared as one of whole numbers."""
+    return config.__dataclass_fields__[name].type in (IntRange, "IntRange")
 
 
 def require_at_least(config: Any, minimum: float, *names: str) -> None:
@@ -58,5 +68,6 @@ def require_at_least(config: Any, minimum: float, *names: str) -> None:
     """
     for name in names:
         value = getattr(config, name)
-        if not (math.isfinite(value) and value >= minimum):
-            raise ValueError(f"{name} must be at least {minimum:g}, not {value}")
+        good = isinstance(value, int | float) and math.isfinite(value)
+        if not (good and value >= minimum):
+            raise ValueError(f"{name} must be at least {minimum:g}, not {value!r}")

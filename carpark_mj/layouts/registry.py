@@ -12,7 +12,7 @@ from carpark_mj.layouts.from_file import FromFileConfig, from_file
 from carpark_mj.layouts.garage_row import GarageRowConfig, garage_row
 from carpark_mj.layouts.lot import lot
 from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.layouts.mixture import MixtureConfig, draw_mixture
+from carpark_mj.layouts.mixture import MixtureConfig, draw_member, draw_mixture
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
 from carpark_mj.layouts.street import StreetConfig, street
 from carpark_mj.layouts.street_parallel import StreetParallelConfig, street_parallel
@@ -50,13 +50,16 @@ def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
     """The config that a layout's name stands for; a config stands for itself.
 
     Args:
-        layout: a name, a layout file (.json or .csv), or a config.
+        layout: a name, a layout file (.json or .csv), several of them with commas
+            between for their mixture, or a config.
 
     Raises:
         ValueError: unknown name, the message lists the known ones; or a bad file.
     """
     if isinstance(layout, LayoutConfig):
         return layout
+    if "," in layout:
+        return mixture(layout.split(","))
     if layout.endswith(LAYOUT_FILES):
         return FromFileConfig(path=layout)
     if layout in SQUARES:
@@ -72,6 +75,41 @@ def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
 def generate(config: LayoutConfig, key: jax.Array) -> Layout:
     """Draws a lot: the same key gives the same lot, other keys the same shapes."""
     return FAMILIES[config.family].generate(config, key)
+
+
+def generate_member(
+    config: LayoutConfig, member: jax.Array | None, key: jax.Array
+) -> Layout:
+    """Draws a lot of one member, () int32, of a mixture.
+
+    Any lot of the mixture if it is None, and any lot of a config that is no mixture.
+    """
+    if isinstance(config, MixtureConfig) and member is not None:
+        return draw_member(config, member, key)
+    return generate(config, key)
+
+
+def member_shares(config: LayoutConfig) -> dict[str, float]:
+    """The members of a mixture by name, with their shares of the lots.
+
+    A config that is no mixture is its own only member. Members are called after their
+    family, squares after their layout, and a second one of a name gets a number.
+    """
+    if not isinstance(config, MixtureConfig):
+        return {_name(config): 1.0}
+    weights = config.weights or (1.0,) * len(config.members)
+    shares: dict[str, float] = {}
+    for member, weight in zip(config.members, weights, strict=True):
+        name, number = _name(member), 2
+        while name in shares:
+            name, number = f"{_name(member)} {number}", number + 1
+        shares[name] = weight / sum(weights)
+    return shares
+
+
+def _name(config: LayoutConfig) -> str:
+    names = [name for name, known in SQUARES.items() if known == config]
+    return names[0] if names else config.family
 
 
 # Many small operations: one by one they would each be compiled.

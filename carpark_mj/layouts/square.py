@@ -12,6 +12,8 @@ import numpy as np
 
 from carpark_mj.config import LayoutConfig
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.turning import least_aisle
 from carpark_mj.layouts.types import Layout
 
 WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
@@ -43,14 +45,30 @@ class SquareConfig(LayoutConfig):
     family: str = "square"
 
     def __post_init__(self) -> None:
-        if self.bays_per_side < 1:
+        if not (isinstance(self.bays_per_side, int) and self.bays_per_side >= 1):  # pyright: ignore
             raise ValueError(
-                f"bays_per_side must be at least 1, not {self.bays_per_side}"
+                f"bays_per_side must be a whole number of at least 1, not "
+                f"{self.bays_per_side!r}"
             )
         for field in dataclasses.fields(self)[1:-1]:
             value = getattr(self, field.name)
-            if not value >= 0:
-                raise ValueError(f"{field.name} must not be negative, not {value}")
+            if not (isinstance(value, int | float) and 0 <= value < math.inf):
+                raise ValueError(
+                    f"{field.name} must be a number and not negative, not {value!r}"
+                )
+        car = DesignCar()
+        if self.bay_width < car.width or self.bay_length < car.length:
+            raise ValueError(
+                f"bay_width and bay_length must hold a car of {car.width} m x "
+                f"{car.length} m, not {self.bay_width} m x {self.bay_length} m"
+            )
+        least = least_aisle(car, 90.0, self.bay_width, walled=False)
+        if self.bays_per_side * self.bay_width < least:
+            raise ValueError(
+                f"bays_per_side {self.bays_per_side} and bay_width {self.bay_width} m "
+                f"leave a square of {self.bays_per_side * self.bay_width:.2f} m, the "
+                f"car needs {least:.2f} m to turn into a bay (layouts.turning)"
+            )
         if 2 * self.spawn_margin >= self.bays_per_side * self.bay_width:
             raise ValueError(
                 f"spawn_margin {self.spawn_margin} m leaves no spawn region in a "

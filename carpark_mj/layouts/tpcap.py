@@ -34,6 +34,7 @@ TPCAP_CAR = DesignCar(
 )
 BAY_MARGIN = 0.2  # m on every side of the goal footprint, less where obstacles are near
 EDGE = 0.02  # m, thickness of the walls along the edges of a polygon
+TOUCHING = 0.01  # m by which a car may stand in an obstacle, for rounded coordinates
 START = 0.02  # m, side of the spawn region
 RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
 
@@ -72,7 +73,18 @@ def read_tpcap(path: Path, car: DesignCar = TPCAP_CAR) -> Layout:
         )
     vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
     polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
-    return _case(np.array(numbers[:3]), np.array(numbers[3:6]), polygons, car)
+    try:
+        return _case(np.array(numbers[:3]), np.array(numbers[3:6]), polygons, car)
+    except _BlockedError as error:
+        raise ValueError(f"{path}, line {lines[error.first]}: {error}") from None
+
+
+class _BlockedError(ValueError):
+    """A car that cannot stand where it should."""
+
+    def __init__(self, first: int, what: str) -> None:
+        super().__init__(f"a car at the {what} would stand in an obstacle")
+        self.first = first  # number with which its pose begins
 
 
 def _numbers(path: Path) -> tuple[list[float], list[int]]:
@@ -80,7 +92,8 @@ def _numbers(path: Path) -> tuple[list[float], list[int]]:
     try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"cannot read the case {path}: {error}") from None
+        why = getattr(error, "strerror", None) or "it is no text"
+        raise ValueError(f"cannot read the case {path}: {why}") from None
     numbers, lines = [], []
     for line, row in enumerate(text.splitlines(), 1):
         for cell in row.split(","):
@@ -125,6 +138,10 @@ def _case(
     pose = np.array([pose for pose, _ in boxes]).reshape(-1, 3)
     size = np.array([size for _, size in boxes]).reshape(-1, 2)
     start, goal = start - middle, goal - middle
+    for first, what, stand in ((0, "start", start), (3, "goal", goal)):
+        size_there = np.array(car.size) - 2 * TOUCHING
+        if boxes_overlap(*map(jnp.asarray, (stand, size_there, pose, size))).any():
+            raise _BlockedError(first, what)
     margin = _free_margin(goal, car, pose, size)
     return assemble(
         (high - low) / 2,

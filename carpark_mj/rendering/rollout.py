@@ -53,7 +53,7 @@ class Recording:
 def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Recording:
     """Drives one held-out lot for `num_steps` control steps."""
     reset_key, act_key = jax.random.split(evaluation_key(seed))
-    state, observation = jax.jit(env.reset)(reset_key)
+    state, observation = jax.jit(lambda key: env.reset(key, "test"))(reset_key)
 
     def step(carry, key):
         state, observation = carry

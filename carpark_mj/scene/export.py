@@ -68,6 +68,28 @@ def drivable_scene(
     return spec
 
 
+def try_out(spec: mujoco.MjSpec, seconds: float = 1.0) -> list[str]:
+    """Compiles a drivable scene and drives it, every car on half throttle in a curve.
+
+    Returns:
+        What MuJoCo warned of, by its names (`BADQACC`...), a sentence each.
+    """
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for k in range(model.nu):
+        share = {"steer": 0.5, "drive": 0.5, "brake": 0.0}
+        kind = model.actuator(k).name.rsplit("/", 1)[-1]
+        data.ctrl[k] = share[kind] * model.actuator_ctrlrange[k, 1]
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    names = [name.removeprefix("mjWARN_") for name in mujoco.mjtWarning.__members__]
+    return [
+        f"{names[k]}, {data.warning[k].number} times"
+        for k in range(mujoco.mjtWarning.mjNWARNING)
+        if data.warning[k].number
+    ]
+
+
 def rest_attitude(
     params: VehicleParameters, suspension: bool = False
 ) -> tuple[float, float]:

@@ -50,6 +50,23 @@ class BraxParking(Env):
             info=info,
         )
 
+    def renew(self, state: BraxState, lots: jax.Array, keys: jax.Array) -> BraxState:
+        """Draws some lots anew; the episodes running in them are cut off.
+
+        Args:
+            state: of all lots.
+            lots: (n,) int32 which lots.
+            keys: (n,) consumed.
+        """
+        fresh = self.reset(keys)
+
+        def put(old: jax.Array, new: jax.Array) -> jax.Array:
+            rows = new.shape[0] // lots.shape[0]  # 1, or the agents of a lot
+            index = (lots[:, None] * rows + jnp.arange(rows)).reshape(-1)
+            return old.at[index].set(new)
+
+        return jax.tree.map(put, state, fresh)
+
     def step(self, state: BraxState, action: jax.Array) -> BraxState:
         """Steps all lots; `action` (num_lots * num_agents, 2)."""
         lots: Any = state.pipeline_state
