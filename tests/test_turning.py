@@ -96,9 +96,9 @@ def test_least_aisle_is_what_the_best_single_arc_sweeps(angle, width, walled, re
 
 
 def test_a_hand_worked_case_backing_into_a_perpendicular_bay():
-    # R = 2.637 / tan 34.2 deg = 3.880 m; neighbours 1.601 m from the axis (2.5 m bays).
-    # q^2 = 2.981^2 - 2.280^2, front corner sqrt(4.780^2 + 3.495^2) = 5.921 m.
-    assert CAR.turning_radius == pytest.approx(3.880, abs=1e-3)
+    # R = 2.637 / tan 34.187 deg = 3.882 m; neighbours 1.601 m off the axis (2.5 m bays)
+    # q^2 = 2.983^2 - 2.282^2; front corner sqrt(4.782^2 + 3.495^2) = 5.923 m.
+    assert CAR.turning_radius == pytest.approx(3.882, abs=1e-3)
     assert least_aisle(CAR, 90.0, 2.5, walled=False) == pytest.approx(4.00, abs=0.01)
 
 
