@@ -12,14 +12,17 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj import metrics, rewards
-from carpark_mj.actions import neutralise
+from carpark_mj.actions import neutralise, neutralise_choices
 from carpark_mj.config import EnvConfig
 from carpark_mj.episode import judge
 from carpark_mj.goals import Occupancy, evolve, init_occupancy, new_goal
 from carpark_mj.layouts import Layout, generate, layout_config, make_layout
 from carpark_mj.observations import observation_size, observe
+from carpark_mj.observations.indices import observe_indices
 from carpark_mj.physics.base import Physics, where_cars
+from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.contact import ContactPhysics
+from carpark_mj.physics.grid import GridPhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.precision import full_float32
@@ -35,7 +38,8 @@ class ParkingEnv:
     """N agents park in a lot; see `EnvConfig` for what can be set.
 
     - observation: (num_agents, observation_size) float32, `observations.fields`.
-    - action: (num_agents, 2) steer and pedal in [-1, 1], `vehicle.drive`.
+    - action: (num_agents, 2) steer and pedal in [-1, 1], `vehicle.drive`; or on the
+      grid indices of an acceleration and a turn, `choices`.
     - reward: (num_agents,), `rewards`.
     - episodes belong to agents: one that parks, crashes or times out respawns alone
       (or stays put, `EpisodeConfig.respawn`) while the others drive on.
@@ -85,6 +89,10 @@ class ParkingEnv:
 
     def _make_physics(self) -> Physics:
         contact = self.config.sim.tyres == "contact"
+        if self.config.physics == "grid":
+            return GridPhysics(self.config.grid, self.config.sim)
+        if self.config.physics == "bicycle":
+            return BicyclePhysics(self.config.sim)
         if self.config.physics == "mjx":
             return (ContactPhysics if contact else MjxPhysics)(self.config.sim)
         if contact:
@@ -116,6 +124,11 @@ class ParkingEnv:
     def action_size(self) -> int:
         """Length of an agent's action."""
         return 2
+
+    @property
+    def choices(self) -> tuple[int, int] | None:
+        """How many there are in each branch of an action; None if it is continuous."""
+        return self.config.grid.choices if self.config.physics == "grid" else None
 
     def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
         """Starts a lot: its layout if it is random, parked cars, goals and agents.
@@ -193,9 +206,9 @@ class ParkingEnv:
 
         Args:
             state: current state.
-            action: (num_agents, 2) steer and pedal in [-1, 1]; agents that have
-                finished brake instead. What is NaN or outside is neutralised and
-                counted in the metric `invalid_actions`.
+            action: (num_agents, 2) steer and pedal in [-1, 1], or indices on the grid;
+                agents that have finished brake instead. What is NaN or outside is
+                neutralised and counted in the metric `invalid_actions`.
 
         Returns:
             The next state and what the agents learn.
@@ -203,9 +216,12 @@ class ParkingEnv:
         config = self.config
         key, fleet_key, sensor_key = self._split_if_random(state.key)
         state = dataclasses.replace(state, key=key)
-        stop = drive.stopping_action(state.vehicle.speed)
-        action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
-        action, invalid = neutralise(action)
+        if self.choices is not None:  # who has finished is frozen in any case
+            action, invalid = neutralise_choices(action, self.choices)
+        else:
+            stop = drive.stopping_action(state.vehicle.speed)
+            action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
+            action, invalid = neutralise(action)
         physics = self.physics.step(state.physics, action)
         vehicle = self.physics.read(physics)
         if not (config.episode.respawn or self.physics.contacts):
@@ -275,6 +291,19 @@ class ParkingEnv:
         if self.physics.contacts:
             return self.physics.parked_pose(state.physics)
         return state.layout.bay_pose[state.occupancy.parked_bay]
+
+    def final_observation(self, state: State, timestep: TimeStep) -> jax.Array:
+        """What agents saw at the end of a step, before any of them respawned.
+
+        Args:
+            state: before the step; goals and parked cars are as they were then.
+            timestep: what the step returned.
+
+        Returns:
+            (num_agents, observation_size); `timestep.observation` where nobody was
+            done.
+        """
+        return self._observe(dataclasses.replace(state, vehicle=timestep.vehicle))
 
     def _freeze(
         self, state: State, physics: Any, vehicle: VehicleState
@@ -357,6 +386,17 @@ class ParkingEnv:
         )
 
     def _observe(self, state: State) -> jax.Array:
+        if self.config.observation.encoding == "indices":
+            return observe_indices(
+                self.config.observation,
+                self.config.grid,
+                self.config.sim.ctrl_dt,
+                state.layout,
+                observed(state.sensors, state.vehicle),
+                state.occupancy.goal,
+                self.parked_pose(state),
+                state.parked_size,
+            )
         fleet = state.physics.vehicle
         return observe(
             self.config.observation,

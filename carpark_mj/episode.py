@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EpisodeConfig
+from carpark_mj.config.grid import WORLD_UNIT
 from carpark_mj.geometry import (
     axis_angle_error,
     box_disc_overlap,
@@ -13,7 +14,6 @@ from carpark_mj.geometry import (
     boxes_overlap,
     rotate,
 )
-from carpark_mj.layouts.square import WORLD_UNIT
 from carpark_mj.layouts.types import Layout
 from carpark_mj.types import Events, VehicleState
 

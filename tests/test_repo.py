@@ -36,6 +36,7 @@ ALLOWED = {
     "physics": BASE | {"vehicle", "layouts", "scene"},
     "randomisation": {"config", "vehicle"},
 } | {name: BASE | TASK | {"layouts"} for name in TASK}
+ALLOWED["presets"] = {"config"}
 ENV = {*ALLOWED, "state", "env"}
 ALLOWED["state"] = ALLOWED["env"] = ENV - {"env", "scene"}
 OUTER = {"wrappers", "policy", "rendering", "evaluation", "command_line"}

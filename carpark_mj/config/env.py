@@ -4,6 +4,7 @@ import dataclasses
 from typing import Literal
 
 from carpark_mj.config.checks import at_least, choose
+from carpark_mj.config.grid import GridConfig
 from carpark_mj.config.layout import (
     LAYOUT_FILES,
     LayoutChoice,
@@ -15,7 +16,7 @@ from carpark_mj.config.simulation import SimConfig
 from carpark_mj.config.task import EpisodeConfig, ObservationConfig, SpawnConfig
 from carpark_mj.config.variation import RandomisationConfig, SensorConfig
 
-PhysicsName = Literal["mjx", "scene"]
+PhysicsName = Literal["mjx", "scene", "bicycle", "grid"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,8 +34,11 @@ class EnvConfig:
         num_agents: cars that act.
         num_parked_cars: cars standing in bays.
         physics: back end. `mjx`: every car alone, crashes by box tests. `scene`: the
-            whole lot in one C MuJoCo world, crashes by its contacts; slow.
+            whole lot in one C MuJoCo world, crashes by its contacts; slow. `bicycle`:
+            kinematic cars whose tyres never slip. `grid`: the grid world of the study,
+            with whole numbers for actions.
         sim: time steps and ground.
+        grid: granularities of `grid` physics.
         spawn: where episodes start.
         episode: when they end.
         reward: reward weights.
@@ -49,6 +53,7 @@ class EnvConfig:
     num_parked_cars: int = 16
     physics: PhysicsName = "mjx"
     sim: SimConfig = SimConfig()
+    grid: GridConfig = GridConfig()
     spawn: SpawnConfig = SpawnConfig()
     episode: EpisodeConfig = EpisodeConfig()
     reward: RewardConfig = RewardConfig()
@@ -64,3 +69,7 @@ class EnvConfig:
         choose("physics", self.physics, PhysicsName)
         at_least(self, 1, "num_agents")
         at_least(self, 0, "num_parked_cars")
+        if self.observation.encoding == "indices" and self.physics != "grid":
+            raise ValueError(
+                f"observation.encoding 'indices' needs grid physics, not {self.physics}"
+            )
