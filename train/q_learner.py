@@ -17,7 +17,7 @@ from carpark_mj.policy.q_table import action_choices, state_index
 from carpark_mj.state import State
 from q_presets import QLearningConfig
 
-CHUNK = 1000  # control steps between looks at the clock
+CHUNK = 5000  # control steps between looks at the clock
 
 
 @struct.dataclass

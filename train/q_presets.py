@@ -21,6 +21,7 @@ class QLearningConfig:
         name: folder under `runs_dir`; empty = preset and seed.
         runs_dir: where runs are kept.
         resume: folder of a run to continue; its own settings hold.
+        time_limit: stop with a checkpoint after so many minutes; 0 = no limit.
         seed: of everything.
         num_seeds: independent trainings side by side, each with its own table.
         num_lots: lots that share a table; 1 is faithful to the study, more is faster.
@@ -40,6 +41,7 @@ class QLearningConfig:
     name: str = ""
     runs_dir: str = "runs"
     resume: str = ""
+    time_limit: float = 0.0
     seed: int = 0
     num_seeds: int = 5
     num_lots: int = 1
