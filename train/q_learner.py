@@ -177,15 +177,17 @@ class QLearner:
     def _learn(self, training: Training, transitions: Any) -> jax.Array:
         """One seed's table after its transitions, each (num_lots, num_agents).
 
-        What comes after parking or crashing is worth nothing; a time-out only ends the
-        episode, not the world. (The study's program bootstraps after all of them.)
+        What comes after parking or crashing is worth nothing, unless the study's
+        program is to be followed; a time-out ends the episode, not the world.
         """
         alpha, _ = self.rates(training.episodes)
         running = training.episodes < self.config.total_episodes
 
         def learn(table: jax.Array, transition: Any):
             state, action, reward, following, terminated = transition
-            future = jnp.where(terminated, 0.0, jnp.max(table[following]))
+            future = jnp.max(table[following])
+            if not self.config.bootstrap_terminals:
+                future = jnp.where(terminated, 0.0, future)
             error = reward + self.config.gamma * future - table[state, action]
             error = jnp.where(running, error, 0.0)
             return table.at[state, action].add(alpha * error), None

@@ -32,6 +32,8 @@ class QLearningConfig:
         gamma: discount per control step.
         epsilon: share of random actions at the start.
         epsilon_min: at the end of the training episodes.
+        bootstrap_terminals: value what an agent sees when it has parked or crashed
+            as if it went on, as the study's program does; a slip.
         window: episodes over which the plot and the table of metrics average.
         checkpoint_minutes: time between checkpoints.
         env: the environment.
@@ -52,6 +54,7 @@ class QLearningConfig:
     gamma: float = 0.9
     epsilon: float = 0.3
     epsilon_min: float = 0.001
+    bootstrap_terminals: bool = False
     window: int = 500
     checkpoint_minutes: float = 1.0
     env: EnvConfig = TANNER_QLEARNING
