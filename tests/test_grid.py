@@ -235,20 +235,22 @@ def test_neighbours_in_their_bays_do_not_touch_and_leaning_ones_do():
     assert not find_hits(layout, at(6, 32), parked, size)[1][0]
     assert not find_hits(layout, at(4, 32), parked, size)[1][0]  # 3.9 wide, 4 apart
     assert find_hits(layout, at(3, 32), parked, size)[1][0]
-    assert find_hits(layout, at(5, 28, 45), parked, size)[1][0]
+    assert find_hits(layout, at(4, 29, 45), parked, size)[1][0]
 
 
 def test_who_would_leave_the_world_hits_a_wall_first():
     layout = make_layout("tanner")
-    edge = np.concatenate([[36, 37, 38], [-36, -37, -38]])
-    for x in edge:
-        for y in np.arange(-38, 39, 4):
-            for degrees in (0, 45, 90, 135):
-                for place in ((x, y), (y, x)):
-                    car = at(*place, degrees)
-                    assert find_hits(layout, car, jnp.zeros(0, int), jnp.zeros((0, 2)))[
-                        2
-                    ][0], place
+    edge = [36, 37, 38, -36, -37, -38]
+    grid = np.meshgrid(edge, np.arange(-38, 39, 4), (0, 45, 90, 135))
+    x, y, degrees = (axis.ravel() for axis in grid)
+    sides = [(x, y, degrees), (y, x, degrees)]
+    place = np.concatenate([np.stack(side, axis=-1) for side in sides])
+    pose = place * [WORLD_UNIT, WORLD_UNIT, math.pi / 180]
+    nothing = jnp.zeros(0, int), jnp.zeros((0, 2))
+    hit = jax.jit(
+        jax.vmap(lambda p: find_hits(layout, cars(p[None], size=BOX.size), *nothing)[2])
+    )(jnp.asarray(pose, jnp.float32))
+    assert hit.all()
 
 
 # Choices and refusals
