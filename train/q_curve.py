@@ -3,6 +3,7 @@
 import csv
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,16 +31,19 @@ def write_metrics(
         config: its settings.
         episodes: `Run.episodes`.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for seed in range(config.num_seeds):
         count = int((episodes["outcome"][seed] >= 0).sum())
         for first in range(0, count, config.window):
             part = slice(first, min(first + config.window, count))
             outcome = episodes["outcome"][seed, part]
-            row = {"seed": seed, "episode": part.stop}
-            row["phase"] = "training" if part.stop <= config.episodes else "evaluation"
-            row["episode_return"] = float(episodes["episode_return"][seed, part].mean())
-            row["length"] = float(episodes["length"][seed, part].mean())
+            row: dict[str, Any] = {
+                "seed": seed,
+                "episode": part.stop,
+                "phase": "training" if part.stop <= config.episodes else "evaluation",
+                "episode_return": float(episodes["episode_return"][seed, part].mean()),
+                "length": float(episodes["length"][seed, part].mean()),
+            }
             for number, name in enumerate(OUTCOMES):
                 row[name] = float((outcome == number).mean())
             rows.append(row)
