@@ -1,4 +1,4 @@
-"""What becomes of actions that are not in [-1, 1]: neutralised, or refused.
+"""What becomes of actions that are out of range: neutralised, or refused.
 
 Jitted code cannot raise, so `ParkingEnv.step` neutralises and counts them; code that
 takes actions from outside JAX refuses them with `check_actions`.
@@ -23,6 +23,26 @@ def neutralise(action: jax.Array) -> tuple[jax.Array, jax.Array]:
     invalid = ~(jnp.abs(action) <= 1.0)
     harmless = jnp.where(jnp.isnan(action), 0.0, jnp.clip(action, -1.0, 1.0))
     return harmless, jnp.any(invalid, axis=-1)
+
+
+def neutralise_choices(
+    choice: jax.Array, choices: tuple[int, ...]
+) -> tuple[jax.Array, jax.Array]:
+    """Makes indices of choices harmless.
+
+    Args:
+        choice: (..., k), any numbers.
+        choices: how many there are to choose from in each of the k branches.
+
+    Returns:
+        Indices (..., k) int32, the middle one for NaN and the nearest for others that
+        are none, and (...) bool, whether anything had to be changed.
+    """
+    most = jnp.array(choices, jnp.float32) - 1
+    value = choice.astype(jnp.float32)
+    nearest = jnp.clip(jnp.round(value), 0, most)
+    harmless = jnp.where(jnp.isnan(value), most // 2, nearest)
+    return harmless.astype(jnp.int32), jnp.any(harmless != value, axis=-1)
 
 
 def check_actions(action: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj import metrics, rewards
-from carpark_mj.actions import neutralise
+from carpark_mj.actions import neutralise, neutralise_choices
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.episode import judge
 from carpark_mj.fleet import Fleet
@@ -20,8 +20,11 @@ from carpark_mj.lanes import has_lanes, is_wrong_way
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.observations import observation_size, observe
+from carpark_mj.observations.indices import observe_indices
 from carpark_mj.physics.base import Physics, where_cars
+from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.contact import ContactPhysics
+from carpark_mj.physics.grid import GridPhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.precision import full_float32
@@ -37,7 +40,8 @@ class ParkingEnv:
     """N agents park in a lot; see `EnvConfig` for what can be set.
 
     - observation: (num_agents, observation_size) float32, `observations.fields`.
-    - action: (num_agents, 2) steer and pedal in [-1, 1], `vehicle.drive`.
+    - action: (num_agents, 2) steer and pedal in [-1, 1], `vehicle.drive`; or on the
+      grid indices of an acceleration and a turn, `choices`.
     - reward: (num_agents,), `rewards`.
     - episodes belong to agents: one that parks, crashes or times out respawns alone
       (or stays put, `EpisodeConfig.respawn`) while the others drive on.
@@ -89,6 +93,10 @@ class ParkingEnv:
 
     def _make_physics(self) -> Physics:
         contact = self.config.sim.tyres == "contact"
+        if self.config.physics == "grid":
+            return GridPhysics(self.config.grid, self.config.sim)
+        if self.config.physics == "bicycle":
+            return BicyclePhysics(self.config.sim)
         if self.config.physics == "mjx":
             return (ContactPhysics if contact else MjxPhysics)(self.config.sim)
         if contact:
@@ -130,6 +138,11 @@ class ParkingEnv:
     def action_size(self) -> int:
         """Length of an agent's action."""
         return 2
+
+    @property
+    def choices(self) -> tuple[int, int] | None:
+        """How many there are in each branch of an action; None if it is continuous."""
+        return self.config.grid.choices if self.config.physics == "grid" else None
 
     def reset(
         self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
@@ -202,9 +215,9 @@ class ParkingEnv:
 
         Args:
             state: current state.
-            action: (num_agents, 2) steer and pedal in [-1, 1]; agents that have
-                finished brake instead. What is NaN or outside is neutralised and
-                counted in the metric `invalid_actions`.
+            action: (num_agents, 2) steer and pedal in [-1, 1], or indices on the grid;
+                agents that have finished brake instead. What is NaN or outside is
+                neutralised and counted in the metric `invalid_actions`.
 
         Returns:
             The next state and what the agents learn.
@@ -212,9 +225,12 @@ class ParkingEnv:
         config = self.config
         key, fleet_key, sensor_key = self._split_if_random(state.key)
         state = dataclasses.replace(state, key=key)
-        stop = drive.stopping_action(state.vehicle.speed)
-        action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
-        action, invalid = neutralise(action)
+        if self.choices is not None:  # who has finished is frozen in any case
+            action, invalid = neutralise_choices(action, self.choices)
+        else:
+            stop = drive.stopping_action(state.vehicle.speed)
+            action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
+            action, invalid = neutralise(action)
         physics = self.physics.step(state.physics, action)
         vehicle = self.physics.read(physics)
         if not (config.episode.respawn or self.physics.contacts):
@@ -304,6 +320,19 @@ class ParkingEnv:
             state.parked_offset,
         )
 
+    def final_observation(self, state: State, timestep: TimeStep) -> jax.Array:
+        """What agents saw at the end of a step, before any of them respawned.
+
+        Args:
+            state: before the step; goals and parked cars are as they were then.
+            timestep: what the step returned.
+
+        Returns:
+            (num_agents, observation_size); `timestep.observation` where nobody was
+            done.
+        """
+        return self._observe(dataclasses.replace(state, vehicle=timestep.vehicle))
+
     def _freeze(
         self, state: State, physics: Any, vehicle: VehicleState
     ) -> tuple[Any, VehicleState]:
@@ -369,6 +398,17 @@ class ParkingEnv:
         )
 
     def _observe(self, state: State) -> jax.Array:
+        if self.config.observation.encoding == "indices":
+            return observe_indices(
+                self.config.observation,
+                self.config.grid,
+                self.config.sim.ctrl_dt,
+                state.layout,
+                observed(state.sensors, state.vehicle),
+                state.occupancy.goal,
+                self.parked_pose(state),
+                state.parked_size,
+            )
         fleet = state.physics.vehicle
         return observe(
             self.config.observation,

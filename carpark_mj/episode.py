@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from carpark_mj.broad_phase import is_crowded, near_box_hits, near_disc_hits
 from carpark_mj.config import EpisodeConfig
+from carpark_mj.config.grid import WORLD_UNIT
 from carpark_mj.geometry import (
     axis_angle_error,
     box_disc_overlap,
@@ -14,7 +15,6 @@ from carpark_mj.geometry import (
     boxes_overlap,
     rotate,
 )
-from carpark_mj.layouts.square import WORLD_UNIT
 from carpark_mj.layouts.types import Layout
 from carpark_mj.types import Events, VehicleState
 

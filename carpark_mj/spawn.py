@@ -47,7 +47,10 @@ def spawn_pose(
     region = jax.random.categorical(region_key, jnp.log(area), shape=(n,))
     pose, size = layout.spawn_pose[region], layout.spawn_size[region]
     # local = U(-size / 2, size / 2) in the region's frame.
-    local = (jax.random.uniform(point_key, (n, 2)) - 0.5) * size
+    local = (jax.random.uniform(point_key, (n, 2)) - 0.5) * (size + config.grid)
+    if config.grid:  # half a spacing more on each side: points on the edge count fully
+        edge = jnp.floor(0.5 * size / config.grid + 1e-4)
+        local = jnp.clip(jnp.round(local / config.grid), -edge, edge) * config.grid
     random_xy = pose[:, :2] + rotate(local, pose[:, 2])
 
     close_xy, nearest = _close_points(config, layout, goal_pose[:2], n, walk_key)

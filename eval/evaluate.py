@@ -127,6 +127,12 @@ def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> Env
     if rule is not None:
         changes["episode"] = dataclasses.replace(env.episode, parked_rule=rule)
     given = {name: value for name, value in changes.items() if value is not None}
+    physics = given.get("physics", env.physics)
+    if (physics == "grid") != (env.physics == "grid"):
+        raise ValueError(
+            f"a policy for {env.physics} physics cannot drive on {physics}: actions "
+            "are whole numbers on the grid and continuous elsewhere"
+        )
     return dataclasses.replace(env, **given)
 
 

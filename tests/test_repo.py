@@ -41,6 +41,7 @@ ALLOWED = {
     "randomisation": {"config", "vehicle"},
     "fleet": {"config", "vehicle", "layouts", "fit", "goals", "respawn"},
 } | {name: BASE | TASK | {"layouts"} for name in TASK}
+ALLOWED["presets"] = {"config"}
 ENV = {*ALLOWED, "state", "env"}
 ALLOWED["state"] = ALLOWED["env"] = ENV - {"env", "scene"}
 OUTER = {"wrappers", "policy", "rendering", "evaluation", "command_line"}

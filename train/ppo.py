@@ -10,12 +10,9 @@ Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at 
 import dataclasses
 import json
 import os
-import platform
-import signal
 import sys
 import time
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +29,7 @@ from carpark_mj.policy.checkpoints import CheckpointError
 from learner import Learner, TrainingState
 from logger import MetricsLog, progress_bar
 from presets import PRESETS, PPOConfig
+from run_folder import StopRequest, open_run
 
 # What may differ when a run is resumed.
 RESUME_FLAGS = ("resume", "time_limit")
@@ -89,54 +87,6 @@ def parse(arguments: Sequence[str] | None = None) -> PPOConfig:
     )
 
 
-def open_run(config: PPOConfig) -> Path:
-    """Creates the run folder with `config.json`, or finds the one to resume.
-
-    Raises:
-        ValueError: the given name is taken.
-        OSError: the folder cannot be written.
-    """
-    if config.resume:
-        return Path(config.resume)
-    name = config.name or f"{config.preset}-{config.seed}"
-    folder = Path(config.runs_dir) / name
-    if config.name and folder.exists():
-        raise ValueError(
-            f"{folder} exists: choose another --name, or go on with --resume {folder}"
-        )
-    number = 2
-    while folder.exists():  # an unnamed run never touches an older one
-        folder = folder.with_name(f"{name}-{number}")
-        number += 1
-    folder.mkdir(parents=True)
-    try:
-        runs.write_json(folder / "config.json", describe(config))
-    except OSError:
-        folder.rmdir()
-        raise
-    return folder
-
-
-def describe(config: PPOConfig) -> dict[str, Any]:
-    """Everything needed to know what ran: settings, versions, device."""
-    packages = ("carpark_mj", "mujoco", "mujoco-mjx", "jax", "brax", "numpy")
-    return {
-        "config": dataclasses.asdict(config),
-        "versions": {name: _version(name) for name in packages},
-        "python": platform.python_version(),
-        "device": jax.devices()[0].device_kind,
-        "num_devices": jax.local_device_count(),
-        "matmul_precision": "highest in the environment, default in the networks",
-    }
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"
-
-
 def print_settings(config: PPOConfig, folder: Path, learner: Learner) -> None:
     """Prints every setting, one a line."""
     device = jax.devices()[0]
@@ -150,22 +100,6 @@ def print_settings(config: PPOConfig, folder: Path, learner: Learner) -> None:
                 print(f"  {prefix}{name} = {value}")
 
     lines("", dataclasses.asdict(config))
-
-
-class StopRequest:
-    """Turns the first Ctrl-C or SIGTERM into a request to stop after the update."""
-
-    def __init__(self) -> None:
-        """Installs the handlers."""
-        self.requested = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._handle)
-
-    def _handle(self, number: int, frame: object) -> None:
-        del frame
-        self.requested = True
-        signal.signal(number, signal.default_int_handler)
-        print("stopping after this update (again: at once)", file=sys.stderr)
 
 
 def load_or_init(learner: Learner, folder: Path) -> TrainingState:

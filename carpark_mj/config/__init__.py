@@ -5,6 +5,7 @@ Impossible settings raise `ValueError` at construction, in one sentence.
 
 from carpark_mj.config.env import EnvConfig, PhysicsName
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
+from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.layout import (
     LAYOUT_FILES,
     LayoutChoice,
@@ -14,6 +15,7 @@ from carpark_mj.config.layout import (
 from carpark_mj.config.reward import REWARDS, RewardConfig, RewardName, reward_preset
 from carpark_mj.config.simulation import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.task import (
+    Encoding,
     EpisodeConfig,
     ObservationConfig,
     ParkedRule,
@@ -30,11 +32,14 @@ __all__ = [
     "CONTACT_SIM_DT",
     "LAYOUT_FILES",
     "REWARDS",
+    "WORLD_UNIT",
     "Distribution",
     "DistributionKind",
+    "Encoding",
     "EnvConfig",
     "EpisodeConfig",
     "FleetConfig",
+    "GridConfig",
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",

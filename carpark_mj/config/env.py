@@ -5,6 +5,7 @@ from typing import Literal, get_args
 
 from carpark_mj.config.checks import at_least, choose
 from carpark_mj.config.fleet import FleetConfig, JitterConfig, Range, require_range
+from carpark_mj.config.grid import GridConfig
 from carpark_mj.config.layout import (
     LAYOUT_FILES,
     LayoutChoice,
@@ -16,7 +17,7 @@ from carpark_mj.config.simulation import SimConfig
 from carpark_mj.config.task import EpisodeConfig, ObservationConfig, SpawnConfig
 from carpark_mj.config.variation import RandomisationConfig, SensorConfig
 
-PhysicsName = Literal["mjx", "scene"]
+PhysicsName = Literal["mjx", "scene", "bicycle", "grid"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,8 +40,11 @@ class EnvConfig:
         fleet: presets that cars are drawn from instead of `vehicle`.
         jitter: how untidily parked cars stand, and their sizes.
         physics: back end. `mjx`: every car alone, crashes by box tests. `scene`: the
-            whole lot in one C MuJoCo world, crashes by its contacts; slow.
+            whole lot in one C MuJoCo world, crashes by its contacts; slow. `bicycle`:
+            kinematic cars whose tyres never slip. `grid`: the grid world of the study,
+            with whole numbers for actions.
         sim: time steps and ground.
+        grid: granularities of `grid` physics.
         spawn: where episodes start.
         episode: when they end.
         reward: reward weights.
@@ -58,6 +62,7 @@ class EnvConfig:
     jitter: JitterConfig = JitterConfig()
     physics: PhysicsName = "mjx"
     sim: SimConfig = SimConfig()
+    grid: GridConfig = GridConfig()
     spawn: SpawnConfig = SpawnConfig()
     episode: EpisodeConfig = EpisodeConfig()
     reward: RewardConfig = RewardConfig()
@@ -84,3 +89,7 @@ class EnvConfig:
             # Agents that are not all alike must know what they drive.
             observation = dataclasses.replace(self.observation, own_car=True)
             object.__setattr__(self, "observation", observation)
+        if self.observation.encoding == "indices" and self.physics != "grid":
+            raise ValueError(
+                f"observation.encoding 'indices' needs grid physics, not {self.physics}"
+            )

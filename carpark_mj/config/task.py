@@ -6,6 +6,7 @@ from typing import Literal
 from carpark_mj.config.checks import at_least, choose, positive, ratio
 
 ParkedRule = Literal["tanner", "strict", "precise"]
+Encoding = Literal["continuous", "indices"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,16 +20,19 @@ class SpawnConfig:
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
             taken, or the one farthest from the other agents if none does.
+        grid: spacing [m] of the points on which random starts lie, about the middle of
+            a spawn region and up to its edges; 0 = anywhere.
     """
 
     close_ratio: float = 0.2
     close_distance: float = 5.625
     min_distance: float = 7.38
     num_candidates: int = 16
+    grid: float = 0.0
 
     def __post_init__(self) -> None:
         ratio(self, "close_ratio")
-        at_least(self, 0.0, "close_distance", "min_distance")
+        at_least(self, 0.0, "close_distance", "min_distance", "grid")
         at_least(self, 1, "num_candidates")
 
 
@@ -74,6 +78,9 @@ class ObservationConfig:
         ray_range: longest way seen along a ray [m].
         lane: see the lane the car is in, or the nearest. Fields `lane_present`,
             `lane_heading` (cos and sin, body frame) and `lane_one_way`.
+        encoding: `continuous`, or `indices`: whole numbers for a table, as in the
+            study's Q-learning on the grid, `carpark_mj.observations.indices`.
+        ring_cars: rings count parked cars and other agents too; with `indices` only.
     """
 
     tracked_agents: int = 2
@@ -84,8 +91,11 @@ class ObservationConfig:
     rays: int = 0
     ray_range: float = 10.0
     lane: bool = False
+    encoding: Encoding = "continuous"
+    ring_cars: bool = False
 
     def __post_init__(self) -> None:
+        choose("encoding", self.encoding, Encoding)
         at_least(self, 0, "tracked_agents", "tracked_parked_cars", "rays")
         positive(self, "ray_range")
         at_least(self, 1, "ring_cap")
@@ -93,3 +103,12 @@ class ObservationConfig:
             raise ValueError(f"rings must be positive diameters, not {self.rings}")
         if len({f"{d:g}" for d in self.rings}) < len(self.rings):  # the fields' names
             raise ValueError(f"rings must be different diameters, not {self.rings}")
+        if self.encoding == "indices":
+            if self.tracked_agents or self.tracked_parked_cars:
+                raise ValueError(
+                    "encoding 'indices' tracks no cars: tracked_agents and "
+                    "tracked_parked_cars must be 0, not "
+                    f"{self.tracked_agents} and {self.tracked_parked_cars}"
+                )
+        elif self.ring_cars:
+            raise ValueError("ring_cars needs encoding 'indices', not 'continuous'")

@@ -11,12 +11,11 @@ import jax
 import numpy as np
 
 from carpark_mj.config import LayoutConfig
+from carpark_mj.config.grid import WORLD_UNIT
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import least_aisle
 from carpark_mj.layouts.types import Layout
-
-WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,7 +7,7 @@ Angles enter as cosine and sine; distances both far (divided by `FAR`) and near
 
 import dataclasses
 
-from carpark_mj.config import ObservationConfig
+from carpark_mj.config import GridConfig, ObservationConfig
 
 FAR = 20.0  # m, about half a `tanner` lot
 NEAR = 3.0  # m, the last car length before the goal
@@ -46,8 +46,17 @@ _AGENT = (
 )
 
 
-def make_fields(config: ObservationConfig) -> tuple[Field, ...]:
-    """Lists the fields of the observation vector in order."""
+def make_fields(
+    config: ObservationConfig, grid: GridConfig | None = None
+) -> tuple[Field, ...]:
+    """Lists the fields of the observation vector in order.
+
+    Args:
+        config: what is observed.
+        grid: whose ranges `indices` have; None is the default grid.
+    """
+    if config.encoding == "indices":
+        return _index_fields(config, grid if grid is not None else GridConfig())
     fields = [
         Field("speed", 1, -1.5, 1.5, "own signed speed [forward limit]"),
         Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
@@ -96,6 +105,20 @@ def make_fields(config: ObservationConfig) -> tuple[Field, ...]:
             Field("lane_one_way", 1, 0.0, 1.0, "1 if only that direction is right"),
         ]
     return tuple(fields)
+
+
+def _index_fields(config: ObservationConfig, grid: GridConfig) -> tuple[Field, ...]:
+    objects = "objects" if config.ring_cars else "walls and discs"
+    return (
+        Field("level", 1, 0.0, grid.num_levels - 1, "own speed from fastest reverse"),
+        Field(
+            "bearing", 1, 0.0, grid.headings - 1, "of the goal, clockwise from ahead"
+        ),
+        *(
+            Field(f"ring_{d:g}m", 1, 0.0, config.ring_cap, f"{objects} within, capped")
+            for d in config.rings
+        ),
+    )
 
 
 def observation_size(config: ObservationConfig) -> int:

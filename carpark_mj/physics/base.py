@@ -9,6 +9,7 @@ from typing import Any, Protocol, TypeVar
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config import SimConfig
 from carpark_mj.types import VehicleState
 from carpark_mj.vehicle.vehicle import Vehicle
 
@@ -39,7 +40,8 @@ class Physics(Protocol[PhysicsState]):
 
         Args:
             state: current state.
-            controls: (..., 2) steer and pedal in [-1, 1].
+            controls: (..., 2) steer and pedal in [-1, 1]; on the grid indices, see
+                `GridPhysics`.
         """
         ...
 
@@ -81,3 +83,19 @@ def where_cars(mask: jax.Array, new: Any, old: Any) -> Any:
         return jnp.where(jnp.expand_dims(mask, range(mask.ndim, a.ndim)), a, b)
 
     return jax.tree.map(select, new, old)
+
+
+def require_plain_ground(sim: SimConfig, name: str) -> None:
+    """Refuses what a kinematic back end cannot feel.
+
+    Raises:
+        ValueError: a slope, a slippery surface or contact tyres.
+    """
+    felt = {"grade_x": 0.0, "grade_y": 0.0, "surface": "dry", "tyres": "brush"}
+    for setting, plain in felt.items():
+        value = getattr(sim, setting)
+        if value != plain:
+            raise ValueError(
+                f"{name} physics has no tyres and no ground: {setting} must stay "
+                f"{plain!r}, not {value!r}"
+            )

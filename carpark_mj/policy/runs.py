@@ -9,6 +9,7 @@ learning_curve.png, evaluation.{csv,json}, video.mp4   at the end
 
 import dataclasses
 import json
+import math
 import types
 import typing
 from pathlib import Path
@@ -22,6 +23,7 @@ from brax.training.acme import running_statistics, specs
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import FAMILIES
+from carpark_mj.observations.indices import cardinalities
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import (
@@ -30,8 +32,10 @@ from carpark_mj.policy.networks import (
     make_networks,
     make_policy,
 )
+from carpark_mj.policy.q_table import make_table_policy
 
 KEPT_CHECKPOINTS = 2
+Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
 
 
 def from_dict(cls: Any, data: Any) -> Any:
@@ -146,8 +150,23 @@ def init_normalizer(observation_size: int) -> Any:
     return jax.tree.map(jnp.asarray, state)
 
 
+def _load_table(path: Path, header: dict[str, Any], env: ParkingEnv) -> LoadedPolicy:
+    """Loads the best of the tables of a Q-learning run; they are deterministic."""
+    if env.choices is None:
+        raise ValueError("a table needs grid physics")
+    sizes = cardinalities(env.config.observation, env.config.grid)
+    shape = (header["config"]["num_seeds"], math.prod(sizes), math.prod(env.choices))
+    tree = checkpoints.load(path, {"table": np.zeros(shape, np.float32)})
+    table = jnp.asarray(tree["table"][header["best"]])
+    policy = make_table_policy(table, sizes, env.choices)
+    return LoadedPolicy(env.config, policy, int(header["env_steps"]), path)
+
+
 def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
     """Loads the policy of a run folder or checkpoint file.
+
+    Of Q-learning it is the table that returned most in the last episodes before the
+    checkpoint; it knows no chance, `deterministic` or not.
 
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.
@@ -156,6 +175,8 @@ def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
     header = checkpoints.read_header(path)
     try:
         env_config = from_dict(EnvConfig, header["config"]["env"])
+        if header.get("algorithm") == Q_LEARNING:
+            return _load_table(path, header, ParkingEnv(env_config))
         network_config = from_dict(NetworkConfig, header["config"]["networks"])
         env = ParkingEnv(env_config)
     except (KeyError, TypeError, ValueError) as error:

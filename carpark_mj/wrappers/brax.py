@@ -23,7 +23,16 @@ class BraxParking(Env):
     """
 
     def __init__(self, env: ParkingEnv) -> None:
-        """Wraps one lot's environment."""
+        """Wraps one lot's environment.
+
+        Raises:
+            ValueError: its actions are choices; Brax's are continuous.
+        """
+        if env.choices is not None:
+            raise ValueError(
+                "grid physics takes whole numbers for actions; PPO's are continuous: "
+                "use physics mjx or bicycle, or train/q_learning.py"
+            )
         self.env = env
 
     def reset(self, rng: jax.Array) -> BraxState:

@@ -1,0 +1,220 @@
+"""The kinematic bicycle: a car whose tyres never slip.
+
+The equations are those of highway-env (E. Leurent, 2018, `vehicle/kinematics.py`, after
+P. Polack et al., "The kinematic bicycle model", IV 2017): about the middle between the
+axles, with the steering angle d, the slip angle b = atan(tan(d) / 2), the speed v and
+the wheelbase L,
+
+    x' = v cos(yaw + b),  y' = v sin(yaw + b),  yaw' = v sin(b) / (L / 2).
+
+highway-env takes the car's length for L and steers at once; here L is the wheelbase,
+and steering and pedal act as in `vehicle.drive`, so that a policy drives both cars.
+"""
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.config import SimConfig
+from carpark_mj.geometry import rotate, wrap_angle
+from carpark_mj.physics.base import require_plain_ground, where_cars
+from carpark_mj.precision import full_float32
+from carpark_mj.types import VehicleState
+from carpark_mj.vehicle import drive
+from carpark_mj.vehicle.vehicle import Vehicle
+
+
+@struct.dataclass
+class BicycleState:
+    """Physics state of cars; any leading batch shape.
+
+    Attributes:
+        pose_w: (..., 3) pose of the middle between the axles.
+        speed: (...) of that point, forwards positive [m/s].
+        actuators: what steering and drive have reached.
+        vehicle: parameters.
+        trace_w: (..., k, 3) footprint poses within the last control step.
+        finite: (...) bool, see `VehicleState.finite`.
+    """
+
+    pose_w: jax.Array
+    speed: jax.Array
+    actuators: drive.Actuators
+    vehicle: Vehicle
+    trace_w: jax.Array
+    finite: jax.Array
+
+
+def slip_angle(steering: jax.Array) -> jax.Array:
+    """Angle [rad] of the motion of the middle between the axles, left positive."""
+    return jnp.arctan(jnp.tan(steering) / 2)
+
+
+def advance(
+    pose_w: jax.Array,
+    speed: jax.Array,
+    steering: jax.Array,
+    wheelbase: jax.Array,
+    dt: float,
+) -> jax.Array:
+    """Pose (..., 3) of the middle between the axles after `dt` [s].
+
+    Steering and speed are constant in between; the midpoint rule is exact in the
+    heading and of second order in the position.
+
+    Args:
+        pose_w: (..., 3).
+        speed: (...) [m/s].
+        steering: (...) bicycle angle [rad].
+        wheelbase: (...) [m].
+        dt: [s].
+    """
+    slip = slip_angle(steering)
+    turned = speed * jnp.sin(slip) / (wheelbase / 2) * dt
+    course = pose_w[..., 2] + slip + turned / 2
+    way = jnp.stack([jnp.cos(course), jnp.sin(course)], axis=-1)
+    xy = pose_w[..., :2] + (speed * dt)[..., None] * way
+    return jnp.concatenate([xy, wrap_angle(pose_w[..., 2] + turned)[..., None]], -1)
+
+
+def accelerate(
+    vehicle: Vehicle,
+    speed: jax.Array,
+    drive_torque: jax.Array,
+    brake: jax.Array,
+    dt: float,
+) -> jax.Array:
+    """Speed (...) [m/s] after `dt` under torques (...) [N m]; brakes only stop."""
+    lever = vehicle.mass * vehicle.wheel_radius
+    driven = speed + drive_torque / lever * dt
+    return jnp.sign(driven) * jnp.maximum(jnp.abs(driven) - brake / lever * dt, 0.0)
+
+
+class BicyclePhysics:
+    """The kinematic bicycle behind the `Physics` interface."""
+
+    contacts = False
+
+    def __init__(self, sim: SimConfig) -> None:
+        """Takes the time steps.
+
+        Raises:
+            ValueError: a slope, a slippery surface or contact tyres, which would have
+                no effect.
+        """
+        require_plain_ground(sim, "bicycle")
+        self.sim = sim
+
+    @full_float32
+    def init(self, pose_w: jax.Array, vehicle: Vehicle) -> BicycleState:
+        """Cars at rest, wheels straight; see `Physics.init`."""
+        pose = jnp.concatenate([pose_w[..., :2], wrap_angle(pose_w[..., 2:])], axis=-1)
+        still = jnp.zeros(pose_w.shape[:-1], pose_w.dtype)
+        shape = (*still.shape, self.sim.num_traces, 3)
+        return BicycleState(
+            pose_w=_shift(pose, -_ahead(vehicle)),
+            speed=still,
+            actuators=drive.Actuators(steering=still, drive=still),
+            vehicle=vehicle,
+            trace_w=jnp.broadcast_to(pose[..., None, :], shape),
+            finite=jnp.ones(still.shape, bool),
+        )
+
+    @full_float32
+    def step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
+        """Advances by one control step; see `Physics.step`.
+
+        A car that came out non-finite is put back, at rest, and flagged.
+        """
+        function = self._step
+        for _ in range(controls.ndim - 1):
+            function = jax.vmap(function)
+        with jax.named_scope("physics"):
+            return function(state, controls)
+
+    @full_float32
+    def place(
+        self,
+        state: BicycleState,
+        mask: jax.Array,
+        pose_w: jax.Array,
+        vehicle: Vehicle,
+    ) -> BicycleState:
+        """Puts some cars elsewhere, at rest; see `Physics.place`."""
+        return where_cars(mask, self.init(pose_w, vehicle), state)
+
+    def arrange(self, state: BicycleState, parked_pose: jax.Array) -> BicycleState:
+        """Nothing: cars live alone; see `Physics.arrange`."""
+        del parked_pose
+        return state
+
+    def read(self, state: BicycleState) -> VehicleState:
+        """What the task may know; see `Physics.read`."""
+        slip = slip_angle(state.actuators.steering + state.vehicle.steering_offset)
+        # The rear axle follows the middle between the axles along the car's axis.
+        rear = state.speed * jnp.cos(slip)
+        return VehicleState(
+            pose_w=state.trace_w[..., -1, :],
+            velocity_b=jnp.stack([rear, jnp.zeros_like(rear)], axis=-1),
+            yaw_rate=state.speed * jnp.sin(slip) / (state.vehicle.wheelbase / 2),
+            steering=state.actuators.steering,
+            size=state.vehicle.size,
+            trace_w=state.trace_w,
+            finite=state.finite,
+        )
+
+    def _step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
+        vehicle, dt = state.vehicle, self.sim.sim_dt
+
+        def substep(carry, _):
+            pose, speed, actuators = carry
+            steering = drive.steer_towards(vehicle, actuators.steering, controls[0], dt)
+            angle = steering + vehicle.steering_offset
+            rear = speed * jnp.cos(slip_angle(angle))
+            torque, brake = drive.demanded_torques(vehicle, controls[1], rear, rear)
+            torque = drive.approach(actuators.drive, torque, vehicle.drive_lag, dt)
+            faster = accelerate(vehicle, speed, torque, brake, dt)
+            pose = advance(pose, (speed + faster) / 2, angle, vehicle.wheelbase, dt)
+            return (pose, faster, drive.Actuators(steering, torque)), None
+
+        def stretch(carry, _):
+            stride = self.sim.num_substeps // self.sim.num_traces
+            carry, _ = jax.lax.scan(substep, carry, None, length=stride)
+            return carry, _shift(carry[0], _ahead(vehicle))
+
+        carry = (state.pose_w, state.speed, state.actuators)
+        (pose, speed, actuators), trace = jax.lax.scan(
+            stretch, carry, None, length=self.sim.num_traces
+        )
+        leaves = jax.tree.leaves((pose, speed, actuators, trace))
+        finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]).all()
+        stepped = dataclasses.replace(
+            state,
+            pose_w=pose,
+            speed=speed,
+            actuators=actuators,
+            trace_w=trace,
+            finite=jnp.ones((), bool),
+        )
+        stay = dataclasses.replace(
+            state,
+            speed=jnp.zeros_like(state.speed),
+            trace_w=jnp.broadcast_to(state.trace_w[-1], state.trace_w.shape),
+            finite=jnp.zeros((), bool),
+        )
+        return jax.tree.map(partial(jnp.where, finite), stepped, stay)
+
+
+def _ahead(vehicle: Vehicle) -> jax.Array:
+    """Footprint's centre ahead of the middle between the axles (...) [m]."""
+    return vehicle.centre_offset - vehicle.wheelbase / 2
+
+
+def _shift(pose_w: jax.Array, distance: jax.Array) -> jax.Array:
+    """Poses (..., 3) moved forwards by distances (...) [m]."""
+    ahead = jnp.stack([distance, jnp.zeros_like(distance)], axis=-1)
+    xy = pose_w[..., :2] + rotate(ahead, pose_w[..., 2])
+    return jnp.concatenate([xy, pose_w[..., 2:]], axis=-1)

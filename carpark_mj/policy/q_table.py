@@ -1,0 +1,46 @@
+"""A policy that is a table: the best action for every combination of whole numbers."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.policy.networks import Policy
+
+
+def state_index(observation: jax.Array, sizes: Sequence[int]) -> jax.Array:
+    """Rows (...) int32 of a table for observations (..., n) of whole numbers.
+
+    Args:
+        observation: `observations.indices`; outside its range the nearest row.
+        sizes: how many values each number can have, `cardinalities`.
+    """
+    strides = np.cumprod([1, *sizes[:0:-1]])[::-1]
+    most = jnp.array(sizes) - 1
+    number = jnp.clip(observation.astype(jnp.int32), 0, most)
+    return jnp.sum(number * jnp.array(strides, jnp.int32), axis=-1)
+
+
+def action_choices(action: jax.Array, choices: Sequence[int]) -> jax.Array:
+    """Indices (..., n) int32 into the branches of an action (...), the last fastest."""
+    return jnp.stack(jnp.unravel_index(action, tuple(choices)), axis=-1)
+
+
+def make_table_policy(
+    table: jax.Array, sizes: Sequence[int], choices: Sequence[int]
+) -> Policy:
+    """Takes the action of highest value, the first of equals; there is no chance in it.
+
+    Args:
+        table: (states, actions) values.
+        sizes: of the observation's numbers, `cardinalities`.
+        choices: of the action's branches, `GridConfig.choices`.
+    """
+    best = jnp.argmax(table, axis=-1)
+
+    def policy(observation: jax.Array, key: jax.Array):
+        del key
+        return action_choices(best[state_index(observation, sizes)], choices), {}
+
+    return policy

@@ -1,0 +1,99 @@
+"""Environments by name: those of the study behind this gym, Tanner 2022.
+
+Tables are those of the study's appendix C. Where its text and its program disagree, or
+where both are silent, the choice is:
+
+- grid points per world unit: the position granularity squared, so 74 x 74 for 1.
+- cars' boxes and walls: the colliders of his scene, not the drawing, 0.1 larger.
+- no turning while standing still, the last of all headings is drawn at spawns too, and
+  ring k has diameter k: as in his program, but without its two slips.
+- weights of the table's defaults, time 0.5 and approach 1: they break his own rule
+  (approach below time), but only they give the returns he recorded.
+- leaving the world counts as a crash: the outer walls are hit before.
+- an agent that parks frees the parked car farthest from all agents (text), not a random
+  one (program).
+- parking and crashing are terminal, a time-out is not: see `train/q_learning.py`.
+"""
+
+import dataclasses
+
+from carpark_mj.config import (
+    WORLD_UNIT,
+    EnvConfig,
+    EpisodeConfig,
+    GridConfig,
+    ObservationConfig,
+    RewardConfig,
+    SpawnConfig,
+)
+
+# Tables C.1 and C.2; 216 table entries: 3 levels of speed, 8 bearings, 9 actions.
+TANNER_QLEARNING = EnvConfig(
+    layout="tanner",
+    vehicle="tanner",
+    num_agents=1,
+    num_parked_cars=0,
+    physics="grid",
+    grid=GridConfig(
+        points=1,
+        speed_step=1,
+        headings=8,
+        max_forward=1,
+        max_reverse=1,
+        max_acceleration=1,
+        max_turn=1,
+    ),
+    spawn=SpawnConfig(
+        close_ratio=0.0,
+        min_distance=9 * WORLD_UNIT,
+        num_candidates=16,
+        grid=WORLD_UNIT,
+    ),
+    episode=EpisodeConfig(parked_rule="tanner", max_steps=85),
+    reward=RewardConfig(
+        park=10.0,
+        crash=10.0,
+        time=0.5,
+        progress=0.0,
+        alignment=0.0,
+        approach=1.0,
+        smoothness=0.0,
+        reverse=0.0,
+        closeness=0.0,
+    ),
+    observation=ObservationConfig(
+        tracked_agents=0, tracked_parked_cars=0, rings=(), encoding="indices"
+    ),
+)
+
+# Figure 5.2: every bay but the goal taken, rings of 14, 11, 10, 6 and 7 world units.
+TANNER_QLEARNING_RINGS = dataclasses.replace(
+    TANNER_QLEARNING,
+    num_parked_cars=35,
+    observation=ObservationConfig(
+        tracked_agents=0,
+        tracked_parked_cars=0,
+        rings=tuple(d * WORLD_UNIT for d in (14, 11, 10, 6, 7)),
+        ring_cap=1,
+        ring_cars=True,
+        encoding="indices",
+    ),
+)
+
+ENVIRONMENTS: dict[str, EnvConfig] = {
+    "tanner-qlearning": TANNER_QLEARNING,
+    "tanner-qlearning-rings": TANNER_QLEARNING_RINGS,
+}
+
+
+def environment(name: str) -> EnvConfig:
+    """Looks a named environment up.
+
+    Raises:
+        ValueError: unknown name; the message lists the known ones.
+    """
+    if name not in ENVIRONMENTS:
+        raise ValueError(
+            f"unknown environment {name!r}; choose from {sorted(ENVIRONMENTS)}"
+        )
+    return ENVIRONMENTS[name]

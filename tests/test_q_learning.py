@@ -1,0 +1,184 @@
+"""Tabular Q-learning: the update, the schedules, and a small run end to end."""
+
+import dataclasses
+import itertools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import evaluate
+import q_learning
+from carpark_mj.policy.q_table import action_choices, make_table_policy, state_index
+from carpark_mj.policy.runs import checkpoint_files, load_policy
+from q_curve import rolling_mean
+from q_learner import QLearner, Training
+from q_presets import QLearningConfig
+
+SMALL = QLearningConfig(
+    name="small", num_seeds=2, episodes=30, eval_episodes=10, window=10
+)
+
+
+@pytest.fixture(scope="module")
+def learner():
+    return QLearner(SMALL)
+
+
+def test_rows_of_the_table_are_the_combinations_in_order():
+    sizes = (3, 8, 2)
+    rows = list(itertools.product(*map(range, sizes)))
+    index = state_index(jnp.array(rows, jnp.float32), sizes)
+    np.testing.assert_array_equal(index, np.arange(math.prod(sizes)))
+    outside = state_index(jnp.array([[-1.0, 9.0, 1.0]]), sizes)
+    np.testing.assert_array_equal(outside, state_index(jnp.array([0, 7, 1]), sizes))
+
+
+def test_actions_are_the_pairs_of_choices_in_order():
+    pairs = action_choices(jnp.arange(9), (3, 3))
+    np.testing.assert_array_equal(pairs, list(itertools.product(range(3), range(3))))
+
+
+def test_a_table_policy_takes_the_first_of_the_best():
+    table = jnp.zeros((4, 6)).at[1, 4].set(1.0).at[2, jnp.array([3, 5])].set(2.0)
+    policy = make_table_policy(table, (2, 2), (2, 3))
+    observation = jnp.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
+    choices, _ = policy(observation, jax.random.key(0))
+    np.testing.assert_array_equal(choices, [[0, 0], [1, 1], [1, 0]])
+
+
+def test_updates_are_those_of_a_plain_loop(learner):
+    rng = np.random.default_rng(0)
+    n, (states, actions) = 40, learner.table_shape
+    state, following = rng.integers(0, 5, (2, n))
+    action = rng.integers(0, actions, n)
+    reward = rng.normal(size=n).astype(np.float32)
+    terminated = rng.random(n) < 0.3
+    table = rng.normal(size=(states, actions)).astype(np.float32)
+    expected = table.copy()
+    for s, a, r, f, t in zip(state, action, reward, following, terminated, strict=True):
+        future = 0.0 if t else expected[f].max()
+        expected[s, a] = 0.9 * expected[s, a] + 0.1 * (r + 0.9 * future)
+    training = Training(jnp.array(table), None, None, jnp.array(3), None)
+    transitions = tuple(
+        jnp.array(x).reshape(4, 10)
+        for x in (state, action, reward, following, terminated)
+    )
+    learned = learner._learn(training, transitions)
+    np.testing.assert_allclose(learned, expected, rtol=1e-5, atol=1e-6)
+    assert not np.allclose(learned, table)
+    over = dataclasses.replace(training, episodes=jnp.array(SMALL.total_episodes))
+    np.testing.assert_array_equal(learner._learn(over, transitions), table)
+
+
+def test_rates_fall_over_training_and_nothing_is_random_afterwards(learner):
+    episodes = jnp.array([0, 15, 29, 30, 39])
+    alpha, epsilon = learner.rates(episodes)
+    np.testing.assert_allclose(alpha, 0.1, rtol=1e-6)
+    slope = (0.3 - 0.001) / 30
+    expected = [0.3, 0.3 - 15 * slope, 0.3 - 29 * slope, 0.0, 0.0]
+    np.testing.assert_allclose(epsilon, expected, rtol=1e-5)
+
+
+def test_a_rolling_mean_by_hand():
+    np.testing.assert_allclose(rolling_mean(np.arange(5.0), 2), [0.5, 1.5, 2.5, 3.5])
+    np.testing.assert_allclose(rolling_mean(np.arange(3.0), 9), [1.0])
+    assert len(rolling_mean(np.zeros(0), 3)) == 0
+
+
+@pytest.fixture(scope="module")
+def run(learner, tmp_path_factory):
+    """A small run from start to end, and the folder it wrote."""
+    config = dataclasses.replace(SMALL, runs_dir=str(tmp_path_factory.mktemp("runs")))
+    folder = q_learning.open_run(config)
+    assert q_learning.train(config, learner, folder)
+    return folder, q_learning.load_or_init(learner, folder)
+
+
+def test_every_seed_makes_its_episodes_and_they_add_up(run):
+    _, made = run
+    np.testing.assert_array_equal(made.counts, SMALL.total_episodes)
+    length, outcome = made.episodes["length"], made.episodes["outcome"]
+    assert length.min() >= 1
+    assert length.max() == 85
+    np.testing.assert_array_equal(outcome == 2, length == 85)
+    # Crashes and time-outs: -10 and at most 0.5 for what led there.
+    returns = made.episodes["episode_return"]
+    assert returns[outcome == 1].max() < -9.4
+    assert np.abs(returns[outcome == 2]).max() <= 1.5 + 1e-4
+    assert (returns[0] != returns[1]).any()
+    assert made.training.table.shape == (2, 24, 9)
+    # 24 x 9 = the 216 entries of the study.
+    assert made.training.table.any(axis=(1, 2)).all()
+
+
+def test_a_run_leaves_whole_files(run):
+    folder, _ = run
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"config.json", "checkpoints", "metrics.csv", "learning_curve.png"}
+    rows = (folder / "metrics.csv").read_text().splitlines()
+    assert rows[0].startswith("seed,episode,phase,episode_return,length,parked,crashed")
+    assert len(rows) == 1 + 2 * 4
+    assert rows[3].startswith("0,30,training,")
+    assert rows[4].startswith("0,40,evaluation,")
+
+
+def test_a_run_cut_in_two_goes_on_exactly(learner, run, tmp_path):
+    state = learner.init()
+    straight = learner.advance(learner.advance(state)[0])[0]
+    half = q_learning.load_or_init(learner, tmp_path)
+    half.training, ended = learner.advance(half.training)
+    half.add(jax.device_get(ended))
+    half.chunks = 1
+    q_learning.save(tmp_path, SMALL, half)
+    loaded = q_learning.load_or_init(learner, tmp_path)
+    assert loaded.chunks == 1
+    np.testing.assert_array_equal(loaded.counts, half.counts)
+    resumed = learner.advance(loaded.training)[0]
+    np.testing.assert_array_equal(resumed.table, straight.table)
+    np.testing.assert_array_equal(
+        resumed.lots.physics.point, straight.lots.physics.point
+    )
+    assert (resumed.lots.key == straight.lots.key).all()
+
+
+def test_the_best_table_drives_in_evaluation(run, tmp_path):
+    folder, made = run
+    loaded = load_policy(folder)
+    assert loaded.env == SMALL.env
+    returns = made.episodes["episode_return"][:, -SMALL.window :].mean(axis=1)
+    best = made.training.table[int(returns.argmax())]
+    observation = jnp.array([[1.0, 3.0], [2.0, 0.0]])
+    action, _ = loaded.policy(observation, jax.random.key(0))
+    greedy = jnp.argmax(best[jnp.array([8 + 3, 16])], axis=-1)
+    np.testing.assert_array_equal(action, action_choices(greedy, (3, 3)))
+    config = evaluate.EvaluateConfig(run=str(folder), episodes=20, out=str(tmp_path))
+    assert evaluate.main(config).summary["episodes"] == 20
+
+
+def test_what_cannot_be_is_refused_in_a_sentence(run, capsys, tmp_path):
+    folder, _ = run
+    with pytest.raises(ValueError, match="for grid physics cannot drive on mjx"):
+        evaluate.main(evaluate.EvaluateConfig(run=str(folder), physics="mjx"))
+    with pytest.raises(ValueError, match=r"gamma must lie in \[0, 1\], not 1.5"):
+        QLearningConfig(gamma=1.5)
+    with pytest.raises(ValueError, match="num_seeds must be at least 1, not 0"):
+        QLearningConfig(num_seeds=0)
+    still = dataclasses.replace(SMALL.env.episode, respawn=False)
+    frozen = dataclasses.replace(SMALL.env, episode=still)
+    with pytest.raises(ValueError, match=r"needs env.episode.respawn = True"):
+        QLearner(dataclasses.replace(SMALL, env=frozen))
+    assert q_learning.main(["--resume", str(folder), "--gamma", "0.5"]) == 2
+    assert "a resumed run keeps its own settings: drop gamma" in capsys.readouterr().err
+    assert q_learning.main(["--resume", str(tmp_path / "none")]) == 2
+    assert "no run at" in capsys.readouterr().err
+    (path,) = checkpoint_files(folder)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    try:
+        assert q_learning.main(["--resume", str(folder)]) == 2
+    finally:
+        path.write_bytes(whole)
+    assert "is no readable checkpoint" in capsys.readouterr().err

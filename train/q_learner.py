@@ -1,0 +1,196 @@
+"""Tabular Q-learning as one compiled loop: acting, stepping the lots, updating.
+
+All agents of all lots read and write one table, one transition after the other
+("independent" Q-learning of Tanner 2022). Several seeds run side by side.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.env import ParkingEnv
+from carpark_mj.observations.indices import cardinalities
+from carpark_mj.policy.q_table import action_choices, state_index
+from carpark_mj.state import State
+from q_presets import QLearningConfig
+
+CHUNK = 5000  # control steps between looks at the clock
+
+
+@struct.dataclass
+class Training:
+    """One seed's training; in use with a leading dimension (num_seeds,).
+
+    Attributes:
+        table: (states, actions) action values.
+        lots: environment states (num_lots,).
+        observation: (num_lots, num_agents, numbers).
+        episodes: () int32, how many have ended.
+        key: randomness of the actions.
+    """
+
+    table: jax.Array
+    lots: State
+    observation: jax.Array
+    episodes: jax.Array
+    key: jax.Array
+
+
+@struct.dataclass
+class Finished:
+    """Episodes that ended, or not, in a step; all (num_lots, num_agents).
+
+    Attributes:
+        done: bool; the rest holds where it is true.
+        episode_return: undiscounted.
+        length: control steps.
+        outcome: 0 parked, 1 crashed, 2 timed out or diverged.
+    """
+
+    done: jax.Array
+    episode_return: jax.Array
+    length: jax.Array
+    outcome: jax.Array
+
+
+class QLearner:
+    """The compiled training loop of a configuration."""
+
+    def __init__(self, config: QLearningConfig) -> None:
+        """Builds the environment.
+
+        Raises:
+            ValueError: it cannot be built, or gives no whole numbers.
+        """
+        self.config = config
+        self.env = ParkingEnv(config.env)
+        if not config.env.episode.respawn:
+            raise ValueError("Q-learning needs env.episode.respawn = True")
+        # The same without new episodes: three times as fast, and mostly enough.
+        still = dataclasses.replace(config.env.episode, respawn=False)
+        self._still_env = ParkingEnv(dataclasses.replace(config.env, episode=still))
+        if config.env.observation.encoding != "indices" or self.env.choices is None:
+            raise ValueError(
+                "Q-learning needs env.observation.encoding 'indices', not "
+                f"{config.env.observation.encoding!r}"
+            )
+        self.choices = self.env.choices
+        self.sizes = cardinalities(config.env.observation, config.env.grid)
+        self.advance = jax.jit(self._advance)
+
+    @property
+    def table_shape(self) -> tuple[int, int]:
+        """States and actions."""
+        states = actions = 1
+        for size in self.sizes:
+            states *= size
+        for size in self.choices:
+            actions *= size
+        return states, actions
+
+    def init(self) -> Training:
+        """All seeds at the start; tables are zero."""
+        config = self.config
+        # Part 0, as in `learner`; evaluation draws from the other parts.
+        root = jax.random.fold_in(jax.random.key(config.seed), 0)
+        return jax.jit(jax.vmap(self._init))(jax.random.split(root, config.num_seeds))
+
+    def _init(self, key: jax.Array) -> Training:
+        key, lot_key = jax.random.split(key)
+        keys = jax.random.split(lot_key, self.config.num_lots)
+        lots, observation = jax.vmap(self.env.reset)(keys)
+        return Training(
+            table=jnp.zeros(self.table_shape, jnp.float32),
+            lots=lots,
+            observation=observation,
+            episodes=jnp.zeros((), jnp.int32),
+            key=key,
+        )
+
+    def rates(self, episodes: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Learning rate and share of random actions after a number of episodes.
+
+        Both fall linearly over the training episodes. In the evaluation episodes no
+        action is random, and learning goes on at the last rate.
+        """
+        config = self.config
+        share = jnp.minimum(episodes / config.episodes, 1.0)
+        alpha = config.alpha + (config.alpha_min - config.alpha) * share
+        epsilon = config.epsilon + (config.epsilon_min - config.epsilon) * share
+        return alpha, jnp.where(episodes < config.episodes, epsilon, 0.0)
+
+    def _advance(self, training: Training) -> tuple[Training, Finished]:
+        return jax.lax.scan(self._step, training, None, length=CHUNK)
+
+    def _step(self, training: Training, _: Any) -> tuple[Training, Finished]:
+        """One control step of all seeds (num_seeds,)."""
+        training, state, action = jax.vmap(self._act)(training)
+        before, choices = training.lots, action_choices(action, self.choices)
+        after = jax.vmap(jax.vmap(self._still_env.step))(before, choices)
+        # A condition on all seeds at once is a branch, one for each would not be.
+        lots, timestep = jax.lax.cond(
+            jnp.any(after[1].events.done),
+            lambda: jax.vmap(jax.vmap(self.env.step))(before, choices),
+            lambda: after,
+        )
+        seen = jax.vmap(jax.vmap(self.env.final_observation))(before, timestep)
+        following = state_index(seen, self.sizes)
+        terminated = timestep.terminated
+        transitions = (state, action, timestep.reward, following, terminated)
+        table = jax.vmap(self._learn)(training, transitions)
+        events = timestep.events
+        outcome = jnp.where(events.parked, 0, jnp.where(events.crashed, 1, 2))
+        finished = Finished(
+            done=events.done,
+            episode_return=timestep.metrics["episode_return"],
+            length=timestep.metrics["length"],
+            outcome=outcome.astype(jnp.int8),
+        )
+        training = dataclasses.replace(
+            training,
+            table=table,
+            lots=lots,
+            observation=timestep.observation,
+            episodes=training.episodes + jnp.sum(events.done, axis=(1, 2)),
+        )
+        return training, finished
+
+    def _act(self, training: Training) -> tuple[Training, jax.Array, jax.Array]:
+        """One seed's states and actions (num_lots, num_agents), with its keys renewed.
+
+        The lots' keys come from here: what they hold depends on the branch taken.
+        """
+        key, random_key, which_key, lot_key = jax.random.split(training.key, 4)
+        state = state_index(training.observation, self.sizes)
+        best = jnp.argmax(training.table[state], axis=-1)
+        drawn = jax.random.randint(which_key, best.shape, 0, self.table_shape[1])
+        _, epsilon = self.rates(training.episodes)
+        explores = jax.random.uniform(random_key, best.shape) < epsilon
+        keys = jax.random.split(lot_key, self.config.num_lots)
+        lots = dataclasses.replace(training.lots, key=keys)
+        training = dataclasses.replace(training, lots=lots, key=key)
+        return training, state, jnp.where(explores, drawn, best)
+
+    def _learn(self, training: Training, transitions: Any) -> jax.Array:
+        """One seed's table after its transitions, each (num_lots, num_agents).
+
+        What comes after parking or crashing is worth nothing, unless the study's
+        program is to be followed; a time-out ends the episode, not the world.
+        """
+        alpha, _ = self.rates(training.episodes)
+        running = training.episodes < self.config.total_episodes
+
+        def learn(table: jax.Array, transition: Any):
+            state, action, reward, following, terminated = transition
+            future = jnp.max(table[following])
+            if not self.config.bootstrap_terminals:
+                future = jnp.where(terminated, 0.0, future)
+            error = reward + self.config.gamma * future - table[state, action]
+            error = jnp.where(running, error, 0.0)
+            return table.at[state, action].add(alpha * error), None
+
+        flat = jax.tree.map(lambda x: x.reshape(-1), transitions)
+        return jax.lax.scan(learn, training.table, flat)[0]
