@@ -52,7 +52,7 @@ class PPOConfig:
     resume: str = ""
     time_limit: float = 0.0
     seed: int = 0
-    num_steps: int = 8_000_000
+    num_steps: int = 10_000_000
     num_lots: int = 64
     lot_life: int = 16
     unroll_length: int = 64

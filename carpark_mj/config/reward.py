@@ -32,7 +32,7 @@ class RewardConfig:
     """
 
     park: float = 4.0
-    crash: float = 2.0
+    crash: float = 2.5
     time: float = 1.0
     progress: float = 0.2
     alignment: float = 0.5
@@ -41,7 +41,7 @@ class RewardConfig:
     smoothness: float = 0.0
     reverse: float = 0.0
     wrong_way: float = 0.0
-    closeness: float = 10.0
+    closeness: float = 15.0
     closeness_range: float = 3.0
 
     def __post_init__(self) -> None:
