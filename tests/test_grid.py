@@ -217,20 +217,20 @@ def test_parked_is_within_a_point_of_the_bay_and_wins_over_a_crash(
         layout,
         at(x, y, degrees),
         goal,
-        jnp.zeros(0, int),
+        jnp.zeros((0, 3)),
         nothing,
         jnp.ones(1, int),
         jnp.ones(1, bool),
     )
     assert bool(events.parked[0]) is parked
     # Across the bay at its mouth the car's corner is in the block beside it.
-    hit = find_hits(layout, at(25, 31, 45), jnp.zeros(0, int), nothing)[2]
+    hit = find_hits(layout, at(25, 31, 45), jnp.zeros((0, 3)), nothing)[2]
     assert hit[0]
 
 
 def test_neighbours_in_their_bays_do_not_touch_and_leaning_ones_do():
     layout = make_layout("tanner")
-    parked = jnp.array([bay_of(layout, 0, 32)])
+    parked = layout.bay_pose[jnp.array([bay_of(layout, 0, 32)])]
     size = BOX.size[None]
     assert not find_hits(layout, at(6, 32), parked, size)[1][0]
     assert not find_hits(layout, at(4, 32), parked, size)[1][0]  # 3.9 wide, 4 apart
@@ -246,7 +246,7 @@ def test_who_would_leave_the_world_hits_a_wall_first():
     sides = [(x, y, degrees), (y, x, degrees)]
     place = np.concatenate([np.stack(side, axis=-1) for side in sides])
     pose = place * [WORLD_UNIT, WORLD_UNIT, math.pi / 180]
-    nothing = jnp.zeros(0, int), jnp.zeros((0, 2))
+    nothing = jnp.zeros((0, 3)), jnp.zeros((0, 2))
     hit = jax.jit(
         jax.vmap(lambda p: find_hits(layout, cars(p[None], size=BOX.size), *nothing)[2])
     )(jnp.asarray(pose, jnp.float32))
