@@ -4,10 +4,31 @@ Jitted code cannot raise, so `ParkingEnv.step` neutralises and counts them; code
 takes actions from outside JAX refuses them with `check_actions`.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
+
+
+@dataclasses.dataclass(frozen=True)
+class ActionSpec:
+    """What an agent's action consists of: numbers in [-1, 1], then indices.
+
+    Attributes:
+        continuous: how many numbers in [-1, 1] come first.
+        choices: how many there are to choose from in each branch of indices, which
+            follow. An action of indices only is int32, any other float32.
+    """
+
+    continuous: int
+    choices: tuple[int, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Length of an action."""
+        return self.continuous + len(self.choices)
 
 
 def neutralise(action: jax.Array) -> tuple[jax.Array, jax.Array]:

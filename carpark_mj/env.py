@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj import metrics, rewards
-from carpark_mj.actions import neutralise, neutralise_choices
+from carpark_mj.actions import ActionSpec, neutralise, neutralise_choices
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.episode import judge
 from carpark_mj.fleet import Fleet
@@ -137,12 +137,19 @@ class ParkingEnv:
     @property
     def action_size(self) -> int:
         """Length of an agent's action."""
-        return 2
+        return self.action_spec.size
 
     @property
-    def choices(self) -> tuple[int, int] | None:
+    def action_spec(self) -> ActionSpec:
+        """What an agent's action consists of."""
+        if self.config.physics == "grid":
+            return ActionSpec(0, self.config.grid.choices)
+        return ActionSpec(2)
+
+    @property
+    def choices(self) -> tuple[int, ...] | None:
         """How many there are in each branch of an action; None if it is continuous."""
-        return self.config.grid.choices if self.config.physics == "grid" else None
+        return self.action_spec.choices or None
 
     def reset(
         self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
@@ -199,6 +206,7 @@ class ParkingEnv:
             vehicle=vehicle,
             layout=layout,
             occupancy=occupancy,
+            spaces=None,
             parked_size=parked_size,
             parked_offset=offset,
             step=jnp.zeros(config.num_agents, jnp.int32),

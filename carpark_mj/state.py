@@ -21,6 +21,8 @@ class State:
         vehicle: the agents' motion, read from it.
         layout: the lot.
         occupancy: goals and parked cars.
+        spaces: (num_agents, num_spaces) int32 free bays each agent tracks,
+            `layout.num_bays` where there is none; None while goals are fixed.
         parked_size: (num_parked_cars, 2) footprints [m].
         parked_offset: (num_parked_cars, 3) where they stand in their bays if these
             allow it, see `fit.stand_in_bay`; None while all stand in the middle.
@@ -35,6 +37,7 @@ class State:
     vehicle: VehicleState
     layout: Layout
     occupancy: Occupancy
+    spaces: jax.Array | None
     parked_size: jax.Array
     parked_offset: jax.Array | None
     step: jax.Array

@@ -5,6 +5,7 @@ Impossible settings raise `ValueError` at construction, in one sentence.
 
 from carpark_mj.config.env import EnvConfig, PhysicsName
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
+from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.layout import (
     LAYOUT_FILES,
@@ -39,6 +40,7 @@ __all__ = [
     "EnvConfig",
     "EpisodeConfig",
     "FleetConfig",
+    "GoalConfig",
     "GridConfig",
     "JitterConfig",
     "LayoutChoice",

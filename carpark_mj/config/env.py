@@ -5,6 +5,7 @@ from typing import Literal, get_args
 
 from carpark_mj.config.checks import at_least, choose
 from carpark_mj.config.fleet import FleetConfig, JitterConfig, Range, require_range
+from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.grid import GridConfig
 from carpark_mj.config.layout import (
     LAYOUT_FILES,
@@ -45,6 +46,7 @@ class EnvConfig:
             with whole numbers for actions.
         sim: time steps and ground.
         grid: granularities of `grid` physics.
+        goals: who chooses the goals.
         spawn: where episodes start.
         episode: when they end.
         reward: reward weights.
@@ -63,6 +65,7 @@ class EnvConfig:
     physics: PhysicsName = "mjx"
     sim: SimConfig = SimConfig()
     grid: GridConfig = GridConfig()
+    goals: GoalConfig = GoalConfig()
     spawn: SpawnConfig = SpawnConfig()
     episode: EpisodeConfig = EpisodeConfig()
     reward: RewardConfig = RewardConfig()
