@@ -5,7 +5,7 @@ Impossible settings raise `ValueError` at construction, in one sentence.
 
 from carpark_mj.config.env import EnvConfig, PhysicsName
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
-from carpark_mj.config.goals import GoalConfig
+from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.layout import (
     LAYOUT_FILES,
@@ -41,6 +41,7 @@ __all__ = [
     "EpisodeConfig",
     "FleetConfig",
     "GoalConfig",
+    "GoalRewards",
     "GridConfig",
     "JitterConfig",
     "LayoutChoice",

@@ -96,3 +96,9 @@ class EnvConfig:
             raise ValueError(
                 f"observation.encoding 'indices' needs grid physics, not {self.physics}"
             )
+        if self.goals.dynamic:
+            self.reward.goals.check()
+            if self.observation.encoding == "indices":
+                raise ValueError(
+                    "observation.encoding 'indices' needs fixed goals, not dynamic ones"
+                )
