@@ -66,6 +66,25 @@ def neutralise_choices(
     return harmless.astype(jnp.int32), jnp.any(harmless != value, axis=-1)
 
 
+def harmless(
+    spec: ActionSpec, action: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Takes actions (..., spec.size) apart and makes them harmless.
+
+    Returns:
+        The numbers (..., spec.continuous) and the indices (..., choices) int32, see
+        `neutralise` and `neutralise_choices`, and (...) bool, whether any was changed.
+    """
+    numbers, invalid = neutralise(action[..., : spec.continuous])
+    indices = action[..., spec.continuous :].astype(jnp.int32)
+    if spec.choices:
+        indices, wrong = neutralise_choices(
+            action[..., spec.continuous :], spec.choices
+        )
+        invalid = invalid | wrong
+    return numbers, indices, invalid
+
+
 def check_actions(action: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Actions from outside as a float32 array, refused if not in [-1, 1].
 

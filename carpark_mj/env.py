@@ -12,25 +12,32 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj import metrics, rewards
-from carpark_mj.actions import ActionSpec, neutralise, neutralise_choices
+from carpark_mj.actions import ActionSpec, harmless
 from carpark_mj.config import EnvConfig, LayoutConfig
+from carpark_mj.dynamic_goals import GoalEvents, aims
 from carpark_mj.episode import judge
 from carpark_mj.fleet import Fleet
+from carpark_mj.giving_way import Contexts, enforce
+from carpark_mj.goal_rewards import dynamic_progress, dynamic_terms
 from carpark_mj.lanes import has_lanes, is_wrong_way
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.observations.indices import observe_indices
+from carpark_mj.observations.tracked import tracked_agents
 from carpark_mj.physics.base import Physics, where_cars
-from carpark_mj.physics.bicycle import BicyclePhysics
-from carpark_mj.physics.contact import ContactPhysics
-from carpark_mj.physics.grid import GridPhysics
-from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.physics.scene import ScenePhysics
+from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import full_float32
-from carpark_mj.randomisation import check, make_fleet
-from carpark_mj.respawn import first_poses, renew
-from carpark_mj.sensors import init_sensors, observed, update_sensors
+from carpark_mj.randomisation import check
+from carpark_mj.searching import choose, look_round, review, stay
+from carpark_mj.sensors import observed, update_sensors
+from carpark_mj.starts import (
+    check_room,
+    restart,
+    split_if_random,
+    start_lot,
+    start_stats,
+)
 from carpark_mj.state import State, TimeStep
 from carpark_mj.types import Events, VehicleState
 from carpark_mj.vehicle import VehicleParameters, drive, preset
@@ -41,7 +48,8 @@ class ParkingEnv:
 
     - observation: (num_agents, observation_size) float32, `observations.fields`.
     - action: (num_agents, 2) steer and pedal in [-1, 1], `vehicle.drive`; or on the
-      grid indices of an acceleration and a turn, `choices`.
+      grid indices of an acceleration and a turn, `choices`. With dynamic goals one
+      index more: 0 = explore, k = head for the k-th of the tracked bays.
     - reward: (num_agents,), `rewards`.
     - episodes belong to agents: one that parks, crashes or times out respawns alone
       (or stays put, `EpisodeConfig.respawn`) while the others drive on.
@@ -75,48 +83,12 @@ class ParkingEnv:
             check(self.config.randomisation, params)
         self._lot = layout_config(self.config.layout)
         self._layout = None if self._lot.is_random else make_layout(self._lot)
-        bays = self._lot.min_bays
-        free = bays - self.config.num_agents
-        if free < 0:
-            raise ValueError(
-                f"num_agents must be at most {bays} (a goal bay each), not "
-                f"{self.config.num_agents}"
-            )
-        if self.config.num_parked_cars > free:
-            raise ValueError(
-                f"num_parked_cars must be at most {free} ({bays} bays less "
-                f"{self.config.num_agents} agents' goals), not "
-                f"{self.config.num_parked_cars}"
-            )
+        check_room(self.config, self._lot)
         self.fleet.check(self._lot, self._layout)
-        self.physics: Any = physics if physics is not None else self._make_physics()
-
-    def _make_physics(self) -> Physics:
-        contact = self.config.sim.tyres == "contact"
-        if self.config.physics == "grid":
-            return GridPhysics(self.config.grid, self.config.sim)
-        if self.config.physics == "bicycle":
-            return BicyclePhysics(self.config.sim)
-        if self.config.physics == "mjx":
-            return (ContactPhysics if contact else MjxPhysics)(self.config.sim)
-        if contact:
-            raise ValueError("scene physics has brush tyres only, not contact")
-        if self._layout is None:
-            raise ValueError(
-                f"scene physics needs the same lot for every key, not "
-                f"{self.config.layout!r}"
-            )
-        if self.config.fleet.is_on or self.config.jitter.scale != (1.0, 1.0):
-            raise ValueError(
-                "scene physics has cars of one kind and size only, no fleet and no "
-                "jitter.scale: use mjx"
-            )
-        return ScenePhysics(
-            self.config.sim,
-            self._layout,
-            self.vehicle,
-            self.config.num_agents,
-            self.config.num_parked_cars,
+        self.physics: Any = (
+            physics
+            if physics is not None
+            else make_physics(self.config, self._layout, self.vehicle)
         )
 
     @property
@@ -142,13 +114,15 @@ class ParkingEnv:
     @property
     def action_spec(self) -> ActionSpec:
         """What an agent's action consists of."""
+        goals = self.config.goals
+        goal = (1 + goals.num_spaces,) if goals.dynamic else ()
         if self.config.physics == "grid":
-            return ActionSpec(0, self.config.grid.choices)
-        return ActionSpec(2)
+            return ActionSpec(0, (*self.config.grid.choices, *goal))
+        return ActionSpec(2, goal)
 
     @property
     def choices(self) -> tuple[int, ...] | None:
-        """How many there are in each branch of an action; None if it is continuous."""
+        """How many there are in each branch of an action; None without branches."""
         return self.action_spec.choices or None
 
     def reset(
@@ -182,39 +156,9 @@ class ParkingEnv:
         self, layout: Layout, key: jax.Array
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have bays enough for cars and goals."""
-        config = self.config
-        key, fleet_key, sensor_key = self._split_if_random(key)
-        key, occupancy_key, spawn_key = jax.random.split(key, 3)
-        start = self.fleet.start(layout, occupancy_key)
-        occupancy, parked_size = start.occupancy, start.parked_size
-        fleet = make_fleet(
-            config.randomisation, start.cars, config.num_agents, fleet_key
-        )
-        offset = start.parked_offset
-        blocked = self.fleet.blocked(
-            layout, fleet.size, fleet.size, parked_size, offset
-        )
-        pose = first_poses(config.spawn, layout, occupancy, spawn_key, blocked)
-        parked_pose = self.fleet.parked_pose(
-            layout, occupancy.parked_bay, parked_size, offset
-        )
-        physics = self.physics.init(pose, fleet)
-        physics = self.physics.arrange(physics, parked_pose)
-        vehicle = self.physics.read(physics)
-        state = State(
-            physics=physics,
-            vehicle=vehicle,
-            layout=layout,
-            occupancy=occupancy,
-            spaces=None,
-            parked_size=parked_size,
-            parked_offset=offset,
-            step=jnp.zeros(config.num_agents, jnp.int32),
-            active=jnp.ones(config.num_agents, bool),
-            stats=metrics.init_stats(config.num_agents, has_lanes(layout)),
-            sensors=init_sensors(config.sensors, vehicle, sensor_key),
-            key=key,
-        )
+        state = start_lot(self.config, self.fleet, self.physics, layout, key)
+        if self.config.goals.dynamic:
+            state, _ = look_round(state, self._fitting(state))
         return state, self._observe(state)
 
     @full_float32
@@ -223,83 +167,82 @@ class ParkingEnv:
 
         Args:
             state: current state.
-            action: (num_agents, 2) steer and pedal in [-1, 1], or indices on the grid;
-                agents that have finished brake instead. What is NaN or outside is
-                neutralised and counted in the metric `invalid_actions`.
+            action: (num_agents, action_size), see `action_spec`; agents that have
+                finished brake instead. What is NaN or outside is neutralised and
+                counted in the metric `invalid_actions`.
 
         Returns:
             The next state and what the agents learn.
         """
         config = self.config
-        key, fleet_key, sensor_key = self._split_if_random(state.key)
+        key, cars_key, sensor_key = split_if_random(config, self.fleet, state.key)
         state = dataclasses.replace(state, key=key)
-        if self.choices is not None:  # who has finished is frozen in any case
-            action, invalid = neutralise_choices(action, self.choices)
-        else:
-            stop = drive.stopping_action(state.vehicle.speed)
-            action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
-            action, invalid = neutralise(action)
-        physics = self.physics.step(state.physics, action)
+        controls, choice, invalid = self._read(state, action)
+        before = state
+        if config.goals.dynamic:
+            state = choose(state, choice[:, 0])
+        goal = state.occupancy.goal
+
+        physics = self.physics.step(state.physics, controls)
         vehicle = self.physics.read(physics)
         if not (config.episode.respawn or self.physics.contacts):
             physics, vehicle = self._freeze(state, physics, vehicle)
         step = state.step + state.active
-        goal_pose = state.layout.bay_pose[state.occupancy.goal]
         with jax.named_scope("episode"):
             events = judge(
                 config.episode,
                 state.layout,
                 vehicle,
-                state.occupancy.goal,
+                goal,
                 self._parked_pose(state),
                 state.parked_size,
                 step,
                 state.active,
+                config.goals.dynamic,
             )
+        after = dataclasses.replace(state, physics=physics, vehicle=vehicle, step=step)
+        if config.episode.respawn:
+            with jax.named_scope("respawn"):
+                after, taken = restart(
+                    config, self.fleet, self.physics, after, events, cars_key
+                )
+        else:
+            after = dataclasses.replace(after, active=after.active & ~events.done)
+            after, taken = stay(after, events)
+        goals = contexts = None
+        if config.goals.dynamic:
+            with jax.named_scope("goals"):
+                fitting = self._fitting(after)
+                after, goals, contexts = review(
+                    before, goal, after, events, taken, fitting, self._tracked(before)
+                )
+
         wrong_way = None
         if has_lanes(state.layout):
             wrong_way = is_wrong_way(state.layout, vehicle)
         with jax.named_scope("rewards"):
-            steering_rate = state.physics.vehicle.steering_rate
-            steering_change = steering_rate * config.sim.ctrl_dt
-            terms = rewards.reward_terms(
-                config.reward,
-                state.vehicle,
-                vehicle,
-                goal_pose,
-                events,
-                steering_change,
-                config.episode.max_steps,
-                wrong_way,
+            goal_pose = self._goal_pose(state, vehicle)
+            terms = self._reward_terms(
+                before, state, vehicle, goal_pose, events, wrong_way, goals, contexts
             )
-            terms = {
-                name: jnp.where(state.active, term, 0.0) for name, term in terms.items()
-            }
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
-        stats = jax.tree.map(
-            lambda new, old: jnp.where(state.active, new, old),
-            metrics.update_stats(
-                state.stats, state.vehicle, vehicle, reward, invalid, wrong_way
-            ),
-            state.stats,
+        old, cars = state.stats, (state.vehicle, vehicle)
+        stats = metrics.update_stats(
+            old, *cars, reward, invalid, wrong_way, goals, contexts
         )
+        stats = where_cars(state.active, stats, old)
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
-        state = dataclasses.replace(
-            state, physics=physics, vehicle=vehicle, step=step, stats=stats
-        )
-        if config.episode.respawn:
-            with jax.named_scope("respawn"):
-                state = self._respawn(state, events, fleet_key)
-        else:
-            state = dataclasses.replace(state, active=state.active & ~events.done)
+
         respawned = events.done & config.episode.respawn
+        if config.episode.respawn:
+            stats = where_cars(respawned, start_stats(config, state.layout), stats)
         sensors = update_sensors(
-            config.sensors, state.sensors, state.vehicle, respawned, sensor_key
+            config.sensors, state.sensors, after.vehicle, respawned, sensor_key
         )
-        state = dataclasses.replace(state, sensors=sensors)
+        after = dataclasses.replace(after, stats=stats, sensors=sensors)
         with jax.named_scope("observations"):
-            observation = self._observe(state)
-        return state, TimeStep(
+            observation = self._observe(after)
+        return after, TimeStep(
             observation=observation,
             reward=reward,
             terminated=events.parked | events.crashed,
@@ -308,6 +251,8 @@ class ParkingEnv:
             metrics=named,
             reward_terms=terms,
             vehicle=vehicle,
+            goal=goal,
+            goal_events=goals,
         )
 
     def parked_pose(self, state: State) -> jax.Array:
@@ -332,14 +277,33 @@ class ParkingEnv:
         """What agents saw at the end of a step, before any of them respawned.
 
         Args:
-            state: before the step; goals and parked cars are as they were then.
+            state: before the step; parked cars are as they were then.
             timestep: what the step returned.
 
         Returns:
             (num_agents, observation_size); `timestep.observation` where nobody was
             done.
         """
-        return self._observe(dataclasses.replace(state, vehicle=timestep.vehicle))
+        occupancy = dataclasses.replace(state.occupancy, goal=timestep.goal)
+        state = dataclasses.replace(
+            state, vehicle=timestep.vehicle, occupancy=occupancy
+        )
+        if self.config.goals.dynamic:
+            state, _ = look_round(state, self._fitting(state))
+        return self._observe(state)
+
+    def _read(
+        self, state: State, action: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Controls for the physics, choices of goals, and who asked for nonsense."""
+        spec = self.action_spec
+        if not spec.continuous:  # who has finished is frozen in any case
+            _, indices, invalid = harmless(spec, action)
+            return indices[:, :2], indices[:, 2:], invalid
+        stop = drive.stopping_action(state.vehicle.speed)
+        stop = jnp.pad(stop, ((0, 0), (0, len(spec.choices))))
+        action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
+        return harmless(spec, action)
 
     def _freeze(
         self, state: State, physics: Any, vehicle: VehicleState
@@ -351,59 +315,64 @@ class ParkingEnv:
         trace_w = where_cars(state.active, vehicle.trace_w, still)
         return physics, dataclasses.replace(vehicle, trace_w=trace_w)
 
-    def _split_if_random(self, key: jax.Array) -> tuple[jax.Array, ...]:
-        """The lot's next key, and one each for the cars and their sensors.
+    def _fitting(self, state: State) -> jax.Array | None:
+        """Bays (num_agents, bays) that can be an agent's goal; None = all."""
+        size = state.physics.vehicle.size
+        return self.fleet.bays_for(state.layout, size, state.parked_size)[0]
 
-        Without randomisation the key stays as it is: lots are drawn as if there were
-        no such thing.
-        """
-        config = self.config
-        if config.randomisation.is_on or config.sensors.is_on or self.fleet.varies:
-            return tuple(jax.random.split(key, 3))
-        return key, key, key
+    def _tracked(self, state: State) -> jax.Array:
+        """Who saw whom when they chose, (num_agents, num_agents) bool."""
+        pose = observed(state.sensors, state.vehicle).pose_w
+        return tracked_agents(pose, pose[:0], self.config.observation.tracked_agents)
 
-    def _respawn(self, state: State, events: Events, fleet_key: jax.Array) -> State:
-        """Starts new episodes: goals, cars and poses of those that are done."""
+    def _goal_pose(self, state: State, vehicle: VehicleState) -> jax.Array:
+        """Poses (num_agents, 3) of the goals; see `aims` for agents that explore."""
+        layout, goal = state.layout, state.occupancy.goal
+        if state.spaces is None:
+            return layout.bay_pose[goal]
+        return aims(layout, goal, state.spaces, vehicle.pose_w[:, :2])[0]
+
+    def _reward_terms(
+        self,
+        before: State,
+        state: State,
+        vehicle: VehicleState,
+        goal_pose: jax.Array,
+        events: Events,
+        wrong_way: jax.Array | None,
+        goals: GoalEvents | None,
+        contexts: Contexts | None,
+    ) -> dict[str, jax.Array]:
+        """The reward of a step by term; 0 for those that had finished before."""
         config = self.config
-        key, respawn_key = jax.random.split(state.key)
-        done = events.done
-        layout, old = state.layout, state.physics.vehicle
-        fleet = old
-        if config.randomisation.is_on or self.fleet.mixed:
-            cars, fleet_key = self.fleet.draw_agents(fleet_key)
-            fleet = make_fleet(config.randomisation, cars, config.num_agents, fleet_key)
-        parked_size, offset = state.parked_size, state.parked_offset
-        occupancy, pose = renew(
-            config.spawn,
-            layout,
-            state.occupancy,
-            state.vehicle.pose_w,
-            done,
-            events.parked,
-            respawn_key,
-            self.fleet.bays_for(layout, fleet.size, parked_size),
-            self.fleet.blocked(layout, old.size, fleet.size, parked_size, offset),
+        steering_rate = state.physics.vehicle.steering_rate
+        terms = rewards.reward_terms(
+            config.reward,
+            state.vehicle,
+            vehicle,
+            goal_pose,
+            events,
+            steering_rate * config.sim.ctrl_dt,
+            config.episode.max_steps,
+            wrong_way,
         )
-        if self.fleet.mixed:  # who finds no bay for his new car keeps goal and car
-            fleet = where_cars(occupancy.goal != state.occupancy.goal, fleet, old)
-        physics = self.physics.place(state.physics, done, pose, fleet)
-        parked_pose = self.fleet.parked_pose(
-            layout, occupancy.parked_bay, parked_size, offset
-        )
-        physics = self.physics.arrange(physics, parked_pose)
-        return dataclasses.replace(
-            state,
-            physics=physics,
-            vehicle=where_cars(done, self.physics.read(physics), state.vehicle),
-            occupancy=occupancy,
-            step=jnp.where(done, 0, state.step),
-            stats=where_cars(
-                done,
-                metrics.init_stats(config.num_agents, has_lanes(state.layout)),
-                state.stats,
-            ),
-            key=key,
-        )
+        if goals is not None and contexts is not None and state.spaces is not None:
+            progress = dynamic_progress(
+                config.reward,
+                state.layout,
+                state.spaces,
+                (before.occupancy.goal, state.occupancy.goal),
+                state.vehicle,
+                vehicle,
+            )
+            terms = dynamic_terms(
+                config.reward, terms, progress, goals, events.diverged
+            )
+            kept = goals.continue_goal & ~events.diverged
+            terms = enforce(config.giving_way, contexts, kept, terms)
+        return {
+            name: jnp.where(state.active, term, 0.0) for name, term in terms.items()
+        }
 
     def _observe(self, state: State) -> jax.Array:
         if self.config.observation.encoding == "indices":
@@ -431,4 +400,5 @@ class ParkingEnv:
             if self.fleet.varies
             else None,
             (fleet.wheelbase, fleet.centre_offset),
+            spaces=state.spaces,
         )

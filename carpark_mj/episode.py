@@ -143,6 +143,7 @@ def judge(
     parked_size: jax.Array,
     step: jax.Array,
     active: jax.Array,
+    dynamic_goals: bool = False,
 ) -> Events:
     """Decides how each agent's episode stands after a step.
 
@@ -159,6 +160,8 @@ def judge(
         parked_size: (num_parked_cars, 2) [m].
         step: (num_agents,) int, control steps made in the episode, this one included.
         active: (num_agents,) bool; finished agents have no events.
+        dynamic_goals: goals may be shared, or none, which is the number of bays: then
+            nobody parks, and of two agents in one bay only the first does.
     """
     hit_agent, hit_parked_car, hit_wall = find_hits(
         layout, vehicle, parked_pose, parked_size
@@ -167,6 +170,10 @@ def judge(
     in_bay = is_parked(
         config.parked_rule, vehicle, layout.bay_pose[goal], layout.bay_size[goal]
     )
+    if dynamic_goals:
+        in_bay = in_bay & active & vehicle.finite & (goal < layout.num_bays)
+        shared = jnp.tril(goal[:, None] == goal, k=-1)
+        in_bay = in_bay & ~(shared & in_bay).any(axis=1)
     diverged = active & ~vehicle.finite
     alive = active & vehicle.finite
     if config.parked_rule == "tanner":

@@ -77,9 +77,14 @@ class Fleet:
         """Draws goals, parked cars and the agents' cars of a lot; `key` is consumed."""
         config = self._config
         n, m = config.num_agents, config.num_parked_cars
+        dynamic = config.goals.dynamic
+        exploring = jnp.full(n, layout.num_bays, jnp.int32)
         if not self.varies:
+            occupancy = init_occupancy(layout, 0 if dynamic else n, m, key)
+            if dynamic:
+                occupancy = dataclasses.replace(occupancy, goal=exploring)
             return Start(
-                occupancy=init_occupancy(layout, n, m, key),
+                occupancy=occupancy,
                 cars=self._one,
                 parked_size=jnp.broadcast_to(self._size, (m, 2)),
                 parked_offset=None,
@@ -96,6 +101,8 @@ class Fleet:
             goal_key,
             anywhere=True,
         )
+        if dynamic:
+            goal = exploring
         sizes = jnp.array([[p.length, p.width] for p in self.parked_cars])
         sizes = sizes * _uniform(config.jitter.scale, scale_key, (m, 1, 1))
         parked, bay = draw_places(
@@ -253,7 +260,8 @@ class Fleet:
             cars = zip(names, self.agents, strict=True)
             room = (1.0, SLACK[rule], bays)
             counts = [_fitting("fleet.agents", *car, *room) for car in cars]
-            if layout is not None and max(counts) < config.num_agents:
+            goals = 0 if config.goals.dynamic else config.num_agents
+            if layout is not None and max(counts) < goals:
                 raise ValueError(
                     f"fleet.agents find goals in only {max(counts)} bays of this lot "
                     f"under the {rule} rule, fewer than num_agents {config.num_agents}"

@@ -33,57 +33,13 @@ from typing import get_args
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from carpark_mj.config import ContextName, GivingWayConfig
-from carpark_mj.observations.localised import nearest
 
 CONTEXTS: tuple[ContextName, ...] = get_args(ContextName)
+# What is counted: steps in each context, and those in which the agent gave way.
+COUNTS = tuple(f"{what}_{name}" for what in ("met", "gave_way") for name in CONTEXTS)
 Contexts = dict[ContextName, jax.Array]
-
-
-@struct.dataclass
-class GivingWayCounts:
-    """Steps of the running episodes, by context; all (num_agents,) float32.
-
-    Attributes:
-        met: steps in the context.
-        gave_way: those of them in which the agent chose to let go of its goal, for
-            another or to explore. Goals that were lost are not let go of.
-    """
-
-    met: Contexts
-    gave_way: Contexts
-
-
-def tracked_agents(
-    pose_w: jax.Array,
-    parked_pose: jax.Array,
-    count: int,
-    parked_present: jax.Array | None = None,
-) -> jax.Array:
-    """Who tracks whom: the nearest cars, agents and parked cars alike, by centres.
-
-    Args:
-        pose_w: (num_agents, 3).
-        parked_pose: (num_parked_cars, 3); none where only agents are tracked.
-        count: cars that an agent tracks (n_track).
-        parked_present: (num_parked_cars,) bool; None = all.
-
-    Returns:
-        (num_agents, num_agents) bool, [i, j] whether agent i tracks agent j.
-    """
-    num_agents = pose_w.shape[0]
-    if count == 0:
-        return jnp.zeros((num_agents, num_agents), bool)
-    xy = jnp.concatenate([pose_w[:, :2], parked_pose[:, :2]])
-    present = jnp.ones(xy.shape[0], bool)
-    if parked_present is not None:
-        present = present.at[num_agents:].set(parked_present)
-    mask = present & ~jnp.eye(num_agents, xy.shape[0], dtype=bool)
-    index, found = nearest(pose_w[:, :2], xy, mask, count)
-    hit = (index[:, :, None] == jnp.arange(num_agents)) & found[:, :, None]
-    return hit.any(axis=1)
 
 
 def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
@@ -116,7 +72,7 @@ def find_contexts(
             while exploring, when an agent is in no context.
         met_goal: (num_agents, num_agents) goals of the others, see `goals_in_turn`.
         bay_pose: (num_bays, 3).
-        tracked: (num_agents, num_agents) bool, see `tracked_agents`.
+        tracked: (num_agents, num_agents) bool, [i, j] whether agent i tracks agent j.
         active: (num_agents,) bool; agents that have finished give no way, and nobody
             gives way to them.
 
@@ -155,58 +111,51 @@ def find_contexts(
 def enforce(
     config: GivingWayConfig,
     contexts: Contexts,
-    before: jax.Array,
-    after: jax.Array,
-    reward: jax.Array,
-) -> jax.Array:
-    """Replaces the reward of agents that keep a bad goal.
+    kept: jax.Array,
+    terms: dict[str, jax.Array],
+) -> dict[str, jax.Array]:
+    """Pays agents that keep a bad goal `bad_goal` instead of `continue_goal`.
 
     Args:
         config: the scheme, which names the enforced context.
         contexts: of the step.
-        before: (num_agents,) goals at its start.
-        after: (num_agents,) goals chosen in it.
-        reward: (num_agents,) of the goal transitions as they are paid otherwise.
+        kept: (num_agents,) bool, who has a goal and kept it in the step.
+        terms: the reward (num_agents,) by term, `goal_rewards.dynamic_terms`.
 
     Returns:
-        (num_agents,) the same, but `bad_goal` where a bad goal was kept.
+        The terms with `bad_goal` among them, if a context is enforced.
     """
     if config.context is None:
-        return reward
-    bad = contexts[config.context] & (after == before)
-    return jnp.where(bad, jnp.asarray(config.bad_goal, reward.dtype), reward)
+        return terms
+    bad = contexts[config.context] & kept
+    return terms | {
+        "continue_goal": jnp.where(bad, 0.0, terms["continue_goal"]),
+        "bad_goal": jnp.where(bad, config.bad_goal, 0.0).astype(jnp.float32),
+    }
 
 
-def init_counts(num_agents: int) -> GivingWayCounts:
-    """Counts at the start of an episode."""
-    zero = jnp.zeros(num_agents, jnp.float32)
-    return GivingWayCounts(dict.fromkeys(CONTEXTS, zero), dict.fromkeys(CONTEXTS, zero))
+def count(contexts: Contexts, let_go: jax.Array) -> dict[str, jax.Array]:
+    """A step as numbers to be added up over steps, agents and episodes.
 
+    Args:
+        contexts: of the step.
+        let_go: (num_agents,) bool, who chose another goal or to explore; goals that
+            are lost are not let go of.
 
-def update_counts(
-    counts: GivingWayCounts, contexts: Contexts, before: jax.Array, after: jax.Array
-) -> GivingWayCounts:
-    """Adds a step; `after` are the goals (num_agents,) that were chosen in it."""
-    let_go = after != before
-    return GivingWayCounts(
-        met={name: counts.met[name] + contexts[name] for name in CONTEXTS},
-        gave_way={
-            name: counts.gave_way[name] + (contexts[name] & let_go) for name in CONTEXTS
-        },
-    )
-
-
-def count_metrics(counts: GivingWayCounts) -> dict[str, jax.Array]:
-    """The counts as named metrics, `met_<context>` and `gave_way_<context>`."""
-    met = {f"met_{name}": counts.met[name] for name in CONTEXTS}
-    return met | {f"gave_way_{name}": counts.gave_way[name] for name in CONTEXTS}
+    Returns:
+        (num_agents,) float32 by the names of `COUNTS`: `met_<context>`, 1 in the
+        context, and `gave_way_<context>`, 1 if the goal was let go of besides.
+    """
+    met = {f"met_{name}": contexts[name] for name in CONTEXTS}
+    gave_way = {f"gave_way_{name}": contexts[name] & let_go for name in CONTEXTS}
+    return {name: x.astype(jnp.float32) for name, x in (met | gave_way).items()}
 
 
 def conformities(totals: Mapping[str, float]) -> dict[str, float]:
     """How often agents gave way in each context, P(goal changed | context).
 
     Args:
-        totals: sums of `count_metrics` over all agents and episodes.
+        totals: sums of `count` over all steps, agents and episodes.
 
     Returns:
         `conformity_<context>` in [0, 1], NaN for a context that never occurred.

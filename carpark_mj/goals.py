@@ -1,6 +1,7 @@
 """Goals and parked cars: who heads for which bay, which bay holds a parked car.
 
-Goals are fixed for an episode. Bays hold at most one parked car, goals are distinct,
+Goals here are fixed for an episode; see `dynamic_goals` for those that are not. Bays
+hold at most one parked car, goals are distinct,
 and no agent's goal holds a parked car once `new_goal` has run for it.
 """
 
@@ -18,7 +19,8 @@ class Occupancy:
     """Who is where in the plan.
 
     Attributes:
-        goal: (num_agents,) int32 index of each agent's goal bay.
+        goal: (num_agents,) int32 index of each agent's goal bay; `layout.num_bays`
+            for an agent that is exploring.
         parked_bay: (num_parked_cars,) int32 index of each parked car's bay;
             `layout.num_bays` for a car that this lot has not.
     """

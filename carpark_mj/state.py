@@ -5,6 +5,7 @@ from typing import Any
 import jax
 from flax import struct
 
+from carpark_mj.dynamic_goals import GoalEvents
 from carpark_mj.goals import Occupancy
 from carpark_mj.layouts.types import Layout
 from carpark_mj.metrics import EpisodeStats
@@ -61,6 +62,9 @@ class TimeStep:
         metrics: per-episode numbers, valid where `events.done`.
         reward_terms: the reward by term.
         vehicle: motion at the end of the step, before any respawn.
+        goal: (num_agents,) int32 goals during the step, chosen at its start if goals
+            are dynamic.
+        goal_events: what became of dynamic goals; None while goals are fixed.
     """
 
     observation: jax.Array
@@ -71,3 +75,5 @@ class TimeStep:
     metrics: dict[str, jax.Array]
     reward_terms: dict[str, jax.Array]
     vehicle: VehicleState
+    goal: jax.Array
+    goal_events: GoalEvents | None = None

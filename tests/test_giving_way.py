@@ -5,18 +5,27 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import GivingWayConfig
+from carpark_mj.config import (
+    EnvConfig,
+    GivingWayConfig,
+    GoalConfig,
+    GoalRewards,
+    ObservationConfig,
+    RewardConfig,
+)
+from carpark_mj.env import ParkingEnv
 from carpark_mj.giving_way import (
     CONTEXTS,
+    COUNTS,
     conformities,
-    count_metrics,
+    count,
     enforce,
     find_contexts,
     goals_in_turn,
-    init_counts,
-    tracked_agents,
-    update_counts,
 )
+from carpark_mj.observations.tracked import tracked_agents
+from carpark_mj.searching import look_round
+from scenes import SlidePhysics, placed
 
 STATES, AGENTS, BAYS, PARKED, TRACKED = 4000, 5, 3, 3, 2
 
@@ -256,43 +265,134 @@ def test_agents_choose_in_turn():
 
 
 def test_a_bad_goal_pays_its_own_reward_instead():
-    # Agents of a context with the goals 0, 0, 0, exploring; the last is in none.
-    contexts = {name: jnp.array([True, True, False, False]) for name in CONTEXTS}
+    # All but the third are in the contexts; the first and the third keep their goal.
+    contexts = {name: jnp.array([True, True, False, True]) for name in CONTEXTS}
     contexts["global_same"] = jnp.zeros(4, bool)
-    before = jnp.array([0, 0, 0, 3])
-    after = jnp.array([0, 1, 0, 3])  # keeps, changes, keeps, goes on exploring
-    reward = jnp.array([0.01, -0.05, 0.01, -0.002])
-    args = contexts, before, after, reward
-    strict = GivingWayConfig("G,G,A", -0.1)
-    np.testing.assert_array_equal(
-        enforce(strict, *args), np.float32([-0.1, -0.05, 0.01, -0.002])
-    )
-    for config in (GivingWayConfig(), GivingWayConfig("G,G,S", -0.1)):
-        np.testing.assert_array_equal(enforce(config, *args), reward)
-    # A reward of 0 replaces as well.
-    np.testing.assert_array_equal(
-        enforce(GivingWayConfig("L,L,S"), *args), np.float32([0, -0.05, 0.01, -0.002])
-    )
+    kept = jnp.array([True, False, True, False])
+    terms = {
+        "continue_goal": jnp.float32([0.01, 0.0, 0.01, 0.0]),
+        "change_goal": jnp.float32([0.0, -0.05, 0.0, -0.05]),
+    }
+    paid = enforce(GivingWayConfig("G,G,A", -0.1), contexts, kept, terms)
+    np.testing.assert_array_equal(paid["continue_goal"], np.float32([0, 0, 0.01, 0]))
+    np.testing.assert_array_equal(paid["bad_goal"], np.float32([-0.1, 0, 0, 0]))
+    np.testing.assert_array_equal(paid["change_goal"], terms["change_goal"])
+    # A reward of 0 replaces as well; in another context nobody is.
+    paid = enforce(GivingWayConfig("L,L,S"), contexts, kept, terms)
+    np.testing.assert_array_equal(paid["continue_goal"], np.float32([0, 0, 0.01, 0]))
+    paid = enforce(GivingWayConfig("G,G,S", -0.1), contexts, kept, terms)
+    np.testing.assert_array_equal(paid["bad_goal"], np.zeros(4))
+    assert enforce(GivingWayConfig(), contexts, kept, terms) == terms
 
 
 def test_conformity_by_hand():
     # Two agents, three steps; the first is always in the way, the second sometimes.
     met = [[True, False], [True, True], [True, True]]
-    before = [[0, 1], [0, 1], [2, 1]]
-    after = [[0, 3], [2, 1], [3, 1]]  # keeps, changes, explores; explores, keeps, keeps
-    counts = init_counts(2)
-    for now, old, new in zip(met, before, after, strict=True):
+    let_go = [[False, True], [True, False], [True, False]]
+    totals = dict.fromkeys(COUNTS, 0.0)
+    for now, gone in zip(met, let_go, strict=True):
         contexts = {name: jnp.zeros(2, bool) for name in CONTEXTS}
         contexts["local_any"] = jnp.array(now)
-        counts = update_counts(counts, contexts, jnp.array(old), jnp.array(new))
-    named = count_metrics(counts)
-    np.testing.assert_array_equal(named["met_local_any"], [3.0, 2.0])
-    np.testing.assert_array_equal(named["gave_way_local_any"], [2.0, 0.0])
-    totals = {name: float(value.sum()) for name, value in named.items()}
+        step = count(contexts, jnp.array(gone))
+        totals = {name: totals[name] + float(step[name].sum()) for name in COUNTS}
+    assert totals["met_local_any"] == 5.0
+    assert totals["gave_way_local_any"] == 2.0  # letting go in no context is not one
     ratios = conformities(totals)
     assert ratios.pop("conformity_local_any") == 2 / 5  # not the mean of 2/3 and 0
     assert len(ratios) == len(CONTEXTS) - 1
     assert all(np.isnan(value) for value in ratios.values())
+
+
+# In the environment
+
+NEAR, FAR = (0.0, -9.0, 0.0), (0.0, -2.0, 0.0)
+BAY = 4  # at (0, -18), the first that agents at both places track
+EXPLORE, KEEP, CHANGE = 0, 1, 2
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Makes steps of two agents that track each other and two bays; all standing.
+
+    They start with the goal `BAY`. Returns the state and the steps.
+    """
+    config = EnvConfig(
+        num_agents=2,
+        num_parked_cars=0,
+        goals=GoalConfig(dynamic=True, num_spaces=2),
+        giving_way=GivingWayConfig("L,L,S", -0.1),
+        reward=RewardConfig(goals=GoalRewards(continue_goal=0.03)),
+        observation=ObservationConfig(tracked_agents=1),
+    )
+    env = ParkingEnv(config, SlidePhysics())
+    start, _ = jax.jit(env.reset)(jax.random.key(0))
+    step = jax.jit(env.step)
+
+    def drive(poses, *choices, goal=(BAY, BAY), spaces=None):
+        state, _ = look_round(placed(env, start, poses), None)
+        assert (state.spaces[:, 0] == BAY).all()
+        if spaces is not None:
+            state = state.replace(spaces=jnp.array(spaces, jnp.int32))
+        goal = jnp.array(goal, jnp.int32)
+        state = state.replace(occupancy=state.occupancy.replace(goal=goal))
+        timesteps = []
+        for pair in choices:
+            action = jnp.array([[0.0, 0.0, slot] for slot in pair], jnp.float32)
+            state, timestep = step(state, action)
+            timesteps.append(timestep)
+        return state, timesteps
+
+    return drive
+
+
+@pytest.mark.parametrize(
+    ("poses", "choice", "bad", "kept"),
+    [
+        ((FAR, NEAR), (KEEP, KEEP), [-0.1, 0.0], [0.0, 0.03]),
+        ((NEAR, FAR), (KEEP, KEEP), [0.0, -0.1], [0.03, 0.0]),
+        ((FAR, NEAR), (EXPLORE, KEEP), [0.0, 0.0], [0.0, 0.03]),
+        ((FAR, NEAR), (CHANGE, KEEP), [0.0, 0.0], [0.0, 0.03]),
+        # In turn: the nearer one gives up after the other has chosen, or before.
+        ((FAR, NEAR), (KEEP, EXPLORE), [-0.1, 0.0], [0.0, 0.0]),
+        ((NEAR, FAR), (EXPLORE, KEEP), [0.0, 0.0], [0.0, 0.03]),
+    ],
+)
+def test_a_step_pays_for_keeping_a_bad_goal(drive, poses, choice, bad, kept):
+    _, (timestep,) = drive(poses, choice)
+    terms = timestep.reward_terms
+    np.testing.assert_array_equal(terms["bad_goal"], np.float32(bad))
+    np.testing.assert_array_equal(terms["continue_goal"], np.float32(kept))
+    total = np.sum([np.asarray(term) for term in terms.values()], axis=0)
+    np.testing.assert_allclose(timestep.reward, total, atol=1e-6)
+
+
+def test_an_episode_counts_contexts_and_who_gave_way(drive):
+    # The first one is farther from the bay: keeps it, explores, takes and changes it.
+    state, timesteps = drive(
+        (FAR, NEAR), (KEEP, KEEP), (EXPLORE, KEEP), (KEEP, KEEP), (CHANGE, KEEP)
+    )
+    named = timesteps[-1].metrics
+    assert named.keys() >= set(COUNTS)
+    for name in ("local_same", "local_any", "global_same", "global_any"):
+        np.testing.assert_array_equal(named[f"met_{name}"], [3.0, 0.0])
+        np.testing.assert_array_equal(named[f"gave_way_{name}"], [2.0, 0.0])
+        np.testing.assert_array_equal(state.stats.giving_way[f"met_{name}"], [3, 0])
+    for name in CONTEXTS[4:]:
+        np.testing.assert_array_equal(named[f"met_{name}"], [0.0, 0.0])
+
+
+def test_a_goal_that_is_lost_is_not_given_up(drive):
+    far_bay = 20  # on the other side of the lot; tracked so far, and no more
+    spaces = [[BAY, far_bay], [BAY, BAY + 1]]
+    _, (timestep,) = drive((NEAR, FAR), (2, 1), goal=(far_bay, BAY), spaces=spaces)
+    assert timestep.goal_events.lost_untracked.tolist() == [True, False]
+    np.testing.assert_array_equal(timestep.metrics["met_local_any"], [1.0, 1.0])
+    np.testing.assert_array_equal(timestep.metrics["gave_way_local_any"], [0.0, 0.0])
+
+
+def test_a_scheme_needs_agents_that_choose_their_goals():
+    with pytest.raises(ValueError, match="scheme 'G,G,A' needs dynamic goals"):
+        EnvConfig(giving_way=GivingWayConfig("G,G,A"))
 
 
 @pytest.mark.parametrize(

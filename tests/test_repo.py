@@ -29,6 +29,10 @@ TASK = {
     "sensors",
     "fit",
     "respawn",
+    "dynamic_goals",
+    "exploring",
+    "goal_rewards",
+    "spaces",
 }
 ALLOWED = {
     "geometry": set(),
@@ -43,8 +47,9 @@ ALLOWED = {
     "fleet": {"config", "vehicle", "layouts", "fit", "goals", "respawn"},
 } | {name: BASE | TASK | {"layouts"} for name in TASK}
 ALLOWED["presets"] = {"config"}
-ENV = {*ALLOWED, "state", "env"}
-ALLOWED["state"] = ALLOWED["env"] = ENV - {"env", "scene"}
+ENV = {*ALLOWED, "state", "searching", "starts", "env"}
+for name in ("state", "searching", "starts", "env"):
+    ALLOWED[name] = ENV - {"env", "scene"}
 OUTER = {"wrappers", "policy", "rendering", "evaluation", "command_line"}
 
 # No module of the task or below it knows MuJoCo.

@@ -6,7 +6,7 @@ Impossible settings raise `ValueError` at construction, in one sentence.
 from carpark_mj.config.env import EnvConfig, PhysicsName
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
-from carpark_mj.config.goals import GoalConfig
+from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.layout import (
     LAYOUT_FILES,
@@ -44,6 +44,7 @@ __all__ = [
     "FleetConfig",
     "GivingWayConfig",
     "GoalConfig",
+    "GoalRewards",
     "GridConfig",
     "JitterConfig",
     "LayoutChoice",

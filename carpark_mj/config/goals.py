@@ -1,8 +1,11 @@
-"""Who chooses the goals: the environment, or the agents themselves."""
+"""Who chooses the goals, the environment or the agents, and what choosing is worth."""
 
 import dataclasses
+import math
 
 from carpark_mj.config.checks import at_least
+
+TOLERANCE = 1e-9  # by which (3.5) may fail, for 0.1 + 0.2 is not 0.3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,3 +23,68 @@ class GoalConfig:
 
     def __post_init__(self) -> None:
         at_least(self, 1, "num_spaces")
+
+
+@dataclasses.dataclass(frozen=True)
+class GoalRewards:
+    """What steps pay with dynamic goals, by what becomes of the goal in them.
+
+    Signed, paid whole in each such step; the defaults are those of Tanner 2022, table
+    C.10 (e is exploring, p and p' are bays).
+
+    Attributes:
+        continue_explore: r(e->e).
+        stop_explore: r(e->p).
+        continue_goal: r(p->p).
+        change_goal: r(p->p').
+        stop_goal: r(p->e); None = r(p->p') - r(e->p), which his rule (3.5) asks for.
+        lost_goal: paid besides when the goal is no longer among the tracked bays; None
+            = r(p->e), as in his program.
+        taken_goal: paid besides when somebody else has parked there; nothing in his
+            program.
+    """
+
+    continue_explore: float = -0.002
+    stop_explore: float = 0.0
+    continue_goal: float = 0.0
+    change_goal: float = -0.05
+    stop_goal: float | None = None
+    lost_goal: float | None = None
+    taken_goal: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if value is not None and not math.isfinite(value):
+                raise ValueError(f"{field.name} must be finite, not {value}")
+
+    @property
+    def stop(self) -> float:
+        """r(p->e), given or computed."""
+        if self.stop_goal is None:
+            return self.change_goal - self.stop_explore
+        return self.stop_goal
+
+    @property
+    def lost(self) -> float:
+        """What losing a goal pays, given or computed."""
+        return self.stop if self.lost_goal is None else self.lost_goal
+
+    def check(self) -> None:
+        """Refuses what rewards exploring for ever or changing goals by a detour.
+
+        Raises:
+            ValueError: (3.5), and with it (3.6), or a sign is violated.
+        """
+        for name in ("continue_explore", "change_goal"):
+            value = getattr(self, name)
+            if value >= 0.0:
+                raise ValueError(
+                    f"reward.goals.{name} must be negative with dynamic goals, not "
+                    f"{value}"
+                )
+        if abs(self.stop + self.stop_explore - self.change_goal) > TOLERANCE:
+            raise ValueError(
+                "reward.goals must have change_goal = stop_goal + stop_explore, not "
+                f"{self.change_goal} = {self.stop} + {self.stop_explore}"
+            )

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Literal
 
 from carpark_mj.config.checks import at_least, choose, positive
+from carpark_mj.config.goals import GoalRewards
 
 RewardName = Literal["shaped", "tanner"]
 
@@ -29,6 +30,7 @@ class RewardConfig:
         closeness: taken over a whole episode, for each step times the share of
             `closeness_range` by which the nearest other agent is too close.
         closeness_range: clearance between agents at which closeness begins [m].
+        goals: paid for what becomes of dynamic goals.
     """
 
     park: float = 4.0
@@ -43,9 +45,10 @@ class RewardConfig:
     wrong_way: float = 0.0
     closeness: float = 15.0
     closeness_range: float = 3.0
+    goals: GoalRewards = GoalRewards()
 
     def __post_init__(self) -> None:
-        names = [f.name for f in dataclasses.fields(self)]
+        names = [f.name for f in dataclasses.fields(self) if f.name != "goals"]
         at_least(self, 0.0, *names)
         positive(self, "alignment_range", "closeness_range")
 

@@ -26,6 +26,7 @@ def observe(
     max_steering: jax.Array,
     parked_present: jax.Array | None = None,
     axles: tuple[jax.Array, jax.Array] | None = None,
+    spaces: jax.Array | None = None,
 ) -> jax.Array:
     """Observations of all agents of a lot.
 
@@ -41,13 +42,22 @@ def observe(
         parked_present: (num_parked_cars,) bool; None = all.
         axles: (num_agents,) wheelbases, and rear axles to footprints' centres [m];
             needed for `own_car`.
+        spaces: (num_agents, num_spaces) bays tracked by each agent, whose own goal and
+            goals seen of others are 0 while these explore; None while goals are fixed.
 
     Returns:
         (num_agents, observation_size) float32.
     """
     goal_pose = layout.bay_pose[goal]
     values = own_motion(vehicle, max_speed, max_steering)
-    values |= own_goal(vehicle, goal_pose, layout.bay_size[goal])
+    goal_values = own_goal(vehicle, goal_pose, layout.bay_size[goal])
+    exploring = None if spaces is None else goal == layout.num_bays
+    if exploring is not None:
+        goal_values = {
+            name: jnp.where(exploring[:, None], 0.0, value)
+            for name, value in goal_values.items()
+        }
+    values |= goal_values
     if config.own_car and axles is not None:
         values |= own_car(vehicle, *axles, max_steering)
     own_xy = vehicle.pose_w[:, :2]
@@ -59,6 +69,8 @@ def observe(
             vehicle.pose_w, vehicle.pose_w[index], vehicle.size[index], present
         )
         their_goal = to_local(vehicle.pose_w[:, None], goal_pose[index])[..., :2] / FAR
+        if exploring is not None:
+            their_goal = jnp.where(exploring[index][..., None], 0.0, their_goal)
         motion = {
             "speed": (vehicle.speed[index] / max_speed[:, None])[..., None],
             "goal": their_goal,

@@ -1,0 +1,47 @@
+"""The back end that a configuration names."""
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.layouts import Layout
+from carpark_mj.physics.base import Physics
+from carpark_mj.physics.bicycle import BicyclePhysics
+from carpark_mj.physics.contact import ContactPhysics
+from carpark_mj.physics.grid import GridPhysics
+from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.physics.scene import ScenePhysics
+from carpark_mj.vehicle import VehicleParameters
+
+
+def make_physics(
+    config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
+) -> Physics:
+    """Builds the back end of an environment.
+
+    Args:
+        config: the environment.
+        layout: its lot; None if that is random.
+        vehicle: of all cars, for `scene`.
+
+    Raises:
+        ValueError: `scene` physics cannot do what else is configured.
+    """
+    contact = config.sim.tyres == "contact"
+    if config.physics == "grid":
+        return GridPhysics(config.grid, config.sim)
+    if config.physics == "bicycle":
+        return BicyclePhysics(config.sim)
+    if config.physics == "mjx":
+        return (ContactPhysics if contact else MjxPhysics)(config.sim)
+    if contact:
+        raise ValueError("scene physics has brush tyres only, not contact")
+    if layout is None:
+        raise ValueError(
+            f"scene physics needs the same lot for every key, not {config.layout!r}"
+        )
+    if config.fleet.is_on or config.jitter.scale != (1.0, 1.0):
+        raise ValueError(
+            "scene physics has cars of one kind and size only, no fleet and no "
+            "jitter.scale: use mjx"
+        )
+    return ScenePhysics(
+        config.sim, layout, vehicle, config.num_agents, config.num_parked_cars
+    )
