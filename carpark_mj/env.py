@@ -17,12 +17,14 @@ from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.dynamic_goals import GoalEvents, aims
 from carpark_mj.episode import judge
 from carpark_mj.fleet import Fleet
+from carpark_mj.giving_way import Contexts, enforce
 from carpark_mj.goal_rewards import dynamic_progress, dynamic_terms
 from carpark_mj.lanes import has_lanes, is_wrong_way
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.observations.indices import observe_indices
+from carpark_mj.observations.tracked import tracked_agents
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import full_float32
@@ -207,11 +209,13 @@ class ParkingEnv:
         else:
             after = dataclasses.replace(after, active=after.active & ~events.done)
             after, taken = stay(after, events)
-        goals = None
+        goals = contexts = None
         if config.goals.dynamic:
             with jax.named_scope("goals"):
                 fitting = self._fitting(after)
-                after, goals = review(before, goal, after, events, taken, fitting)
+                after, goals, contexts = review(
+                    before, goal, after, events, taken, fitting, self._tracked(before)
+                )
 
         wrong_way = None
         if has_lanes(state.layout):
@@ -219,16 +223,14 @@ class ParkingEnv:
         with jax.named_scope("rewards"):
             goal_pose = self._goal_pose(state, vehicle)
             terms = self._reward_terms(
-                before, state, vehicle, goal_pose, events, wrong_way, goals
+                before, state, vehicle, goal_pose, events, wrong_way, goals, contexts
             )
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
-        stats = where_cars(
-            state.active,
-            metrics.update_stats(
-                state.stats, state.vehicle, vehicle, reward, invalid, wrong_way, goals
-            ),
-            state.stats,
+        old, cars = state.stats, (state.vehicle, vehicle)
+        stats = metrics.update_stats(
+            old, *cars, reward, invalid, wrong_way, goals, contexts
         )
+        stats = where_cars(state.active, stats, old)
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
 
         respawned = events.done & config.episode.respawn
@@ -318,6 +320,11 @@ class ParkingEnv:
         size = state.physics.vehicle.size
         return self.fleet.bays_for(state.layout, size, state.parked_size)[0]
 
+    def _tracked(self, state: State) -> jax.Array:
+        """Who saw whom when they chose, (num_agents, num_agents) bool."""
+        pose = observed(state.sensors, state.vehicle).pose_w
+        return tracked_agents(pose, pose[:0], self.config.observation.tracked_agents)
+
     def _goal_pose(self, state: State, vehicle: VehicleState) -> jax.Array:
         """Poses (num_agents, 3) of the goals; see `aims` for agents that explore."""
         layout, goal = state.layout, state.occupancy.goal
@@ -334,6 +341,7 @@ class ParkingEnv:
         events: Events,
         wrong_way: jax.Array | None,
         goals: GoalEvents | None,
+        contexts: Contexts | None,
     ) -> dict[str, jax.Array]:
         """The reward of a step by term; 0 for those that had finished before."""
         config = self.config
@@ -348,7 +356,7 @@ class ParkingEnv:
             config.episode.max_steps,
             wrong_way,
         )
-        if goals is not None and state.spaces is not None:
+        if goals is not None and contexts is not None and state.spaces is not None:
             progress = dynamic_progress(
                 config.reward,
                 state.layout,
@@ -360,6 +368,8 @@ class ParkingEnv:
             terms = dynamic_terms(
                 config.reward, terms, progress, goals, events.diverged
             )
+            kept = goals.continue_goal & ~events.diverged
+            terms = enforce(config.giving_way, contexts, kept, terms)
         return {
             name: jnp.where(state.active, term, 0.0) for name, term in terms.items()
         }

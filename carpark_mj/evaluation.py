@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.giving_way import COUNTS, conformities
 from carpark_mj.layouts import member_shares
 from carpark_mj.policy.networks import Policy
 from carpark_mj.state import State
@@ -148,7 +149,8 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
     """Rates with intervals and means of episode rows; times in seconds.
 
     Where the lot has lanes, `wrong_way_share` is the share of all metres driven that
-    went against them.
+    went against them. With dynamic goals the steps in each context of giving way are
+    added up over all episodes, and divided once for the conformities.
     """
     count = len(rows)
 
@@ -168,6 +170,10 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
         path = sum(row["path"] for row in rows)
         wrong = sum(row["wrong_way"] for row in rows)
         lanes["wrong_way_share"] = wrong / path if path else 0.0
+    ways = {}
+    if rows and (counted := [name for name in COUNTS if name in rows[0]]):
+        totals = {name: sum(row[name] for row in rows) for name in counted}
+        ways = totals | conformities(totals)
     return {
         "episodes": count,
         **{name: rate(name) for name in OUTCOMES + HITS},
@@ -179,6 +185,7 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
         "parked_heading_error_deg": math.degrees(mean("final_heading", parked)),
         "parked_speed": mean("final_speed", parked),
         **lanes,
+        **ways,
     }
 
 

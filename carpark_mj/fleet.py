@@ -17,6 +17,8 @@ from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.fit import SLACK, fits, parked_poses, touches
 from carpark_mj.goals import Occupancy, draw_places, init_occupancy
 from carpark_mj.layouts import Layout, make_layout
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.turning import Entry
 from carpark_mj.respawn import Blocked
 from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle, preset
 from carpark_mj.vehicle.parameters import scaled
@@ -222,7 +224,10 @@ class Fleet:
         return jnp.minimum(count, most)
 
     def check(self, lot: LayoutConfig, layout: Layout | None) -> None:
-        """Refuses cars that fit in no bay, and more parked cars than there can be.
+        """Refuses impossible cars, and more parked cars than there can be.
+
+        Agents' cars must get into some bay from the aisle (on the grid they turn on the
+        spot), and all cars of a fleet must fit into one.
 
         Args:
             lot: of the environment.
@@ -240,6 +245,10 @@ class Fleet:
                     f"bays needs num_parked_cars of at least {needed}, not "
                     f"{config.num_parked_cars}"
                 )
+        if config.physics != "grid":
+            names = config.fleet.agents or (config.vehicle,)
+            for car in zip(names, self.agents, strict=True):
+                _require_entry(*car, lot.entries)
         one_size = not config.fleet.is_on and config.jitter.scale == (1.0, 1.0)
         if not self.varies or (one_size and layout is None):
             return
@@ -266,6 +275,27 @@ class Fleet:
 def _sample(lot: LayoutConfig) -> list[Layout]:
     keys = jax.random.split(jax.random.key(0), SAMPLED_LOTS)
     return [make_layout(lot, key) for key in keys]
+
+
+def _require_entry(
+    name: str, params: VehicleParameters, entries: Sequence[Entry]
+) -> None:
+    """Refuses a car that gets into no bay of a lot, as families refuse their own."""
+    car = DesignCar(
+        params.length,
+        params.width,
+        params.wheelbase,
+        params.rear_overhang,
+        params.max_steering,
+    )
+    if not entries or any(entry.least(car) <= entry.aisle for entry in entries):
+        return
+    entry = min(entries, key=lambda entry: entry.least(car) - entry.aisle)
+    raise ValueError(
+        f"the {name} needs an aisle of {entry.least(car):.2f} m to turn into a bay "
+        f"{entry.bay_width:.2f} m wide (carpark_mj.layouts.turning), the lot's aisles "
+        f"are up to {entry.aisle:.2f} m wide"
+    )
 
 
 def _fitting(

@@ -11,6 +11,7 @@ from carpark_mj.dynamic_goals import (
     update_counts,
 )
 from carpark_mj.geometry import axis_angle_error
+from carpark_mj.giving_way import Contexts, count
 from carpark_mj.types import Events, VehicleState
 
 
@@ -28,6 +29,7 @@ class EpisodeStats:
         wrong_way: part of the path driven against the lanes [m]; None in lots that
             never have lanes.
         goals: what became of the goals; None while they are fixed.
+        giving_way: steps in contexts, by name, see `giving_way.count`; None likewise.
     """
 
     episode_return: jax.Array
@@ -38,6 +40,7 @@ class EpisodeStats:
     invalid_actions: jax.Array
     wrong_way: jax.Array | None = None
     goals: GoalCounts | None = None
+    giving_way: dict[str, jax.Array] | None = None
 
 
 MOVING = 0.05  # m/s, slower cars have no direction of travel
@@ -57,11 +60,12 @@ def update_stats(
     invalid_action: jax.Array,
     wrong_way: jax.Array | None = None,
     goals: GoalEvents | None = None,
+    contexts: Contexts | None = None,
 ) -> EpisodeStats:
     """Adds a step; states before and after it, the latter before any respawn.
 
     `wrong_way` (num_agents,) bool says who drove against the lanes; None without lanes.
-    `goals` says what became of dynamic goals.
+    `goals` says what became of dynamic goals, `contexts` who should have given way.
     """
     points = jnp.concatenate(
         [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
@@ -75,6 +79,10 @@ def update_stats(
     counts = stats.goals
     if counts is not None and goals is not None:
         counts = update_counts(counts, goals)
+    ways = stats.giving_way
+    if ways is not None and goals is not None and contexts is not None:
+        step = count(contexts, goals.change_goal | goals.stop_goal)
+        ways = jax.tree.map(jnp.add, ways, step)
     return EpisodeStats(
         episode_return=stats.episode_return + reward,
         length=stats.length + 1.0,
@@ -84,6 +92,7 @@ def update_stats(
         invalid_actions=stats.invalid_actions + invalid_action,
         wrong_way=wrong_path,
         goals=counts,
+        giving_way=ways,
     )
 
 
@@ -117,4 +126,6 @@ def step_metrics(
         metrics["wrong_way"] = stats.wrong_way
     if stats.goals is not None:
         metrics |= count_metrics(stats.goals, stats.length)
+    if stats.giving_way is not None:
+        metrics |= stats.giving_way
     return {name: value.astype(jnp.float32) for name, value in metrics.items()}

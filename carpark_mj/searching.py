@@ -1,7 +1,7 @@
 """Agents in search of a bay: their goals and the bays they track, through one step.
 
 The step begins with `choose`. When it has ended, and episodes with it, agents
-`look_round`: see `dynamic_goals` and `spaces` for the rules.
+`look_round`: see `dynamic_goals`, `giving_way` and `spaces` for the rules.
 """
 
 import dataclasses
@@ -16,6 +16,7 @@ from carpark_mj.dynamic_goals import (
     lose_goals,
     taken_by_others,
 )
+from carpark_mj.giving_way import Contexts, find_contexts, goals_in_turn
 from carpark_mj.spaces import free_bays, track_spaces
 from carpark_mj.state import State
 from carpark_mj.types import Events
@@ -75,7 +76,8 @@ def review(
     events: Events,
     taken: jax.Array,
     fitting: jax.Array | None,
-) -> tuple[State, GoalEvents]:
+    seen: jax.Array,
+) -> tuple[State, GoalEvents, Contexts]:
     """Agents look round at the end of a step, in which these goals were lost.
 
     Args:
@@ -85,19 +87,25 @@ def review(
         events: of the step.
         taken: (num_agents,) bool, whose goal somebody else has parked in.
         fitting: see `look_round`.
+        seen: (num_agents, num_agents) bool, who tracked whom when they chose.
 
     Returns:
-        The state, and what became of the goals.
+        The state, what became of the goals, and who should have given way.
     """
     after, untracked = look_round(after, fitting)
-    return after, goal_events(
-        before.occupancy.goal,
-        chosen,
-        untracked & ~events.done,
-        taken,
-        before.active,
-        before.layout.num_bays,
+    goal, layout = before.occupancy.goal, before.layout
+    named = goal_events(
+        goal, chosen, untracked & ~events.done, taken, before.active, layout.num_bays
     )
+    contexts = find_contexts(
+        before.vehicle.pose_w,
+        goal,
+        goals_in_turn(goal, chosen),
+        layout.bay_pose,
+        seen,
+        before.active,
+    )
+    return after, named, contexts
 
 
 def _with_goal(state: State, goal: jax.Array) -> State:

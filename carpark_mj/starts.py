@@ -13,6 +13,7 @@ from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.dynamic_goals import init_counts
 from carpark_mj.exploring import anywhere, renew_exploring
 from carpark_mj.fleet import Fleet
+from carpark_mj.giving_way import COUNTS
 from carpark_mj.lanes import has_lanes
 from carpark_mj.layouts import Layout
 from carpark_mj.metrics import EpisodeStats, init_stats
@@ -67,9 +68,14 @@ def split_if_random(
 
 def start_stats(config: EnvConfig, layout: Layout) -> EpisodeStats:
     """Statistics of all agents of a lot at the start of their episodes."""
-    goals = init_counts(config.num_agents) if config.goals.dynamic else None
     stats = init_stats(config.num_agents, has_lanes(layout))
-    return dataclasses.replace(stats, goals=goals)
+    if not config.goals.dynamic:
+        return stats
+    return dataclasses.replace(
+        stats,
+        goals=init_counts(config.num_agents),
+        giving_way=dict.fromkeys(COUNTS, jnp.zeros(config.num_agents, jnp.float32)),
+    )
 
 
 def start_lot(

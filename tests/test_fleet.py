@@ -23,7 +23,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.fit import AWAY, SLACK
 from carpark_mj.geometry import box_inside
 from carpark_mj.goals import Occupancy, evolve, new_goal
-from carpark_mj.layouts import build
+from carpark_mj.layouts import build, mixture
+from carpark_mj.layouts.lot_config import LotConfig
 from carpark_mj.observations import observation_size
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
@@ -451,6 +452,13 @@ BAD_CONFIGS = [
     (lambda: JitterConfig(across=(0.0, math.nan)), r"jitter.across must be"),
     (lambda: EnvConfig(occupancy=(0.2, 1.2)), r"occupancy .* within \[0, 1\]"),
 ]
+# One-way aisles into which the compact, but not the van backs from a bay of 2.4 m.
+NARROW = LotConfig(
+    two_way=False,
+    bay_width=(2.4, 2.4),
+    bay_length=(5.2, 5.2),
+    extra_aisle=(-3.0, -2.69),
+)
 BAD_ENVIRONMENTS = [
     (
         {"fleet": FleetConfig(("lorry",))},
@@ -468,6 +476,10 @@ BAD_ENVIRONMENTS = [
             "jitter": JitterConfig(scale=(1, 2)),
         },
         r"parked cars: the compact, 8.51 m x 3.60 m, fits with 0 m to spare in no bay",
+    ),
+    (
+        {"layout": NARROW, "fleet": FleetConfig(("city", "van"))},
+        r"the van needs an aisle of 4.74 m .* 2.40 m wide .* up to 4.63 m wide",
     ),
     ({"occupancy": (0.1, 0.9)}, r"needs num_parked_cars of at least 32, not 16"),
     (
@@ -489,6 +501,22 @@ def test_impossible_fleets_are_refused_at_construction(change, message):
     with pytest.raises(ValueError, match=message) as refusal:
         ParkingEnv(EnvConfig(**change))
     assert "\n" not in str(refusal.value)
+
+
+def test_a_car_that_turns_wide_is_refused_only_where_it_gets_into_no_bay():
+    def make(layout, vehicle="van", physics="mjx"):
+        config = EnvConfig(
+            layout=layout, num_parked_cars=4, physics=physics, vehicle=vehicle
+        )
+        return ParkingEnv(config, SlidePhysics())
+
+    with pytest.raises(ValueError, match="the van needs an aisle"):
+        make(NARROW)
+    make(NARROW, "suv")
+    # One member is enough, or one of the widths that the aisles may have.
+    make(mixture((NARROW, "street")))
+    make(dataclasses.replace(NARROW, extra_aisle=(-3.0, -2.5)))
+    make(NARROW, physics="grid")
 
 
 def test_the_rule_in_force_decides_which_bays_a_van_can_aim_at():

@@ -21,6 +21,7 @@ TASK = {
     "lanes",
     "observations",
     "goals",
+    "giving_way",
     "spawn",
     "episode",
     "rewards",

@@ -2,10 +2,12 @@
 
 import math
 
+import jax
 import numpy as np
 import pytest
 import shapely
 
+from carpark_mj.layouts import generate, layout_config
 from carpark_mj.layouts.standards import (
     AISLE_ANGLES,
     AISLE_WIDTHS,
@@ -14,6 +16,7 @@ from carpark_mj.layouts.standards import (
     one_way_aisle,
 )
 from carpark_mj.layouts.turning import least_aisle, least_parallel_aisle
+from carpark_mj.layouts.types import BayKind
 from scenes import polygons
 
 CAR = DesignCar()
@@ -127,3 +130,15 @@ def test_published_aisles_in_feet():
     assert feet[60.0] == pytest.approx(18.5)
     assert feet[90.0] == pytest.approx(24.0)
     assert one_way_aisle(52.5) == pytest.approx((15.5 * 0.75 + 18.5 * 0.25) * 0.3048)
+
+
+@pytest.mark.parametrize("name", ["tanner", "street", "garage_row", "dead_end", "lot"])
+def test_families_say_how_roomy_its_bays_and_aisles_get(name):
+    config = layout_config(name)
+    assert all(entry.least(CAR) <= entry.aisle for entry in config.entries)
+    draw = jax.jit(jax.vmap(lambda key: generate(config, key)))
+    lots = jax.device_get(draw(jax.random.split(jax.random.key(1), 200)))
+    ordinary = lots.bay_mask & (lots.bay_kind == BayKind.STANDARD)
+    widest = lots.bay_size[ordinary][:, 1].max()
+    most = max(entry.bay_width for entry in config.entries)
+    assert 0.97 * most < widest < most + 1e-4

@@ -5,6 +5,7 @@ Impossible settings raise `ValueError` at construction, in one sentence.
 
 from carpark_mj.config.env import EnvConfig, PhysicsName
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
+from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.layout import (
@@ -34,12 +35,14 @@ __all__ = [
     "LAYOUT_FILES",
     "REWARDS",
     "WORLD_UNIT",
+    "ContextName",
     "Distribution",
     "DistributionKind",
     "Encoding",
     "EnvConfig",
     "EpisodeConfig",
     "FleetConfig",
+    "GivingWayConfig",
     "GoalConfig",
     "GoalRewards",
     "GridConfig",
@@ -53,6 +56,7 @@ __all__ = [
     "RandomisationConfig",
     "RewardConfig",
     "RewardName",
+    "Scheme",
     "SensorConfig",
     "SimConfig",
     "SpawnConfig",

@@ -5,6 +5,7 @@ from typing import Literal, get_args
 
 from carpark_mj.config.checks import at_least, choose
 from carpark_mj.config.fleet import FleetConfig, JitterConfig, Range, require_range
+from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.grid import GridConfig
 from carpark_mj.config.layout import (
@@ -47,6 +48,7 @@ class EnvConfig:
         sim: time steps and ground.
         grid: granularities of `grid` physics.
         goals: who chooses the goals.
+        giving_way: when agents that choose goals should give them up.
         spawn: where episodes start.
         episode: when they end.
         reward: reward weights.
@@ -66,6 +68,7 @@ class EnvConfig:
     sim: SimConfig = SimConfig()
     grid: GridConfig = GridConfig()
     goals: GoalConfig = GoalConfig()
+    giving_way: GivingWayConfig = GivingWayConfig()
     spawn: SpawnConfig = SpawnConfig()
     episode: EpisodeConfig = EpisodeConfig()
     reward: RewardConfig = RewardConfig()
@@ -95,6 +98,11 @@ class EnvConfig:
         if self.observation.encoding == "indices" and self.physics != "grid":
             raise ValueError(
                 f"observation.encoding 'indices' needs grid physics, not {self.physics}"
+            )
+        if self.giving_way.scheme is not None and not self.goals.dynamic:
+            raise ValueError(
+                f"giving_way.scheme {self.giving_way.scheme!r} needs dynamic goals, "
+                "goals.dynamic = True"
             )
         if self.goals.dynamic:
             self.reward.goals.check()

@@ -1,6 +1,6 @@
 """Which lot: names, files, and the base of the families' configs."""
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 # Layouts that need no more than a name; `carpark_mj.layouts` knows what they mean.
 LayoutName = Literal[
@@ -36,6 +36,15 @@ class LayoutConfig:
     def is_random(self) -> bool:
         """Whether other keys give other lots."""
         return True
+
+    @property
+    def entries(self) -> tuple[Any, ...]:
+        """The roomiest ways into bays, `carpark_mj.layouts.turning.Entry`.
+
+        Whoever gets into a bay in none of these gets into none of the lots that there
+        can be; empty where that is not known.
+        """
+        return ()
 
 
 # tyro turns a union with dataclasses into subcommands; as a flag a layout is its name.

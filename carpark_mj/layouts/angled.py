@@ -10,6 +10,7 @@ from carpark_mj.layouts.lot import lot
 from carpark_mj.layouts.lot_config import LotConfig
 from carpark_mj.layouts.ranges import IntRange, Range
 from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import Layout
 
 
@@ -62,6 +63,11 @@ class AngledConfig(LayoutConfig):
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return self.as_lot().min_bays
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest ways into bays, by angle."""
+        return self.as_lot().entries
 
 
 def angled(config: AngledConfig, key: jax.Array) -> Layout:

@@ -12,7 +12,12 @@ import jax.numpy as jnp
 from carpark_mj.config import LayoutConfig
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import assemble, bays, boundary, walls
-from carpark_mj.layouts.garage_row import draw_tight_bay, require_room, two_way_aisle
+from carpark_mj.layouts.garage_row import (
+    draw_tight_bay,
+    require_room,
+    tight_entry,
+    two_way_aisle,
+)
 from carpark_mj.layouts.ranges import (
     IntRange,
     Range,
@@ -23,6 +28,7 @@ from carpark_mj.layouts.ranges import (
     require_ranges,
 )
 from carpark_mj.layouts.standards import DesignCar, Level, Orientation, tight_bay
+from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import Layout, WallKind
 
 
@@ -61,6 +67,11 @@ class DeadEndConfig(LayoutConfig):
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return 2 * self.bays_per_side[0]
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest way into a bay."""
+        return (tight_entry(self.orientation, self.level, self.car, 1),)
 
 
 def dead_end(config: DeadEndConfig, key: jax.Array) -> Layout:

@@ -31,7 +31,7 @@ from carpark_mj.layouts.ranges import (
 )
 from carpark_mj.layouts.standards import DesignCar, Level, Orientation, tight_bay
 from carpark_mj.layouts.street import require_aisle
-from carpark_mj.layouts.turning import least_aisle, least_parallel_aisle
+from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import Layout, WallKind
 
 
@@ -68,6 +68,21 @@ class GarageRowConfig(LayoutConfig):
         """The fewest bays that any key gives."""
         return self.num_bays[0]
 
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest way into a bay."""
+        return (tight_entry(self.orientation, self.level, self.car, 1),)
+
+
+def tight_entry(
+    orientation: Orientation, level: Level, car: DesignCar, end: int
+) -> Entry:
+    """The way into the tightest (end 0) or roomiest (end 1) bay of a level."""
+    room = tight_bay(orientation, level, car)
+    if orientation == "parallel":
+        return Entry(room.aisle, standards.PARALLEL_WIDTH[end], angle=0.0)
+    return Entry(room.aisle, car.width + room.excess[end], walled=True)
+
 
 def require_room(orientation: Orientation, level: Level, car: DesignCar) -> None:
     """Refuses a level whose aisle is too narrow for the car.
@@ -75,12 +90,8 @@ def require_room(orientation: Orientation, level: Level, car: DesignCar) -> None
     Raises:
         ValueError: unknown names, or the width needed.
     """
-    room = tight_bay(orientation, level, car)
-    if orientation == "parallel":
-        least = least_parallel_aisle(car)
-    else:
-        least = least_aisle(car, 90.0, car.width + room.excess[0], walled=True)
-    require_aisle((room.aisle, room.aisle), least)
+    entry = tight_entry(orientation, level, car, 0)
+    require_aisle((entry.aisle, entry.aisle), entry.least(car))
 
 
 def draw_tight_bay(

@@ -22,7 +22,7 @@ from carpark_mj.layouts.standards import (
     one_way_aisle,
 )
 from carpark_mj.layouts.street import require_aisle
-from carpark_mj.layouts.turning import least_aisle
+from carpark_mj.layouts.turning import Entry
 
 RowEnds = Literal["islands", "bollards", "open"]
 Boundary = Literal["wall", "kerb"]
@@ -106,12 +106,10 @@ class LotConfig(LayoutConfig):
                 f"{self.num_family} need {wide} m, a row may have no more than "
                 f"{self.bays_per_row[0] * self.bay_width[0]:.2f} m"
             )
-        # Neither the standard nor the least aisle is monotonic between the ends.
-        for angle in np.linspace(*self.angle, 25):
-            aisle = one_way_aisle(angle) + self.extra_aisle[0]
-            least = least_aisle(self.car, float(angle), self.bay_width[0], walled=False)
-            lane = least_lane(self.car) * (2 if self.two_way else 1)
-            require_aisle((round(aisle, 3), aisle), max(least, lane))
+        lane = least_lane(self.car) * (2 if self.two_way else 1)
+        for entry in self._entries(self.extra_aisle[0], self.bay_width[0]):
+            aisle = entry.aisle
+            require_aisle((round(aisle, 3), aisle), max(entry.least(self.car), lane))
 
     @property
     def min_bays(self) -> int:
@@ -121,3 +119,15 @@ class LotConfig(LayoutConfig):
         kept = math.floor((low * width - wide) / width + 1e-6)
         first = self.num_accessible + self.num_family + kept
         return first + (2 * self.num_aisles[0] - 1) * low
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest ways into bays of standard width, by angle."""
+        return self._entries(self.extra_aisle[1], self.bay_width[1])
+
+    def _entries(self, extra_aisle: float, bay_width: float) -> tuple[Entry, ...]:
+        # Neither the standard nor the least aisle is monotonic between the ends.
+        angles = [float(angle) for angle in np.linspace(*self.angle, 25)]
+        return tuple(
+            Entry(one_way_aisle(a) + extra_aisle, bay_width, a) for a in angles
+        )

@@ -15,6 +15,7 @@ from carpark_mj.layouts.angled import AngledConfig
 from carpark_mj.layouts.square import COMPACT
 from carpark_mj.layouts.street import StreetConfig
 from carpark_mj.layouts.street_parallel import StreetParallelConfig
+from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
 
 
@@ -63,6 +64,12 @@ class MixtureConfig(LayoutConfig):
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return min(member.min_bays for member in self.members)
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Those of all members; not known if those of one are not."""
+        entries = [member.entries for member in self.members]
+        return sum(entries, ()) if all(entries) else ()
 
 
 def draw_mixture(config: MixtureConfig, key: jax.Array) -> Layout:

@@ -14,7 +14,7 @@ from carpark_mj.config import LayoutConfig
 from carpark_mj.config.grid import WORLD_UNIT
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.turning import least_aisle
+from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import Layout
 
 
@@ -61,11 +61,12 @@ class SquareConfig(LayoutConfig):
                 f"bay_width and bay_length must hold a car of {car.width} m x "
                 f"{car.length} m, not {self.bay_width} m x {self.bay_length} m"
             )
-        least = least_aisle(car, 90.0, self.bay_width, walled=False)
-        if self.bays_per_side * self.bay_width < least:
+        (entry,) = self.entries
+        least = entry.least(car)
+        if entry.aisle < least:
             raise ValueError(
                 f"bays_per_side {self.bays_per_side} and bay_width {self.bay_width} m "
-                f"leave a square of {self.bays_per_side * self.bay_width:.2f} m, the "
+                f"leave a square of {entry.aisle:.2f} m, the "
                 f"car needs {least:.2f} m to turn into a bay (layouts.turning)"
             )
         if 2 * self.spawn_margin >= self.bays_per_side * self.bay_width:
@@ -83,6 +84,11 @@ class SquareConfig(LayoutConfig):
     def is_random(self) -> bool:
         """Whether other keys give other lots."""
         return False
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest way into a bay."""
+        return (Entry(self.bays_per_side * self.bay_width, self.bay_width),)
 
 
 # Wall faces are those of Tanner's colliders: corner blocks 9 x 9 and outer walls at

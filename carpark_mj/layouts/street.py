@@ -31,7 +31,7 @@ from carpark_mj.layouts.ranges import (
     require_ranges,
 )
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.turning import least_aisle
+from carpark_mj.layouts.turning import Entry, least_aisle
 from carpark_mj.layouts.types import Layout, WallKind
 
 
@@ -72,6 +72,11 @@ class StreetConfig(LayoutConfig):
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return 2 * self.bays_per_side[0]
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest way into a bay."""
+        return (Entry(self.aisle_width[1], self.bay_width[1]),)
 
 
 def require_aisle(aisle: Range, least: float) -> None:

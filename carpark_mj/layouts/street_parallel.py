@@ -19,7 +19,7 @@ from carpark_mj.layouts.ranges import (
 )
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.street import require_aisle, two_way_street
-from carpark_mj.layouts.turning import least_parallel_aisle
+from carpark_mj.layouts.turning import Entry, least_parallel_aisle
 from carpark_mj.layouts.types import Layout, WallKind
 
 
@@ -60,6 +60,11 @@ class StreetParallelConfig(LayoutConfig):
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return 2 * self.bays_per_side[0]
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest way into a bay."""
+        return (Entry(self.aisle_width[1], self.bay_width[1], angle=0.0),)
 
 
 def street_parallel(config: StreetParallelConfig, key: jax.Array) -> Layout:

@@ -11,6 +11,7 @@ here for oriented boxes. The parallel case is the reverse S-curve of S. Blackbur
 Geometry of Perfect Parking, 2009.
 """
 
+import dataclasses
 import math
 
 from carpark_mj.layouts.standards import DesignCar
@@ -59,6 +60,29 @@ def least_aisle(car: DesignCar, angle: float, bay_width: float, walled: bool) ->
     # In reverse the outer rear corner must pass the outer neighbour.
     reverse = front - q if rear <= radius + beside else math.inf
     return min(forwards, max(reverse, car.width))
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """A way from an aisle into a bay.
+
+    Attributes:
+        aisle: its width [m].
+        bay_width: across a parked car [m].
+        angle: between aisle and bay [deg], in (0, 90]; 0 = parallel.
+        walled: see `least_aisle`.
+    """
+
+    aisle: float
+    bay_width: float
+    angle: float = 90.0
+    walled: bool = False
+
+    def least(self, car: DesignCar) -> float:
+        """Narrowest aisle [m] from which a car would get into the bay."""
+        if self.angle == 0.0:
+            return least_parallel_aisle(car)
+        return least_aisle(car, self.angle, self.bay_width, self.walled)
 
 
 def least_parallel_aisle(car: DesignCar) -> float:
