@@ -211,14 +211,16 @@ class ParkingEnv:
             parked_offset=offset,
             step=jnp.zeros(config.num_agents, jnp.int32),
             active=jnp.ones(config.num_agents, bool),
-            stats=metrics.init_stats(config.num_agents, has_lanes(layout)),
+            stats=self._init_stats(layout),
             sensors=init_sensors(config.sensors, vehicle, sensor_key),
             key=key,
         )
         return state, self._observe(state)
 
     @full_float32
-    def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
+    def step(
+        self, state: State, action: jax.Array, hitbox_scale: jax.Array | None = None
+    ) -> tuple[State, TimeStep]:
         """Advances the lot by one control step.
 
         Args:
@@ -226,6 +228,7 @@ class ParkingEnv:
             action: (num_agents, 2) steer and pedal in [-1, 1], or indices on the grid;
                 agents that have finished brake instead. What is NaN or outside is
                 neutralised and counted in the metric `invalid_actions`.
+            hitbox_scale: see `find_hits`; None = 1.
 
         Returns:
             The next state and what the agents learn.
@@ -255,20 +258,20 @@ class ParkingEnv:
                 state.parked_size,
                 step,
                 state.active,
+                hitbox_scale,
             )
         wrong_way = None
         if has_lanes(state.layout):
             wrong_way = is_wrong_way(state.layout, vehicle)
         with jax.named_scope("rewards"):
-            steering_rate = state.physics.vehicle.steering_rate
-            steering_change = steering_rate * config.sim.ctrl_dt
+            cars = state.physics.vehicle
             terms = rewards.reward_terms(
                 config.reward,
                 state.vehicle,
                 vehicle,
                 goal_pose,
                 events,
-                steering_change,
+                rewards.effort(config, state.vehicle, vehicle, cars),
                 config.episode.max_steps,
                 wrong_way,
             )
@@ -279,7 +282,7 @@ class ParkingEnv:
         stats = jax.tree.map(
             lambda new, old: jnp.where(state.active, new, old),
             metrics.update_stats(
-                state.stats, state.vehicle, vehicle, reward, invalid, wrong_way
+                state.stats, state.vehicle, vehicle, reward, invalid, wrong_way, terms
             ),
             state.stats,
         )
@@ -383,6 +386,7 @@ class ParkingEnv:
             respawn_key,
             self.fleet.bays_for(layout, fleet.size, parked_size),
             self.fleet.blocked(layout, old.size, fleet.size, parked_size, offset),
+            config.observation.tracked_parked_cars,
         )
         if self.fleet.mixed:  # who finds no bay for his new car keeps goal and car
             fleet = where_cars(occupancy.goal != state.occupancy.goal, fleet, old)
@@ -397,13 +401,13 @@ class ParkingEnv:
             vehicle=where_cars(done, self.physics.read(physics), state.vehicle),
             occupancy=occupancy,
             step=jnp.where(done, 0, state.step),
-            stats=where_cars(
-                done,
-                metrics.init_stats(config.num_agents, has_lanes(state.layout)),
-                state.stats,
-            ),
+            stats=where_cars(done, self._init_stats(layout), state.stats),
             key=key,
         )
+
+    def _init_stats(self, layout: Layout) -> metrics.EpisodeStats:
+        lanes = has_lanes(layout)
+        return metrics.init_stats(self.num_agents, lanes, rewards.term_names(lanes))
 
     def _observe(self, state: State) -> jax.Array:
         if self.config.observation.encoding == "indices":

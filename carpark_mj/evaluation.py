@@ -148,7 +148,8 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
     """Rates with intervals and means of episode rows; times in seconds.
 
     Where the lot has lanes, `wrong_way_share` is the share of all metres driven that
-    went against them.
+    went against them. `mean_returns` are those of the reward terms; they add up to
+    `mean_return`.
     """
     count = len(rows)
 
@@ -172,6 +173,11 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
         "episodes": count,
         **{name: rate(name) for name in OUTCOMES + HITS},
         "mean_return": mean("episode_return", rows),
+        "mean_returns": {
+            name.removeprefix("return_"): mean(name, rows)
+            for name in (rows[0] if rows else ())
+            if name.startswith("return_")
+        },
         "parked_time": mean("length", parked) * ctrl_dt,
         "parked_path": mean("path", parked),
         "parked_gear_changes": mean("gear_changes", parked),

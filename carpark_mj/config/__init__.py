@@ -18,6 +18,7 @@ from carpark_mj.config.simulation import CONTACT_SIM_DT, SimConfig, Surface, Tyr
 from carpark_mj.config.task import (
     Encoding,
     EpisodeConfig,
+    EvolutionRule,
     ObservationConfig,
     ParkedRule,
     SpawnConfig,
@@ -39,6 +40,7 @@ __all__ = [
     "Encoding",
     "EnvConfig",
     "EpisodeConfig",
+    "EvolutionRule",
     "FleetConfig",
     "GoalConfig",
     "GridConfig",
