@@ -171,6 +171,10 @@ def test_the_tanner_reward_preset_has_the_numbers_of_table_c9():
         "alignment": 0.0,
         "closeness": 0.0,
         "wrong_way": 0.0,
+        "final_speed": 0.0,
+        "final_heading": 0.0,
+        "halt": 0.0,
+        "smoothness_by_speed": False,
     }
 
 

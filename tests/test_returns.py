@@ -10,6 +10,7 @@ import pytest
 from carpark_mj.config import WORLD_UNIT, RewardConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.presets import TANNER_QLEARNING
+from carpark_mj.rewards import TERMS
 
 WEIGHTS = RewardConfig(
     park=10.0,
@@ -63,10 +64,7 @@ def drive(grid, point, choices, step=0):
 
 def expected(**totals):
     """All terms, 0 where not given."""
-    names = [f.name for f in dataclasses.fields(WEIGHTS)]
-    kinds = ("alignment", "range", "by_speed")
-    terms = [name for name in names if not name.endswith(kinds)]
-    return pytest.approx(dict.fromkeys(terms, 0.0) | totals, abs=1e-6)
+    return pytest.approx(dict.fromkeys(TERMS, 0.0) | totals, abs=1e-6)
 
 
 def test_an_episode_that_parks(grid):
