@@ -46,7 +46,7 @@ def test_a_close_start_is_near_a_free_bay_that_is_nobody_s_goal():
     # Parked cars, agent 1's goal and padding are out; agent 0's old goal is not.
     assert not set(drawn) & {0, 1, 2, 3, 10, 36, 37, 38, 39, 40}
     assert 5 in drawn
-    assert len(drawn) > 25  # those near another agent come seldom
+    assert len(drawn) > 20  # those near another agent come seldom
     goal = np.asarray(LAYOUT.bay_pose)[start.close_bay, :2]
     nearest = np.clip(goal, -HALF, HALF)
     gap = np.linalg.norm(start.pose[:, :2] - nearest, axis=1)

@@ -22,6 +22,8 @@ TASK = {
     "observations",
     "goals",
     "spawn",
+    "crash_spawn",
+    "exploring_spawn",
     "episode",
     "rewards",
     "metrics",
