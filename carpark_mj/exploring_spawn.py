@@ -135,6 +135,29 @@ def first_goal(
     return jnp.where(takes, start.close_bay, goal).astype(jnp.int32)
 
 
+def first_goals(
+    starts: ExploringStart,
+    spaces: jax.Array,
+    goal: jax.Array,
+    fresh: jax.Array,
+    num_bays: int,
+    key: jax.Array,
+) -> jax.Array:
+    """The agents' goals (num_agents,) int32 once those that start have their first.
+
+    Args:
+        starts: of the agents (num_agents,).
+        spaces: (num_agents, num_spaces) int32 bays they track from there.
+        goal: (num_agents,) int32 before; `num_bays` for who starts or explores.
+        fresh: (num_agents,) bool, who starts.
+        num_bays: of the layout, padding included.
+        key: consumed.
+    """
+    keys = jax.random.split(key, fresh.shape[0])
+    draw = jax.vmap(first_goal, in_axes=(0, 0, None, None, 0))
+    return jnp.where(fresh, draw(starts, spaces, goal, num_bays, keys), goal)
+
+
 def pick(mask: jax.Array, key: jax.Array) -> jax.Array:
     """A random index () int32 among those where a mask (n,) is true, if any is."""
     score = jax.random.uniform(key, mask.shape)

@@ -119,7 +119,6 @@ def reward_terms(
     effort: Effort,
     max_steps: int,
     wrong_way: jax.Array | None = None,
-    exploring: jax.Array | None = None,
 ) -> dict[str, jax.Array]:
     """The reward of one step, term by term.
 
@@ -132,7 +131,6 @@ def reward_terms(
         effort: of the step.
         max_steps: episode length the sums refer to.
         wrong_way: (num_agents,) bool, driving against the lanes; None without lanes.
-        exploring: (num_agents,) bool, who has no goal to come nearer to; None = nobody.
 
     Returns:
         Named terms (num_agents,), weights and signs applied, in the order of
@@ -143,9 +141,6 @@ def reward_terms(
         config, before.pose_w, goal_pose
     )
     approach = jnp.where(is_nearer(before, after, goal_pose), 1.0, -1.0)
-    if exploring is not None:
-        potential = jnp.where(exploring, 0.0, potential)
-        approach = jnp.where(exploring, 0.0, approach)
     too_close = jnp.maximum(1.0 - agent_clearance(after) / config.closeness_range, 0.0)
     turn = effort.turn * effort.speed if config.smoothness_by_speed else effort.turn
     across = axis_angle_error(after.pose_w[..., 2] - goal_pose[..., 2]) / (math.pi / 2)

@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
-from carpark_mj.exploring_spawn import ExploringStart, exploring_start, first_goal
+from carpark_mj.exploring_spawn import (
+    ExploringStart,
+    exploring_start,
+    first_goal,
+    first_goals,
+)
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
 
 HALF = 21 * WORLD_UNIT
@@ -110,3 +115,17 @@ def test_a_crash_start_takes_a_random_tracked_bay_that_is_another_s_goal():
     assert goals(crash=True, others=(8, 9, 8)) == {8: 1.0}
     # Nobody heads for a tracked bay; who explores has no goal to share.
     assert goals(crash=True, others=(9, BAYS)) == {BAYS: 1.0}
+
+
+def test_first_goals_are_those_of_the_agents_that_start():
+    starts = ExploringStart(
+        pose=jnp.zeros((4, 3)),
+        close_bay=jnp.full(4, BAYS, jnp.int32),
+        crash=jnp.array([True, True, False, True]),
+    )
+    spaces = jnp.tile(SPACES, (4, 1))
+    goal = jnp.array([BAYS, 8, BAYS, BAYS], jnp.int32)
+    fresh = jnp.array([True, False, True, False])
+    got = first_goals(starts, spaces, goal, fresh, BAYS, jax.random.key(0))
+    # 0 joins agent 1, who drives on; 2 is no crash start, 3 does not start.
+    np.testing.assert_array_equal(got, [8, 8, BAYS, BAYS])

@@ -37,7 +37,7 @@ def events(count, **true):
     return Events(**{name: jnp.array(flag) for name, flag in flags.items()})
 
 
-def terms(config, before, after, goal, happened=None, exploring=None):
+def terms(config, before, after, goal, happened=None):
     goal = jnp.broadcast_to(jnp.asarray(goal, jnp.float32), after.pose_w.shape)
     count = after.pose_w.shape[0]
     named = reward_terms(
@@ -48,7 +48,6 @@ def terms(config, before, after, goal, happened=None, exploring=None):
         happened if happened is not None else events(count),
         effort(PHYSICAL, before, after, VEHICLE),
         MAX_STEPS,
-        exploring=exploring,
     )
     assert tuple(named) == term_names()
     return {name: np.asarray(term, np.float64) for name, term in named.items()}
@@ -297,15 +296,6 @@ def test_smoothness_can_count_times_the_speed():
     got = terms(by_speed, before, after, GOAL)["smoothness"]
     expected = -0.05 / MAX_STEPS * np.abs(speed) / 3.0
     np.testing.assert_allclose(got, expected, atol=1e-9)
-
-
-def test_who_explores_comes_neither_nearer_to_anything_nor_farther_from_it():
-    before, after = cars([(4.0, 0.0, 0.0)] * 2), cars([(5.0, 0.0, 0.0)] * 2)
-    config = dataclasses.replace(TANNER, progress=0.2)
-    got = terms(config, before, after, GOAL, exploring=jnp.array([True, False]))
-    np.testing.assert_allclose(got["approach"], [0.0, 0.15 / 200], atol=1e-9)
-    np.testing.assert_allclose(got["progress"], [0.0, 0.2], atol=1e-6)
-    np.testing.assert_allclose(got["time"], -0.2 / 200, atol=1e-9)
 
 
 # On the grid
