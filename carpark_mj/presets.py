@@ -11,7 +11,11 @@ where both are silent, the choice is:
   (approach below time), but only they give the returns he recorded.
 - leaving the world counts as a crash: the outer walls are hit before.
 - an agent that parks frees the parked car farthest from all agents (text), not a random
-  one (program).
+  one (program); `SpawnConfig.evolution` has both.
+- starts on a collision course: the other agent's way to its own goal is what must be
+  long enough; who starts has no place yet. At a reset goals are not drawn anew.
+- hitboxes larger in training: until a number of agent steps, the counter that ends the
+  training (his compares another one, and probably never switched back).
 - parking and crashing are terminal, a time-out is not: see `train/q_learning.py`.
 """
 
