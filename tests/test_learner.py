@@ -275,9 +275,6 @@ def test_hitboxes_are_scaled_until_a_number_of_agent_steps_of_training():
     assert crashed[0] == crashed[1] == 1.0  # boxes of 120 m
     assert crashed[2] == crashed[3] < 0.5
     assert compilations == 1
-    plain, _ = unrolls((0,), num_steps=10_000)
-    for one, other in zip(*map(jax.tree.leaves, (plain[0], data[2])), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 IMPOSSIBLE_HITBOXES = [
