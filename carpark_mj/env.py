@@ -29,7 +29,7 @@ from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import full_float32
 from carpark_mj.randomisation import check
-from carpark_mj.searching import choose, look_round, review, stay
+from carpark_mj.searching import choose, look_round, review, set_out, stay
 from carpark_mj.sensors import observed, update_sensors
 from carpark_mj.starts import (
     check_room,
@@ -162,7 +162,9 @@ class ParkingEnv:
         return state, self._observe(state)
 
     @full_float32
-    def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
+    def step(
+        self, state: State, action: jax.Array, hitbox_scale: jax.Array | None = None
+    ) -> tuple[State, TimeStep]:
         """Advances the lot by one control step.
 
         Args:
@@ -170,6 +172,7 @@ class ParkingEnv:
             action: (num_agents, action_size), see `action_spec`; agents that have
                 finished brake instead. What is NaN or outside is neutralised and
                 counted in the metric `invalid_actions`.
+            hitbox_scale: see `find_hits`; None = 1.
 
         Returns:
             The next state and what the agents learn.
@@ -199,11 +202,13 @@ class ParkingEnv:
                 step,
                 state.active,
                 config.goals.dynamic,
+                hitbox_scale,
             )
         after = dataclasses.replace(state, physics=physics, vehicle=vehicle, step=step)
+        starts = None
         if config.episode.respawn:
             with jax.named_scope("respawn"):
-                after, taken = restart(
+                after, taken, starts = restart(
                     config, self.fleet, self.physics, after, events, cars_key
                 )
         else:
@@ -216,6 +221,7 @@ class ParkingEnv:
                 after, goals, contexts = review(
                     before, goal, after, events, taken, fitting, self._tracked(before)
                 )
+                after = set_out(after, events.done, starts)
 
         wrong_way = None
         if has_lanes(state.layout):
@@ -228,7 +234,7 @@ class ParkingEnv:
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
         old, cars = state.stats, (state.vehicle, vehicle)
         stats = metrics.update_stats(
-            old, *cars, reward, invalid, wrong_way, goals, contexts
+            old, *cars, reward, invalid, wrong_way, terms, goals, contexts
         )
         stats = where_cars(state.active, stats, old)
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
@@ -345,14 +351,14 @@ class ParkingEnv:
     ) -> dict[str, jax.Array]:
         """The reward of a step by term; 0 for those that had finished before."""
         config = self.config
-        steering_rate = state.physics.vehicle.steering_rate
+        cars = state.physics.vehicle
         terms = rewards.reward_terms(
             config.reward,
             state.vehicle,
             vehicle,
             goal_pose,
             events,
-            steering_rate * config.sim.ctrl_dt,
+            rewards.effort(config, state.vehicle, vehicle, cars),
             config.episode.max_steps,
             wrong_way,
         )

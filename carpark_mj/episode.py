@@ -1,5 +1,6 @@
 """How an agent's episode ends: parked, crashed, timed out or diverged."""
 
+import dataclasses
 import math
 
 import jax
@@ -63,6 +64,7 @@ def find_hits(
     vehicle: VehicleState,
     parked_pose: jax.Array,
     parked_size: jax.Array,
+    hitbox_scale: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """What each agent touched during the step.
 
@@ -74,6 +76,8 @@ def find_hits(
         vehicle: the agents (num_agents,).
         parked_pose: (num_parked_cars, 3) poses of the parked cars.
         parked_size: (num_parked_cars, 2) footprints of the parked cars [m].
+        hitbox_scale: () what all cars' lengths and widths count times, a training aid;
+            None = 1. Physics with contacts knows nothing of it.
 
     Returns:
         (num_agents,) bool each: another agent, a parked car, a wall or disc (pillar,
@@ -82,6 +86,9 @@ def find_hits(
     if vehicle.touched is not None:
         agent, parked_car, wall = jnp.moveaxis(vehicle.touched, -1, 0)
         return agent, parked_car, wall
+    if hitbox_scale is not None:
+        vehicle = dataclasses.replace(vehicle, size=vehicle.size * hitbox_scale)
+        parked_size = parked_size * hitbox_scale
     agents, parked, walls = _box_hits(layout, vehicle, parked_pose, parked_size)
     return agents, parked, walls | _disc_hits(layout, vehicle)
 
@@ -144,6 +151,7 @@ def judge(
     step: jax.Array,
     active: jax.Array,
     dynamic_goals: bool = False,
+    hitbox_scale: jax.Array | None = None,
 ) -> Events:
     """Decides how each agent's episode stands after a step.
 
@@ -162,9 +170,10 @@ def judge(
         active: (num_agents,) bool; finished agents have no events.
         dynamic_goals: goals may be shared, or none, which is the number of bays: then
             nobody parks, and of two agents in one bay only the first does.
+        hitbox_scale: of crashes only, see `find_hits`.
     """
     hit_agent, hit_parked_car, hit_wall = find_hits(
-        layout, vehicle, parked_pose, parked_size
+        layout, vehicle, parked_pose, parked_size, hitbox_scale
     )
     hit = hit_agent | hit_parked_car | hit_wall
     in_bay = is_parked(

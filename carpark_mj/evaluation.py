@@ -151,6 +151,8 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
     Where the lot has lanes, `wrong_way_share` is the share of all metres driven that
     went against them. With dynamic goals the steps in each context of giving way are
     added up over all episodes, and divided once for the conformities.
+    went against them. `mean_returns` are those of the reward terms; they add up to
+    `mean_return`.
     """
     count = len(rows)
 
@@ -178,6 +180,11 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
         "episodes": count,
         **{name: rate(name) for name in OUTCOMES + HITS},
         "mean_return": mean("episode_return", rows),
+        "mean_returns": {
+            name.removeprefix("return_"): mean(name, rows)
+            for name in (rows[0] if rows else ())
+            if name.startswith("return_")
+        },
         "parked_time": mean("length", parked) * ctrl_dt,
         "parked_path": mean("path", parked),
         "parked_gear_changes": mean("gear_changes", parked),

@@ -7,15 +7,10 @@ import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
 from carpark_mj.dynamic_goals import lose_goals, taken_by_others
+from carpark_mj.exploring_spawn import ExploringStart, exploring_start
 from carpark_mj.goals import Occupancy, evolve
 from carpark_mj.layouts.types import Layout
 from carpark_mj.respawn import Blocked
-from carpark_mj.spawn import spawn_pose
-
-
-def anywhere(config: SpawnConfig) -> SpawnConfig:
-    """The spawning rules of agents that have no goal to start close to."""
-    return dataclasses.replace(config, close_ratio=0.0)
 
 
 def renew_exploring(
@@ -28,7 +23,8 @@ def renew_exploring(
     key: jax.Array,
     parked_bays: jax.Array | None,
     blocked: Blocked,
-) -> tuple[Occupancy, jax.Array, jax.Array]:
+    num_tracked: int = 0,
+) -> tuple[Occupancy, ExploringStart, jax.Array]:
     """Goals, parked cars and poses after some agents' episodes have ended.
 
     One after the other, a parked car moves to where the agent has parked, everybody
@@ -45,38 +41,54 @@ def renew_exploring(
         parked_bays: (num_parked_cars, bays) bool, those a parked car fits in; None =
             all.
         blocked: where cars cannot spawn.
+        num_tracked: nearest parked cars that an agent tracks, see `goals.evolve`.
 
     Returns:
-        The occupancy, the poses (num_agents, 3), and (num_agents,) bool, whose goal,
-        though the own episode goes on, is taken by another.
+        The occupancy, the starts (num_agents,), whose poses are everybody's and the
+        rest that of the new ones, and (num_agents,) bool, whose goal, though the own
+        episode goes on, is taken by another.
     """
     num_agents = done.shape[0]
     agents, new = jnp.arange(num_agents), jnp.ones((), bool)
     taken = taken_by_others(occupancy.goal, parked) & ~done
-    roam = anywhere(config)
 
-    def one(carry: tuple[Occupancy, jax.Array, jax.Array]):
-        occupancy, pose, waiting = carry
+    def one(carry: tuple[Occupancy, ExploringStart, jax.Array]):
+        occupancy, starts, waiting = carry
         agent = jnp.argmax(waiting)
+        spawn_key, evolve_key = jax.random.split(jax.random.fold_in(key, agent))
+        xy = starts.pose[:, :2]
         occupancy = evolve(
-            layout, occupancy, agent, pose[:, :2], parked[agent], parked_bays
+            layout,
+            occupancy,
+            agent,
+            xy,
+            parked[agent],
+            parked_bays,
+            (evolve_key, num_tracked) if config.evolution == "random" else None,
         )
         goal = occupancy.goal.at[agent].set(layout.num_bays)
         occupancy = dataclasses.replace(occupancy, goal=goal)
-        start = spawn_pose(
-            roam,
+        start = exploring_start(
+            config,
             layout,
-            jnp.zeros_like(pose[0]),  # no goal
-            pose[:, :2],
+            occupancy.goal,
+            occupancy.parked_bay,
+            xy,
             agents != agent,
-            jax.random.fold_in(key, agent),
+            spawn_key,
             blocked(agent, occupancy, new),
         )
-        return occupancy, pose.at[agent].set(start), waiting.at[agent].set(False)
+        starts = jax.tree.map(lambda all, own: all.at[agent].set(own), starts, start)
+        return occupancy, starts, waiting.at[agent].set(False)
 
+    starts = ExploringStart(
+        pose=pose_w,
+        close_bay=jnp.full(num_agents, layout.num_bays, jnp.int32),
+        crash=jnp.zeros(num_agents, bool),
+    )
     # A loop over those who are done only: most steps end nobody's episode.
-    occupancy, pose, _ = jax.lax.while_loop(
-        lambda carry: carry[2].any(), one, (occupancy, pose_w, done)
+    occupancy, starts, _ = jax.lax.while_loop(
+        lambda carry: carry[2].any(), one, (occupancy, starts, done)
     )
     goal, _ = lose_goals(occupancy.goal, taken, layout.num_bays)
-    return dataclasses.replace(occupancy, goal=goal), pose, taken
+    return dataclasses.replace(occupancy, goal=goal), starts, taken

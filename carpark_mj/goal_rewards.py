@@ -9,6 +9,16 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.rewards import goal_potential
 from carpark_mj.types import VehicleState
 
+TERMS = (
+    "continue_explore",
+    "stop_explore",
+    "continue_goal",
+    "change_goal",
+    "stop_goal",
+    "lost_goal",
+    "taken_goal",
+)
+
 
 def dynamic_progress(
     config: RewardConfig,

@@ -94,11 +94,13 @@ def evolve(
     agent_xy: jax.Array,
     parked: jax.Array,
     parked_fits: jax.Array | None = None,
+    random: tuple[jax.Array, int] | None = None,
 ) -> Occupancy:
     """Moves a parked car into the bay where an agent has just parked.
 
     The car farthest from all agents moves (Tanner 2022, section 3.2.1), so that no
-    agent sees it go; the number of parked cars stays constant.
+    agent sees it go; or at random one that no agent tracks, and any if they track them
+    all (what his program was meant to do). The number of parked cars stays constant.
 
     Args:
         layout: the lot.
@@ -108,18 +110,28 @@ def evolve(
         parked: () bool; nothing moves where False.
         parked_fits: (num_parked_cars, bays) bool, bays a car fits in; of the cars that
             fit into this one the farthest moves. None = all cars fit everywhere.
+        random: a key, consumed, and how many of the nearest parked cars an agent
+            tracks, for the random rule. None = the farthest car moves.
     """
     if occupancy.parked_bay.shape[0] == 0:
         return occupancy
     car_xy = layout.bay_pose[occupancy.parked_bay, :2]
-    gap = jnp.linalg.norm(car_xy[:, None] - agent_xy, axis=-1).min(axis=-1)
+    gap = jnp.linalg.norm(car_xy[:, None] - agent_xy, axis=-1)
+    if random is None:
+        score = gap.min(axis=-1)
+    else:
+        key, num_tracked = random
+        gap = jnp.where(occupancy.parked_bay[:, None] < layout.num_bays, gap, jnp.inf)
+        rank = jnp.argsort(jnp.argsort(gap, axis=0), axis=0)  # of each car, by agent
+        seen = (rank < num_tracked).any(axis=1)
+        score = jax.random.uniform(key, seen.shape) + jnp.where(seen, 0.0, 1.0)
     if parked_fits is not None:
         able = parked_fits[:, occupancy.goal[agent]]
         able = able & (occupancy.parked_bay < layout.num_bays)
-        gap = jnp.where(able, gap, -1.0)
+        score = jnp.where(able, score, -1.0)
         parked = parked & able.any()
-    farthest = jnp.argmax(gap)
-    moved = occupancy.parked_bay.at[farthest].set(occupancy.goal[agent])
+    chosen = jnp.argmax(score)
+    moved = occupancy.parked_bay.at[chosen].set(occupancy.goal[agent])
     parked_bay = jnp.where(parked, moved, occupancy.parked_bay)
     return dataclasses.replace(occupancy, parked_bay=parked_bay)
 

@@ -1,5 +1,7 @@
 """Per-agent episode statistics, carried in the state and read when an episode ends."""
 
+from collections.abc import Iterable
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -21,6 +23,7 @@ class EpisodeStats:
 
     Attributes:
         episode_return: undiscounted.
+        returns: the same of every reward term by name.
         length: control steps.
         path: driven length [m].
         gear_changes: times the direction of travel changed.
@@ -33,6 +36,7 @@ class EpisodeStats:
     """
 
     episode_return: jax.Array
+    returns: dict[str, jax.Array]
     length: jax.Array
     path: jax.Array
     gear_changes: jax.Array
@@ -46,10 +50,27 @@ class EpisodeStats:
 MOVING = 0.05  # m/s, slower cars have no direction of travel
 
 
-def init_stats(num_agents: int, lanes: bool = False) -> EpisodeStats:
-    """Statistics at the start of an episode, in a lot with lanes or without."""
+def init_stats(
+    num_agents: int, lanes: bool = False, terms: Iterable[str] = ()
+) -> EpisodeStats:
+    """Statistics at the start of an episode.
+
+    Args:
+        num_agents: in the lot.
+        lanes: whether it has lanes.
+        terms: names of the reward terms to be summed.
+    """
     zero = jnp.zeros(num_agents, jnp.float32)
-    return EpisodeStats(zero, zero, zero, zero, zero, zero, zero if lanes else None)
+    return EpisodeStats(
+        episode_return=zero,
+        returns=dict.fromkeys(terms, zero),
+        length=zero,
+        path=zero,
+        gear_changes=zero,
+        direction=zero,
+        invalid_actions=zero,
+        wrong_way=zero if lanes else None,
+    )
 
 
 def update_stats(
@@ -59,12 +80,14 @@ def update_stats(
     reward: jax.Array,
     invalid_action: jax.Array,
     wrong_way: jax.Array | None = None,
+    reward_terms: dict[str, jax.Array] | None = None,
     goals: GoalEvents | None = None,
     contexts: Contexts | None = None,
 ) -> EpisodeStats:
     """Adds a step; states before and after it, the latter before any respawn.
 
     `wrong_way` (num_agents,) bool says who drove against the lanes; None without lanes.
+    `reward_terms` must have the terms that the statistics were begun with.
     `goals` says what became of dynamic goals, `contexts` who should have given way.
     """
     points = jnp.concatenate(
@@ -85,6 +108,7 @@ def update_stats(
         ways = jax.tree.map(jnp.add, ways, step)
     return EpisodeStats(
         episode_return=stats.episode_return + reward,
+        returns=jax.tree.map(jnp.add, stats.returns, reward_terms or {}),
         length=stats.length + 1.0,
         path=stats.path + path,
         gear_changes=stats.gear_changes + changed,
@@ -128,4 +152,5 @@ def step_metrics(
         metrics |= count_metrics(stats.goals, stats.length)
     if stats.giving_way is not None:
         metrics |= stats.giving_way
+    metrics |= {f"return_{name}": total for name, total in stats.returns.items()}
     return {name: value.astype(jnp.float32) for name, value in metrics.items()}

@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
+from carpark_mj.crash_spawn import ATTEMPTS, crash_pose
 from carpark_mj.goals import Occupancy, evolve, new_goal
 from carpark_mj.layouts.types import Layout
-from carpark_mj.spawn import spawn_pose
+from carpark_mj.spawn import is_crash, spawn_pose
 
 # For an agent () of an occupancy and whether its car is new (): where it cannot spawn,
 # see `spawn_pose`.
@@ -40,15 +41,22 @@ def first_poses(
 
     def place(carry: tuple[jax.Array, jax.Array], agent: jax.Array):
         pose, placed = carry
+        xy, agent_key = pose[:, :2], jax.random.fold_in(key, agent)
+        room = blocked(agent, occupancy, new)
         drawn = spawn_pose(
-            config,
-            layout,
-            goal_pose[agent],
-            pose[:, :2],
-            placed,
-            jax.random.fold_in(key, agent),
-            blocked(agent, occupancy, new),
+            config, layout, goal_pose[agent], xy, placed, agent_key, room
         )
+        if config.crash_ratio:  # goals are given here, so only the target is drawn anew
+
+            def attempt(key: jax.Array):
+                own, others = goal_pose[agent, :2], goal_pose[:, :2]
+                return crash_pose(
+                    config, layout, own, xy, others, placed, placed, key, room
+                )
+
+            tried, good = jax.vmap(attempt)(_attempt_keys(agent_key))
+            crash = is_crash(config, agent_key) & good.any()
+            drawn = jnp.where(crash, tried[jnp.argmax(good)], drawn)
         return (pose.at[agent].set(drawn), placed.at[agent].set(True)), None
 
     nowhere = jnp.zeros((num_agents, 3), jnp.float32)
@@ -56,6 +64,11 @@ def first_poses(
     agents = jnp.arange(num_agents)
     (pose, _), _ = jax.lax.scan(place, (nowhere, nobody), agents)
     return pose
+
+
+def _attempt_keys(key: jax.Array) -> jax.Array:
+    """Keys (ATTEMPTS,) of crash spawns, apart from those of `spawn_pose`."""
+    return jax.random.split(jax.random.fold_in(key, ATTEMPTS), ATTEMPTS)
 
 
 def renew(
@@ -68,8 +81,11 @@ def renew(
     key: jax.Array,
     bays: tuple[jax.Array | None, jax.Array | None],
     blocked: Blocked,
+    num_tracked: int = 0,
 ) -> tuple[Occupancy, jax.Array]:
     """Goals, parked cars and poses after some agents' episodes have ended.
+
+    An agent that starts on a collision course gets the goal that made it possible.
 
     Args:
         config: where to.
@@ -83,6 +99,7 @@ def renew(
             parked car fits in (num_parked_cars, bays); None = all. An agent for whose
             new car there is no bay keeps its goal, and nothing moves.
         blocked: where cars cannot spawn.
+        num_tracked: nearest parked cars that an agent tracks, see `evolve`.
 
     Returns:
         The occupancy and the poses (num_agents, 3).
@@ -93,32 +110,67 @@ def renew(
     def one(carry: tuple[Occupancy, jax.Array, jax.Array]):
         occupancy, pose, waiting = carry
         agent = jnp.argmax(waiting)
-        goal_key, spawn_key = jax.random.split(jax.random.fold_in(key, agent))
+        agent_key = jax.random.fold_in(key, agent)
+        # The first two are what two alone would be.
+        goal_key, spawn_key, evolve_key, crash_key = jax.random.split(agent_key, 4)
+        xy, others = pose[:, :2], jnp.arange(num_agents) != agent
         evolved = evolve(
-            layout, occupancy, agent, pose[:, :2], parked[agent], parked_bays
-        )
-        renewed = new_goal(
             layout,
-            evolved,
+            occupancy,
             agent,
-            pose[:, :2],
-            config.min_distance,
-            goal_key,
-            None if goal_bays is None else goal_bays[agent],
+            xy,
+            parked[agent],
             parked_bays,
+            (evolve_key, num_tracked) if config.evolution == "random" else None,
         )
-        found = renewed.goal[agent] != occupancy.goal[agent]
-        if goal_bays is not None:
-            renewed = jax.tree.map(partial(jnp.where, found), renewed, occupancy)
+
+        def draw_goal(key: jax.Array) -> tuple[Occupancy, jax.Array]:
+            renewed = new_goal(
+                layout,
+                evolved,
+                agent,
+                xy,
+                config.min_distance,
+                key,
+                None if goal_bays is None else goal_bays[agent],
+                parked_bays,
+            )
+            found = renewed.goal[agent] != occupancy.goal[agent]
+            if goal_bays is not None:
+                renewed = jax.tree.map(partial(jnp.where, found), renewed, occupancy)
+            return renewed, blocked(agent, renewed, found)
+
+        renewed, room = draw_goal(goal_key)
+        goal_pose = layout.bay_pose[renewed.goal]
         start = spawn_pose(
-            config,
-            layout,
-            layout.bay_pose[renewed.goal[agent]],
-            pose[:, :2],
-            jnp.arange(num_agents) != agent,
-            spawn_key,
-            blocked(agent, renewed, found),
+            config, layout, goal_pose[agent], xy, others, spawn_key, room
         )
+        if config.crash_ratio:
+
+            def attempt(key: jax.Array):
+                goal_key, pose_key = jax.random.split(key)
+                renewed, room = draw_goal(goal_key)
+                goal_xy = layout.bay_pose[renewed.goal, :2]
+                drawn, good = crash_pose(
+                    config,
+                    layout,
+                    goal_xy[agent],
+                    xy,
+                    goal_xy,
+                    others,
+                    ~waiting,
+                    pose_key,
+                    room,
+                )
+                return (renewed, drawn), good
+
+            tried, good = jax.vmap(attempt)(jax.random.split(crash_key, ATTEMPTS))
+            crash = is_crash(config, spawn_key) & good.any()
+            renewed, start = jax.tree.map(
+                lambda new, old: jnp.where(crash, new[jnp.argmax(good)], old),
+                tried,
+                (renewed, start),
+            )
         return renewed, pose.at[agent].set(start), waiting.at[agent].set(False)
 
     # A loop over those who are done only: most steps end nobody's episode.

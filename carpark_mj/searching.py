@@ -16,6 +16,7 @@ from carpark_mj.dynamic_goals import (
     lose_goals,
     taken_by_others,
 )
+from carpark_mj.exploring_spawn import ExploringStart, first_goals
 from carpark_mj.giving_way import Contexts, find_contexts, goals_in_turn
 from carpark_mj.spaces import free_bays, track_spaces
 from carpark_mj.state import State
@@ -67,6 +68,24 @@ def stay(state: State, events: Events) -> tuple[State, jax.Array]:
     taken = taken_by_others(goal, events.parked) & ~events.done
     gone = taken | (events.done & ~events.parked)
     return _with_goal(state, jnp.where(gone, num_bays, goal)), taken
+
+
+def set_out(
+    state: State, fresh: jax.Array, starts: tuple[ExploringStart, jax.Array] | None
+) -> State:
+    """Agents that have just started get the goals to start with, if any.
+
+    Args:
+        state: when they have looked round.
+        fresh: (num_agents,) bool, who has started.
+        starts: how, and a key; None while nobody starts.
+    """
+    if starts is None or state.spaces is None:
+        return state
+    begun, key = starts
+    goal, num_bays = state.occupancy.goal, state.layout.num_bays
+    goal = first_goals(begun, state.spaces, goal, fresh, num_bays, key)
+    return _with_goal(state, goal)
 
 
 def review(

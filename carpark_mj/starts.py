@@ -9,9 +9,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from carpark_mj import goal_rewards
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.dynamic_goals import init_counts
-from carpark_mj.exploring import anywhere, renew_exploring
+from carpark_mj.exploring import renew_exploring
+from carpark_mj.exploring_spawn import ExploringStart
 from carpark_mj.fleet import Fleet
 from carpark_mj.giving_way import COUNTS
 from carpark_mj.lanes import has_lanes
@@ -20,6 +22,7 @@ from carpark_mj.metrics import EpisodeStats, init_stats
 from carpark_mj.physics.base import where_cars
 from carpark_mj.randomisation import make_fleet
 from carpark_mj.respawn import first_poses, renew
+from carpark_mj.rewards import term_names
 from carpark_mj.sensors import init_sensors
 from carpark_mj.spaces import no_spaces
 from carpark_mj.state import State
@@ -68,7 +71,13 @@ def split_if_random(
 
 def start_stats(config: EnvConfig, layout: Layout) -> EpisodeStats:
     """Statistics of all agents of a lot at the start of their episodes."""
-    stats = init_stats(config.num_agents, has_lanes(layout))
+    lanes = has_lanes(layout)
+    terms = term_names(lanes)
+    if config.goals.dynamic:
+        terms += goal_rewards.TERMS
+    if config.giving_way.context is not None:
+        terms += ("bad_goal",)
+    stats = init_stats(config.num_agents, lanes, terms)
     if not config.goals.dynamic:
         return stats
     return dataclasses.replace(
@@ -93,7 +102,9 @@ def start_lot(
     offset = start.parked_offset
     blocked = fleet.blocked(layout, cars.size, cars.size, parked_size, offset)
     dynamic = config.goals.dynamic
-    spawn = anywhere(config.spawn) if dynamic else config.spawn
+    spawn = config.spawn
+    if dynamic:  # there is no goal to start close to, or on the way to
+        spawn = dataclasses.replace(spawn, close_ratio=0.0, crash_ratio=0.0)
     pose = first_poses(spawn, layout, occupancy, spawn_key, blocked)
     parked_pose = fleet.parked_pose(layout, occupancy.parked_bay, parked_size, offset)
     state = physics.arrange(physics.init(pose, cars), parked_pose)
@@ -124,15 +135,16 @@ def restart(
     state: State,
     events: Events,
     cars_key: jax.Array,
-) -> tuple[State, jax.Array]:
+) -> tuple[State, jax.Array, tuple[ExploringStart, jax.Array] | None]:
     """Starts new episodes: goals, cars and poses of those that are done.
 
     Statistics and sensors are not touched; with dynamic goals the new ones explore and
     have not looked for bays yet.
 
     Returns:
-        The state, and (num_agents,) bool, whose goal, though the own episode goes on,
-        another has parked in.
+        The state; (num_agents,) bool, whose goal, though the own episode goes on,
+        another has parked in; and with dynamic goals how the new ones start, with a
+        key for their first goals.
     """
     key, respawn_key = jax.random.split(state.key)
     done = events.done
@@ -147,14 +159,17 @@ def restart(
     spaces, taken = state.spaces, jnp.zeros_like(done)
     pose = state.vehicle.pose_w
     who = (done, events.parked, respawn_key)
+    tracked, starts = config.observation.tracked_parked_cars, None
     if spaces is not None:
-        occupancy, pose, taken = renew_exploring(
-            config.spawn, layout, state.occupancy, pose, *who, bays[1], blocked
+        occupancy, begun, taken = renew_exploring(
+            config.spawn, layout, state.occupancy, pose, *who, bays[1], blocked, tracked
         )
+        pose = begun.pose
+        starts = begun, jax.random.fold_in(respawn_key, config.num_agents)
         spaces = jnp.where(done[:, None], layout.num_bays, spaces)
     else:
         occupancy, pose = renew(
-            config.spawn, layout, state.occupancy, pose, *who, bays, blocked
+            config.spawn, layout, state.occupancy, pose, *who, bays, blocked, tracked
         )
         if fleet.mixed:  # who finds no bay for his new car keeps goal and car
             cars = where_cars(occupancy.goal != state.occupancy.goal, cars, old)
@@ -170,4 +185,4 @@ def restart(
         step=jnp.where(done, 0, state.step),
         key=key,
     )
-    return state, taken
+    return state, taken, starts

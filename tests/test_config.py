@@ -34,6 +34,12 @@ IMPOSSIBLE = [
     (SpawnConfig, {"close_distance": -1.0}, "close_distance must be .* not -1.0"),
     (SpawnConfig, {"min_distance": math.inf}, "min_distance must be .* not inf"),
     (SpawnConfig, {"num_candidates": 0}, "num_candidates must be .* not 0"),
+    (SpawnConfig, {"crash_ratio": -0.1}, "crash_ratio must lie in .* not -0.1"),
+    (SpawnConfig, {"crash_ratio": 0.9}, r"close_ratio \+ crash_ratio .* 1, not 0.2 \+"),
+    (SpawnConfig, {"crash_distance": math.nan}, "crash_distance must be .* not nan"),
+    (SpawnConfig, {"evolution": "nearest"}, "unknown evolution 'nearest'; choose from"),
+    (RewardConfig, {"final_speed": -1.0}, "final_speed must be at least 0.0, not -1.0"),
+    (RewardConfig, {"halt": math.inf}, "halt must be at least 0.0, not inf"),
     (EpisodeConfig, {"parked_rule": "lax"}, "unknown parked_rule 'lax'"),
     (EpisodeConfig, {"max_steps": 0}, "max_steps must be at least 1, not 0"),
     (EpisodeConfig, {"max_steps": -5}, "max_steps must be at least 1, not -5"),
@@ -166,6 +172,10 @@ def test_the_tanner_reward_preset_has_the_numbers_of_table_c9():
         "alignment": 0.0,
         "closeness": 0.0,
         "wrong_way": 0.0,
+        "final_speed": 0.0,
+        "final_heading": 0.0,
+        "halt": 0.0,
+        "smoothness_by_speed": False,
     }
 
 

@@ -379,6 +379,20 @@ def test_episode_metrics_are_the_sums_over_the_episode(rollout):
         )
 
 
+def test_returns_by_term_are_the_sums_over_the_episode(rollout):
+    _, timesteps = rollout
+    done = timesteps.terminated | timesteps.truncated
+    for name, term in timesteps.reward_terms.items():
+        total, expected = np.zeros(done.shape[1:]), np.zeros(done.shape)
+        for k in range(done.shape[0]):
+            total = total + term[k]
+            expected[k] = total
+            total = np.where(done[k], 0, total)
+        got = timesteps.metrics[f"return_{name}"]
+        # float32 sums of 60 numbers up to 4.
+        np.testing.assert_allclose(got[done], expected[done], atol=1e-4, err_msg=name)
+
+
 def test_rewards_are_the_sums_of_their_terms_in_a_rollout(rollout):
     _, timesteps = rollout
     total = np.sum(list(timesteps.reward_terms.values()), axis=0)

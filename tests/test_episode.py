@@ -381,3 +381,52 @@ def test_the_parked_cars_of_a_full_tanner_lot_hit_no_wall_and_not_each_other():
     moved_layout = moved_lot(layout, (0.1, 0.2, 0.3))
     vehicle = moved_cars(vehicle, (0.1, 0.2, 0.3))
     assert not np.any(find_hits_jit(moved_layout, vehicle, *NO_CARS))
+
+
+def scaled_hits(scale, gap=1.0):
+    """Who hits what with scaled hitboxes: pairs and single cars, all `gap` apart."""
+    layout = lot([(100.0, 0.0, 0.0)], walls=[(0.0, 20.0, 0.0)], wall_size=(4.0, 1.0))
+    length, width = CAR
+    vehicle = cars(
+        [
+            (0.0, 0.0, 0.0),
+            (length + gap, 0.0, 0.0),  # ahead of agent 0
+            (30.0, 0.0, 0.0),
+            (0.0, 19.5 - gap - width / 2, 0.0),  # beside the wall
+        ]
+    )
+    parked = jnp.array([[30.0, width + gap, 0.0]])  # beside agent 2
+    scale = None if scale is None else jnp.float32(scale)
+    return np.array(find_hits_jit(layout, vehicle, parked, jnp.array([CAR]), scale))
+
+
+def test_a_hitbox_scale_multiplies_length_and_width_of_all_cars_and_of_no_wall():
+    """A gap of 1 m: closed at 5 / 4 nose to tail, 3 / 2 side by side, 2 at a wall."""
+    nothing = np.zeros((3, 4), bool)
+    for scale, hit in ((1.24, ()), (1.26, (0, 1)), (1.49, (0, 1)), (1.51, (0, 1, 2))):
+        expected = nothing.copy()
+        expected[0, [i for i in hit if i < 2]] = True
+        expected[1, [i for i in hit if i == 2]] = True
+        np.testing.assert_array_equal(scaled_hits(scale), expected, err_msg=f"{scale}")
+    assert not scaled_hits(1.99)[2].any()
+    assert scaled_hits(2.01)[2].tolist() == [False, False, False, True]
+
+
+def test_a_hitbox_scale_of_one_changes_nothing():
+    for gap in (-0.5, 1e-4, 1.0):
+        np.testing.assert_array_equal(scaled_hits(1.0, gap), scaled_hits(None, gap))
+
+
+def test_scaled_hitboxes_do_not_make_parking_harder():
+    layout = lot([(0.0, 0.0, 0.0)], bay_size=(4.2, 2.2))
+    events = judge_jit(
+        EpisodeConfig(),
+        layout,
+        cars([(0.0, 0.0, 0.0)]),
+        jnp.zeros(1, int),
+        *NO_CARS,
+        jnp.ones(1, int),
+        jnp.ones(1, bool),
+        jnp.float32(3.0),
+    )
+    assert events.parked.all()

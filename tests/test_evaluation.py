@@ -77,6 +77,24 @@ def test_every_agent_gives_the_same_number_of_whole_episodes(result):
     assert len(counts) == 8
 
 
+def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
+    by_term = result.summary["mean_returns"]
+    assert {"park", "crash", "time", "progress", "approach"} <= by_term.keys()
+    for row in result.episodes:
+        total = sum(row[f"return_{name}"] for name in by_term)
+        # float32 sums of 30 steps.
+        assert total == pytest.approx(row["episode_return"], abs=1e-4)
+    for name, mean in by_term.items():
+        column = [row[f"return_{name}"] for row in result.episodes]
+        assert mean == pytest.approx(np.mean(column))
+    assert sum(by_term.values()) == pytest.approx(
+        result.summary["mean_return"], abs=1e-4
+    )
+    crashes = sum(row["crashed"] for row in result.episodes)
+    paid = sum(row["return_crash"] for row in result.episodes)
+    assert paid == pytest.approx(-2.5 * crashes)
+
+
 def test_every_episode_has_exactly_one_outcome_and_a_length(result):
     for row in result.episodes:
         assert sum(row[name] for name in OUTCOMES) == 1

@@ -129,6 +129,86 @@ def test_evolve_moves_the_car_farthest_from_all_agents_into_the_bay():
     np.testing.assert_array_equal(after.goal, before.goal)
 
 
+def test_a_random_car_moves_that_no_agent_tracks():
+    # Agents at 0 and 48 track the cars at 10 and 40; those at 20 and 30 are left.
+    before = occupancy([0, 5], [1, 2, 3, 4])
+    xy = jnp.array([[0.0, 0.0], [48.0, 0.0]])
+
+    def moves(tracked, parked_bay=(1, 2, 3, 4)):
+        cars = occupancy([0, 5], parked_bay)
+
+        def one(key):
+            return evolve(ROW, cars, 0, xy, jnp.array(True), random=(key, tracked))
+
+        after = jax.vmap(one)(jax.random.split(jax.random.key(0), 1000)).parked_bay
+        moved = np.asarray(after) != np.array(parked_bay)
+        assert (moved.sum(axis=1) == 1).all()
+        assert (np.asarray(after)[moved] == 0).all()
+        return moved.mean(axis=0)
+
+    # Deviation of a share of 1,000 at most 1.6 %: five of them.
+    np.testing.assert_allclose(moves(1), [0, 0.5, 0.5, 0], atol=0.08)
+    np.testing.assert_allclose(moves(0), [0.25] * 4, atol=0.07)
+    np.testing.assert_allclose(moves(4), [0.25] * 4, atol=0.07)
+    np.testing.assert_array_equal(before.goal, [0, 5])
+
+
+def longest_stays(moves, seed=0, ends=4000):
+    """Longest stay of cars in any bay, in ends of episodes, and cars after each.
+
+    Agents stand anywhere and park in random free bays: as if they chose their goals.
+    """
+    layout = make_layout("tanner")
+
+    def end(before, key):
+        keys = jax.random.split(key, 4)
+        agent = jax.random.randint(keys[0], (), 0, 3)
+        xy = jax.random.uniform(keys[1], (3, 2), minval=-11.8, maxval=11.8)
+        free = jnp.ones(36, bool).at[before.parked_bay].set(False)
+        bay = jax.random.categorical(keys[2], jnp.where(free, 0.0, -jnp.inf))
+        before = before.replace(goal=before.goal.at[agent].set(bay))
+        after = moves(layout, before, agent, xy, keys[3])
+        return after, after.parked_bay
+
+    def run(key):
+        start = init_occupancy(layout, 3, 16, key)
+        return jax.lax.scan(end, start, jax.random.split(key, ends))[1]
+
+    keys = jax.random.split(jax.random.key(seed), LOTS)
+    cars = np.asarray(jax.jit(jax.vmap(run))(keys))
+    taken = (cars[..., None] == np.arange(36)).any(axis=2)
+    stay = longest = np.zeros((LOTS, 36), int)
+    for k in range(ends):
+        stay = np.where(taken[:, k], stay + 1, 0)
+        longest = np.maximum(longest, stay)
+    return longest, cars
+
+
+EVOLUTIONS = {
+    "furthest": lambda *args: evolve(*args[:4], jnp.array(True)),
+    "random": lambda *args: evolve(*args[:4], jnp.array(True), random=(args[4], 2)),
+}
+
+
+@pytest.mark.parametrize("rule", EVOLUTIONS)
+def test_no_bay_stays_occupied_for_ever_while_another_is_free(rule):
+    """Theorem 2 of Tanner 2022: evolution is free of deadlocks."""
+    longest, cars = longest_stays(EVOLUTIONS[rule])
+    assert cars.shape[2] == 16
+    assert (np.diff(np.sort(cars, axis=2), axis=2) > 0).all()  # all there, all apart
+    assert longest.max() < 2000  # of 4,000 ends
+    assert longest.min() > 0  # and every bay has its turn
+
+
+def test_a_rule_that_always_moves_the_same_car_would_be_a_deadlock():
+    def first_car(layout, before, agent, xy, key):
+        del layout, xy, key
+        moved = before.parked_bay.at[0].set(before.goal[agent])
+        return before.replace(parked_bay=moved)
+
+    assert longest_stays(first_car)[0].max() == 4000
+
+
 def test_evolve_moves_nothing_when_nobody_has_parked():
     before = occupancy([0, 5], [1, 3, 4])
     after = evolve(ROW, before, jnp.array(0), jnp.zeros((2, 2)), jnp.array(False))

@@ -23,6 +23,8 @@ TASK = {
     "goals",
     "giving_way",
     "spawn",
+    "crash_spawn",
+    "exploring_spawn",
     "episode",
     "rewards",
     "metrics",

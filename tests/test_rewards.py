@@ -6,15 +6,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import RewardConfig, reward_preset
-from carpark_mj.rewards import goal_potential, reward_terms
+from carpark_mj.config import EnvConfig, GridConfig, RewardConfig, reward_preset
+from carpark_mj.physics.grid import GridPhysics, GridState
+from carpark_mj.rewards import (
+    Effort,
+    effort,
+    goal_potential,
+    is_nearer,
+    reward_terms,
+    term_names,
+)
 from carpark_mj.types import Events
+from carpark_mj.vehicle import COMPACT, make_vehicle
 from scenes import cars, moved, moved_cars
 
 TANNER = reward_preset("tanner")
 SHAPED = reward_preset("shaped")
 MAX_STEPS = 200
 STEERING_CHANGE = 0.084  # rad, 0.42 rad/s for 0.2 s
+PHYSICAL = EnvConfig()
+VEHICLE = make_vehicle(COMPACT)
 
 
 def events(count, **true):
@@ -35,9 +46,10 @@ def terms(config, before, after, goal, happened=None):
         after,
         goal,
         happened if happened is not None else events(count),
-        jnp.full(count, STEERING_CHANGE),
+        effort(PHYSICAL, before, after, VEHICLE),
         MAX_STEPS,
     )
+    assert tuple(named) == term_names()
     return {name: np.asarray(term, np.float64) for name, term in named.items()}
 
 
@@ -47,7 +59,10 @@ GOAL = (10.0, 0.0, 0.0)
 def test_every_term_of_a_hand_worked_step():
     config = RewardConfig(
         park=4.0,
+        final_speed=0.6,
+        final_heading=0.9,
         crash=1.5,
+        halt=0.7,
         time=1.0,
         progress=0.2,
         alignment=0.5,
@@ -57,8 +72,9 @@ def test_every_term_of_a_hand_worked_step():
         reverse=0.1,
         closeness=0.0,  # below
     )
-    # Agent 0 comes 1 m nearer on the axis; agent 1 reverses from 3 m to 5 m, turning
-    # from along the bay to 60 deg across it, with half the possible steering change.
+    # Agent 0 comes 1 m nearer on the axis at a third of its 3 m/s; agent 1 reverses
+    # from 3 m to 5 m, turning from along the bay to 60 deg across it, with half the
+    # possible steering change.
     before = cars([(4.0, 0.0, 0.0), (13.0, 0.0, 0.0)], steering=[0.1, 0.0])
     after = cars(
         [(5.0, 0.0, 0.0), (15.0, 0.0, math.pi / 3)],
@@ -68,7 +84,10 @@ def test_every_term_of_a_hand_worked_step():
     got = terms(config, before, after, GOAL, events(2, parked=[0], crashed=[1]))
     expected = {
         "park": [4.0, 0.0],
+        "final_speed": [-0.6 / 3, 0.0],
+        "final_heading": [0.0, 0.0],
         "crash": [0.0, -1.5],
+        "halt": [0.0, 0.0],
         "time": [-1.0 / 200, -1.0 / 200],
         # 0.2 a metre; and the misalignment gained at 5 m.
         "progress": [0.2, -0.4 - 0.5 * math.pi / 3 * math.exp(-5 / 4)],
@@ -222,8 +241,113 @@ def test_reward_terms_are_strongly_typed_float32():
     before = cars([(0.0, 0.0, 0.0)] * 2)
     named = jax.eval_shape(
         lambda: reward_terms(
-            SHAPED, before, before, before.pose_w, events(2), jnp.ones(2), MAX_STEPS
+            SHAPED,
+            before,
+            before,
+            before.pose_w,
+            events(2),
+            effort(PHYSICAL, before, before, VEHICLE),
+            MAX_STEPS,
         )
     )
     for term in named.values():
         assert (term.shape, term.dtype, term.weak_type) == ((2,), jnp.float32, False)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "share"),
+    [(0, 0.0), (180, 0.0), (45, 0.5), (-45, 0.5), (90, 1.0), (150, 1 / 3)],
+)
+def test_parking_costs_its_rotation_none_along_the_bay_and_all_of_it_across(
+    degrees, share
+):
+    config = RewardConfig(final_heading=0.8)
+    parked = cars([(10.0, 0.0, math.radians(degrees))])
+    got = terms(config, parked, parked, GOAL, events(1, parked=[0]))
+    assert got["final_heading"] == pytest.approx(-0.8 * share, abs=1e-6)
+    assert terms(config, parked, parked, GOAL)["final_heading"] == 0.0
+
+
+@pytest.mark.parametrize("speed", [3.0, -1.5, 0.0])
+def test_parking_costs_its_speed_as_a_share_of_the_top_speed(speed):
+    config = RewardConfig(final_speed=0.6)
+    car = cars([GOAL], speed=speed)
+    got = terms(config, car, car, GOAL, events(1, parked=[0]))["final_speed"]
+    assert got == pytest.approx(-0.6 * abs(speed) / 3.0, abs=1e-6)
+    assert terms(config, car, car, GOAL)["final_speed"] == 0.0
+
+
+def test_a_halt_costs_once_when_time_is_up():
+    car = cars([(0.0, 0.0, 0.0)] * 2)
+    got = terms(RewardConfig(halt=0.2), car, car, GOAL, events(2, timed_out=[1]))
+    np.testing.assert_allclose(got["halt"], [0.0, -0.2], atol=1e-7)
+
+
+def test_smoothness_can_count_times_the_speed():
+    steering = STEERING_CHANGE * (np.arange(MAX_STEPS + 1) % 2)
+    poses = [(0.0, 0.0, 0.0)] * (MAX_STEPS + 1)
+    speed = np.linspace(-2.0, 3.0, MAX_STEPS)
+    before = cars(poses[:-1], 0.0, steering[:-1])
+    after = cars(poses[1:], speed, steering[1:])
+    plain = RewardConfig(smoothness=0.05)
+    got = terms(plain, before, after, GOAL)["smoothness"]
+    assert got.sum() == pytest.approx(-0.05, abs=1e-6)
+    by_speed = dataclasses.replace(plain, smoothness_by_speed=True)
+    got = terms(by_speed, before, after, GOAL)["smoothness"]
+    expected = -0.05 / MAX_STEPS * np.abs(speed) / 3.0
+    np.testing.assert_allclose(got, expected, atol=1e-9)
+
+
+# On the grid
+
+FINE = GridConfig()  # 24 headings, turns of up to 3, levels -2 to 4
+
+
+def grid_cars(points, level=0, turn=0):
+    """The grid's cars (n,) at points, as its physics shows them."""
+    physics = GridPhysics(FINE, PHYSICAL.sim)
+    count = len(points)
+    vehicle = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), VEHICLE)
+    zero = jnp.zeros(count, jnp.int32)
+    return physics.read(
+        GridState(
+            point=jnp.asarray(points, jnp.int32),
+            level=zero + jnp.asarray(level, jnp.int32),
+            heading=zero,
+            turn=zero + jnp.asarray(turn, jnp.int32),
+            vehicle=vehicle,
+        )
+    )
+
+
+def test_effort_on_the_grid_is_turn_and_level_over_the_most_there_are():
+    still, turn, level = grid_cars([(0, 0)] * 5), [-3, -1, 0, 2, 3], [4, 2, 0, -1, -2]
+    after = grid_cars([(0, 0)] * 5, level, turn)
+    got = effort(EnvConfig(physics="grid"), still, after, VEHICLE)
+    np.testing.assert_allclose(got.turn, [1, 1 / 3, 0, 2 / 3, 1], atol=1e-6)
+    np.testing.assert_allclose(got.speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
+
+
+def test_nearer_on_the_grid_is_exactly_what_whole_numbers_say():
+    """Moves of up to 16 points; ties of x^2 + y^2 abound."""
+    rng = np.random.default_rng(0)
+    goal = rng.integers(-512, 513, (20_000, 2))
+    reach = np.where(rng.random((20_000, 1)) < 0.5, 24, 1100)
+    before = goal + rng.integers(-reach, reach + 1, (20_000, 2))
+    after = before + rng.integers(-16, 17, (20_000, 2))
+    # Some swap their coordinates about the goal: exactly as far as before.
+    after[:3000] = goal[:3000] + (before[:3000] - goal[:3000])[:, ::-1]
+    goal_w = jnp.pad(grid_cars(goal).pose_w[:, :2], ((0, 0), (0, 1)))
+    got = np.asarray(is_nearer(grid_cars(before), grid_cars(after), goal_w))
+    far, near = ((before - goal) ** 2).sum(axis=1), ((after - goal) ** 2).sum(axis=1)
+    assert (far == near).sum() > 3000
+    np.testing.assert_array_equal(got, near < far)
+
+
+def test_efforts_have_one_number_an_agent():
+    one = grid_cars([(0, 0)] * 4)
+    for config in (PHYSICAL, EnvConfig(physics="grid")):
+        got = effort(config, one, one, VEHICLE)
+        assert isinstance(got, Effort)
+        assert got.turn.shape == got.speed.shape == (4,)
+        assert got.turn.dtype == got.speed.dtype == jnp.float32

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from carpark_mj.config import SpawnConfig
+from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
 from carpark_mj.spawn import spawn_pose
 from scenes import lot, moved, polygons
@@ -185,3 +185,57 @@ def test_spawns_move_with_the_lot():
         after = draw(config, there, tuple(moved(goal, motion)), count=500)[:, :2]
         expected = moved(np.c_[before, np.zeros(500)], motion)[:, :2]
         np.testing.assert_allclose(after, expected, atol=2e-5)  # float32 at 20 m
+
+
+GRID_CLOSE = SpawnConfig(close_ratio=1.0, grid=WORLD_UNIT / 16)
+FAR = (0.0, 60.0, 0.0)  # a goal far above: walks begin in the middle of the upper edge
+
+
+def test_on_a_grid_a_close_spawn_is_a_walk_of_unit_steps_within_the_region():
+    side = 21 * WORLD_UNIT
+    pose = draw(GRID_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
+    steps = (pose - [0.0, side]) / WORLD_UNIT
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
+    assert pose[:, 1].max() <= side + 1e-5
+    # Ten units at most give walks of up to nine steps; some never leave.
+    assert np.abs(np.round(steps)).sum(axis=1).max() <= 9
+    assert (np.abs(steps) < 0.5).all(axis=1).any()
+
+
+def test_a_grid_walk_is_the_study_s():
+    """The same distribution as of a walk worked out one step after the other."""
+    rng = np.random.default_rng(0)
+    ends = np.zeros((20_000, 2))
+    for end in ends:
+        for _ in range(rng.integers(10)):
+            while True:
+                step = ((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
+                if end[1] + step[1] <= 0:
+                    break
+            end += step
+    side = 21 * WORLD_UNIT
+    pose = draw(GRID_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
+    steps = (pose - [0.0, side]) / WORLD_UNIT
+    for axis in range(2):
+        bins = np.arange(-6.5, 7.5)
+        mine = np.histogram(steps[:, axis], bins)[0] / COUNT
+        study = np.histogram(ends[:, axis], bins)[0] / len(ends)
+        # Deviations of a share of 4,000 and of 20,000: 0.9 % at most; five of them.
+        np.testing.assert_allclose(mine, study, atol=0.045)
+    far = np.linalg.norm(ends, axis=1)
+    near = np.linalg.norm(steps, axis=1)
+    assert near.mean() == pytest.approx(far.mean(), abs=0.1)
+    straight = draw(CLOSE, make_layout("tanner"), goal=FAR)[:, :2] - [0.0, side]
+    # Without a grid the start is one straight step and lies farther off.
+    assert np.linalg.norm(straight, axis=1).mean() > 1.5 * near.mean() * WORLD_UNIT
+
+
+def test_on_a_grid_close_spawns_lie_on_its_points_in_a_turned_region_too():
+    layout, spacing = two_regions(), 0.4
+    config = SpawnConfig(close_ratio=1.0, grid=spacing, close_distance=4.0)
+    pose = draw(config, layout, goal=(-9.0, 20.0, 0.0))[:, :2]
+    local = (pose[:, 0] + 10 + 1j * pose[:, 1]) * np.exp(-0.7j)
+    point = np.stack([local.real, local.imag], axis=1) / spacing
+    np.testing.assert_allclose(point, np.round(point), atol=1e-3)
+    assert np.abs(point).max() <= 10 + 1e-3
+    assert len(np.unique(np.round(point), axis=0)) > 20

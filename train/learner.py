@@ -225,8 +225,12 @@ class Learner:
         policy: Any = make_policy(
             self.networks, state.normalizer, state.policy, deterministic=False
         )
+        env = self.env
+        if self.config.hitbox_scale != 1.0:  # data, so nothing recompiles at its end
+            aided = state.update < self.config.hitbox_updates
+            env = BraxParking(env.env, jnp.where(aided, self.config.hitbox_scale, 1.0))
         env_state, data = acting.generate_unroll(
-            self.env,
+            env,
             state.env,
             policy,
             key,

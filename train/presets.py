@@ -1,6 +1,7 @@
 """Settings of PPO training: one frozen dataclass, and a preset per kind of hardware."""
 
 import dataclasses
+import math
 from typing import Literal
 
 from carpark_mj.config import EnvConfig, RewardConfig, SpawnConfig
@@ -38,6 +39,9 @@ class PPOConfig:
         max_grad_norm: gradient clipping.
         averaged_updates: the policy that is evaluated is the exponential mean over
             about so many updates; 1 = the last one.
+        hitbox_scale: what cars' lengths and widths count times when it comes to
+            crashes, at first: a margin to learn. Evaluations never scale.
+        hitbox_steps: agent steps until it is 1, in whole updates.
         checkpoint_minutes: time between checkpoints.
         checkpoint_updates: if positive, updates between checkpoints instead.
         eval_episodes: episodes of the evaluation at the end; 0 = none.
@@ -68,6 +72,8 @@ class PPOConfig:
     gae_lambda: float = 0.92
     max_grad_norm: float = 1.0
     averaged_updates: int = 32
+    hitbox_scale: float = 1.0
+    hitbox_steps: int = 0
     checkpoint_minutes: float = 1.0
     checkpoint_updates: int = 0
     eval_episodes: int = 1024
@@ -106,11 +112,24 @@ class PPOConfig:
             "eval_episodes",
             "video_seconds",
             "checkpoint_updates",
+            "hitbox_steps",
         ):
             if getattr(self, name) < 0:
                 raise ValueError(
                     f"{name} must not be negative, not {getattr(self, name)}"
                 )
+        if not 0.0 < self.hitbox_scale < math.inf:
+            raise ValueError(f"hitbox_scale must be positive, not {self.hitbox_scale}")
+        if self.hitbox_scale != 1.0 and not self.hitbox_steps:
+            raise ValueError(
+                f"hitbox_scale {self.hitbox_scale} needs hitbox_steps of at least 1, "
+                "not 0"
+            )
+        if self.hitbox_scale != 1.0 and self.env.physics == "scene":
+            raise ValueError(
+                f"hitbox_scale must be 1 in scene physics, where crashes are contacts, "
+                f"not {self.hitbox_scale}"
+            )
         agents = self.num_lots * self.env.num_agents
         if agents % self.num_minibatches:
             raise ValueError(
@@ -122,6 +141,11 @@ class PPOConfig:
     def steps_per_update(self) -> int:
         """Agent steps collected for one update."""
         return self.num_lots * self.env.num_agents * self.unroll_length
+
+    @property
+    def hitbox_updates(self) -> int:
+        """Updates with scaled hitboxes."""
+        return -(-self.hitbox_steps // self.steps_per_update)
 
     @property
     def num_updates(self) -> int:

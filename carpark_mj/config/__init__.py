@@ -19,6 +19,7 @@ from carpark_mj.config.simulation import CONTACT_SIM_DT, SimConfig, Surface, Tyr
 from carpark_mj.config.task import (
     Encoding,
     EpisodeConfig,
+    EvolutionRule,
     ObservationConfig,
     ParkedRule,
     SpawnConfig,
@@ -41,6 +42,7 @@ __all__ = [
     "Encoding",
     "EnvConfig",
     "EpisodeConfig",
+    "EvolutionRule",
     "FleetConfig",
     "GivingWayConfig",
     "GoalConfig",

@@ -15,7 +15,11 @@ class RewardConfig:
 
     Attributes:
         park: paid once when the agent parks.
+        final_speed: taken from it, times the share of the top speed still driven.
+        final_heading: taken from it, times the misalignment with the bay's axis either
+            way round: 0 along it, 1 across it.
         crash: taken once when it crashes.
+        halt: taken once when its time is up.
         time: taken over a whole episode of `max_steps`, a share each step.
         progress: per metre gained towards the goal.
         alignment: per radian of misalignment with the goal's axis removed, fading
@@ -23,7 +27,9 @@ class RewardConfig:
         alignment_range: distance at which the alignment term has faded to 1/e [m].
         approach: over a whole episode, for each step that ends nearer to the goal;
             taken when it does not (Tanner's "move towards goal").
-        smoothness: taken over a whole episode, times the steering change used.
+        smoothness: taken over a whole episode, times the steering change used; on the
+            grid times the turn, of which there is none while standing.
+        smoothness_by_speed: whether that counts times the share of the top speed.
         reverse: taken over a whole episode, for each step in reverse.
         wrong_way: taken over a whole episode, for each step driven against the lanes
             (`carpark_mj.lanes`); no term in lots that never have lanes.
@@ -34,13 +40,17 @@ class RewardConfig:
     """
 
     park: float = 4.0
+    final_speed: float = 0.0
+    final_heading: float = 0.0
     crash: float = 2.5
+    halt: float = 0.0
     time: float = 1.0
     progress: float = 0.2
     alignment: float = 0.5
     alignment_range: float = 4.0
     approach: float = 0.0
     smoothness: float = 0.0
+    smoothness_by_speed: bool = False
     reverse: float = 0.0
     wrong_way: float = 0.0
     closeness: float = 15.0

@@ -5,35 +5,52 @@ from typing import Literal
 
 from carpark_mj.config.checks import at_least, choose, positive, ratio
 
+EvolutionRule = Literal["furthest", "random"]
 ParkedRule = Literal["tanner", "strict", "precise"]
 Encoding = Literal["continuous", "indices"]
 
 
 @dataclasses.dataclass(frozen=True)
 class SpawnConfig:
-    """Where agents start an episode.
+    """Where agents start an episode, and how the lot goes on when one has parked.
 
     Attributes:
-        close_ratio: share of spawns next to the goal, the rest is random.
+        close_ratio: share of spawns next to the goal.
         close_distance: longest walk from the point nearest to the goal [m].
+        crash_ratio: share of spawns on course for a collision with another agent; what
+            is neither close nor this is random.
+        crash_distance: least way of that other agent to its goal, and from the point
+            where they would meet to that goal [m].
         min_distance: wanted distance to other agents' centres [m]; 7.38 m is Tanner's
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
             taken, or the one farthest from the other agents if none does.
-        grid: spacing [m] of the points on which random starts lie, about the middle of
-            a spawn region and up to its edges; 0 = anywhere.
+        grid: spacing [m] of the points on which starts lie, about the middle of a
+            spawn region and up to its edges; 0 = anywhere.
+        evolution: which parked car moves into a bay where an agent has parked: the one
+            `furthest` from all agents, or a `random` one that no agent tracks.
     """
 
     close_ratio: float = 0.2
     close_distance: float = 5.625
+    crash_ratio: float = 0.0
+    crash_distance: float = 7.38
     min_distance: float = 7.38
     num_candidates: int = 16
     grid: float = 0.0
+    evolution: EvolutionRule = "furthest"
 
     def __post_init__(self) -> None:
-        ratio(self, "close_ratio")
-        at_least(self, 0.0, "close_distance", "min_distance", "grid")
+        ratio(self, "close_ratio", "crash_ratio")
+        if self.close_ratio + self.crash_ratio > 1.0:
+            raise ValueError(
+                "close_ratio + crash_ratio must be at most 1, not "
+                f"{self.close_ratio} + {self.crash_ratio}"
+            )
+        distances = ("close_distance", "crash_distance", "min_distance", "grid")
+        at_least(self, 0.0, *distances)
         at_least(self, 1, "num_candidates")
+        choose("evolution", self.evolution, EvolutionRule)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,8 +22,12 @@ class BraxParking(Env):
     in `info` but the state have the leading dimension num_lots * num_agents.
     """
 
-    def __init__(self, env: ParkingEnv) -> None:
+    def __init__(self, env: ParkingEnv, hitbox_scale: jax.Array | None = None) -> None:
         """Wraps one lot's environment.
+
+        Args:
+            env: of one lot.
+            hitbox_scale: of all lots' crashes, see `ParkingEnv.step`; None = 1.
 
         Raises:
             ValueError: its actions are choices; Brax's are continuous.
@@ -34,6 +38,7 @@ class BraxParking(Env):
                 "use physics mjx or bicycle, or train/q_learning.py"
             )
         self.env = env
+        self._hitbox_scale = hitbox_scale
 
     def reset(self, rng: jax.Array) -> BraxState:
         """Starts the lots, one per key."""
@@ -80,7 +85,9 @@ class BraxParking(Env):
         """Steps all lots; `action` (num_lots * num_agents, 2)."""
         lots: Any = state.pipeline_state
         action = action.reshape(-1, self.env.num_agents, self.env.action_size)
-        lots, timestep = jax.vmap(self.env.step)(lots, action)
+        lots, timestep = jax.vmap(self.env.step, in_axes=(0, 0, None))(
+            lots, action, self._hitbox_scale
+        )
         timestep: TimeStep = jax.tree.map(_flatten, timestep)
         done = (timestep.terminated | timestep.truncated).astype(jnp.float32)
         info = {
