@@ -69,6 +69,29 @@ def visit_near(
     return jax.lax.while_loop(is_left, go_on, (bound, carry))[1]
 
 
+def least_near(
+    bound: jax.Array,
+    find: Callable[[jax.Array], jax.Array],
+    limit: float,
+    chunk: int,
+) -> jax.Array:
+    """The least number (num_agents,) of those found for each agent, at most `limit`.
+
+    Args:
+        bound: (num_agents, n) lower bounds of the numbers; see `visit_near`.
+        find: the numbers (num_agents, k) at indices (num_agents, k).
+        limit: what is larger need not be found.
+        chunk: see `visit_near`.
+    """
+
+    def visit(least: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
+        found = jnp.where(valid, find(index), jnp.inf)
+        return jnp.minimum(least, jnp.min(found, axis=1))
+
+    start = jnp.full(bound.shape[0], limit, bound.dtype)
+    return visit_near(bound, lambda least: least, visit, start, chunk)
+
+
 def box_gaps(point: jax.Array, pose: jax.Array, size: jax.Array) -> jax.Array:
     """Distances (num_agents, n) [m] from points to boxes; 0 inside.
 

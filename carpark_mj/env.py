@@ -32,6 +32,7 @@ from carpark_mj.randomisation import check, make_fleet
 from carpark_mj.respawn import first_poses, renew
 from carpark_mj.sensors import init_sensors, observed, update_sensors
 from carpark_mj.state import State, TimeStep
+from carpark_mj.tallies import measure
 from carpark_mj.types import Events, VehicleState
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
@@ -211,7 +212,9 @@ class ParkingEnv:
             parked_offset=offset,
             step=jnp.zeros(config.num_agents, jnp.int32),
             active=jnp.ones(config.num_agents, bool),
-            stats=metrics.init_stats(config.num_agents, has_lanes(layout)),
+            stats=metrics.init_stats(
+                config.num_agents, has_lanes(layout), config.metrics
+            ),
             sensors=init_sensors(config.sensors, vehicle, sensor_key),
             key=key,
         )
@@ -276,10 +279,31 @@ class ParkingEnv:
                 name: jnp.where(state.active, term, 0.0) for name, term in terms.items()
             }
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
+        measured = None
+        if config.metrics.is_on:
+            with jax.named_scope("metrics"):
+                measured = measure(
+                    config.metrics,
+                    config.sim.ctrl_dt,
+                    state.layout,
+                    state.stats.tallies,
+                    state.vehicle,
+                    vehicle,
+                    goal_pose,
+                    self.parked_pose(dataclasses.replace(state, physics=physics)),
+                    state.parked_size,
+                    state.occupancy.parked_bay < state.layout.num_bays,
+                )
         stats = jax.tree.map(
             lambda new, old: jnp.where(state.active, new, old),
             metrics.update_stats(
-                state.stats, state.vehicle, vehicle, reward, invalid, wrong_way
+                state.stats,
+                state.vehicle,
+                vehicle,
+                reward,
+                invalid,
+                wrong_way,
+                measured,
             ),
             state.stats,
         )
@@ -399,7 +423,9 @@ class ParkingEnv:
             step=jnp.where(done, 0, state.step),
             stats=where_cars(
                 done,
-                metrics.init_stats(config.num_agents, has_lanes(state.layout)),
+                metrics.init_stats(
+                    config.num_agents, has_lanes(state.layout), config.metrics
+                ),
                 state.stats,
             ),
             key=key,

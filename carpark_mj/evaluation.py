@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.aggregation import complete_row, pool_all
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import member_shares
 from carpark_mj.policy.networks import Policy
@@ -51,9 +52,10 @@ class Evaluation:
     """What an evaluation found.
 
     Attributes:
-        episodes: a row per episode: lot, agent, episode, outcome flags, numbers, and
-            the lot's family by name.
-        summary: episodes, rates with Wilson 95 % intervals, means.
+        episodes: a row per episode: lot, agent, episode, its metrics (see
+            `carpark_mj.catalogue`), and the lot's family by name.
+        summary: episodes, rates with Wilson 95 % intervals, means, and under `metrics`
+            every metric of all episodes together.
         families: the same for the lots of each member of a mixture, by name; the lot's
             own if it is no mixture.
     """
@@ -69,7 +71,7 @@ def evaluate(
     """Runs at least `num_episodes` whole episodes and sums them up.
 
     Args:
-        env: with respawning agents.
+        env: with respawning agents; `MetricsConfig` says what is measured.
         policy: acting function over observations (agents, size).
         num_episodes: rounded up to the same number for every agent.
         seed: of the held-out lots, goals and spawns.
@@ -83,6 +85,7 @@ def evaluate(
         raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
     if not env.config.episode.respawn:
         raise ValueError("evaluation needs episode.respawn = True")
+    ctrl_dt = env.config.sim.ctrl_dt
     shares = member_shares(env.lot)
     num_lots = min(num_lots, -(-num_episodes // env.num_agents))
     num_lots = max(num_lots, len(shares))
@@ -105,10 +108,10 @@ def evaluate(
                 row = {"lot": lot, "agent": agent, "episode": finished[lot, agent]}
                 row |= {name: value[t, lot, agent] for name, value in metrics.items()}
                 row = {name: float(value) for name, value in row.items()}
+                row = complete_row(row, ctrl_dt)
                 rows.append(row | {"family": names[lot]})
             finished[lot, agent] += 1
     rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
-    ctrl_dt = env.config.sim.ctrl_dt
     families = {
         name: summarise([row for row in rows if row["family"] == name], ctrl_dt)
         for name in shares
@@ -179,6 +182,7 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
         "parked_heading_error_deg": math.degrees(mean("final_heading", parked)),
         "parked_speed": mean("final_speed", parked),
         **lanes,
+        "metrics": pool_all(rows),
     }
 
 

@@ -4,7 +4,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.config import MetricsConfig
 from carpark_mj.geometry import axis_angle_error
+from carpark_mj.tallies import first_tallies, fold_tallies
 from carpark_mj.types import Events, VehicleState
 
 
@@ -21,6 +23,7 @@ class EpisodeStats:
         invalid_actions: steps whose action was NaN or outside [-1, 1].
         wrong_way: part of the path driven against the lanes [m]; None in lots that
             never have lanes.
+        tallies: what `MetricsConfig` asks for besides, by name; see `tallies`.
     """
 
     episode_return: jax.Array
@@ -30,15 +33,21 @@ class EpisodeStats:
     direction: jax.Array
     invalid_actions: jax.Array
     wrong_way: jax.Array | None = None
+    tallies: dict[str, jax.Array] = struct.field(default_factory=dict)
 
 
 MOVING = 0.05  # m/s, slower cars have no direction of travel
 
 
-def init_stats(num_agents: int, lanes: bool = False) -> EpisodeStats:
+def init_stats(
+    num_agents: int, lanes: bool = False, config: MetricsConfig | None = None
+) -> EpisodeStats:
     """Statistics at the start of an episode, in a lot with lanes or without."""
     zero = jnp.zeros(num_agents, jnp.float32)
-    return EpisodeStats(zero, zero, zero, zero, zero, zero, zero if lanes else None)
+    tallies = first_tallies(config or MetricsConfig(), num_agents)
+    return EpisodeStats(
+        zero, zero, zero, zero, zero, zero, zero if lanes else None, tallies
+    )
 
 
 def update_stats(
@@ -48,10 +57,12 @@ def update_stats(
     reward: jax.Array,
     invalid_action: jax.Array,
     wrong_way: jax.Array | None = None,
+    measured: dict[str, jax.Array] | None = None,
 ) -> EpisodeStats:
     """Adds a step; states before and after it, the latter before any respawn.
 
     `wrong_way` (num_agents,) bool says who drove against the lanes; None without lanes.
+    `measured` are the step's numbers for the tallies, see `tallies.measure`.
     """
     points = jnp.concatenate(
         [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
@@ -70,6 +81,7 @@ def update_stats(
         direction=jnp.where(direction != 0, direction, stats.direction),
         invalid_actions=stats.invalid_actions + invalid_action,
         wrong_way=wrong_path,
+        tallies=fold_tallies(stats.tallies, measured or {}),
     )
 
 
@@ -101,4 +113,9 @@ def step_metrics(
     }
     if stats.wrong_way is not None:
         metrics["wrong_way"] = stats.wrong_way
+    metrics |= {
+        name: tally
+        for name, tally in stats.tallies.items()
+        if not name.startswith("last_")
+    }
     return {name: value.astype(jnp.float32) for name, value in metrics.items()}

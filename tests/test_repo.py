@@ -25,6 +25,9 @@ TASK = {
     "episode",
     "rewards",
     "metrics",
+    "tallies",
+    "clearance",
+    "collision_time",
     "sensors",
     "fit",
     "respawn",
@@ -44,7 +47,15 @@ ALLOWED = {
 ALLOWED["presets"] = {"config"}
 ENV = {*ALLOWED, "state", "env"}
 ALLOWED["state"] = ALLOWED["env"] = ENV - {"env", "scene"}
-OUTER = {"wrappers", "policy", "rendering", "evaluation", "command_line"}
+OUTER = {
+    "wrappers",
+    "policy",
+    "rendering",
+    "evaluation",
+    "catalogue",
+    "aggregation",
+    "command_line",
+}
 
 # No module of the task or below it knows MuJoCo.
 WITHOUT_MUJOCO = BASE | TASK | {"layouts"}
