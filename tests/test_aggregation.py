@@ -7,6 +7,7 @@ import math
 import re
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -15,7 +16,8 @@ from carpark_mj.aggregation import complete_row, pool, pool_all
 from carpark_mj.catalogue import METRICS, POOLS, START_STEPS
 from carpark_mj.config import EnvConfig, EpisodeConfig, MetricsConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation import evaluate, random_policy
+from carpark_mj.evaluation import evaluate
+from carpark_mj.tallies import KINDS
 from scenes import SlidePhysics
 
 PAGE = Path(__file__).parents[1] / "docs" / "metrics.md"
@@ -112,17 +114,23 @@ def test_the_least_clearance_is_to_whatever_was_nearest():
     assert episode(**near)["min_clearance"] == 1
 
 
+def onwards(observation, key):
+    """Drives ahead, swerving at random."""
+    action = jax.random.uniform(key, (*observation.shape[:-1], 2), minval=-1.0)
+    return action.at[..., 1].set(0.8), {}
+
+
 def evaluation(config):
     env = ParkingEnv(
         EnvConfig(
-            num_agents=2,
+            num_agents=3,
             num_parked_cars=10,
-            episode=EpisodeConfig(max_steps=40),
+            episode=EpisodeConfig(max_steps=20),
             metrics=config,
         ),
         SlidePhysics(),
     )
-    return evaluate(env, random_policy(2), num_episodes=24, seed=0, num_lots=4)
+    return evaluate(env, onwards, num_episodes=90, seed=0, num_lots=3)
 
 
 @pytest.fixture(scope="module")
@@ -157,11 +165,32 @@ def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys
         assert name in printed
 
 
+def test_a_crash_is_a_clearance_of_zero_to_what_was_hit_and_nothing_else_is(
+    everything,
+):
+    rows = everything.episodes
+    for kind in KINDS:
+        zero = [row[f"min_clearance_{kind}"] == 0.0 for row in rows]
+        assert zero == [row[f"hit_{kind}"] == 1.0 for row in rows]
+        assert any(zero)
+    assert sum(row["crashed"] for row in rows) < len(rows)
+
+
+def test_tallies_start_anew_with_every_episode(everything):
+    rows = everything.episodes
+    assert len({row["episode"] for row in rows}) == 10
+    for row in rows:
+        assert row["goal_steps"] == row["nearest_car_steps"] == row["length"]
+        # Always 0.8 of 2.5 m/s, 0.5 m a step.
+        assert row["speed"] == pytest.approx(2.0)
+        assert row["path"] == pytest.approx(0.4 * row["length"], rel=1e-4)
+
+
 def test_measuring_leaves_the_episodes_as_they_are(everything):
     plain = evaluation(MetricsConfig())
     for row, more in zip(plain.episodes, everything.episodes, strict=True):
         kept = {name: more[name] for name in row}
-        assert json.dumps(kept) == json.dumps(row)
+        assert json.dumps(kept) == json.dumps(row)  # NaN like NaN
     metrics = plain.summary["metrics"]
     assert metrics["length"] == everything.summary["metrics"]["length"]
     assert "speed" not in metrics

@@ -117,12 +117,13 @@ def test_nobody_near_costs_no_exact_test_and_counts_as_the_range(monkeypatch):
     plan = lot([(0, 0, 0)], [(40, 0, 0)], discs=[(0, 40, 1)])
     parked = jnp.array([[-40.0, 0, 0], [0, 0, 0]]), jnp.full((2, 2), 3.0)
     mask = jnp.array([True, False])
-    far = clearances(plan, cars([(0, 0, 0), (0, -40, 0)]), *parked, mask)
+    search = jax.jit(clearances)
+    far = search(plan, cars([(0, 0, 0), (0, -40, 0)]), *parked, mask)
     jax.effects_barrier()
     assert tested == []
     for gap in far.values():
         np.testing.assert_array_equal(gap, RANGE)
-    clearances(plan, cars([(0, 0, 0), (0, -10, 0)]), *parked, mask)
+    search(plan, cars([(0, 0, 0), (0, -10, 0)]), *parked, mask)
     jax.effects_barrier()
     assert set(tested) == {"box_distance"}
 

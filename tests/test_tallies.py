@@ -1,6 +1,5 @@
-"""Tallies of hand-worked trajectories, and of whole episodes in an environment."""
+"""Tallies of hand-worked trajectories; of whole episodes in test_aggregation.py."""
 
-import dataclasses
 import itertools
 
 import jax
@@ -9,13 +8,13 @@ import numpy as np
 import pytest
 
 from carpark_mj.clearance import RANGE
-from carpark_mj.config import EnvConfig, EpisodeConfig, MetricsConfig
-from carpark_mj.env import ParkingEnv
-from carpark_mj.tallies import KINDS, first_tallies, fold_tallies, measure
-from scenes import SlidePhysics, cars, lot, stacked
+from carpark_mj.collision_time import HORIZON
+from carpark_mj.config import MetricsConfig
+from carpark_mj.tallies import first_tallies, fold_tallies, measure
+from scenes import cars, lot
 
 DT = 0.2  # s
-ALL = MetricsConfig(driving=True, safety=True)
+SAFETY = MetricsConfig(safety=True)
 PLAN = lot([(0, 0, 0)])
 NOTHING = jnp.zeros((0, 3)), jnp.zeros((0, 2)), jnp.zeros(0, bool)
 
@@ -25,9 +24,16 @@ def tally(config, states, goal=(0.0, 0.0, 0.0), parked=NOTHING, **more):
     count = states[0].size.shape[0]
     goal = jnp.broadcast_to(jnp.asarray(goal, jnp.float32), (count, 3))
     tallies = first_tallies(config, count)
+
+    def step(tallies, before, after):
+        numbers = measure(
+            config, DT, PLAN, tallies, before, after, goal, *parked, **more
+        )
+        return fold_tallies(tallies, numbers)
+
+    step = jax.jit(step) if config.safety else step
     for before, after in itertools.pairwise(states):
-        step = measure(config, DT, PLAN, tallies, before, after, goal, *parked, **more)
-        tallies = fold_tallies(tallies, step)
+        tallies = step(tallies, before, after)
     return {name: float(value[0]) for name, value in tallies.items()}
 
 
@@ -48,7 +54,7 @@ def test_braking_straight_gives_the_hand_worked_deceleration_and_jerk():
     # 0.6, then 1.2 and 1.2 m/s less per step of 0.2 s: 3, 6, 6 m/s2, then none; the
     # jerk is 3 / 0.2 = 15 at first, then 15, 0 and 6 / 0.2 = 30 m/s3.
     speeds = (3.0, 2.4, 1.2, 0.0, 0.0)
-    found = tally(ALL, [cars([(0, 0, 0.7)], speed=speed) for speed in speeds])
+    found = tally(SAFETY, [cars([(0, 0, 0.7)], speed=speed) for speed in speeds])
     expected = {
         "acceleration_sum": 3 + 6 + 6,
         "peak_acceleration": 6.0,
@@ -60,18 +66,18 @@ def test_braking_straight_gives_the_hand_worked_deceleration_and_jerk():
 
 
 def test_turning_at_constant_speed_is_acceleration_towards_the_centre():
-    speed, yaw_rate = 3.0, 0.5
-    states = [cars([(0, 0, k * yaw_rate * DT)], speed=speed) for k in range(4)]
-    found = tally(ALL, states)
-    # The chord of the velocity's turn, a little short of v times the yaw rate.
-    chord = 2 * speed * np.sin(yaw_rate * DT / 2) / DT
-    assert chord == pytest.approx(speed * yaw_rate, rel=1e-3)
+    speed, turn = 3.0, 0.1  # m/s, rad per step
+    found = tally(SAFETY, [cars([(0, 0, k * turn)], speed=speed) for k in range(4)])
+    # Chords: of the velocity's turn, and of the acceleration's, which turns as well.
+    chord = 2 * speed * np.sin(turn / 2) / DT
+    assert chord == pytest.approx(speed * turn / DT, rel=1e-3)
     assert found["peak_acceleration"] == pytest.approx(chord, rel=1e-5)
     assert found["acceleration_sum"] == pytest.approx(3 * chord, rel=1e-5)
-    # Its direction turns with the car: the same chord once more.
     assert found["peak_jerk"] == pytest.approx(chord / DT, rel=1e-5)  # at the start
-    steady = 2 * chord * np.sin(yaw_rate * DT / 2) / DT
+    steady = 2 * chord * np.sin(turn / 2) / DT
     assert found["jerk_sum"] == pytest.approx(chord / DT + 2 * steady, rel=1e-4)
+    assert found["min_clearance_wall"] == RANGE
+    assert found["min_collision_time_agent"] == HORIZON
 
 
 def test_driving_is_summed_up_as_by_hand():
@@ -110,70 +116,3 @@ def test_the_nearest_car_may_be_another_agent():
     parked = jnp.array([[6.0, 0.0, 0.0]]), jnp.full((1, 2), 2.0), jnp.ones(1, bool)
     found = tally(MetricsConfig(driving=True), states, parked=parked)
     assert found["nearest_car_sum"] == pytest.approx(5.0)
-
-
-@pytest.fixture(scope="module")
-def runs():
-    """The same random drive with everything measured and with nothing."""
-    actions = jax.random.uniform(jax.random.key(1), (80, 4, 3, 2), minval=-1.0)
-    found = []
-    for config in (ALL, MetricsConfig()):
-        env = ParkingEnv(
-            EnvConfig(
-                num_agents=3,
-                num_parked_cars=25,
-                episode=EpisodeConfig(max_steps=25),
-                metrics=config,
-            ),
-            SlidePhysics(),
-        )
-        state, _ = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 4))
-        step = jax.jit(jax.vmap(env.step))
-        timesteps, tallies = [], []
-        for action in actions:
-            state, timestep = step(state, action)
-            timesteps.append(jax.device_get(timestep))
-            tallies.append(jax.device_get(state.stats.tallies))
-        found.append((stacked(timesteps), stacked(tallies)))
-    return found
-
-
-def test_measuring_changes_nothing_else(runs):
-    (measured, _), (plain, tallies) = runs
-    assert tallies == {}
-    extra = measured.metrics.keys() - plain.metrics.keys()
-    assert not plain.metrics.keys() - measured.metrics.keys()
-    assert len(extra) == len(first_tallies(ALL, 1)) - 2
-    assert not any(name.startswith("last_") for name in extra)
-    kept = {name: measured.metrics[name] for name in plain.metrics}
-    measured = dataclasses.replace(measured, metrics=kept)
-    jax.tree.map(np.testing.assert_array_equal, measured, plain)
-
-
-def test_a_crash_is_a_clearance_of_zero_to_what_was_hit_and_nothing_else_is(runs):
-    timesteps, _ = runs[0]
-    events = timesteps.events
-    done = timesteps.terminated | timesteps.truncated
-    for kind in KINDS:
-        zero = timesteps.metrics[f"min_clearance_{kind}"] == 0.0
-        hit = getattr(events, f"hit_{kind}")
-        np.testing.assert_array_equal(zero[done], hit[done], err_msg=kind)
-    assert 10 < events.crashed.sum() < done.sum()
-
-
-def test_tallies_start_anew_with_every_episode(runs):
-    timesteps, tallies = runs[0]
-    done = timesteps.terminated | timesteps.truncated
-    first = first_tallies(ALL, 1)
-    assert first["min_clearance_wall"] == RANGE
-    for name, value in first.items():
-        np.testing.assert_array_equal(tallies[name][done], value[0], err_msg=name)
-    np.testing.assert_array_equal(
-        timesteps.metrics["goal_steps"], timesteps.metrics["length"]
-    )
-    speed = np.abs(timesteps.vehicle.velocity_b[..., 0])
-    total = np.zeros(done.shape[1:])
-    for k in range(len(done)):
-        total = total + speed[k]
-        np.testing.assert_allclose(timesteps.metrics["speed_sum"][k], total, rtol=1e-5)
-        total = np.where(done[k], 0.0, total)
