@@ -14,7 +14,12 @@ import pytest
 from carpark_mj import catalogue
 from carpark_mj.aggregation import complete_row, pool, pool_all
 from carpark_mj.catalogue import METRICS, POOLS, START_STEPS
-from carpark_mj.config import EnvConfig, EpisodeConfig, MetricsConfig
+from carpark_mj.config import (
+    EnvConfig,
+    EpisodeConfig,
+    MetricsConfig,
+    ObservationConfig,
+)
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation import evaluate
 from carpark_mj.tallies import KINDS
@@ -126,6 +131,7 @@ def evaluation(config):
             num_agents=3,
             num_parked_cars=10,
             episode=EpisodeConfig(max_steps=20),
+            observation=ObservationConfig(0, 0, rings=()),
             metrics=config,
         ),
         SlidePhysics(),
