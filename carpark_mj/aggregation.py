@@ -11,7 +11,7 @@ from carpark_mj.tallies import KINDS
 
 
 def complete_row(row: dict[str, float], ctrl_dt: float) -> dict[str, float]:
-    """An episode with what follows from its own numbers added.
+    """An episode with what follows from its own numbers added, in catalogue order.
 
     Ratios without a denominator are NaN; nothing is added whose parts are missing.
 
@@ -29,7 +29,9 @@ def complete_row(row: dict[str, float], ctrl_dt: float) -> dict[str, float]:
         if metric.ratio is not None and row.keys() >= {*metric.ratio}:
             above, below = (row[name] for name in metric.ratio)
             added[metric.name] = above / below if below else math.nan
-    return row | added
+    whole = row | added
+    order = [metric.name for metric in METRICS if metric.name in whole]
+    return {name: whole[name] for name in order} | whole
 
 
 def pool(metric: Metric, rows: Sequence[dict[str, Any]]) -> float | dict[str, float]:

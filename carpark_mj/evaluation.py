@@ -105,11 +105,13 @@ def evaluate(
         metrics = {name: np.asarray(value) for name, value in metrics.items()}
         for t, lot, agent in np.argwhere(done):
             if finished[lot, agent] < quota:
-                row = {"lot": lot, "agent": agent, "episode": finished[lot, agent]}
-                row |= {name: value[t, lot, agent] for name, value in metrics.items()}
-                row = {name: float(value) for name, value in row.items()}
-                row = complete_row(row, ctrl_dt)
-                rows.append(row | {"family": names[lot]})
+                row = {n: float(value[t, lot, agent]) for n, value in metrics.items()}
+                which = {"lot": lot, "agent": agent, "episode": finished[lot, agent]}
+                rows.append(
+                    {name: float(number) for name, number in which.items()}
+                    | complete_row(row, ctrl_dt)
+                    | {"family": names[lot]}
+                )
             finished[lot, agent] += 1
     rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
     families = {
