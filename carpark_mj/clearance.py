@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.broad_phase import MARGIN, box_gaps, disc_gaps, least_near
+from carpark_mj.broad_phase import box_gaps, disc_gaps, least_near, reaches, strays
 from carpark_mj.geometry import box_disc_distance, box_distance
 from carpark_mj.layouts.types import Layout
 from carpark_mj.types import VehicleState
@@ -31,25 +31,34 @@ def clearances(
         parked_size: (num_parked_cars, 2) [m].
         parked_mask: (num_parked_cars,) bool, cars that exist.
     """
-    own = jnp.eye(vehicle.size.shape[0], dtype=bool)
-    walls = _box_clearance(
-        vehicle, layout.wall_pose[:, None], layout.wall_size, layout.wall_mask
-    )
+    num_agents = vehicle.size.shape[0]
+    others = ~jnp.eye(num_agents, dtype=bool)
     return {
-        "agent": _box_clearance(vehicle, vehicle.trace_w, vehicle.size, ~own),
-        "parked_car": _box_clearance(
-            vehicle, parked_pose[:, None], parked_size, parked_mask
+        "agent": _box_clearance(
+            vehicle, vehicle.trace_w, vehicle.size, strays(vehicle), others
         ),
-        "wall": jnp.minimum(walls, _disc_clearance(layout, vehicle)),
+        "parked_car": _box_clearance(
+            vehicle, parked_pose[:, None], parked_size, 0.0, parked_mask
+        ),
+        "wall": jnp.minimum(
+            _box_clearance(
+                vehicle,
+                layout.wall_pose[:, None],
+                layout.wall_size,
+                0.0,
+                layout.wall_mask,
+            ),
+            _disc_clearance(layout, vehicle),
+        ),
     }
 
 
-def _half_diagonal(vehicle: VehicleState) -> jax.Array:
-    return jnp.linalg.norm(vehicle.size, axis=-1)[:, None] / 2 + MARGIN
-
-
 def _box_clearance(
-    vehicle: VehicleState, trace: jax.Array, size: jax.Array, counts: jax.Array
+    vehicle: VehicleState,
+    trace: jax.Array,
+    size: jax.Array,
+    stray: jax.Array | float,
+    counts: jax.Array,
 ) -> jax.Array:
     """Gaps (num_agents,) to the nearest of n boxes.
 
@@ -57,12 +66,12 @@ def _box_clearance(
         vehicle: the agents.
         trace: (n, k, 3) of the boxes, k = 1 for those that stand still.
         size: (n, 2) [m].
+        stray: (n,) how far they are at most from where they end [m].
         counts: (n,) or (num_agents, n) bool, boxes that exist.
     """
     own = vehicle.trace_w
-    instants = jnp.broadcast_to(trace, (trace.shape[0], *own.shape[1:]))
-    gap = jax.vmap(box_gaps, (1, 1, None))(own[..., :2], instants, size)
-    bound = jnp.min(gap, axis=0) - _half_diagonal(vehicle)
+    gap = box_gaps(own[:, -1, :2], trace[:, -1], size)
+    bound = gap - stray - reaches(vehicle)[:, None]
 
     def find(index: jax.Array) -> jax.Array:
         own_size, other_size = vehicle.size[:, None, None], size[index][:, :, None]
@@ -75,8 +84,8 @@ def _box_clearance(
 def _disc_clearance(layout: Layout, vehicle: VehicleState) -> jax.Array:
     """Gaps (num_agents,) to the nearest disc."""
     own, centre, radius = vehicle.trace_w, layout.disc_centre, layout.disc_radius
-    gap = jax.vmap(disc_gaps, (1, None, None))(own[..., :2], centre, radius)
-    bound = jnp.min(gap, axis=0) - _half_diagonal(vehicle)
+    gap = disc_gaps(own[:, -1, :2], centre, radius)
+    bound = gap - reaches(vehicle)[:, None]
 
     def find(index: jax.Array) -> jax.Array:
         where, reach = centre[index][:, :, None], radius[index][:, :, None]
