@@ -69,6 +69,29 @@ def visit_near(
     return jax.lax.while_loop(is_left, go_on, (bound, carry))[1]
 
 
+def least_near(
+    bound: jax.Array,
+    find: Callable[[jax.Array], jax.Array],
+    limit: float,
+    chunk: int,
+) -> jax.Array:
+    """The least number (num_agents,) of those found for each agent, at most `limit`.
+
+    Args:
+        bound: (num_agents, n) lower bounds of the numbers; see `visit_near`.
+        find: the numbers (num_agents, k) at indices (num_agents, k).
+        limit: what is larger need not be found.
+        chunk: see `visit_near`.
+    """
+
+    def visit(least: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
+        found = jnp.where(valid, find(index), jnp.inf)
+        return jnp.minimum(least, jnp.min(found, axis=1))
+
+    start = jnp.full(bound.shape[0], limit, bound.dtype)
+    return visit_near(bound, lambda least: least, visit, start, chunk)
+
+
 def box_gaps(point: jax.Array, pose: jax.Array, size: jax.Array) -> jax.Array:
     """Distances (num_agents, n) [m] from points to boxes; 0 inside.
 
@@ -130,13 +153,10 @@ def near_box_hits(
     counts = jnp.broadcast_to(mask, (num_agents, pose.shape[0]))
     counts = jnp.concatenate([others, counts], axis=1)
 
-    # How far a box strays from where it ends: a rigid motion moves a corner farthest.
-    corners = box_corners(trace, vehicle.size[:, None])
-    stray = jnp.linalg.norm(corners - corners[:, -1:], axis=-1).max(axis=(1, 2))
-    stray = jnp.concatenate([stray, jnp.zeros(pose.shape[0])])
+    stray = jnp.concatenate([strays(vehicle), jnp.zeros(pose.shape[0])])
     bound = box_gaps(trace[:, -1, :2], traces[:, -1], sizes) - stray
     bound = jnp.where(counts, bound, jnp.inf)
-    reach = _reach(vehicle)
+    reach = reaches(vehicle)
 
     def test(hit: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
         own_size, other_size = vehicle.size[:, None, None], sizes[index][:, :, None]
@@ -162,7 +182,7 @@ def near_disc_hits(
     """
     trace = vehicle.trace_w
     bound = disc_gaps(trace[:, -1, :2], centre, radius)
-    reach = _reach(vehicle)
+    reach = reaches(vehicle)
 
     def test(hit: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
         own_size = vehicle.size[:, None, None]
@@ -175,7 +195,14 @@ def near_disc_hits(
     return visit_near(bound, lambda _: reach, test, nothing, HITS_CHUNK)
 
 
-def _reach(vehicle: VehicleState) -> jax.Array:
+def strays(vehicle: VehicleState) -> jax.Array:
+    """How far (num_agents,) [m] points of the agents' boxes are from where they end."""
+    # A rigid motion moves a corner farthest.
+    corners = box_corners(vehicle.trace_w, vehicle.size[:, None])
+    return jnp.linalg.norm(corners - corners[:, -1:], axis=-1).max(axis=(1, 2))
+
+
+def reaches(vehicle: VehicleState) -> jax.Array:
     """Radii (num_agents,) [m] about where agents end that hold all of their traces."""
     way = vehicle.trace_w[..., :2] - vehicle.trace_w[:, -1:, :2]
     way = jnp.linalg.norm(way, axis=-1).max(axis=1)

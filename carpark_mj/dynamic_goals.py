@@ -45,55 +45,22 @@ class GoalEvents:
         return self.continue_explore | self.stop_goal
 
 
-@struct.dataclass
-class GoalCounts:
-    """Steps of the running episode, by what became of the goal; all (num_agents,).
-
-    Attributes:
-        explored: without a goal.
-        stop_explore: see `GoalEvents`; likewise the others.
-        change_goal: see there.
-        stop_goal: see there.
-        lost_untracked: see there.
-        lost_taken: see there.
-    """
-
-    explored: jax.Array
-    stop_explore: jax.Array
-    change_goal: jax.Array
-    stop_goal: jax.Array
-    lost_untracked: jax.Array
-    lost_taken: jax.Array
+# Tallies of an episode, by what became of the goal in its steps; see `GoalEvents`.
+GOAL_COUNTS = (
+    "explored_steps",
+    "stop_explore",
+    "change_goal",
+    "stop_goal",
+    "lost_untracked",
+    "lost_taken",
+)
 
 
-def init_counts(num_agents: int) -> GoalCounts:
-    """Counts at the start of an episode."""
-    zero = jnp.zeros(num_agents, jnp.float32)
-    return GoalCounts(zero, zero, zero, zero, zero, zero)
-
-
-def update_counts(counts: GoalCounts, events: GoalEvents) -> GoalCounts:
-    """Adds a step."""
-    return GoalCounts(
-        explored=counts.explored + events.exploring,
-        stop_explore=counts.stop_explore + events.stop_explore,
-        change_goal=counts.change_goal + events.change_goal,
-        stop_goal=counts.stop_goal + events.stop_goal,
-        lost_untracked=counts.lost_untracked + events.lost_untracked,
-        lost_taken=counts.lost_taken + events.lost_taken,
-    )
-
-
-def count_metrics(counts: GoalCounts, length: jax.Array) -> dict[str, jax.Array]:
-    """Counts per episode as metrics (num_agents,); `length` is in control steps."""
-    return {
-        "explore_share": counts.explored / jnp.maximum(length, 1.0),
-        "stop_explore": counts.stop_explore,
-        "change_goal": counts.change_goal,
-        "stop_goal": counts.stop_goal,
-        "lost_untracked": counts.lost_untracked,
-        "lost_taken": counts.lost_taken,
-    }
+def goal_counts(events: GoalEvents) -> dict[str, jax.Array]:
+    """A step (num_agents,) as numbers to be added up, by the names of `GOAL_COUNTS`."""
+    counts = {"explored_steps": events.exploring}
+    counts |= {name: getattr(events, name) for name in GOAL_COUNTS[1:]}
+    return {name: count.astype(jnp.float32) for name, count in counts.items()}
 
 
 def choose_goals(

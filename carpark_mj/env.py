@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from carpark_mj import metrics, rewards
 from carpark_mj.actions import ActionSpec, harmless
 from carpark_mj.config import EnvConfig, LayoutConfig
-from carpark_mj.dynamic_goals import GoalEvents, aims
+from carpark_mj.dynamic_goals import GoalEvents, aims, goal_counts
 from carpark_mj.episode import judge
 from carpark_mj.fleet import Fleet
-from carpark_mj.giving_way import Contexts, enforce
+from carpark_mj.giving_way import Contexts, count, enforce
 from carpark_mj.goal_rewards import dynamic_progress, dynamic_terms
 from carpark_mj.lanes import has_lanes, is_wrong_way
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
@@ -39,6 +39,7 @@ from carpark_mj.starts import (
     start_stats,
 )
 from carpark_mj.state import State, TimeStep
+from carpark_mj.tallies import measure
 from carpark_mj.types import Events, VehicleState
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
@@ -232,10 +233,27 @@ class ParkingEnv:
                 before, state, vehicle, goal_pose, events, wrong_way, goals, contexts
             )
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
+        measured = {f"return_{name}": term for name, term in terms.items()}
+        if goals is not None and contexts is not None:
+            measured |= goal_counts(goals)
+            measured |= count(contexts, goals.change_goal | goals.stop_goal)
+        if config.metrics.is_on:
+            with jax.named_scope("metrics"):
+                measured |= measure(
+                    config.metrics,
+                    config.sim.ctrl_dt,
+                    state.layout,
+                    state.stats.tallies,
+                    state.vehicle,
+                    vehicle,
+                    goal_pose,
+                    self.parked_pose(dataclasses.replace(state, physics=physics)),
+                    state.parked_size,
+                    state.occupancy.parked_bay < state.layout.num_bays,
+                    goal < state.layout.num_bays,
+                )
         old, cars = state.stats, (state.vehicle, vehicle)
-        stats = metrics.update_stats(
-            old, *cars, reward, invalid, wrong_way, terms, goals, contexts
-        )
+        stats = metrics.update_stats(old, *cars, reward, invalid, wrong_way, measured)
         stats = where_cars(state.active, stats, old)
         named = metrics.step_metrics(stats, events, vehicle, goal_pose)
 

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.aggregation import complete_row, pool_all
 from carpark_mj.env import ParkingEnv
-from carpark_mj.giving_way import COUNTS, conformities
 from carpark_mj.layouts import member_shares
 from carpark_mj.policy.networks import Policy
 from carpark_mj.state import State
@@ -52,9 +52,10 @@ class Evaluation:
     """What an evaluation found.
 
     Attributes:
-        episodes: a row per episode: lot, agent, episode, outcome flags, numbers, and
-            the lot's family by name.
-        summary: episodes, rates with Wilson 95 % intervals, means.
+        episodes: a row per episode: lot, agent, episode, its metrics (see
+            `carpark_mj.catalogue`), and the lot's family by name.
+        summary: episodes, rates with Wilson 95 % intervals, means, and under `metrics`
+            every metric of all episodes together.
         families: the same for the lots of each member of a mixture, by name; the lot's
             own if it is no mixture.
     """
@@ -70,7 +71,7 @@ def evaluate(
     """Runs at least `num_episodes` whole episodes and sums them up.
 
     Args:
-        env: with respawning agents.
+        env: with respawning agents; `MetricsConfig` says what is measured.
         policy: acting function over observations (agents, size).
         num_episodes: rounded up to the same number for every agent.
         seed: of the held-out lots, goals and spawns.
@@ -84,6 +85,7 @@ def evaluate(
         raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
     if not env.config.episode.respawn:
         raise ValueError("evaluation needs episode.respawn = True")
+    ctrl_dt = env.config.sim.ctrl_dt
     shares = member_shares(env.lot)
     num_lots = min(num_lots, -(-num_episodes // env.num_agents))
     num_lots = max(num_lots, len(shares))
@@ -103,13 +105,15 @@ def evaluate(
         metrics = {name: np.asarray(value) for name, value in metrics.items()}
         for t, lot, agent in np.argwhere(done):
             if finished[lot, agent] < quota:
-                row = {"lot": lot, "agent": agent, "episode": finished[lot, agent]}
-                row |= {name: value[t, lot, agent] for name, value in metrics.items()}
-                row = {name: float(value) for name, value in row.items()}
-                rows.append(row | {"family": names[lot]})
+                row = {n: float(value[t, lot, agent]) for n, value in metrics.items()}
+                which = {"lot": lot, "agent": agent, "episode": finished[lot, agent]}
+                rows.append(
+                    {name: float(number) for name, number in which.items()}
+                    | complete_row(row, ctrl_dt)
+                    | {"family": names[lot]}
+                )
             finished[lot, agent] += 1
     rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
-    ctrl_dt = env.config.sim.ctrl_dt
     families = {
         name: summarise([row for row in rows if row["family"] == name], ctrl_dt)
         for name in shares
@@ -149,8 +153,6 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
     """Rates with intervals and means of episode rows; times in seconds.
 
     Where the lot has lanes, `wrong_way_share` is the share of all metres driven that
-    went against them. With dynamic goals the steps in each context of giving way are
-    added up over all episodes, and divided once for the conformities.
     went against them. `mean_returns` are those of the reward terms; they add up to
     `mean_return`.
     """
@@ -172,10 +174,6 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
         path = sum(row["path"] for row in rows)
         wrong = sum(row["wrong_way"] for row in rows)
         lanes["wrong_way_share"] = wrong / path if path else 0.0
-    ways = {}
-    if rows and (counted := [name for name in COUNTS if name in rows[0]]):
-        totals = {name: sum(row[name] for row in rows) for name in counted}
-        ways = totals | conformities(totals)
     return {
         "episodes": count,
         **{name: rate(name) for name in OUTCOMES + HITS},
@@ -192,7 +190,7 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
         "parked_heading_error_deg": math.degrees(mean("final_heading", parked)),
         "parked_speed": mean("final_speed", parked),
         **lanes,
-        **ways,
+        "metrics": pool_all(rows),
     }
 
 

@@ -28,7 +28,6 @@ the study: each meets the new goals of those before it and the old ones of those
 it (`goals_in_turn`). Cars move together once all have chosen.
 """
 
-from collections.abc import Mapping
 from typing import get_args
 
 import jax
@@ -149,20 +148,3 @@ def count(contexts: Contexts, let_go: jax.Array) -> dict[str, jax.Array]:
     met = {f"met_{name}": contexts[name] for name in CONTEXTS}
     gave_way = {f"gave_way_{name}": contexts[name] & let_go for name in CONTEXTS}
     return {name: x.astype(jnp.float32) for name, x in (met | gave_way).items()}
-
-
-def conformities(totals: Mapping[str, float]) -> dict[str, float]:
-    """How often agents gave way in each context, P(goal changed | context).
-
-    Args:
-        totals: sums of `count` over all steps, agents and episodes.
-
-    Returns:
-        `conformity_<context>` in [0, 1], NaN for a context that never occurred.
-    """
-    return {
-        f"conformity_{name}": totals[f"gave_way_{name}"] / met
-        if (met := totals[f"met_{name}"])
-        else float("nan")
-        for name in CONTEXTS
-    }

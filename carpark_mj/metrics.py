@@ -1,19 +1,11 @@
 """Per-agent episode statistics, carried in the state and read when an episode ends."""
 
-from collections.abc import Iterable
-
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.dynamic_goals import (
-    GoalCounts,
-    GoalEvents,
-    count_metrics,
-    update_counts,
-)
 from carpark_mj.geometry import axis_angle_error
-from carpark_mj.giving_way import Contexts, count
+from carpark_mj.tallies import fold_tallies
 from carpark_mj.types import Events, VehicleState
 
 
@@ -23,7 +15,6 @@ class EpisodeStats:
 
     Attributes:
         episode_return: undiscounted.
-        returns: the same of every reward term by name.
         length: control steps.
         path: driven length [m].
         gear_changes: times the direction of travel changed.
@@ -31,45 +22,43 @@ class EpisodeStats:
         invalid_actions: steps whose action was NaN or outside [-1, 1].
         wrong_way: part of the path driven against the lanes [m]; None in lots that
             never have lanes.
-        goals: what became of the goals; None while they are fixed.
-        giving_way: steps in contexts, by name, see `giving_way.count`; None likewise.
+        tallies: all others by name, see `tallies`: the reward terms, what became of
+            dynamic goals and who gave way, and what `MetricsConfig` asks for.
     """
 
     episode_return: jax.Array
-    returns: dict[str, jax.Array]
     length: jax.Array
     path: jax.Array
     gear_changes: jax.Array
     direction: jax.Array
     invalid_actions: jax.Array
     wrong_way: jax.Array | None = None
-    goals: GoalCounts | None = None
-    giving_way: dict[str, jax.Array] | None = None
+    tallies: dict[str, jax.Array] = struct.field(default_factory=dict)
 
 
 MOVING = 0.05  # m/s, slower cars have no direction of travel
 
 
 def init_stats(
-    num_agents: int, lanes: bool = False, terms: Iterable[str] = ()
+    num_agents: int, lanes: bool = False, tallies: dict[str, jax.Array] | None = None
 ) -> EpisodeStats:
     """Statistics at the start of an episode.
 
     Args:
         num_agents: in the lot.
         lanes: whether it has lanes.
-        terms: names of the reward terms to be summed.
+        tallies: (num_agents,) float32 first values of the tallies by name.
     """
     zero = jnp.zeros(num_agents, jnp.float32)
     return EpisodeStats(
         episode_return=zero,
-        returns=dict.fromkeys(terms, zero),
         length=zero,
         path=zero,
         gear_changes=zero,
         direction=zero,
         invalid_actions=zero,
         wrong_way=zero if lanes else None,
+        tallies=tallies or {},
     )
 
 
@@ -80,15 +69,12 @@ def update_stats(
     reward: jax.Array,
     invalid_action: jax.Array,
     wrong_way: jax.Array | None = None,
-    reward_terms: dict[str, jax.Array] | None = None,
-    goals: GoalEvents | None = None,
-    contexts: Contexts | None = None,
+    measured: dict[str, jax.Array] | None = None,
 ) -> EpisodeStats:
     """Adds a step; states before and after it, the latter before any respawn.
 
     `wrong_way` (num_agents,) bool says who drove against the lanes; None without lanes.
-    `reward_terms` must have the terms that the statistics were begun with.
-    `goals` says what became of dynamic goals, `contexts` who should have given way.
+    `measured` are the step's numbers for the tallies.
     """
     points = jnp.concatenate(
         [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
@@ -99,24 +85,15 @@ def update_stats(
     wrong_path = stats.wrong_way
     if wrong_path is not None and wrong_way is not None:
         wrong_path = wrong_path + path * wrong_way
-    counts = stats.goals
-    if counts is not None and goals is not None:
-        counts = update_counts(counts, goals)
-    ways = stats.giving_way
-    if ways is not None and goals is not None and contexts is not None:
-        step = count(contexts, goals.change_goal | goals.stop_goal)
-        ways = jax.tree.map(jnp.add, ways, step)
     return EpisodeStats(
         episode_return=stats.episode_return + reward,
-        returns=jax.tree.map(jnp.add, stats.returns, reward_terms or {}),
         length=stats.length + 1.0,
         path=stats.path + path,
         gear_changes=stats.gear_changes + changed,
         direction=jnp.where(direction != 0, direction, stats.direction),
         invalid_actions=stats.invalid_actions + invalid_action,
         wrong_way=wrong_path,
-        goals=counts,
-        giving_way=ways,
+        tallies=fold_tallies(stats.tallies, measured or {}),
     )
 
 
@@ -148,9 +125,9 @@ def step_metrics(
     }
     if stats.wrong_way is not None:
         metrics["wrong_way"] = stats.wrong_way
-    if stats.goals is not None:
-        metrics |= count_metrics(stats.goals, stats.length)
-    if stats.giving_way is not None:
-        metrics |= stats.giving_way
-    metrics |= {f"return_{name}": total for name, total in stats.returns.items()}
+    metrics |= {
+        name: tally
+        for name, tally in stats.tallies.items()
+        if not name.startswith("last_")
+    }
     return {name: value.astype(jnp.float32) for name, value in metrics.items()}

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.broad_phase import box_gaps, is_crowded, visit_near
+from carpark_mj.broad_phase import box_gaps, is_crowded, least_near
 from carpark_mj.config import WORLD_UNIT, EnvConfig, RewardConfig
 from carpark_mj.geometry import axis_angle_error, box_distance
 from carpark_mj.types import Events, VehicleState
@@ -99,15 +99,13 @@ def agent_clearance(vehicle: VehicleState) -> jax.Array:
         gap = box_distance(pose[:, None], size[:, None], pose, size)
         return jnp.min(jnp.where(own, jnp.inf, gap), axis=1)
 
-    def shorten(gap: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
-        found = box_distance(pose[:, None], size[:, None], pose[index], size[index])
-        return jnp.minimum(gap, jnp.min(jnp.where(valid, found, jnp.inf), axis=1))
+    def find(index: jax.Array) -> jax.Array:
+        return box_distance(pose[:, None], size[:, None], pose[index], size[index])
 
     reach = jnp.linalg.norm(size, axis=-1) / 2
     bound = box_gaps(pose[:, :2], pose, size) - reach[:, None]
     bound = jnp.where(own, jnp.inf, bound)
-    alone = jnp.full(pose.shape[0], jnp.inf, pose.dtype)
-    return visit_near(bound, lambda gap: gap, shorten, alone, chunk=2)
+    return least_near(bound, find, jnp.inf, chunk=2)
 
 
 def reward_terms(

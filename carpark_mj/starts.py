@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from carpark_mj import goal_rewards
 from carpark_mj.config import EnvConfig, LayoutConfig
-from carpark_mj.dynamic_goals import init_counts
+from carpark_mj.dynamic_goals import GOAL_COUNTS
 from carpark_mj.exploring import renew_exploring
 from carpark_mj.exploring_spawn import ExploringStart
 from carpark_mj.fleet import Fleet
@@ -26,6 +26,7 @@ from carpark_mj.rewards import term_names
 from carpark_mj.sensors import init_sensors
 from carpark_mj.spaces import no_spaces
 from carpark_mj.state import State
+from carpark_mj.tallies import first_tallies
 from carpark_mj.types import Events
 
 
@@ -71,20 +72,19 @@ def split_if_random(
 
 def start_stats(config: EnvConfig, layout: Layout) -> EpisodeStats:
     """Statistics of all agents of a lot at the start of their episodes."""
-    lanes = has_lanes(layout)
+    lanes, dynamic = has_lanes(layout), config.goals.dynamic
     terms = term_names(lanes)
-    if config.goals.dynamic:
+    if dynamic:
         terms += goal_rewards.TERMS
     if config.giving_way.context is not None:
         terms += ("bad_goal",)
-    stats = init_stats(config.num_agents, lanes, terms)
-    if not config.goals.dynamic:
-        return stats
-    return dataclasses.replace(
-        stats,
-        goals=init_counts(config.num_agents),
-        giving_way=dict.fromkeys(COUNTS, jnp.zeros(config.num_agents, jnp.float32)),
-    )
+    names = tuple(f"return_{name}" for name in terms)
+    if dynamic:
+        names += (*GOAL_COUNTS, *COUNTS)
+    zero = jnp.zeros(config.num_agents, jnp.float32)
+    tallies = dict.fromkeys(names, zero)
+    tallies |= first_tallies(config.metrics, config.num_agents)
+    return init_stats(config.num_agents, lanes, tallies)
 
 
 def start_lot(

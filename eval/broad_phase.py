@@ -1,5 +1,7 @@
 """Measures what collisions, observations and a whole step cost, by size of the lot.
 
+*safety* are clearance and time to collision, which a whole step leaves out by default.
+
 python eval/broad_phase.py
 python eval/broad_phase.py --lots 4 --scenes large
 
@@ -19,6 +21,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from carpark_mj.clearance import clearances
+from carpark_mj.collision_time import collision_times
 from carpark_mj.command_line import USER_ERRORS, one_line
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
@@ -83,6 +87,12 @@ def measure(config: BroadPhaseConfig, env: ParkingEnv) -> dict[str, float]:
     shape = (config.steps, config.lots, env.num_agents, 2)
     actions = jax.random.uniform(action_key, shape, minval=-1.0)
 
+    def safety(state: State) -> Any:
+        lot, pose = state.layout, env.parked_pose(state)
+        parked = pose, state.parked_size, state.occupancy.parked_bay < lot.num_bays
+        near = clearances(lot, state.vehicle, *parked)
+        return near, collision_times(lot, state.vehicle, *parked)
+
     def hits(state: State) -> tuple[jax.Array, ...]:
         pose = env.parked_pose(state)
         return find_hits(state.layout, state.vehicle, pose, state.parked_size)
@@ -98,6 +108,7 @@ def measure(config: BroadPhaseConfig, env: ParkingEnv) -> dict[str, float]:
     return {
         "collisions": 1e3 * best_time(config, jax.jit(jax.vmap(hits)), state),
         "observations": 1e3 * best_time(config, observe, state),
+        "safety": 1e3 * best_time(config, jax.jit(jax.vmap(safety)), state),
         "whole step": 1e3 * best_time(config, drive, state) / config.steps,
     }
 
@@ -114,6 +125,7 @@ def main(config: BroadPhaseConfig) -> None:
         "discs",
         "collisions",
         "observations",
+        "safety",
         "whole step",
     ):
         table.add_column(name, justify="left" if name == "scene" else "right")

@@ -1,6 +1,7 @@
-"""Evaluates a policy on held-out seeds: a table, `evaluation.csv`, `evaluation.json`.
+"""Evaluates a policy on held-out seeds: tables, `evaluation.csv`, `evaluation.json`.
 
 In a mixture of families also a table with a row per family, and `families.csv`.
+docs/metrics.md says what every number is.
 
 python eval/evaluate.py runs/cpu-0
 python eval/evaluate.py runs/cpu-mixture-0
@@ -19,8 +20,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from carpark_mj.catalogue import DRIVING, GOALS, SAFETY
 from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
-from carpark_mj.config import EnvConfig, ParkedRule, PhysicsName
+from carpark_mj.config import EnvConfig, MetricsConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation import (
     HITS,
@@ -103,6 +105,7 @@ def main(config: EvaluateConfig) -> Evaluation:
         num_parked_cars=config.num_parked_cars,
         layout=config.layout,
         physics=config.physics,
+        metrics=MetricsConfig(driving=True, safety=True),
     )
     env = ParkingEnv(env_config)
     folder.mkdir(parents=True, exist_ok=True)  # unwritable? Say so before the work.
@@ -114,6 +117,7 @@ def main(config: EvaluateConfig) -> Evaluation:
         f"seed {config.seed}"
     )
     print_table(result.summary, title)
+    print_metrics(result.summary["metrics"])
     if len(result.families) > 1:
         print_families(result)
     settings = {"policy": name, **dataclasses.asdict(config)}
@@ -229,6 +233,26 @@ def print_table(summary: dict[str, Any], title: str) -> None:
         f"{summary['parked_heading_error_deg']:.1f} deg at "
         f"{summary['parked_speed']:.2f} m/s"
     )
+
+
+def print_metrics(metrics: dict[str, Any]) -> None:
+    """Prints how the episodes were driven, and how safely."""
+    table = Table(title="driving and safety (docs/metrics.md)")
+    for column in ("metric", "unit", "mean", "median", "worst 5 %", "worst"):
+        table.add_column(
+            column, justify="left" if column in ("metric", "unit") else "right"
+        )
+    shown = [m for m in DRIVING + SAFETY + GOALS if m.name in metrics]
+    for metric in shown:
+        value = metrics[metric.name]
+        numbers = ["", *value.values()] if isinstance(value, dict) else [value]
+        table.add_row(
+            metric.name.replace("_", " "),
+            metric.unit,
+            *(n if isinstance(n, str) else f"{n:.3g}" for n in numbers),
+            end_section=metric in (DRIVING[-1], SAFETY[-1]),
+        )
+    Console().print(table)
 
 
 if __name__ == "__main__":

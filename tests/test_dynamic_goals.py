@@ -18,15 +18,14 @@ from carpark_mj.config import (
     reward_preset,
 )
 from carpark_mj.dynamic_goals import (
+    GOAL_COUNTS,
     GoalEvents,
     aims,
     choose_goals,
-    count_metrics,
+    goal_counts,
     goal_events,
-    init_counts,
     lose_goals,
     taken_by_others,
-    update_counts,
 )
 from carpark_mj.goal_rewards import dynamic_progress, dynamic_terms
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
@@ -172,18 +171,17 @@ def test_the_five_transitions_partition_the_steps_of_active_agents():
 
 
 def test_counts_of_an_episode_conserve_its_steps():
-    counts = init_counts(500)
+    counts = dict.fromkeys(GOAL_COUNTS, jnp.zeros(500))
     sums = {name: np.zeros(500) for name in vars(random_events(jax.random.key(0))[3])}
     for k in range(4):
         _, _, _, events = random_events(jax.random.key(k), 500)
-        counts = update_counts(counts, events)
+        counts = jax.tree.map(jnp.add, counts, goal_counts(events))
         for name, flag in vars(events).items():
             sums[name] += np.asarray(flag)
-    named = count_metrics(counts, jnp.full(500, 4.0))
-    for name in set(named) - {"explore_share"}:
-        np.testing.assert_array_equal(named[name], sums[name])
-    share = (sums["continue_explore"] + sums["stop_goal"]) / 4
-    np.testing.assert_allclose(named["explore_share"], share)
+    for name in GOAL_COUNTS[1:]:
+        np.testing.assert_array_equal(counts[name], sums[name])
+    explored = sums["continue_explore"] + sums["stop_goal"]
+    np.testing.assert_array_equal(counts["explored_steps"], explored)
 
 
 def test_whoever_has_the_goal_where_another_parks_loses_it():

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from carpark_mj.aggregation import pool
+from carpark_mj.catalogue import GOALS
 from carpark_mj.config import (
     EnvConfig,
     GivingWayConfig,
@@ -17,7 +19,6 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.giving_way import (
     CONTEXTS,
     COUNTS,
-    conformities,
     count,
     enforce,
     find_contexts,
@@ -297,9 +298,10 @@ def test_conformity_by_hand():
         totals = {name: totals[name] + float(step[name].sum()) for name in COUNTS}
     assert totals["met_local_any"] == 5.0
     assert totals["gave_way_local_any"] == 2.0  # letting go in no context is not one
-    ratios = conformities(totals)
-    assert ratios.pop("conformity_local_any") == 2 / 5  # not the mean of 2/3 and 0
-    assert len(ratios) == len(CONTEXTS) - 1
+    rows = [totals, dict.fromkeys(COUNTS, 0.0)]  # two episodes
+    known = {metric.name: metric for metric in GOALS}
+    ratios = {name: pool(known[f"conformity_{name}"], rows) for name in CONTEXTS}
+    assert ratios.pop("local_any") == 2 / 5  # not the mean of 2/3 and 0
     assert all(np.isnan(value) for value in ratios.values())
 
 
@@ -376,7 +378,7 @@ def test_an_episode_counts_contexts_and_who_gave_way(drive):
     for name in ("local_same", "local_any", "global_same", "global_any"):
         np.testing.assert_array_equal(named[f"met_{name}"], [3.0, 0.0])
         np.testing.assert_array_equal(named[f"gave_way_{name}"], [2.0, 0.0])
-        np.testing.assert_array_equal(state.stats.giving_way[f"met_{name}"], [3, 0])
+        np.testing.assert_array_equal(state.stats.tallies[f"met_{name}"], [3, 0])
     for name in CONTEXTS[4:]:
         np.testing.assert_array_equal(named[f"met_{name}"], [0.0, 0.0])
 

@@ -93,11 +93,12 @@ def test_every_event_and_every_sum_has_a_metric_of_its_own():
 
 
 def test_every_reward_term_is_summed_up_by_name():
-    stats, standing = init_stats(2, terms=("park", "time")), cars([(0.0, 0.0, 0.0)] * 2)
+    nothing = dict.fromkeys(("return_park", "return_time"), jnp.zeros(2))
+    stats, standing = init_stats(2, tallies=nothing), cars([(0.0, 0.0, 0.0)] * 2)
     for park, time in (([0.0, 1.0], [-0.5, -0.5]), ([3.0, 0.0], [-0.25, 0.0])):
-        named = {"time": jnp.array(time), "park": jnp.array(park)}
+        named = {"return_time": jnp.array(time), "return_park": jnp.array(park)}
         nobody = jnp.zeros(2), jnp.zeros(2, bool)
-        stats = update_stats(stats, standing, standing, *nobody, reward_terms=named)
+        stats = update_stats(stats, standing, standing, *nobody, measured=named)
     metrics = step_metrics(stats, no_events(2), standing, jnp.zeros((2, 3)))
     np.testing.assert_array_equal(metrics["return_park"], [3.0, 1.0])
     np.testing.assert_array_equal(metrics["return_time"], [-0.75, -0.5])

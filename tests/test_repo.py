@@ -28,6 +28,9 @@ TASK = {
     "episode",
     "rewards",
     "metrics",
+    "tallies",
+    "clearance",
+    "collision_time",
     "sensors",
     "fit",
     "respawn",
@@ -52,7 +55,15 @@ ALLOWED["presets"] = {"config"}
 ENV = {*ALLOWED, "state", "searching", "starts", "env"}
 for name in ("state", "searching", "starts", "env"):
     ALLOWED[name] = ENV - {"env", "scene"}
-OUTER = {"wrappers", "policy", "rendering", "evaluation", "command_line"}
+OUTER = {
+    "wrappers",
+    "policy",
+    "rendering",
+    "evaluation",
+    "catalogue",
+    "aggregation",
+    "command_line",
+}
 
 # No module of the task or below it knows MuJoCo.
 WITHOUT_MUJOCO = BASE | TASK | {"layouts"}

@@ -130,8 +130,8 @@ def test_whose_goal_another_parks_in_goes_exploring_and_pays_for_it():
     np.testing.assert_allclose(
         timestep.metrics["episode_return"], timestep.reward, atol=1e-6
     )
-    assert after.stats.goals.lost_taken.tolist() == [1, 0, 0, 1]
-    assert after.stats.goals.explored.tolist() == [0, 1, 0, 0]
+    assert after.stats.tallies["lost_taken"].tolist() == [1, 0, 0, 1]
+    assert after.stats.tallies["explored_steps"].tolist() == [0, 1, 0, 0]
 
 
 def test_a_goal_out_of_sight_is_lost_at_the_end_of_the_step():

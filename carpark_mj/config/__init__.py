@@ -14,6 +14,7 @@ from carpark_mj.config.layout import (
     LayoutConfig,
     LayoutName,
 )
+from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.reward import REWARDS, RewardConfig, RewardName, reward_preset
 from carpark_mj.config.simulation import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.task import (
@@ -52,6 +53,7 @@ __all__ = [
     "LayoutChoice",
     "LayoutConfig",
     "LayoutName",
+    "MetricsConfig",
     "ObservationConfig",
     "ParkedRule",
     "PhysicsName",

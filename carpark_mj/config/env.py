@@ -14,6 +14,7 @@ from carpark_mj.config.layout import (
     LayoutConfig,
     LayoutName,
 )
+from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.reward import RewardConfig
 from carpark_mj.config.simulation import SimConfig
 from carpark_mj.config.task import EpisodeConfig, ObservationConfig, SpawnConfig
@@ -55,6 +56,7 @@ class EnvConfig:
         observation: what an agent sees.
         randomisation: what differs between cars.
         sensors: errors of what an agent sees.
+        metrics: what is measured beside the outcomes.
     """
 
     layout: LayoutChoice = "tanner"
@@ -75,6 +77,7 @@ class EnvConfig:
     observation: ObservationConfig = ObservationConfig()
     randomisation: RandomisationConfig = RandomisationConfig()
     sensors: SensorConfig = SensorConfig()
+    metrics: MetricsConfig = MetricsConfig()
 
     def __post_init__(self) -> None:
         if not isinstance(self.layout, LayoutConfig | str):  # pyright: ignore
