@@ -8,6 +8,7 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation import OUTCOMES, evaluation_key
 from carpark_mj.policy.networks import Policy
+from carpark_mj.rendering.snapshot import aimed_at
 from carpark_mj.rendering.stage import Stage
 
 
@@ -17,8 +18,8 @@ class LiveLot:
     Attributes:
         stage: the scene, always at the present instant.
         extent: (2,) half widths of the lot [m].
-        goal_pose: (agents, 3) bays aimed at.
-        goal_size: (agents, 2) their sizes [m].
+        goal_pose: (agents, 3) bays aimed at; NaN for agents that explore.
+        goal_size: (agents, 2) their sizes [m]; likewise.
         seconds: driven so far.
     """
 
@@ -32,7 +33,7 @@ class LiveLot:
         state, _ = self._start
         layout = state.layout
         self.extent = np.asarray(layout.extent)
-        self._bays = np.asarray(layout.bay_pose), np.asarray(layout.bay_size)
+        self._layout = jax.device_get(layout)
         config = env.config
         self.stage = Stage(
             layout,
@@ -103,7 +104,7 @@ class LiveLot:
         return begins
 
     def _aim(self, goal: np.ndarray) -> None:
-        self.goal_pose, self.goal_size = (bays[goal] for bays in self._bays)
+        self.goal_pose, self.goal_size = aimed_at(self._layout, goal)
 
     def tally(self) -> Iterator[tuple[str, int]]:
         """Episodes ended so far, by outcome."""

@@ -83,6 +83,8 @@ def draw_labels(
             (seen.goal_pose[agent], 0.0, draw.rectangle),
             (seen.pose_w[agent], LABEL_HEIGHT, draw.ellipse),
         ):
+            if np.isnan(pose).any():  # of an agent that explores
+                continue
             pixel = renderer.project(np.array([pose[0], pose[1], height]), camera)
             if pixel is None:
                 continue

@@ -113,8 +113,10 @@ class LotRenderer:
         for k in range(self._num_agents):
             rgb = agent_colour(k)[:3]
             goal, here = seen.goal_pose[k], seen.pose_w[k]
-            markers.bay(goal, seen.goal_size[k], (*rgb, 0.45))
-            if seen.active[k]:
+            aims = not np.isnan(goal).any()
+            if aims:
+                markers.bay(goal, seen.goal_size[k], (*rgb, 0.45))
+            if aims and seen.active[k]:
                 markers.line(here, goal, (*rgb, 0.9), 0.07, 0.05)
             for diameter in self._show.rings:
                 markers.circle(here, diameter / 2, (*rgb, 0.5), 0.05)

@@ -22,7 +22,7 @@ class Recording:
             pose at its end, before any respawn.
         steering: (t, agents) bicycle angles at the end of the steps [rad].
         speed: (t, agents) signed speeds at the end of the steps [m/s].
-        goal: (t, agents) bays aimed at during the steps.
+        goal: (t, agents) bays aimed at during the steps; the number of bays for none.
         parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends;
             cars that the lot has not are left out.
         active: (t, agents) bool.
@@ -64,7 +64,7 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
             "pose_w": timestep.vehicle.trace_w.swapaxes(0, 1),
             "steering": timestep.vehicle.steering,
             "speed": timestep.vehicle.speed,
-            "goal": state.occupancy.goal,
+            "goal": timestep.goal,
             "parked_pose": env.parked_pose(state),
             "active": state.active,
             "parked": events.parked,

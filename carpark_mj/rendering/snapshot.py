@@ -5,6 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.localised import nearest
 from carpark_mj.rendering.rollout import Recording
 
@@ -38,8 +39,8 @@ class Snapshot:
         seconds: since the start.
         pose_w: (agents, 3) footprint centres.
         steering: (agents,) bicycle angles [rad].
-        goal_pose: (agents, 3) bays aimed at.
-        goal_size: (agents, 2) their sizes [m].
+        goal_pose: (agents, 3) bays aimed at; NaN for agents that explore.
+        goal_size: (agents, 2) their sizes [m]; likewise.
         parked_pose: (parked cars, 3) footprint centres.
         active: (agents,) bool, the agent's episode is running.
         state: a word or two per agent: what it does, or how its episode ended.
@@ -75,7 +76,7 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
     """The recorded instant `index`, from 0 to `num_frames(recording)` - 1."""
     traces = recording.pose_w.shape[1]
     step, trace = divmod(index, traces)
-    goal = recording.goal[step]
+    goal_pose, goal_size = aimed_at(recording.layout, recording.goal[step])
     # What happens in a step is known when it is over.
     over = (index + 1) // traces
     ended = {name: getattr(recording, name) for name in OUTCOMES}
@@ -91,15 +92,23 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
         seconds=seconds,
         pose_w=recording.pose_w[step, trace],
         steering=recording.steering[step],
-        goal_pose=np.asarray(recording.layout.bay_pose)[goal],
-        goal_size=np.asarray(recording.layout.bay_size)[goal],
+        goal_pose=goal_pose,
+        goal_size=goal_size,
         parked_pose=recording.parked_pose[step],
         active=recording.active[step],
-        state=tuple(_state(recording, step, agent) for agent in range(len(goal))),
+        state=tuple(_state(recording, step, agent) for agent in range(len(goal_pose))),
         tally={name: int(events[:over].sum()) for name, events in ended.items()},
         flashes=tuple(flashes),
         size=None if recording.size is None else recording.size[step],
     )
+
+
+def aimed_at(layout: Layout, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (agents, 3) and sizes (agents, 2) of goals; NaN for agents that explore."""
+    has_goal = (goal < layout.num_bays)[:, None]
+    bay = np.minimum(goal, layout.num_bays - 1)
+    pose, size = np.asarray(layout.bay_pose)[bay], np.asarray(layout.bay_size)[bay]
+    return np.where(has_goal, pose, np.nan), np.where(has_goal, size, np.nan)
 
 
 def _state(recording: Recording, step: int, agent: int) -> str:
@@ -109,9 +118,10 @@ def _state(recording: Recording, step: int, agent: int) -> str:
                 return name.replace("_", " ")
         return "diverged"
     speed = recording.speed[step, agent]
-    if abs(speed) < STANDING:
-        return "stands"
-    return "drives" if speed > 0 else "reverses"
+    moving = "drives" if speed > 0 else "reverses"
+    state = "stands" if abs(speed) < STANDING else moving
+    exploring = recording.goal[step, agent] == recording.layout.num_bays
+    return f"{state}, explores" if exploring else state
 
 
 def tracked_points(

@@ -97,6 +97,9 @@ def make_live_viewer(lot: LiveLot, port: int = PORT) -> tuple[Any, Any]:
     def show() -> None:
         marks = zip(goals, lot.goal_pose, lot.goal_size, strict=True)
         for goal, pose, size in marks:
+            goal.visible = bool(np.isfinite(pose).all())
+            if not goal.visible:  # the agent explores
+                continue
             goal.dimensions = (float(size[0]) - 0.3, float(size[1]) - 0.3, 0.02)
             goal.position = (float(pose[0]), float(pose[1]), 0.0)
             goal.wxyz = _turn(float(pose[2]))
