@@ -16,6 +16,7 @@ from carpark_mj.config import (
     RewardConfig,
 )
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation import HITS, OUTCOMES, summarise
 from carpark_mj.giving_way import (
     CONTEXTS,
     COUNTS,
@@ -303,6 +304,23 @@ def test_conformity_by_hand():
     ratios = {name: pool(known[f"conformity_{name}"], rows) for name in CONTEXTS}
     assert ratios.pop("local_any") == 2 / 5  # not the mean of 2/3 and 0
     assert all(np.isnan(value) for value in ratios.values())
+
+
+def test_an_evaluation_adds_steps_up_over_episodes_before_it_divides():
+    numbers = ("path", "gear_changes", "final_distance", "final_heading", "final_speed")
+    common = dict.fromkeys(
+        (*OUTCOMES, *HITS, *numbers, "length", "episode_return"), 0.0
+    )
+    rows = []
+    for met, gave_way in ((8.0, 8.0), (1.0, 0.0), (0.0, 0.0)):
+        counts = dict.fromkeys(COUNTS, 0.0)
+        counts |= {"met_global_any": met, "gave_way_global_any": gave_way}
+        rows.append(common | counts)
+    summary = summarise(rows, 0.2)
+    assert summary["conformity_global_any"] == 8 / 9
+    assert summary["met_global_any"] == 9.0
+    assert np.isnan(summary["conformity_local_same"])
+    assert not summarise([common], 0.2).keys() & {*COUNTS, *conformities(rows[0])}
 
 
 # In the environment
