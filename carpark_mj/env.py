@@ -21,6 +21,8 @@ from carpark_mj.layouts import Layout, generate_member, layout_config, make_layo
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.observations import observation_size, observe
 from carpark_mj.observations.indices import observe_indices
+from carpark_mj.observations.rings import count_rings, forget, init_history, remember
+from carpark_mj.observations.tanner import observe_tanner
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.contact import ContactPhysics
@@ -88,6 +90,12 @@ class ParkingEnv:
                 f"{self.config.num_agents} agents' goals), not "
                 f"{self.config.num_parked_cars}"
             )
+        goals, free = self.config.goals, bays - self.config.num_parked_cars
+        if goals.dynamic and goals.num_spaces > free:
+            raise ValueError(
+                f"goals.num_spaces must be at most {free} ({bays} bays less "
+                f"{self.config.num_parked_cars} parked cars), not {goals.num_spaces}"
+            )
         self.fleet.check(self._lot, self._layout)
         self.physics: Any = physics if physics is not None else self._make_physics()
 
@@ -132,7 +140,9 @@ class ParkingEnv:
     @property
     def observation_size(self) -> int:
         """Length of an agent's observation."""
-        return observation_size(self.config.observation)
+        goals = self.config.goals
+        num_spaces = goals.num_spaces if goals.dynamic else 0
+        return observation_size(self.config.observation, num_spaces)
 
     @property
     def action_size(self) -> int:
@@ -207,6 +217,7 @@ class ParkingEnv:
             layout=layout,
             occupancy=occupancy,
             spaces=None,
+            ring_history=init_history(config.observation, config.num_agents),
             parked_size=parked_size,
             parked_offset=offset,
             step=jnp.zeros(config.num_agents, jnp.int32),
@@ -239,6 +250,7 @@ class ParkingEnv:
             stop = drive.stopping_action(state.vehicle.speed)
             action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
             action, invalid = neutralise(action)
+        ring_history = self._remember_rings(state)
         physics = self.physics.step(state.physics, action)
         vehicle = self.physics.read(physics)
         if not (config.episode.respawn or self.physics.contacts):
@@ -296,7 +308,8 @@ class ParkingEnv:
         sensors = update_sensors(
             config.sensors, state.sensors, state.vehicle, respawned, sensor_key
         )
-        state = dataclasses.replace(state, sensors=sensors)
+        ring_history = forget(ring_history, respawned)
+        state = dataclasses.replace(state, sensors=sensors, ring_history=ring_history)
         with jax.named_scope("observations"):
             observation = self._observe(state)
         return state, TimeStep(
@@ -339,7 +352,11 @@ class ParkingEnv:
             (num_agents, observation_size); `timestep.observation` where nobody was
             done.
         """
-        return self._observe(dataclasses.replace(state, vehicle=timestep.vehicle))
+        ring_history = self._remember_rings(state)
+        vehicle = timestep.vehicle
+        return self._observe(
+            dataclasses.replace(state, vehicle=vehicle, ring_history=ring_history)
+        )
 
     def _freeze(
         self, state: State, physics: Any, vehicle: VehicleState
@@ -406,29 +423,45 @@ class ParkingEnv:
         )
 
     def _observe(self, state: State) -> jax.Array:
-        if self.config.observation.encoding == "indices":
-            return observe_indices(
-                self.config.observation,
-                self.config.grid,
-                self.config.sim.ctrl_dt,
-                state.layout,
-                observed(state.sensors, state.vehicle),
-                state.occupancy.goal,
-                self.parked_pose(state),
-                state.parked_size,
-            )
-        fleet = state.physics.vehicle
-        return observe(
-            self.config.observation,
+        config = self.config
+        present = None
+        if self.fleet.varies:
+            present = state.occupancy.parked_bay < state.layout.num_bays
+        cars = (
             state.layout,
             observed(state.sensors, state.vehicle),
             state.occupancy.goal,
             self._parked_pose(state),
             state.parked_size,
+        )
+        if config.observation.encoding != "continuous":
+            grid = (config.observation, config.grid, config.sim.ctrl_dt)
+            if config.observation.encoding == "indices":
+                return observe_indices(*grid, *cars, state.ring_history)
+            return observe_tanner(
+                *grid, *cars, present, state.spaces, state.ring_history
+            )
+        fleet = state.physics.vehicle
+        return observe(
+            config.observation,
+            *cars,
             fleet.max_speed,
             fleet.max_steering,
-            state.occupancy.parked_bay < state.layout.num_bays
-            if self.fleet.varies
-            else None,
+            present,
             (fleet.wheelbase, fleet.centre_offset),
+            state.spaces,
+            state.ring_history,
         )
+
+    def _remember_rings(self, state: State) -> jax.Array | None:
+        """Past counts of the rings once those of `state` belong to them."""
+        if state.ring_history is None:
+            return None
+        count = count_rings(
+            self.config.observation,
+            state.layout,
+            observed(state.sensors, state.vehicle),
+            self._parked_pose(state),
+            state.parked_size,
+        )
+        return remember(state.ring_history, count)

@@ -13,9 +13,10 @@ from carpark_mj.config.layout import (
     LayoutConfig,
     LayoutName,
 )
+from carpark_mj.config.observation import ObservationConfig
 from carpark_mj.config.reward import RewardConfig
 from carpark_mj.config.simulation import SimConfig
-from carpark_mj.config.task import EpisodeConfig, ObservationConfig, SpawnConfig
+from carpark_mj.config.task import EpisodeConfig, SpawnConfig
 from carpark_mj.config.variation import RandomisationConfig, SensorConfig
 
 PhysicsName = Literal["mjx", "scene", "bicycle", "grid"]
@@ -95,4 +96,15 @@ class EnvConfig:
         if self.observation.encoding == "indices" and self.physics != "grid":
             raise ValueError(
                 f"observation.encoding 'indices' needs grid physics, not {self.physics}"
+            )
+        if self.goals.dynamic and self.observation.encoding == "indices":
+            raise ValueError("observation.encoding 'indices' needs fixed goals")
+        if self.goals.dynamic and self.observation.share_goal_heading:
+            raise ValueError("observation.share_goal_heading needs fixed goals")
+        others = self.num_agents - 1 + self.num_parked_cars
+        if self.observation.tracked_cars > others:
+            raise ValueError(
+                f"observation.tracked_cars must be at most {others} (the other "
+                f"{self.num_agents - 1} agents and {self.num_parked_cars} parked "
+                f"cars), not {self.observation.tracked_cars}"
             )
