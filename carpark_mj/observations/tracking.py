@@ -79,6 +79,8 @@ def tracks(
     Returns:
         (num_agents, num_agents) bool, [i, j] whether i tracks j.
     """
+    if not (config.tracked_cars or config.tracked_agents):
+        return jnp.zeros((own_pose.shape[0],) * 2, bool)
     if config.encoding == "tanner":
         index, present = track_cars(config, own_pose, parked_xy, parked_present)
     else:
