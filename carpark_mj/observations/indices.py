@@ -46,7 +46,7 @@ def observe_indices(
         (num_agents, observation_size) float32 whole numbers, the fields of
         `make_fields`.
     """
-    level = jnp.round(speed_level(grid, ctrl_dt, vehicle.speed))
+    level = jnp.round(speed_level(grid, ctrl_dt, vehicle.speed)) + grid.max_reverse
     bearing = bearing_index(grid, to_local(vehicle.pose_w, layout.bay_pose[goal]))
     values = [level[:, None], bearing[:, None]]
     if config.rings:

@@ -40,9 +40,8 @@ DIAGONAL = 74 * 2**0.5 * WORLD_UNIT  # m, of his world of 74 x 74 world units
 
 
 def speed_level(grid: GridConfig, ctrl_dt: float, speed: jax.Array) -> jax.Array:
-    """Speeds [m/s] in levels of the grid, counted from the fastest reverse."""
-    per_level = grid.speed_step * grid.point_size / ctrl_dt  # m/s
-    return speed / per_level + grid.max_reverse
+    """Speeds [m/s] in levels of the grid, forwards positive."""
+    return speed / (grid.speed_step * grid.point_size / ctrl_dt)
 
 
 def bearing_index(grid: GridConfig, local: jax.Array) -> jax.Array:
@@ -91,8 +90,8 @@ def observe_tanner(
     num_spaces = 0 if spaces is None else spaces.shape[1]
     pose, xy = vehicle.pose_w, vehicle.pose_w[:, :2]
     parked = jnp.zeros(parked_pose.shape[0])
-    level = speed_level(grid, ctrl_dt, vehicle.speed) / grid.num_levels
-    values = {"speed": level}
+    level = speed_level(grid, ctrl_dt, vehicle.speed) + grid.max_reverse
+    values = {"speed": level / grid.num_levels}
 
     bays = goal[:, None]
     if spaces is not None:
@@ -119,8 +118,8 @@ def observe_tanner(
         index, present = track_cars(config, pose, parked_pose[:, :2], parked_present)
         everybody = jnp.concatenate([pose, parked_pose])
         cars = _describe(grid, pose[:, None], everybody[index])
-        still = speed_level(grid, ctrl_dt, parked) / grid.num_levels
-        cars["speed"] = jnp.concatenate([level, still])[index]
+        level = jnp.concatenate([level, parked + grid.max_reverse])
+        cars["speed"] = level[index] / grid.num_levels
         if spaces is None:
             theirs = _describe(grid, pose, layout.bay_pose[goal])
             for part, value in theirs.items():
