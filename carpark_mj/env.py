@@ -22,15 +22,20 @@ from carpark_mj.goal_rewards import dynamic_progress, dynamic_terms
 from carpark_mj.lanes import has_lanes, is_wrong_way
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
-from carpark_mj.observations import observation_size, observe
-from carpark_mj.observations.indices import observe_indices
-from carpark_mj.observations.tracked import tracked_agents
+from carpark_mj.observations import observation_size
+from carpark_mj.observations.rings import forget
+from carpark_mj.observing import (
+    intended_parked_pose,
+    observe_lot,
+    remember_rings,
+    who_tracks,
+)
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import full_float32
 from carpark_mj.randomisation import check
 from carpark_mj.searching import choose, look_round, review, set_out, stay
-from carpark_mj.sensors import observed, update_sensors
+from carpark_mj.sensors import update_sensors
 from carpark_mj.starts import (
     check_room,
     restart,
@@ -105,7 +110,9 @@ class ParkingEnv:
     @property
     def observation_size(self) -> int:
         """Length of an agent's observation."""
-        return observation_size(self.config.observation)
+        goals = self.config.goals
+        num_spaces = goals.num_spaces if goals.dynamic else 0
+        return observation_size(self.config.observation, num_spaces)
 
     @property
     def action_size(self) -> int:
@@ -187,6 +194,7 @@ class ParkingEnv:
             state = choose(state, choice[:, 0])
         goal = state.occupancy.goal
 
+        ring_history = remember_rings(config, self.fleet, before)
         physics = self.physics.step(state.physics, controls)
         vehicle = self.physics.read(physics)
         if not (config.episode.respawn or self.physics.contacts):
@@ -198,7 +206,7 @@ class ParkingEnv:
                 state.layout,
                 vehicle,
                 goal,
-                self._parked_pose(state),
+                intended_parked_pose(self.fleet, state),
                 state.parked_size,
                 step,
                 state.active,
@@ -220,7 +228,13 @@ class ParkingEnv:
             with jax.named_scope("goals"):
                 fitting = self._fitting(after)
                 after, goals, contexts = review(
-                    before, goal, after, events, taken, fitting, self._tracked(before)
+                    before,
+                    goal,
+                    after,
+                    events,
+                    taken,
+                    fitting,
+                    who_tracks(config, self.fleet, before),
                 )
                 after = set_out(after, events.done, starts)
 
@@ -263,7 +277,10 @@ class ParkingEnv:
         sensors = update_sensors(
             config.sensors, state.sensors, after.vehicle, respawned, sensor_key
         )
-        after = dataclasses.replace(after, stats=stats, sensors=sensors)
+        ring_history = forget(ring_history, respawned)
+        after = dataclasses.replace(
+            after, stats=stats, sensors=sensors, ring_history=ring_history
+        )
         with jax.named_scope("observations"):
             observation = self._observe(after)
         return after, TimeStep(
@@ -286,16 +303,7 @@ class ParkingEnv:
         """
         if self.physics.contacts:
             return self.physics.parked_pose(state.physics)
-        return self._parked_pose(state)
-
-    def _parked_pose(self, state: State) -> jax.Array:
-        """Where the parked cars are meant to stand, (num_parked_cars, 3)."""
-        return self.fleet.parked_pose(
-            state.layout,
-            state.occupancy.parked_bay,
-            state.parked_size,
-            state.parked_offset,
-        )
+        return intended_parked_pose(self.fleet, state)
 
     def final_observation(self, state: State, timestep: TimeStep) -> jax.Array:
         """What agents saw at the end of a step, before any of them respawned.
@@ -309,8 +317,12 @@ class ParkingEnv:
             done.
         """
         occupancy = dataclasses.replace(state.occupancy, goal=timestep.goal)
+        ring_history = remember_rings(self.config, self.fleet, state)
         state = dataclasses.replace(
-            state, vehicle=timestep.vehicle, occupancy=occupancy
+            state,
+            vehicle=timestep.vehicle,
+            occupancy=occupancy,
+            ring_history=ring_history,
         )
         if self.config.goals.dynamic:
             state, _ = look_round(state, self._fitting(state))
@@ -343,11 +355,6 @@ class ParkingEnv:
         """Bays (num_agents, bays) that can be an agent's goal; None = all."""
         size = state.physics.vehicle.size
         return self.fleet.bays_for(state.layout, size, state.parked_size)[0]
-
-    def _tracked(self, state: State) -> jax.Array:
-        """Who saw whom when they chose, (num_agents, num_agents) bool."""
-        pose = observed(state.sensors, state.vehicle).pose_w
-        return tracked_agents(pose, pose[:0], self.config.observation.tracked_agents)
 
     def _goal_pose(self, state: State, vehicle: VehicleState) -> jax.Array:
         """Poses (num_agents, 3) of the goals; see `aims` for agents that explore."""
@@ -399,30 +406,4 @@ class ParkingEnv:
         }
 
     def _observe(self, state: State) -> jax.Array:
-        if self.config.observation.encoding == "indices":
-            return observe_indices(
-                self.config.observation,
-                self.config.grid,
-                self.config.sim.ctrl_dt,
-                state.layout,
-                observed(state.sensors, state.vehicle),
-                state.occupancy.goal,
-                self.parked_pose(state),
-                state.parked_size,
-            )
-        fleet = state.physics.vehicle
-        return observe(
-            self.config.observation,
-            state.layout,
-            observed(state.sensors, state.vehicle),
-            state.occupancy.goal,
-            self._parked_pose(state),
-            state.parked_size,
-            fleet.max_speed,
-            fleet.max_steering,
-            state.occupancy.parked_bay < state.layout.num_bays
-            if self.fleet.varies
-            else None,
-            (fleet.wheelbase, fleet.centre_offset),
-            spaces=state.spaces,
-        )
+        return observe_lot(self.config, self.fleet, state)

@@ -19,6 +19,7 @@ from carpark_mj.giving_way import COUNTS
 from carpark_mj.lanes import has_lanes
 from carpark_mj.layouts import Layout
 from carpark_mj.metrics import EpisodeStats, init_stats
+from carpark_mj.observations.rings import init_history
 from carpark_mj.physics.base import where_cars
 from carpark_mj.randomisation import make_fleet
 from carpark_mj.respawn import first_poses, renew
@@ -118,6 +119,7 @@ def start_lot(
         layout=layout,
         occupancy=occupancy,
         spaces=spaces,
+        ring_history=init_history(config.observation, config.num_agents),
         parked_size=parked_size,
         parked_offset=offset,
         step=jnp.zeros(config.num_agents, jnp.int32),

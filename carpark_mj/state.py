@@ -24,6 +24,7 @@ class State:
         occupancy: goals and parked cars.
         spaces: (num_agents, num_spaces) int32 free bays each agent tracks,
             `layout.num_bays` where there is none; None while goals are fixed.
+        ring_history: what rings counted before, see `observations.rings.init_history`.
         parked_size: (num_parked_cars, 2) footprints [m].
         parked_offset: (num_parked_cars, 3) where they stand in their bays if these
             allow it, see `fit.stand_in_bay`; None while all stand in the middle.
@@ -39,6 +40,7 @@ class State:
     layout: Layout
     occupancy: Occupancy
     spaces: jax.Array | None
+    ring_history: jax.Array | None
     parked_size: jax.Array
     parked_offset: jax.Array | None
     step: jax.Array

@@ -123,11 +123,13 @@ def overlap_oracle(
     return grown, grown == shrunk
 
 
-def fields_of(observation: Any, config: Any) -> dict[str, np.ndarray]:
+def fields_of(
+    observation: Any, config: Any, num_spaces: int = 0
+) -> dict[str, np.ndarray]:
     """An observation (..., size) cut into its named fields (..., k)."""
     observation = np.asarray(observation)
     named, start = {}, 0
-    for field in make_fields(config):
+    for field in make_fields(config, None, num_spaces):
         named[field.name] = observation[..., start : start + field.size]
         start += field.size
     assert start == observation.shape[-1]

@@ -1,13 +1,16 @@
 """Contexts of giving way, what they pay and how they are counted."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.aggregation import pool
+from carpark_mj.aggregation import complete_row, pool
 from carpark_mj.catalogue import GOALS
 from carpark_mj.config import (
+    TANNER_OBSERVATION,
     EnvConfig,
     GivingWayConfig,
     GoalConfig,
@@ -25,11 +28,17 @@ from carpark_mj.giving_way import (
     find_contexts,
     goals_in_turn,
 )
-from carpark_mj.observations.tracked import tracked_agents
+from carpark_mj.observations.tracking import tracks
 from carpark_mj.searching import look_round
 from scenes import SlidePhysics, placed
 
 STATES, AGENTS, BAYS, PARKED, TRACKED = 4000, 5, 3, 3, 2
+
+
+def tracked_agents(pose, parked_pose, count, present=None):
+    """Who tracks whom among the nearest cars, parked ones included."""
+    config = replace(TANNER_OBSERVATION, tracked_cars=count)
+    return tracks(config, pose, parked_pose[:, :2], present)
 
 
 def situation(pose, goal, met_goal, bay_pose, parked_pose, active):
@@ -315,12 +324,12 @@ def test_an_evaluation_adds_steps_up_over_episodes_before_it_divides():
     for met, gave_way in ((8.0, 8.0), (1.0, 0.0), (0.0, 0.0)):
         counts = dict.fromkeys(COUNTS, 0.0)
         counts |= {"met_global_any": met, "gave_way_global_any": gave_way}
-        rows.append(common | counts)
-    summary = summarise(rows, 0.2)
-    assert summary["conformity_global_any"] == 8 / 9
-    assert summary["met_global_any"] == 9.0
-    assert np.isnan(summary["conformity_local_same"])
-    assert not summarise([common], 0.2).keys() & {*COUNTS, *conformities(rows[0])}
+        rows.append(complete_row(common | counts, 0.2))
+    metrics = summarise(rows, 0.2)["metrics"]
+    assert metrics["conformity_global_any"] == 8 / 9
+    assert np.isnan(metrics["conformity_local_same"])
+    fixed = summarise([complete_row(common, 0.2)], 0.2)["metrics"]
+    assert not any(name.startswith("conformity") for name in fixed)
 
 
 # In the environment

@@ -215,8 +215,6 @@ def test_settings_that_do_not_fit_are_refused_in_a_sentence():
         EnvConfig(observation=BASIC)
     with pytest.raises(ValueError, match=r"tracks no cars: .* must be 0, not 2 and 0"):
         ObservationConfig(encoding="indices", tracked_parked_cars=0)
-    with pytest.raises(ValueError, match="ring_cars needs encoding 'indices'"):
-        ObservationConfig(ring_cars=True)
     with pytest.raises(ValueError, match="unknown encoding 'words'"):
         ObservationConfig(encoding="words")
     with pytest.raises(ValueError, match=r"grid must be at least 0.0, not -1.0"):

@@ -15,13 +15,17 @@ from carpark_mj.config.layout import (
     LayoutName,
 )
 from carpark_mj.config.metrics import MetricsConfig
+from carpark_mj.config.observation import (
+    TANNER_OBSERVATION,
+    BayPart,
+    Encoding,
+    ObservationConfig,
+)
 from carpark_mj.config.reward import REWARDS, RewardConfig, RewardName, reward_preset
 from carpark_mj.config.simulation import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.task import (
-    Encoding,
     EpisodeConfig,
     EvolutionRule,
-    ObservationConfig,
     ParkedRule,
     SpawnConfig,
 )
@@ -36,7 +40,9 @@ __all__ = [
     "CONTACT_SIM_DT",
     "LAYOUT_FILES",
     "REWARDS",
+    "TANNER_OBSERVATION",
     "WORLD_UNIT",
+    "BayPart",
     "ContextName",
     "Distribution",
     "DistributionKind",

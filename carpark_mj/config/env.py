@@ -15,9 +15,10 @@ from carpark_mj.config.layout import (
     LayoutName,
 )
 from carpark_mj.config.metrics import MetricsConfig
+from carpark_mj.config.observation import ObservationConfig
 from carpark_mj.config.reward import RewardConfig
 from carpark_mj.config.simulation import SimConfig
-from carpark_mj.config.task import EpisodeConfig, ObservationConfig, SpawnConfig
+from carpark_mj.config.task import EpisodeConfig, SpawnConfig
 from carpark_mj.config.variation import RandomisationConfig, SensorConfig
 
 PhysicsName = Literal["mjx", "scene", "bicycle", "grid"]
@@ -102,14 +103,30 @@ class EnvConfig:
             raise ValueError(
                 f"observation.encoding 'indices' needs grid physics, not {self.physics}"
             )
-        if self.giving_way.scheme is not None and not self.goals.dynamic:
-            raise ValueError(
-                f"giving_way.scheme {self.giving_way.scheme!r} needs dynamic goals, "
-                "goals.dynamic = True"
+        if self.giving_way.scheme is not None:
+            if not self.goals.dynamic:
+                raise ValueError(
+                    f"giving_way.scheme {self.giving_way.scheme!r} needs dynamic "
+                    "goals, goals.dynamic = True"
+                )
+            # The scheme says whether agents see global information.
+            observation = dataclasses.replace(
+                self.observation,
+                global_information=self.giving_way.global_information,
             )
+            object.__setattr__(self, "observation", observation)
         if self.goals.dynamic:
             self.reward.goals.check()
             if self.observation.encoding == "indices":
                 raise ValueError(
                     "observation.encoding 'indices' needs fixed goals, not dynamic ones"
                 )
+            if self.observation.share_goal_heading:
+                raise ValueError("observation.share_goal_heading needs fixed goals")
+        others = self.num_agents - 1 + self.num_parked_cars
+        if self.observation.tracked_cars > others:
+            raise ValueError(
+                f"observation.tracked_cars must be at most {others} (the other "
+                f"{self.num_agents - 1} agents and {self.num_parked_cars} parked "
+                f"cars), not {self.observation.tracked_cars}"
+            )

@@ -1,13 +1,12 @@
-"""Starts and ends of episodes, and what agents see."""
+"""Starts and ends of episodes."""
 
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose, positive, ratio
+from carpark_mj.config.checks import at_least, choose, ratio
 
 EvolutionRule = Literal["furthest", "random"]
 ParkedRule = Literal["tanner", "strict", "precise"]
-Encoding = Literal["continuous", "indices"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,57 +74,3 @@ class EpisodeConfig:
     def __post_init__(self) -> None:
         choose("parked_rule", self.parked_rule, ParkedRule)
         at_least(self, 1, "max_steps")
-
-
-@dataclasses.dataclass(frozen=True)
-class ObservationConfig:
-    """What an agent sees; the fields are listed in `carpark_mj.observations.fields`.
-
-    Attributes:
-        tracked_agents: nearest agents seen.
-        tracked_parked_cars: nearest parked cars seen.
-        rings: diameters [m] of the circles about the car in which walls and discs are
-            counted.
-        ring_cap: largest count a ring reports.
-        own_car: see the own size, axles and turning radius; always so where agents are
-            drawn from a fleet.
-        rays: bearings along which the free way is seen, evenly spaced about the car
-            from straight ahead; 0 = none. Field `rays`, one number each: from the car's
-            outline to the nearest wall, disc, parked car or other agent.
-        ray_range: longest way seen along a ray [m].
-        lane: see the lane the car is in, or the nearest. Fields `lane_present`,
-            `lane_heading` (cos and sin, body frame) and `lane_one_way`.
-        encoding: `continuous`, or `indices`: whole numbers for a table, as in the
-            study's Q-learning on the grid, `carpark_mj.observations.indices`.
-        ring_cars: rings count parked cars and other agents too; with `indices` only.
-    """
-
-    tracked_agents: int = 2
-    tracked_parked_cars: int = 2
-    rings: tuple[float, ...] = (5.0, 6.2, 8.0)
-    ring_cap: int = 2
-    own_car: bool = False
-    rays: int = 0
-    ray_range: float = 10.0
-    lane: bool = False
-    encoding: Encoding = "continuous"
-    ring_cars: bool = False
-
-    def __post_init__(self) -> None:
-        choose("encoding", self.encoding, Encoding)
-        at_least(self, 0, "tracked_agents", "tracked_parked_cars", "rays")
-        positive(self, "ray_range")
-        at_least(self, 1, "ring_cap")
-        if any(not d > 0 for d in self.rings):
-            raise ValueError(f"rings must be positive diameters, not {self.rings}")
-        if len({f"{d:g}" for d in self.rings}) < len(self.rings):  # the fields' names
-            raise ValueError(f"rings must be different diameters, not {self.rings}")
-        if self.encoding == "indices":
-            if self.tracked_agents or self.tracked_parked_cars:
-                raise ValueError(
-                    "encoding 'indices' tracks no cars: tracked_agents and "
-                    "tracked_parked_cars must be 0, not "
-                    f"{self.tracked_agents} and {self.tracked_parked_cars}"
-                )
-        elif self.ring_cars:
-            raise ValueError("ring_cars needs encoding 'indices', not 'continuous'")
