@@ -25,6 +25,7 @@ from carpark_mj.config import (
     ObservationConfig,
     RewardConfig,
     SpawnConfig,
+    reward_preset,
 )
 
 # Tables C.1 and C.2; 216 table entries: 3 levels of speed, 8 bearings, 9 actions.
@@ -80,9 +81,43 @@ TANNER_QLEARNING_RINGS = dataclasses.replace(
     ),
 )
 
+# Table C.9, the study's PPO on the fine grid: his ring of 11 world units sees walls only.
+TANNER_FIXED = EnvConfig(
+    layout="tanner",
+    vehicle="tanner",
+    num_agents=7,
+    num_parked_cars=16,
+    physics="grid",
+    grid=GridConfig(
+        points=16,
+        speed_step=4,
+        headings=24,
+        max_forward=4,
+        max_reverse=2,
+        max_acceleration=2,
+        max_turn=3,
+    ),
+    spawn=SpawnConfig(
+        close_ratio=0.2,
+        close_distance=10 * WORLD_UNIT,
+        min_distance=13.125 * WORLD_UNIT,
+        num_candidates=16,
+        grid=WORLD_UNIT / 16,
+    ),
+    episode=EpisodeConfig(parked_rule="tanner", max_steps=200),
+    reward=reward_preset("tanner"),
+    observation=ObservationConfig(
+        tracked_agents=1,
+        tracked_parked_cars=1,
+        rings=(11 * WORLD_UNIT,),
+        ring_cap=1,
+    ),
+)
+
 ENVIRONMENTS: dict[str, EnvConfig] = {
     "tanner-qlearning": TANNER_QLEARNING,
     "tanner-qlearning-rings": TANNER_QLEARNING_RINGS,
+    "tanner-fixed": TANNER_FIXED,
 }
 
 
