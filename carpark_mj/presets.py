@@ -81,7 +81,7 @@ TANNER_QLEARNING_RINGS = dataclasses.replace(
     ),
 )
 
-# Table C.9, the study's PPO on the fine grid: his ring of 11 world units sees walls only.
+# Table C.9: PPO on the fine grid. Its ring of 11 world units sees walls only.
 TANNER_FIXED = EnvConfig(
     layout="tanner",
     vehicle="tanner",

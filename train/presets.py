@@ -5,7 +5,7 @@ experiments of Tanner 2022 by the names of their environments, `carpark_mj.prese
 16 M agent steps with settings of our own, meant for a GPU.
 
 `tanner-fixed-original` has the study's hyperparameters, table 5.1, so far as this loop
-has them, for 12.8 M steps: in his last 3.2 M of 16 M the learning rate is 0. It differs:
+has them, for 12.8 M steps: in his last 3.2 M of 16 M he learns nothing. It differs:
 
 - data: 126 agents of 18 lots times 32 steps for an update (4032 of his 4096), of whom
   he has the 7 of one lot and cuts their ways after 128 steps.
