@@ -1,6 +1,7 @@
 """Distributions of actions: closed forms, SciPy, integrals, samples, Brax's own."""
 
 import itertools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -81,39 +82,35 @@ def test_numbers_alone_are_exactly_brax_s_networks():
     assert type(ours.parametric_action_distribution) is NormalTanhDistribution
     observation = jax.random.normal(jax.random.key(2), (3, 5))
     normalizer = init_normalizer(5)
+
+    def start(networks):
+        params = networks.init(jax.random.key(0))
+        return params, networks.apply(normalizer, params, observation)
+
     for part in ("policy_network", "value_network"):
-        mine, brax = getattr(ours, part), getattr(theirs, part)
-        params = mine.init(jax.random.key(0))
-        jax.tree.map(
-            np.testing.assert_array_equal, params, brax.init(jax.random.key(0))
-        )
-        outputs = [net.apply(normalizer, params, observation) for net in (mine, brax)]
-        np.testing.assert_array_equal(*outputs)
+        found = [
+            jax.jit(start, static_argnums=0)(getattr(networks, part))
+            for networks in (ours, theirs)
+        ]
+        jax.tree.map(np.testing.assert_array_equal, *found)
 
 
 @pytest.mark.parametrize("spec", SPECS)
 def test_all_actions_have_a_probability_of_one_together(spec):
-    # By trapezia over each number in (-1, 1), by a sum over all choices.
+    # A sum over all choices and trapezia over u, of which tanh u is the action and
+    # (cosh u)^-2 its derivative.
     distribution, params = action_distribution(spec), parameters(spec)
-    line = np.tanh(np.linspace(-14.0, 14.0, 401 if spec.continuous < 2 else 201))
-    weight = np.gradient(line)
-    axes = [line] * spec.continuous + [np.arange(n) for n in spec.choices]
-    weights = [weight] * spec.continuous + [np.ones(n) for n in spec.choices]
-    action = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    # What a float32 near 1 does not tell apart is left out: it is some 1e-6.
-    raw = np.concatenate(
-        [
-            np.arctanh(np.clip(action[..., : spec.continuous], -1 + 1e-15, 1 - 1e-15)),
-            action[..., spec.continuous :],
-        ],
-        axis=-1,
-    )
-    raw = jnp.asarray(raw, jnp.float32)
+    u = np.linspace(-14.0, 14.0, 201)
+    axes = [u] * spec.continuous + [np.arange(n) for n in spec.choices]
+    slope = (u[1] - u[0]) / np.cosh(u) ** 2
+    weights = [slope] * spec.continuous + [np.ones(n) for n in spec.choices]
+    raw = jnp.array(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), spec.dtype)
     many = jnp.broadcast_to(params, (*raw.shape[:-1], *params.shape))
-    density = np.exp(np.asarray(distribution.log_prob(many, raw), float))
-    for axis in reversed(weights):
-        density = density @ axis
-    np.testing.assert_allclose(density, 1.0, atol=2e-3)
+    log_prob = jax.jit(distribution.log_prob)(many, raw)
+    density = np.exp(np.asarray(log_prob, float))
+    for weight in reversed(weights):
+        density = density @ weight
+    np.testing.assert_allclose(density, 1.0, atol=1e-4)
 
 
 @pytest.mark.parametrize("spec", SPECS)
@@ -122,7 +119,7 @@ def test_log_probability_entropy_and_kl_of_the_choices_are_scipy_s(spec):
     params, old = parameters(spec, 0, 6), parameters(spec, 5, 6)
     n = spec.continuous
     key, raw_key = jax.random.split(jax.random.key(3))
-    raw = distribution.sample_no_postprocessing(params, raw_key)
+    raw = jax.jit(distribution.sample_no_postprocessing)(params, raw_key)
     index = np.asarray(raw)[:, n:].astype(int)
     numbers, branches = split(spec, params)
     old_numbers, old_branches = split(spec, old)
@@ -138,16 +135,18 @@ def test_log_probability_entropy_and_kl_of_the_choices_are_scipy_s(spec):
         log_prob += brax.log_prob(numbers, raw[:, :n])
         entropy += brax.entropy(numbers, jax.random.split(key)[0])
         kl += brax.create_dist(numbers).kl_divergence(brax.create_dist(old_numbers))
-    np.testing.assert_allclose(
-        distribution.log_prob(params, raw), log_prob, rtol=1e-5, atol=1e-5
-    )
-    np.testing.assert_allclose(
-        distribution.entropy(params, key), entropy, rtol=1e-5, atol=1e-5
-    )
-    found = distribution.create_dist(params).kl_divergence(
-        distribution.create_dist(old)
-    )
-    np.testing.assert_allclose(found, kl, rtol=1e-5, atol=1e-5)
+
+    @jax.jit
+    def find(params, old):
+        new, old = distribution.create_dist(params), distribution.create_dist(old)
+        return (
+            distribution.log_prob(params, raw),
+            distribution.entropy(params, key),
+            new.kl_divergence(old),
+        )
+
+    for found, expected in zip(find(params, old), (log_prob, entropy, kl), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("spec", SPECS)
@@ -173,7 +172,7 @@ def test_entropy_and_kl_are_what_samples_say(spec, draws):
     params, raw, log_prob = draws[spec]
     distribution = action_distribution(spec)
     keys = jax.random.split(jax.random.key(9), 20_000)
-    entropies = jax.vmap(lambda key: distribution.entropy(params, key))(keys)
+    entropies = jax.jit(jax.vmap(lambda key: distribution.entropy(params, key)))(keys)
     both = np.mean(entropies)
     spread = np.hypot(
         np.std(entropies) / np.sqrt(len(keys)), np.std(log_prob) / np.sqrt(DRAWS)
@@ -183,11 +182,12 @@ def test_entropy_and_kl_are_what_samples_say(spec, draws):
     new = parameters(spec, 7)
     many = jnp.broadcast_to(new, (DRAWS, *new.shape))
     old, new_dist = (distribution.create_dist(p) for p in (params, new))
-    # Brax adds 1e-5 within a logarithm, for every number.
-    difference = np.asarray(log_prob) - np.asarray(distribution.log_prob(many, raw))
+    difference = np.asarray(log_prob - jax.jit(distribution.log_prob)(many, raw))
     error = difference.std() / np.sqrt(DRAWS)
-    assert abs(difference.mean() - new_dist.kl_divergence(old)) < 4 * error + 1e-4
-    assert new_dist.kl_divergence(old) > 0.1
+    kl = new_dist.kl_divergence(old)
+    # Brax adds 1e-5 within a logarithm, for every number.
+    assert abs(difference.mean() - kl) < 4 * error + 1e-4
+    assert kl > 0.1
     assert abs(old.kl_divergence(old)) < 1e-4
 
 
@@ -206,8 +206,10 @@ def test_the_mode_is_the_likeliest_and_actions_are_in_range(spec, draws):
     same, invalid = neutralise_choices(action[:, n:], spec.choices)
     np.testing.assert_array_equal(same, action[:, n:])
     assert not invalid.any()
-    back = distribution.inverse_postprocess(action[:100])
-    np.testing.assert_allclose(back, raw[:100], rtol=1e-3, atol=1e-3)
+    back = np.asarray(distribution.inverse_postprocess(action))
+    unsaturated = np.abs(np.asarray(raw)[:, :n]).max(axis=1, initial=0.0) < 2.0
+    assert unsaturated.mean() > 0.1
+    np.testing.assert_allclose(back[unsaturated], raw[unsaturated], atol=1e-4)
 
 
 def test_the_gradient_of_a_log_probability_is_one_hot_less_softmax():
@@ -233,14 +235,15 @@ def test_brax_s_loss_takes_them_as_they_are(spec):
     # which is normalised to 0, and its gradient makes the better half likelier.
     networks = make_networks(NetworkConfig((8,), (8,)), 4, spec)
     normalizer = init_normalizer(4)
-    params = ppo_losses.PPONetworkParams(
-        policy=networks.policy_network.init(jax.random.key(0)),  # pyright: ignore
-        value=networks.value_network.init(jax.random.key(1)),  # pyright: ignore
+    container: Any = ppo_losses.PPONetworkParams  # its fields are hidden from Pyright
+    params = container(
+        policy=jax.jit(networks.policy_network.init)(jax.random.key(0)),
+        value=jax.jit(networks.value_network.init)(jax.random.key(1)),
     )
     agents, steps = 64, 2
     observation = jax.random.normal(jax.random.key(2), (agents, steps, 4))
     policy = make_policy(networks, normalizer, params.policy, deterministic=False)
-    action, extras = policy(observation, jax.random.key(3))
+    action, extras = jax.jit(policy)(observation, jax.random.key(3))
     assert extras["raw_action"].dtype == action.dtype == spec.dtype
     better = action[..., -1] == 0  # pays for the first choice of the last branch
     data = Transition(
@@ -260,7 +263,7 @@ def test_brax_s_loss_takes_them_as_they_are(spec):
             params, normalizer, data, jax.random.key(4), networks, entropy_cost=0.0
         )
 
-    (_, metrics), grads = jax.value_and_grad(loss, has_aux=True)(params)
+    (_, metrics), grads = jax.jit(jax.value_and_grad(loss, has_aux=True))(params)
     assert abs(metrics["policy_loss"]) < 1e-5
     assert abs(metrics["kl_mean"]) < 1e-4
     assert all(np.isfinite(value) for value in metrics.values())

@@ -77,11 +77,11 @@ class Categoricals:
         return jnp.sqrt(jnp.maximum(self._moment(2) - self._moment(1) ** 2, 0.0))
 
     def _moment(self, power: int) -> jax.Array:
-        means = [
-            jnp.exp(log_p) @ jnp.arange(log_p.shape[-1], dtype=log_p.dtype) ** power
-            for log_p in self._log_p
-        ]
-        return jnp.stack(means, axis=-1)
+        def mean(log_p: jax.Array) -> jax.Array:
+            index = jnp.arange(log_p.shape[-1], dtype=log_p.dtype)
+            return jnp.sum(jnp.exp(log_p) * index**power, axis=-1)
+
+        return jnp.stack([mean(log_p) for log_p in self._log_p], axis=-1)
 
 
 class MultiCategorical(ParametricDistribution):
