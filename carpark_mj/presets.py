@@ -12,6 +12,10 @@ where both are silent, the choice is:
 - leaving the world counts as a crash: the outer walls are hit before.
 - an agent that parks frees the parked car farthest from all agents (text), not a random
   one (program).
+- the goal of an agent is lost when its bay is no longer among the num_spaces nearest,
+  not the n_track nearest (text); that pays what giving it up pays (program, silent in
+  the text), a goal that somebody else has parked in pays nothing (program).
+- tracked bays keep their slots (text), where the program numbers them by distance.
 - parking and crashing are terminal, a time-out is not: see `train/q_learning.py`.
 """
 
@@ -21,6 +25,7 @@ from carpark_mj.config import (
     WORLD_UNIT,
     EnvConfig,
     EpisodeConfig,
+    GoalConfig,
     GridConfig,
     ObservationConfig,
     RewardConfig,
@@ -81,28 +86,19 @@ TANNER_QLEARNING_RINGS = dataclasses.replace(
     ),
 )
 
-# Table C.9: PPO on the fine grid. Its ring of 11 world units sees walls only.
+# Table C.9: the study's PPO, 7 agents on the fine grid.
 TANNER_FIXED = EnvConfig(
     layout="tanner",
     vehicle="tanner",
     num_agents=7,
     num_parked_cars=16,
     physics="grid",
-    grid=GridConfig(
-        points=16,
-        speed_step=4,
-        headings=24,
-        max_forward=4,
-        max_reverse=2,
-        max_acceleration=2,
-        max_turn=3,
-    ),
+    grid=GridConfig(),
     spawn=SpawnConfig(
         close_ratio=0.2,
         close_distance=10 * WORLD_UNIT,
         min_distance=13.125 * WORLD_UNIT,
-        num_candidates=16,
-        grid=WORLD_UNIT / 16,
+        grid=GridConfig().point_size,
     ),
     episode=EpisodeConfig(parked_rule="tanner", max_steps=200),
     reward=reward_preset("tanner"),
@@ -114,10 +110,22 @@ TANNER_FIXED = EnvConfig(
     ),
 )
 
+# Table C.10, on top of C.9; the weights of goals are the defaults of `GoalRewards`.
+TANNER_DYNAMIC = dataclasses.replace(
+    TANNER_FIXED, goals=GoalConfig(dynamic=True, num_spaces=1)
+)
+
+# The same tasks for real cars: everything else is the default environment's.
+FIXED = EnvConfig(layout="tanner", num_agents=7, num_parked_cars=16)
+DYNAMIC = dataclasses.replace(FIXED, goals=GoalConfig(dynamic=True, num_spaces=1))
+
 ENVIRONMENTS: dict[str, EnvConfig] = {
+    "fixed": FIXED,
+    "dynamic": DYNAMIC,
+    "tanner-fixed": TANNER_FIXED,
+    "tanner-dynamic": TANNER_DYNAMIC,
     "tanner-qlearning": TANNER_QLEARNING,
     "tanner-qlearning-rings": TANNER_QLEARNING_RINGS,
-    "tanner-fixed": TANNER_FIXED,
 }
 
 

@@ -83,15 +83,14 @@ def test_numbers_alone_are_exactly_brax_s_networks():
     observation = jax.random.normal(jax.random.key(2), (3, 5))
     normalizer = init_normalizer(5)
 
-    def start(networks):
-        params = networks.init(jax.random.key(0))
-        return params, networks.apply(normalizer, params, observation)
-
     for part in ("policy_network", "value_network"):
-        found = [
-            jax.jit(start, static_argnums=0)(getattr(networks, part))
-            for networks in (ours, theirs)
-        ]
+
+        def start(networks, part=part):
+            network = getattr(networks, part)
+            params = network.init(jax.random.key(0))
+            return params, network.apply(normalizer, params, observation)
+
+        found = [jax.jit(lambda n=n: start(n))() for n in (ours, theirs)]
         jax.tree.map(np.testing.assert_array_equal, *found)
 
 

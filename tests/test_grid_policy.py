@@ -15,7 +15,6 @@ from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.runs import load_policy
 from carpark_mj.presets import environment
 from carpark_mj.rendering.live import LiveLot
-from carpark_mj.rendering.rollout import record
 from learner import Learner
 from presets import PRESETS
 
@@ -39,19 +38,22 @@ TINY = dataclasses.replace(
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """A run folder with the state after two updates, and what they reported."""
+    """Folder, states before and after two updates, what they reported, networks."""
     folder = tmp_path_factory.mktemp("run")
     learner = Learner(TINY)
     update = learner.compile()
-    state, first = update(learner.init())
+    state = learner.init()
+    start = jax.device_get(state)
+    state, first = update(state)
     state, second = update(state)
     assert update._cache_size() == 1  # no weak type recompiled it
     ppo.save(folder, TINY, state)
-    return folder, jax.device_get(state), [first, second]
+    states = start, jax.device_get(state)
+    return folder, states, [first, second], learner.networks
 
 
 def test_updates_on_the_grid_are_finite_and_change_the_policy(trained):
-    _, state, reports = trained
+    _, (start, state), reports, _ = trained
     assert int(state.skipped) == 0
     for metrics in reports:
         assert all(np.isfinite(value) for value in metrics.values())
@@ -59,17 +61,14 @@ def test_updates_on_the_grid_are_finite_and_change_the_policy(trained):
         # At the start all 5 x 7 actions are about as likely: spreads 1.4 and 2.
         assert 1.0 < metrics["loss/policy_dist_min_std"] < 1.5
         assert 1.8 < metrics["loss/policy_dist_max_std"] < 2.3
-    moved = jax.tree.map(
-        lambda a, b: np.abs(a - b).max(), state.policy, Learner(TINY).build().policy
-    )
+    moved = jax.tree.map(lambda a, b: np.abs(a - b).max(), state.policy, start.policy)
     assert max(jax.tree.leaves(moved)) > 1e-4
 
 
 def test_a_loaded_policy_chooses_indices_by_mode_or_by_chance(trained):
-    folder, state, _ = trained
+    folder, (_, state), _, networks = trained
     best, drawn = (load_policy(folder, deterministic=d) for d in (True, False))
     assert best.env == TINY.env
-    networks = Learner(TINY).networks
     observation = np.asarray(state.env.obs)
     logits = networks.policy_network.apply(state.normalizer, state.average, observation)
     action, _ = best.policy(observation, jax.random.key(0))
@@ -82,36 +81,29 @@ def test_a_loaded_policy_chooses_indices_by_mode_or_by_chance(trained):
     assert set(np.unique(action[:, 1])) == set(range(7))
 
 
-def test_it_is_evaluated_recorded_and_watched(trained, tmp_path):
-    folder, _, _ = trained
+def test_it_is_evaluated_and_watched(trained, tmp_path):
+    folder = trained[0]
     config = evaluate.EvaluateConfig(
         run=str(folder), episodes=8, stochastic=True, out=str(tmp_path)
     )
     assert evaluate.main(config).summary["episodes"] == 8
     loaded = load_policy(folder)
-    env = ParkingEnv(loaded.env)
-    story = record(env, loaded.policy, 4, seed=0)
-    # On the grid every centre is a point, at most one world unit from the last.
-    points = story.pose_w[..., :2] / (WORLD_UNIT / 16)
-    np.testing.assert_allclose(points, np.round(points), atol=1e-3)
-    live = LiveLot(env, loaded.policy, seed=0)
+    live = LiveLot(ParkingEnv(loaded.env), loaded.policy, seed=0)
     assert live.step()
     assert live.seconds == pytest.approx(0.2)
 
 
 def test_baselines_drive_in_named_environments(tmp_path):
-    def run(name, where="tanner-fixed"):
-        return evaluate.main(
-            evaluate.EvaluateConfig(
-                policy=name, environment=where, episodes=7, out=str(tmp_path)
-            )
-        ).summary
+    def run(name, where):
+        config = evaluate.EvaluateConfig(
+            policy=name, environment=where, episodes=7, out=str(tmp_path)
+        )
+        return evaluate.main(config).summary
 
-    still = run("zero")
+    still = run("zero", "tanner-fixed")
     assert still["timed_out"]["rate"] == 1.0
     # 200 steps of time and of not getting nearer: -0.2 - 0.15, table C.9.
     assert still["mean_return"] == pytest.approx(-0.35, abs=1e-4)
-    assert run("random")["timed_out"]["rate"] < 1.0
     with pytest.raises(ValueError, match="unknown environment 'tokyo'"):
         run("zero", "tokyo")
     with pytest.raises(ValueError, match="runs/x has its own"):
@@ -122,7 +114,7 @@ def test_a_car_of_the_study_s_grid_drives_as_its_table_says():
     env = ParkingEnv(dataclasses.replace(FIXED, num_agents=1, num_parked_cars=0))
     assert env.action_spec == ActionSpec(0, (5, 7))
     step = jax.jit(env.step)
-    state, _ = env.reset(jax.random.key(0))
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
     moved, turned = [], []
     for action in ([4, 3], [4, 3], [4, 6], [0, 3], [0, 3], [0, 3], [0, 0]):
         before = np.asarray(state.vehicle.pose_w[0])

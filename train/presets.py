@@ -21,7 +21,7 @@ from typing import Literal
 
 from carpark_mj.config import EnvConfig, RewardConfig, SpawnConfig
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.presets import TANNER_FIXED
+from carpark_mj.presets import DYNAMIC, FIXED, TANNER_DYNAMIC, TANNER_FIXED
 
 PresetName = Literal[
     "auto",
@@ -29,8 +29,11 @@ PresetName = Literal[
     "gpu",
     "cpu-mixture",
     "gpu-mixture",
+    "fixed",
+    "dynamic",
     "tanner-fixed",
     "tanner-fixed-original",
+    "tanner-dynamic",
 ]
 
 
@@ -191,7 +194,15 @@ _STUDY = PPOConfig(
     entropy_cost_end=3e-4,
     discount=0.995,
     networks=NetworkConfig((256, 256), (256, 256)),
-    env=TANNER_FIXED,
+)
+# Real cars: rates, entropy and discount as tried for `cpu` and `gpu`.
+_PHYSICAL = dataclasses.replace(
+    _STUDY,
+    learning_rate=1e-3,
+    learning_rate_end=1e-4,
+    entropy_cost=5e-3,
+    entropy_cost_end=1e-3,
+    discount=0.99,
 )
 _ORIGINAL = PPOConfig(
     preset="tanner-fixed-original",
@@ -225,8 +236,13 @@ PRESETS: dict[str, PPOConfig] = {
         preset="gpu-mixture",
         env=dataclasses.replace(_MIXTURE, num_agents=4),
     ),
+    "fixed": dataclasses.replace(_PHYSICAL, preset="fixed", env=FIXED),
+    "dynamic": dataclasses.replace(_PHYSICAL, preset="dynamic", env=DYNAMIC),
     "tanner-fixed": dataclasses.replace(
         _STUDY, preset="tanner-fixed", env=TANNER_FIXED
     ),
     "tanner-fixed-original": _ORIGINAL,
+    "tanner-dynamic": dataclasses.replace(
+        _STUDY, preset="tanner-dynamic", env=TANNER_DYNAMIC
+    ),
 }
