@@ -5,6 +5,7 @@ takes actions from outside JAX refuses them with `check_actions`.
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +30,17 @@ class ActionSpec:
     def size(self) -> int:
         """Length of an action."""
         return self.continuous + len(self.choices)
+
+    @property
+    def dtype(self) -> Any:
+        """Of arrays of actions."""
+        return jnp.float32 if self.continuous else jnp.int32
+
+    @property
+    def middle(self) -> jax.Array:
+        """The middle of every range (size,): zeros, then middle indices."""
+        indices = [(n - 1) // 2 for n in self.choices]
+        return jnp.array([0] * self.continuous + indices, self.dtype)
 
 
 def neutralise(action: jax.Array) -> tuple[jax.Array, jax.Array]:

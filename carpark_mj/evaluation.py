@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.actions import ActionSpec
 from carpark_mj.aggregation import complete_row, pool_all
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import member_shares
@@ -194,21 +195,29 @@ def summarise(rows: list[dict[str, Any]], ctrl_dt: float) -> dict[str, Any]:
     }
 
 
-def zero_policy(action_size: int) -> Policy:
-    """Stands on the brake."""
+def zero_policy(action: ActionSpec) -> Policy:
+    """Takes the middle of every range: stands on the brake, or lets things be."""
 
     def policy(observation: jax.Array, key: jax.Array):
         del key
-        return jnp.zeros((*observation.shape[:-1], action_size)), {}
+        shape = (*observation.shape[:-1], action.size)
+        return jnp.broadcast_to(action.middle, shape), {}
 
     return policy
 
 
-def random_policy(action_size: int) -> Policy:
-    """Draws every action uniformly."""
+def random_policy(action: ActionSpec) -> Policy:
+    """Draws every number and every index of an action uniformly."""
 
     def policy(observation: jax.Array, key: jax.Array):
-        shape = (*observation.shape[:-1], action_size)
-        return jax.random.uniform(key, shape, minval=-1.0, maxval=1.0), {}
+        lead, keys = observation.shape[:-1], (key, key)
+        if action.choices:
+            keys = jax.random.split(key)
+        shape = (*lead, action.continuous)
+        numbers = jax.random.uniform(keys[0], shape, minval=-1.0, maxval=1.0)
+        counts = jnp.array(action.choices, jnp.int32)
+        indices = jax.random.randint(keys[1], (*lead, len(counts)), 0, counts)
+        parts = [part.astype(action.dtype) for part in (numbers, indices)]
+        return jnp.concatenate(parts, axis=-1), {}
 
     return policy

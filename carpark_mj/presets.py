@@ -26,6 +26,7 @@ where both are silent, the choice is:
 import dataclasses
 
 from carpark_mj.config import (
+    TANNER_OBSERVATION,
     WORLD_UNIT,
     EnvConfig,
     EpisodeConfig,
@@ -101,17 +102,14 @@ TANNER_FIXED = EnvConfig(
     spawn=SpawnConfig(
         close_ratio=0.2,
         close_distance=10 * WORLD_UNIT,
+        crash_ratio=0.2,
+        crash_distance=13.125 * WORLD_UNIT,
         min_distance=13.125 * WORLD_UNIT,
         grid=GridConfig().point_size,
     ),
     episode=EpisodeConfig(parked_rule="tanner", max_steps=200),
     reward=reward_preset("tanner"),
-    observation=ObservationConfig(
-        tracked_agents=1,
-        tracked_parked_cars=1,
-        rings=(11 * WORLD_UNIT,),
-        ring_cap=1,
-    ),
+    observation=TANNER_OBSERVATION,
 )
 
 # Table C.10, on top of C.9; the weights of goals are the defaults of `GoalRewards`.

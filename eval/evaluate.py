@@ -6,12 +6,14 @@ docs/metrics.md says what every number is.
 python eval/evaluate.py runs/cpu-0
 python eval/evaluate.py runs/cpu-mixture-0
 python eval/evaluate.py --policy random --episodes 500
+python eval/evaluate.py --policy zero --environment tanner-fixed
 """
 
 import csv
 import dataclasses
 import io
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,7 +35,9 @@ from carpark_mj.evaluation import (
     zero_policy,
 )
 from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
+from carpark_mj.policy.networks import Policy
 from carpark_mj.policy.runs import load_policy, write_json
+from carpark_mj.presets import environment
 
 BASELINES = {"zero": zero_policy, "random": random_policy}
 
@@ -45,6 +49,8 @@ class EvaluateConfig:
     Attributes:
         run: run folder or checkpoint file; or give `--policy`.
         policy: `zero`, `random`, or a run folder or checkpoint file.
+        environment: of `zero` and `random`, by name, `tanner-fixed` for example; see
+            `carpark_mj.presets`.
         episodes: whole episodes, rounded up to the same number per agent.
         seed: of the held-out lots; training never uses these keys.
         rule: judge by another parked rule than the run was trained under.
@@ -61,6 +67,7 @@ class EvaluateConfig:
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
     policy: str = ""
+    environment: str = ""
     episodes: int = 1024
     seed: int = 0
     rule: ParkedRule | None = None
@@ -90,16 +97,10 @@ def main(config: EvaluateConfig) -> Evaluation:
             f"not {'both' if config.run else 'neither'}"
         )
     name = config.run or config.policy
-    if name in BASELINES:
-        env_config, folder, policy = EnvConfig(), Path("runs") / name, None
-    else:
-        loaded = load_policy(Path(name), deterministic=not config.stochastic)
-        env_config, policy = loaded.env, loaded.policy
-        folder = loaded.path.parent
-        folder = folder.parent if folder.name == "checkpoints" else folder
-    folder = Path(config.out) if config.out else folder
+    driver = find_driver(name, config.environment, not config.stochastic)
+    folder = Path(config.out) if config.out else driver.folder
     env_config = adapt(
-        env_config,
+        driver.env,
         rule=config.rule,
         num_agents=config.num_agents,
         num_parked_cars=config.num_parked_cars,
@@ -109,7 +110,7 @@ def main(config: EvaluateConfig) -> Evaluation:
     )
     env = ParkingEnv(env_config)
     folder.mkdir(parents=True, exist_ok=True)  # unwritable? Say so before the work.
-    policy = policy or BASELINES[name](env.action_size)
+    policy = driver.policy(env)
     result = evaluate(env, policy, config.episodes, config.seed)
     title = f"{name}: {env_config.num_agents} agents, {env_config.episode.parked_rule}"
     title = (
@@ -124,6 +125,45 @@ def main(config: EvaluateConfig) -> Evaluation:
     written = write_evaluation(folder, result, settings)
     print(f"wrote {', '.join(map(str, written))}")
     return result
+
+
+@dataclasses.dataclass(frozen=True)
+class Driver:
+    """Who is to drive, and where.
+
+    Attributes:
+        env: the environment, of a run the one it was trained in.
+        folder: where files about it go.
+        policy: makes the acting function for an environment.
+    """
+
+    env: EnvConfig
+    folder: Path
+    policy: Callable[[ParkingEnv], Policy]
+
+
+def find_driver(name: str, named: str, deterministic: bool = True) -> Driver:
+    """Finds a baseline or the policy of a run.
+
+    Args:
+        name: `zero`, `random`, or a run folder or checkpoint file.
+        named: name of a baseline's environment; empty = the default one.
+        deterministic: take a distribution's mode instead of samples.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        ValueError: unknown environment, or one given for a run, which has its own.
+    """
+    if name in BASELINES:
+        env = environment(named) if named else EnvConfig()
+        make = BASELINES[name]
+        return Driver(env, Path("runs") / name, lambda env: make(env.action_spec))
+    if named:
+        raise ValueError(f"environment is for zero and random; {name} has its own")
+    loaded = load_policy(Path(name), deterministic)
+    folder = loaded.path.parent
+    folder = folder.parent if folder.name == "checkpoints" else folder
+    return Driver(loaded.env, folder, lambda env: loaded.policy)
 
 
 def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> EnvConfig:

@@ -27,7 +27,6 @@ from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_lin
 from carpark_mj.config import EnvConfig, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
-from carpark_mj.policy.runs import load_policy
 from carpark_mj.rendering.gallery import (
     FAMILIES,
     cell_size,
@@ -44,7 +43,7 @@ from carpark_mj.rendering.rollout import record
 from carpark_mj.rendering.snapshot import frames_per_second, num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
-from evaluate import BASELINES, adapt
+from evaluate import adapt, find_driver
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +52,7 @@ class RenderConfig:
 
     Attributes:
         run: run folder, checkpoint file, or `zero` or `random`.
+        environment: of `zero` and `random`, by name; see `carpark_mj.presets`.
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
             `frame.png` in the run folder, `gallery.png` here for the gallery.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
@@ -76,6 +76,7 @@ class RenderConfig:
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
+    environment: str = ""
     out: str = ""
     camera: str = "topdown"
     show: str = ""
@@ -134,14 +135,8 @@ def main(config: RenderConfig) -> Path:
     """
     if config.gallery:
         return _gallery(config)
-    if config.run in BASELINES:
-        env_config, folder = EnvConfig(), Path("runs") / config.run
-        policy = BASELINES[config.run](2)
-    else:
-        loaded = load_policy(Path(config.run))
-        env_config, policy = loaded.env, loaded.policy
-        folder = loaded.path.parent
-        folder = folder.parent if folder.name == "checkpoints" else folder
+    driver = find_driver(config.run, config.environment)
+    folder = driver.folder
     still = config.frame is not None
     out = (
         Path(config.out)
@@ -152,7 +147,7 @@ def main(config: RenderConfig) -> Path:
     if out.suffix not in suffixes:
         raise ValueError(f"out must end in {' or '.join(suffixes)}, not {out.name!r}")
     env_config = adapt(
-        env_config,
+        driver.env,
         num_agents=config.num_agents,
         num_parked_cars=config.num_parked_cars,
         layout=config.layout,
@@ -168,7 +163,7 @@ def main(config: RenderConfig) -> Path:
     env = ParkingEnv(env_config)
     seconds = config.frame if config.frame is not None else config.seconds
     num_steps = max(1, round(seconds / env_config.sim.ctrl_dt))
-    recording = record(env, policy, num_steps, config.seed)
+    recording = record(env, driver.policy(env), num_steps, config.seed)
     sizes = recording.parked_size
     parked_cars = () if sizes is None else env.fleet.parked_vehicles(sizes)
     renderer = LotRenderer(

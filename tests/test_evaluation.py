@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+from carpark_mj.actions import ActionSpec
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation import (
@@ -68,7 +69,9 @@ def env():
 
 @pytest.fixture(scope="module")
 def result(env):
-    return evaluate(env, random_policy(2), num_episodes=20, seed=3, num_lots=4)
+    return evaluate(
+        env, random_policy(ActionSpec(2)), num_episodes=20, seed=3, num_lots=4
+    )
 
 
 def test_every_agent_gives_the_same_number_of_whole_episodes(result):
@@ -103,14 +106,20 @@ def test_every_episode_has_exactly_one_outcome_and_a_length(result):
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not(env, result):
-    again = evaluate(env, random_policy(2), num_episodes=20, seed=3, num_lots=4)
+    again = evaluate(
+        env, random_policy(ActionSpec(2)), num_episodes=20, seed=3, num_lots=4
+    )
     assert again.episodes == result.episodes
-    other = evaluate(env, random_policy(2), num_episodes=20, seed=4, num_lots=4)
+    other = evaluate(
+        env, random_policy(ActionSpec(2)), num_episodes=20, seed=4, num_lots=4
+    )
     assert other.episodes != result.episodes
 
 
 def test_the_zero_policy_stands_until_time_is_up(env):
-    found = evaluate(env, zero_policy(2), num_episodes=8, seed=0, num_lots=4)
+    found = evaluate(
+        env, zero_policy(ActionSpec(2)), num_episodes=8, seed=0, num_lots=4
+    )
     assert found.summary["timed_out"]["rate"] == 1.0
     assert max(row["path"] for row in found.episodes) < 0.01  # m in 6 s on the brake
 
@@ -149,7 +158,7 @@ def mixed():
         ),
         SlidePhysics(),
     )
-    return evaluate(env, random_policy(2), num_episodes=6, seed=3), env
+    return evaluate(env, random_policy(ActionSpec(2)), num_episodes=6, seed=3), env
 
 
 def test_families_are_summed_up_apart_and_add_up(mixed):
@@ -179,7 +188,7 @@ def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(mixed, monke
         return ParkingEnv.reset(env, key, split, member)
 
     monkeypatch.setattr(env, "reset", reset)
-    again = evaluate(env, random_policy(2), num_episodes=6, seed=3)
+    again = evaluate(env, random_policy(ActionSpec(2)), num_episodes=6, seed=3)
     assert again.episodes == result.episodes
     assert asked == ["test"]
 
@@ -223,4 +232,4 @@ def test_a_single_lot_has_no_table_of_families(result, tmp_path):
 
 def test_impossible_evaluations_are_refused(env):
     with pytest.raises(ValueError, match="num_episodes must be at least 1, not 0"):
-        evaluate(env, zero_policy(2), num_episodes=0, seed=0)
+        evaluate(env, zero_policy(ActionSpec(2)), num_episodes=0, seed=0)

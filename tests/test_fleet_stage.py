@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from carpark_mj.actions import ActionSpec
 from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation import zero_policy
@@ -97,7 +98,7 @@ def test_a_recording_knows_the_cars_there_are_and_no_others():
         fleet=FleetConfig(NAMES, parked_cars=("suv",)),
     )
     env = ParkingEnv(config, SlidePhysics())
-    story = record(env, zero_policy(2), 2, seed=0)
+    story = record(env, zero_policy(ActionSpec(2)), 2, seed=0)
     assert story.parked_pose.shape == (2, 2, 3)
     assert np.abs(story.parked_pose[..., :2]).max() < 30.0
     suv = PRESETS["suv"]

@@ -16,7 +16,6 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.physics.grid import GridPhysics
 from carpark_mj.presets import ENVIRONMENTS, TANNER_QLEARNING, environment
 from carpark_mj.vehicle import make_vehicle, preset
-from carpark_mj.wrappers.brax import BraxParking
 from scenes import cars, moved
 
 COARSE = TANNER_QLEARNING.grid  # 1 point per unit, 8 headings, 3 levels
@@ -287,5 +286,3 @@ def test_impossible_grids_and_grounds_are_refused_in_a_sentence():
         ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(surface="ice")))
     with pytest.raises(ValueError, match="unknown environment 'tokyo'; choose from"):
         environment("tokyo")
-    with pytest.raises(ValueError, match="PPO's are continuous"):
-        BraxParking(ParkingEnv(TANNER_QLEARNING))

@@ -14,6 +14,7 @@ from brax.training.agents.ppo import train as brax_ppo
 from brax.training.types import Transition
 from jax.sharding import PartitionSpec
 
+from carpark_mj.actions import ActionSpec
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import MIN_STD, NetworkConfig, make_networks
@@ -112,7 +113,9 @@ def brax_update(learner, state, data, monkeypatch):
 
     def factory(observation_size, action_size, preprocess_observations_fn):
         del preprocess_observations_fn
-        return make_networks(TINY.networks, observation_size[-1], action_size)
+        return make_networks(
+            TINY.networks, observation_size[-1], ActionSpec(action_size)
+        )
 
     _, params, _ = brax_ppo.train(
         StandInEnv(learner.env.observation_size),  # pyright: ignore

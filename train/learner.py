@@ -89,7 +89,7 @@ class Learner:
         self.env = BraxParking(ParkingEnv(config.env))
         self.renews_lots = config.lot_life > 0 and self.env.env.lot.is_random
         self.networks = make_networks(
-            config.networks, self.env.observation_size, self.env.action_size
+            config.networks, self.env.observation_size, self.env.env.action_spec
         )
         self.optimizer = optax.chain(
             optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam()

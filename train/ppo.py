@@ -2,13 +2,13 @@
 
     python train/ppo.py                      # preset by hardware, runs/cpu-0 or gpu-0
     python train/ppo.py --resume runs/cpu-0  # goes on exactly where it was
+    python train/ppo.py --preset tanner-fixed  # the study's grid world
     python train/ppo.py --help               # every setting
 
 Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at once.
 """
 
 import dataclasses
-import json
 import os
 import sys
 import time
@@ -22,17 +22,15 @@ from carpark_mj.rendering.gl import choose_gl
 choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
 
 import jax
-import tyro
 
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
+from flags import read_flags
 from learner import Learner, TrainingState
 from logger import MetricsLog, progress_bar
 from presets import PRESETS, PPOConfig
 from run_folder import StopRequest, open_run
 
-# What may differ when a run is resumed.
-RESUME_FLAGS = ("resume", "time_limit")
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
 LINE_SECONDS = 20.0  # between lines of progress where there is no terminal
 
@@ -50,41 +48,9 @@ def configure_jax() -> None:
 
 
 def parse(arguments: Sequence[str] | None = None) -> PPOConfig:
-    """Reads the flags; the preset gives their defaults.
-
-    Raises:
-        ValueError: impossible settings.
-        CheckpointError: `--resume` names no run.
-    """
+    """Reads the flags; see `read_flags`. Without a preset the hardware chooses one."""
     hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
-    first = tyro.cli(
-        PPOConfig, args=arguments, default=PRESETS[hardware], description=__doc__
-    )
-    preset = PRESETS[hardware if first.preset == "auto" else first.preset]
-    config = tyro.cli(PPOConfig, args=arguments, default=preset)
-    if not config.resume:
-        return dataclasses.replace(config, preset=preset.preset)
-    changed = [
-        field.name
-        for field in dataclasses.fields(config)
-        if getattr(config, field.name) != getattr(preset, field.name)
-        and field.name not in RESUME_FLAGS
-    ]
-    if changed:
-        raise ValueError(
-            f"a resumed run keeps its own settings: drop {', '.join(changed)} "
-            f"(allowed with --resume: --time-limit)"
-        )
-    path = Path(config.resume) / "config.json"
-    try:
-        stored = runs.from_dict(PPOConfig, json.loads(path.read_text())["config"])
-    except FileNotFoundError:
-        raise CheckpointError(f"no run at {config.resume} (no {path})") from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} is no config of a run: {error}") from None
-    return dataclasses.replace(
-        stored, resume=config.resume, time_limit=config.time_limit
-    )
+    return read_flags(PRESETS[hardware], PRESETS, arguments, __doc__)
 
 
 def print_settings(config: PPOConfig, folder: Path, learner: Learner) -> None:

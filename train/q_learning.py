@@ -10,7 +10,6 @@ Ctrl-C saves a checkpoint and stops.
 """
 
 import dataclasses
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -19,7 +18,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import tyro
 from rich.progress import (
     BarColumn,
     Progress,
@@ -32,12 +30,12 @@ from rich.progress import (
 from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
+from flags import read_flags
 from q_curve import plot_returns, summary, write_metrics
 from q_learner import CHUNK, Finished, QLearner, Training
 from q_presets import Q_PRESETS, QLearningConfig
 from run_folder import StopRequest, open_run
 
-RESUME_FLAGS = ("resume", "time_limit")  # what may differ when a run is resumed
 LINE_SECONDS = 20.0  # between lines of progress where there is no terminal
 
 
@@ -69,42 +67,6 @@ class Run:
                 ended = np.asarray(getattr(finished, name))[:, seed][done]
                 part = record[seed, start : start + len(ended)]
                 part[:] = ended[: len(part)]
-
-
-def parse(arguments: Sequence[str] | None = None) -> QLearningConfig:
-    """Reads the flags; the preset gives their defaults.
-
-    Raises:
-        ValueError: impossible settings.
-        CheckpointError: `--resume` names no run.
-    """
-    first = tyro.cli(QLearningConfig, args=arguments, description=__doc__)
-    preset = Q_PRESETS[first.preset]
-    config = tyro.cli(QLearningConfig, args=arguments, default=preset)
-    if not config.resume:
-        return config
-    changed = [
-        field.name
-        for field in dataclasses.fields(config)
-        if getattr(config, field.name) != getattr(preset, field.name)
-        and field.name not in RESUME_FLAGS
-    ]
-    if changed:
-        raise ValueError(
-            f"a resumed run keeps its own settings: drop {', '.join(changed)} "
-            f"(allowed with --resume: --time-limit)"
-        )
-    path = Path(config.resume) / "config.json"
-    try:
-        text = json.loads(path.read_text())["config"]
-        stored = runs.from_dict(QLearningConfig, text)
-    except FileNotFoundError:
-        raise CheckpointError(f"no run at {config.resume} (no {path})") from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} is no config of a run: {error}") from None
-    return dataclasses.replace(
-        stored, resume=config.resume, time_limit=config.time_limit
-    )
 
 
 def load_or_init(learner: QLearner, folder: Path) -> Run:
@@ -200,7 +162,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     keep_compiled_programs()
     try:
-        config = parse(arguments)
+        config = read_flags(QLearningConfig(), Q_PRESETS, arguments, __doc__)
         learner = QLearner(config)  # refuses impossible lots before a folder is made
         folder = open_run(config)
         if not train(config, learner, folder):

@@ -5,8 +5,13 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+from brax.training import networks as brax_networks
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo import networks as ppo_networks
+from flax import linen
+
+from carpark_mj.actions import ActionSpec
+from carpark_mj.policy.distributions import action_distribution
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]
 
@@ -37,16 +42,30 @@ class NetworkConfig:
 
 
 def make_networks(
-    config: NetworkConfig, observation_size: int, action_size: int
+    config: NetworkConfig, observation_size: int, action: ActionSpec
 ) -> ppo_networks.PPONetworks:
-    """Builds actor and critic over normalised observations; actions are tanh-normal."""
+    """Builds actor and critic over normalised observations.
+
+    As `ppo_networks.make_ppo_networks` does, which knows no distribution of choices.
+    """
     normalize: Any = running_statistics.normalize  # wider than Brax asks for
-    return ppo_networks.make_ppo_networks(
-        observation_size,
-        action_size,
-        preprocess_observations_fn=normalize,
-        policy_hidden_layer_sizes=config.policy_layers,
-        value_hidden_layer_sizes=config.value_layers,
+    distribution = action_distribution(action)
+    networks: Any = ppo_networks.PPONetworks  # its fields are hidden from Pyright
+    return networks(
+        policy_network=brax_networks.make_policy_network(
+            distribution.param_size,
+            observation_size,
+            preprocess_observations_fn=normalize,
+            hidden_layer_sizes=config.policy_layers,
+            activation=linen.swish,
+        ),
+        value_network=brax_networks.make_value_network(
+            observation_size,
+            preprocess_observations_fn=normalize,
+            hidden_layer_sizes=config.value_layers,
+            activation=linen.swish,
+        ),
+        parametric_action_distribution=distribution,
     )
 
 

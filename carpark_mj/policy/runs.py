@@ -181,7 +181,7 @@ def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
         env = ParkingEnv(env_config)
     except (KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"{path} has an unusable config: {error}") from None
-    networks = make_networks(network_config, env.observation_size, env.action_size)
+    networks = make_networks(network_config, env.observation_size, env.action_spec)
     template = {
         "normalizer": init_normalizer(env.observation_size),
         "average": networks.policy_network.init(jax.random.key(0)),

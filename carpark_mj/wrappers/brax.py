@@ -28,15 +28,7 @@ class BraxParking(Env):
         Args:
             env: of one lot.
             hitbox_scale: of all lots' crashes, see `ParkingEnv.step`; None = 1.
-
-        Raises:
-            ValueError: its actions are choices; Brax's are continuous.
         """
-        if env.choices is not None:
-            raise ValueError(
-                "grid physics takes whole numbers for actions; PPO's are continuous: "
-                "use physics mjx or bicycle, or train/q_learning.py"
-            )
         self.env = env
         self._hitbox_scale = hitbox_scale
 
@@ -45,9 +37,10 @@ class BraxParking(Env):
         state, observation = jax.vmap(self.env.reset)(rng)
         observation = _flatten(observation)
         zero = jnp.zeros(observation.shape[:1], jnp.float32)
+        spec = self.env.action_spec
+        action = jnp.zeros((self.env.num_agents, spec.size), spec.dtype)
         lot = jax.eval_shape(
-            lambda s: self.env.step(s, jnp.zeros((self.env.num_agents, 2)))[1],
-            jax.tree.map(lambda x: x[0], state),
+            lambda s: self.env.step(s, action)[1], jax.tree.map(lambda x: x[0], state)
         )
         info = {
             "truncation": zero,
@@ -82,7 +75,7 @@ class BraxParking(Env):
         return jax.tree.map(put, state, fresh)
 
     def step(self, state: BraxState, action: jax.Array) -> BraxState:
-        """Steps all lots; `action` (num_lots * num_agents, 2)."""
+        """Steps all lots; `action` (num_lots * num_agents, size)."""
         lots: Any = state.pipeline_state
         action = action.reshape(-1, self.env.num_agents, self.env.action_size)
         lots, timestep = jax.vmap(self.env.step, in_axes=(0, 0, None))(

@@ -1,0 +1,200 @@
+"""Distributions of actions that hold choices, in Brax's interface.
+
+Raw actions are what a network's distribution gives: numbers before tanh, and indices,
+which stay as they are. Brax's PPO loss computes with those.
+"""
+
+import jax
+import jax.numpy as jnp
+from brax.training.distribution import (
+    IdentityPostprocessor,
+    NormalTanhDistribution,
+    ParametricDistribution,
+    TanhBijector,
+)
+
+from carpark_mj.actions import ActionSpec
+
+
+def action_distribution(spec: ActionSpec) -> ParametricDistribution:
+    """The distribution for actions of a kind: tanh-normal, categorical, or both."""
+    if not spec.choices:
+        return NormalTanhDistribution(event_size=spec.continuous)
+    if not spec.continuous:
+        return MultiCategorical(spec.choices)
+    return TanhNormalCategorical(spec.continuous, spec.choices)
+
+
+class Categoricals:
+    """Independent categorical distributions, one for each of k branches."""
+
+    def __init__(self, logits: tuple[jax.Array, ...]) -> None:
+        """Normalises the unnormalised log-probabilities (..., n_i) of the branches."""
+        self._log_p = [jax.nn.log_softmax(branch, axis=-1) for branch in logits]
+
+    def sample(self, seed: jax.Array) -> jax.Array:
+        """Indices (..., k) int32."""
+        keys = jax.random.split(seed, len(self._log_p))
+        pairs = zip(keys, self._log_p, strict=True)
+        drawn = [jax.random.categorical(key, log_p) for key, log_p in pairs]
+        return jnp.stack(drawn, axis=-1).astype(jnp.int32)
+
+    def mode(self) -> jax.Array:
+        """Likeliest indices (..., k) int32, the first of equals."""
+        best = [jnp.argmax(log_p, axis=-1) for log_p in self._log_p]
+        return jnp.stack(best, axis=-1).astype(jnp.int32)
+
+    def log_prob(self, index: jax.Array) -> jax.Array:
+        """Log-probabilities (..., k) of indices (..., k)."""
+        index = index.astype(jnp.int32)
+        found = [
+            jnp.take_along_axis(log_p, index[..., i, None], axis=-1)
+            for i, log_p in enumerate(self._log_p)
+        ]
+        return jnp.concatenate(found, axis=-1)
+
+    def entropy(self) -> jax.Array:
+        """Entropies (..., k) [nat]."""
+        parts = [-jnp.sum(jnp.exp(log_p) * log_p, axis=-1) for log_p in self._log_p]
+        return jnp.stack(parts, axis=-1)
+
+    def kl_divergence(self, old_dist: "Categoricals") -> jax.Array:
+        """KL(old_dist || self) (...), summed over the branches [nat]."""
+        parts = [
+            jnp.sum(jnp.exp(old) * (old - new), axis=-1)
+            for old, new in zip(old_dist._log_p, self._log_p, strict=True)
+        ]
+        return sum(parts, jnp.zeros(()))
+
+    @property
+    def loc(self) -> jax.Array:
+        """Mean index (..., k); Brax's loss reports it beside `scale`."""
+        return self._moment(1)
+
+    @property
+    def scale(self) -> jax.Array:
+        """Standard deviation of the index (..., k)."""
+        return jnp.sqrt(jnp.maximum(self._moment(2) - self._moment(1) ** 2, 0.0))
+
+    def _moment(self, power: int) -> jax.Array:
+        def mean(log_p: jax.Array) -> jax.Array:
+            index = jnp.arange(log_p.shape[-1], dtype=log_p.dtype)
+            return jnp.sum(jnp.exp(log_p) * index**power, axis=-1)
+
+        return jnp.stack([mean(log_p) for log_p in self._log_p], axis=-1)
+
+
+class MultiCategorical(ParametricDistribution):
+    """Indices (..., k) int32; parameters are the logits of branch after branch."""
+
+    def __init__(self, choices: tuple[int, ...]) -> None:
+        """Takes how many there are to choose from in each of the k branches."""
+        super().__init__(
+            param_size=sum(choices),
+            postprocessor=IdentityPostprocessor(),
+            event_ndims=1,
+            reparametrizable=False,
+        )
+        self._ends = [sum(choices[:i]) for i in range(1, len(choices))]
+
+    def create_dist(self, parameters: jax.Array) -> Categoricals:
+        """The distribution of parameters (..., param_size)."""
+        return Categoricals(tuple(jnp.split(parameters, self._ends, axis=-1)))
+
+
+class NormalAndCategoricals:
+    """A normal distribution over the first numbers, categorical ones over the rest."""
+
+    def __init__(self, normal, categoricals: Categoricals, continuous: int) -> None:
+        """Joins Brax's normal distribution over `continuous` numbers with indices."""
+        self._normal, self._categoricals = normal, categoricals
+        self._continuous = continuous
+
+    def sample(self, seed: jax.Array) -> jax.Array:
+        """Numbers before tanh and indices (..., size), float32."""
+        normal_key, choice_key = jax.random.split(seed)
+        choice = self._categoricals.sample(choice_key)
+        return _join(self._normal.sample(normal_key), choice)
+
+    def mode(self) -> jax.Array:
+        """Mode of the numbers before tanh, and likeliest indices (..., size)."""
+        return _join(self._normal.mode(), self._categoricals.mode())
+
+    def log_prob(self, x: jax.Array) -> jax.Array:
+        """Log-densities and log-probabilities (..., size) of raw actions."""
+        numbers, index = jnp.split(x, [self._continuous], axis=-1)
+        log_prob = self._normal.log_prob(numbers)
+        return _join(log_prob, self._categoricals.log_prob(index))
+
+    def entropy(self) -> jax.Array:
+        """Entropies (..., size) before tanh [nat]."""
+        return _join(self._normal.entropy(), self._categoricals.entropy())
+
+    def kl_divergence(self, old_dist: "NormalAndCategoricals") -> jax.Array:
+        """KL(old_dist || self) (...); tanh does not change it."""
+        normal = self._normal.kl_divergence(old_dist._normal)
+        return normal + self._categoricals.kl_divergence(old_dist._categoricals)
+
+    @property
+    def loc(self) -> jax.Array:
+        """Mean of the numbers before tanh; Brax's loss reports it beside `scale`."""
+        return self._normal.loc
+
+    @property
+    def scale(self) -> jax.Array:
+        """Standard deviation of the numbers before tanh."""
+        return self._normal.scale
+
+
+class _TanhOfFirst:
+    """Tanh of the first numbers; indices stay."""
+
+    def __init__(self, continuous: int) -> None:
+        self._continuous = continuous
+        self._tanh = TanhBijector()
+
+    def forward(self, x: jax.Array) -> jax.Array:
+        numbers, index = jnp.split(x, [self._continuous], axis=-1)
+        return _join(self._tanh.forward(numbers), index)
+
+    def inverse(self, y: jax.Array) -> jax.Array:
+        numbers, index = jnp.split(y, [self._continuous], axis=-1)
+        return _join(self._tanh.inverse(numbers), index)
+
+    def forward_log_det_jacobian(self, x: jax.Array) -> jax.Array:
+        numbers, index = jnp.split(x, [self._continuous], axis=-1)
+        slope = self._tanh.forward_log_det_jacobian(numbers)
+        return _join(slope, jnp.zeros_like(index))
+
+
+class TanhNormalCategorical(ParametricDistribution):
+    """Numbers in [-1, 1], then indices, (..., size) float32, all independent.
+
+    Parameters are those of Brax's `NormalTanhDistribution`, then the branches' logits.
+    """
+
+    def __init__(self, continuous: int, choices: tuple[int, ...]) -> None:
+        """Takes how many numbers there are, and the sizes of the branches."""
+        self._normal = NormalTanhDistribution(event_size=continuous)
+        self._categoricals = MultiCategorical(choices)
+        super().__init__(
+            param_size=self._normal.param_size + self._categoricals.param_size,
+            postprocessor=_TanhOfFirst(continuous),
+            event_ndims=1,
+            reparametrizable=False,
+        )
+        self._continuous = continuous
+
+    def create_dist(self, parameters: jax.Array) -> NormalAndCategoricals:
+        """The distribution of parameters (..., param_size)."""
+        split = [self._normal.param_size]
+        normal, logits = jnp.split(parameters, split, axis=-1)
+        return NormalAndCategoricals(
+            self._normal.create_dist(normal),
+            self._categoricals.create_dist(logits),
+            self._continuous,
+        )
+
+
+def _join(numbers: jax.Array, choices: jax.Array) -> jax.Array:
+    return jnp.concatenate([numbers, choices.astype(numbers.dtype)], axis=-1)
