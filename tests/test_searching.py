@@ -165,7 +165,8 @@ def test_of_two_agents_in_one_bay_the_first_parks_and_the_other_crashes():
 
 def test_without_respawning_a_parked_agent_keeps_its_bay_from_the_others():
     state = start(respawn=False)[2]
-    bay = int(free(state)[0])
+    gap = np.linalg.norm(state.layout.bay_pose[:, :2] - APART[0, :2], axis=1)
+    bay = int(min(free(state), key=lambda bay: gap[bay]))  # agent 0 would track it
     pose = APART.copy()
     pose[1] = np.asarray(state.layout.bay_pose[bay])
     _, step, state = start(False, pose, [bay, bay, NONE, NONE])
