@@ -161,6 +161,9 @@ def test_speeds_and_headings_of_physical_cars_are_not_rounded_but_bearings_are()
     np.testing.assert_allclose(named["speed"], [[(1 / PER_LEVEL + 2) / 7]], rtol=1e-6)
     np.testing.assert_allclose(named["goal_heading"], [[10 / 360]], atol=1e-6)
     np.testing.assert_allclose(named["goal_bearing"], [[2 / 24]], rtol=1e-6)
+    # Almost the same heading, on the other side, is not almost a full turn.
+    seen = see(CONFIG, lot([pose(0, 10, -10.001)]), one, [0], FAR_CAR)
+    np.testing.assert_allclose(seen[:, 1], 0.0, atol=1e-5)
 
 
 @functools.cache
