@@ -158,6 +158,7 @@ def test_the_past_of_the_rings_shifts_and_is_forgotten():
     assert history.dtype == jnp.int32
     np.testing.assert_array_equal(history[0], [[2, 12], [3, 13]])  # the newest last
     left = forget(history, jnp.array([False, True, False]))
+    assert left is not None
     np.testing.assert_array_equal(left[1], 0)
     np.testing.assert_array_equal(left[::2], history[::2])
     # In fields: now, two steps ago, one step ago, in units of the cap.

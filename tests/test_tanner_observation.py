@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -139,7 +140,7 @@ def test_the_options_add_and_drop_what_they_say():
         return [field.name for field in fields]
 
     assert names()[1:4] == ["goal_heading", "goal_distance", "goal_bearing"]
-    least = dict(tracked_cars=0, rings=(), bay_parts=("bearing",))
+    least: dict[str, Any] = dict(tracked_cars=0, rings=(), bay_parts=("bearing",))
     assert names(**least) == ["speed", "goal_bearing"]  # that of the Q-learning
     assert set(names()) - set(names(share_speeds=False)) == {"car_0_speed"}
     assert [n for n in names() if n not in names(share_goals=False)] == [
@@ -160,6 +161,9 @@ def test_speeds_and_headings_of_physical_cars_are_not_rounded_but_bearings_are()
     np.testing.assert_allclose(named["speed"], [[(1 / PER_LEVEL + 2) / 7]], rtol=1e-6)
     np.testing.assert_allclose(named["goal_heading"], [[10 / 360]], atol=1e-6)
     np.testing.assert_allclose(named["goal_bearing"], [[2 / 24]], rtol=1e-6)
+    # Almost the same heading, on the other side, is not almost a full turn.
+    seen = see(CONFIG, lot([pose(0, 10, -10.001)]), one, [0], FAR_CAR)
+    np.testing.assert_allclose(seen[:, 1], 0.0, atol=1e-5)
 
 
 @functools.cache
@@ -222,14 +226,18 @@ def test_it_agrees_with_the_indices_where_they_overlap():
     yaw = rng.integers(0, 8, (60, 1)) * (math.pi / 4)
     vehicle = cars(np.concatenate([xy, yaw], 1), level * WORLD_UNIT / CTRL_DT)
     layout = make_layout("tanner")
-    rings = dict(rings=(8.0, 5.0), ring_cap=2, ring_cars=True, ring_history=2)
-    none = dict(tracked_agents=0, tracked_parked_cars=0)
+    rings: dict[str, Any] = dict(
+        rings=(8.0, 5.0), ring_cap=2, ring_cars=True, ring_history=2
+    )
+    none: dict[str, Any] = dict(tracked_agents=0, tracked_parked_cars=0)
     history = jnp.array(rng.integers(0, 3, (60, 2, 2)), jnp.int32)
     scene = (layout, vehicle, jnp.array(rng.integers(0, 36, 60)))
     scene += (layout.bay_pose[:9], jnp.full((9, 2), 2.0))
     indices = jax.jit(observe_indices, static_argnums=(0, 1, 2))(
         ObservationConfig(encoding="indices", **none, **rings),
-        *(grid, CTRL_DT, *scene),
+        grid,
+        CTRL_DT,
+        *scene,
         ring_history=history,
     )
     least = ObservationConfig(
@@ -322,7 +330,7 @@ def test_physical_cars_can_be_seen_as_in_the_study():
 
 
 def test_more_cars_than_there_can_be_are_refused():
-    settings = dict(num_agents=3, num_parked_cars=4, physics="grid")
+    settings: dict[str, Any] = dict(num_agents=3, num_parked_cars=4, physics="grid")
     six = dataclasses.replace(CONFIG, tracked_cars=6)
     assert EnvConfig(**settings, observation=six).observation == six
     seven = dataclasses.replace(CONFIG, tracked_cars=7)
