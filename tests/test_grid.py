@@ -268,7 +268,11 @@ def test_what_is_no_choice_is_neutralised_and_counted():
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_named_environments_can_be_built(name):
     env = ParkingEnv(environment(name))
-    assert env.choices == (3, 3)
+    spec = env.action_spec
+    grid = (3, 3) if "qlearning" in name else (5, 7)
+    choices = grid if env.config.physics == "grid" else ()
+    assert spec.continuous == (0 if choices else 2)
+    assert spec.choices == choices + ((2,) if "dynamic" in name else ())
 
 
 def test_impossible_grids_and_grounds_are_refused_in_a_sentence():
