@@ -22,7 +22,7 @@ from carpark_mj.policy.runs import init_normalizer
 
 GRID = ActionSpec(0, (5, 7, 3))
 MIXED = ActionSpec(2, (3,))
-SPECS = [GRID, MIXED, ActionSpec(1, (2, 4))]
+SPECS = [GRID, MIXED, ActionSpec(1, (4, 4))]
 DRAWS = 100_000
 
 
@@ -63,7 +63,7 @@ def assert_mean(samples, expected):
 
 @pytest.mark.parametrize(
     ("spec", "size"),
-    [(ActionSpec(2), 4), (GRID, 15), (MIXED, 7), (ActionSpec(1, (2, 4)), 8)],
+    [(ActionSpec(2), 4), (GRID, 15), (MIXED, 7), (ActionSpec(1, (4, 4)), 10)],
 )
 def test_there_are_parameters_for_every_number_and_every_choice(spec, size):
     assert action_distribution(spec).param_size == size

@@ -94,9 +94,9 @@ def test_it_is_evaluated_and_watched(trained, tmp_path):
 
 
 def test_baselines_drive_in_named_environments(tmp_path):
-    def run(name, where):
+    def run(name, environment):
         config = evaluate.EvaluateConfig(
-            policy=name, environment=where, episodes=7, out=str(tmp_path)
+            policy=name, environment=environment, episodes=7, out=str(tmp_path)
         )
         return evaluate.main(config).summary
 
@@ -107,7 +107,7 @@ def test_baselines_drive_in_named_environments(tmp_path):
     with pytest.raises(ValueError, match="unknown environment 'tokyo'"):
         run("zero", "tokyo")
     with pytest.raises(ValueError, match="runs/x has its own"):
-        run("runs/x")
+        run("runs/x", "tanner-fixed")
 
 
 def test_a_car_of_the_study_s_grid_drives_as_its_table_says():

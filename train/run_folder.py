@@ -39,6 +39,11 @@ class RunConfig(Protocol):
         ...
 
     @property
+    def time_limit(self) -> float:
+        """Minutes until it stops with a checkpoint; 0 = no limit."""
+        ...
+
+    @property
     def seed(self) -> int:
         """Of everything."""
         ...

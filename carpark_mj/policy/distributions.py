@@ -4,6 +4,8 @@ Raw actions are what a network's distribution gives: numbers before tanh, and in
 which stay as they are. Brax's PPO loss computes with those.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from brax.training.distribution import (
@@ -97,8 +99,8 @@ class MultiCategorical(ParametricDistribution):
         )
         self._ends = [sum(choices[:i]) for i in range(1, len(choices))]
 
-    def create_dist(self, parameters: jax.Array) -> Categoricals:
-        """The distribution of parameters (..., param_size)."""
+    def create_dist(self, parameters: jax.Array) -> Any:
+        """The `Categoricals` of parameters (..., param_size)."""
         return Categoricals(tuple(jnp.split(parameters, self._ends, axis=-1)))
 
 
@@ -185,8 +187,8 @@ class TanhNormalCategorical(ParametricDistribution):
         )
         self._continuous = continuous
 
-    def create_dist(self, parameters: jax.Array) -> NormalAndCategoricals:
-        """The distribution of parameters (..., param_size)."""
+    def create_dist(self, parameters: jax.Array) -> Any:
+        """The `NormalAndCategoricals` of parameters (..., param_size)."""
         split = [self._normal.param_size]
         normal, logits = jnp.split(parameters, split, axis=-1)
         return NormalAndCategoricals(
