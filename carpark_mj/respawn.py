@@ -10,13 +10,11 @@ from carpark_mj.config import SpawnConfig
 from carpark_mj.crash_spawn import ATTEMPTS, crash_pose
 from carpark_mj.goals import Occupancy, evolve, new_goal
 from carpark_mj.layouts.types import Layout
-from carpark_mj.spawn import is_crash, spawn_pose
+from carpark_mj.spawn import BlockedAt, is_crash, spawn_pose
 
 # For an agent () of an occupancy and whether its car is new (): where it cannot spawn,
 # see `spawn_pose`.
-Blocked = Callable[
-    [jax.Array, Occupancy, jax.Array], Callable[[jax.Array], jax.Array] | None
-]
+Blocked = Callable[[jax.Array, Occupancy, jax.Array], BlockedAt]
 
 
 def first_poses(
@@ -124,7 +122,7 @@ def renew(
             (evolve_key, num_tracked) if config.evolution == "random" else None,
         )
 
-        def draw_goal(key: jax.Array) -> tuple[Occupancy, jax.Array]:
+        def draw_goal(key: jax.Array) -> tuple[Occupancy, BlockedAt]:
             renewed = new_goal(
                 layout,
                 evolved,

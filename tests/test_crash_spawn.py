@@ -95,12 +95,17 @@ def test_both_straight_ways_reach_the_crash_point_after_equal_distance():
 
 
 def test_a_crash_start_is_in_the_spawn_area_and_far_enough_from_others():
-    pose, found = attempts()
-    assert np.abs(pose[found, :2]).max() <= AREA / 2 + 1e-5
-    gap = np.linalg.norm(pose[found, None, :2] - XY[1:], axis=-1)
-    assert gap.min() > CRASH.min_distance
-    outside = ~found  # attempts that had no good point among their draws
-    assert outside.any()
+    def farthest(side):
+        layout = lot([(0.0, 20.0, 0.0)], spawn_size=(side, side))
+        pose, found = attempts(layout=layout)
+        assert found.any()
+        gap = np.linalg.norm(pose[found, None, :2] - XY[1:], axis=-1)
+        assert gap.min() > CRASH.min_distance
+        return np.abs(pose[found, :2]).max()
+
+    # Worked out apart: here starts that keep the distance are 10.80 m to 11.01 m out.
+    assert farthest(21.8) <= 10.9 + 1e-5
+    assert farthest(200.0) > 10.98
 
 
 def test_crash_targets_are_uniform_among_those_far_enough_from_their_goals():
@@ -136,14 +141,18 @@ def test_the_crash_point_is_uniform_between_both_least_distances():
 
 
 def test_without_anybody_far_enough_from_its_goal_the_attempt_fails():
-    near = GOAL.copy()
-    near[1:] = XY[1:] + np.array([0.0, 7.3])
-    assert not attempts(goal=near, count=50)[1].any()
+    wide = lot([(0.0, 20.0, 0.0)], spawn_size=(200.0, 200.0))
+
+    def any_found(way, targets=OTHERS):
+        goal = XY + np.array([0.0, way])
+        goal[0] = (0.0, -18.0)
+        return attempts(layout=wide, goal=goal, targets=targets)[1].any()
+
+    assert not any_found(7.3)
     # 14 m are enough to be chosen, but leave no room between both distances.
-    near[1:] = XY[1:] + np.array([0.0, 14.0])
-    assert not attempts(goal=near, count=50)[1].any()
-    nobody = np.zeros(4, bool)
-    assert not attempts(targets=nobody, count=50)[1].any()
+    assert not any_found(14.0)
+    assert any_found(15.0)
+    assert not any_found(15.0, np.zeros(4, bool))
 
 
 def test_only_agents_that_drive_are_crash_targets():
