@@ -219,6 +219,18 @@ _STUDY = PPOConfig(
     discount=0.995,
     networks=NetworkConfig((256, 256), (256, 256)),
 )
+# Fixed goals are harder: a longer view, larger networks, smaller and more steps.
+_STUDY_FIXED = dataclasses.replace(
+    _STUDY,
+    num_epochs=6,
+    learning_rate=3e-4,
+    learning_rate_end=1e-5,
+    entropy_cost=2e-3,
+    entropy_cost_end=1e-5,
+    discount=0.999,
+    gae_lambda=0.95,
+    networks=NetworkConfig((256, 256, 256), (256, 256, 256)),
+)
 # Real cars: rates, entropy and discount as tried for `cpu` and `gpu`.
 _PHYSICAL = dataclasses.replace(
     _STUDY,
@@ -263,7 +275,7 @@ PRESETS: dict[str, PPOConfig] = {
     "fixed": dataclasses.replace(_PHYSICAL, preset="fixed", env=FIXED),
     "dynamic": dataclasses.replace(_PHYSICAL, preset="dynamic", env=DYNAMIC),
     "tanner-fixed": dataclasses.replace(
-        _STUDY, preset="tanner-fixed", env=TANNER_FIXED
+        _STUDY_FIXED, preset="tanner-fixed", env=TANNER_FIXED
     ),
     "tanner-fixed-original": _ORIGINAL,
     "tanner-dynamic": dataclasses.replace(

@@ -133,7 +133,10 @@ def make_fields(
 def _named(
     prefix: str, rows: Sequence[tuple[str, int, float, float, str]]
 ) -> list[Field]:
-    return [Field(f"{prefix}_{name}", *rest) for name, *rest in rows]
+    return [
+        Field(f"{prefix}_{name}", size, low, high, meaning)
+        for name, size, low, high, meaning in rows
+    ]
 
 
 def ring_names(config: ObservationConfig) -> list[str]:

@@ -82,6 +82,8 @@ def ring_counts(
     """
     counts = now
     if config.ring_history:
-        history = init_history(config, now.shape[0]) if history is None else history
+        if history is None:
+            shape = (now.shape[0], config.ring_history * len(config.rings))
+            history = jnp.zeros(shape, now.dtype)
         counts = jnp.concatenate([now, history.reshape(now.shape[0], -1)], axis=1)
     return {name: counts[:, k : k + 1] for k, name in enumerate(ring_names(config))}
