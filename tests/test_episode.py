@@ -427,6 +427,6 @@ def test_scaled_hitboxes_do_not_make_parking_harder():
         *NO_CARS,
         jnp.ones(1, int),
         jnp.ones(1, bool),
-        jnp.float32(3.0),
+        hitbox_scale=jnp.float32(3.0),
     )
     assert events.parked.all()

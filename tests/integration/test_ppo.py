@@ -17,6 +17,7 @@ TINY = (
     *("--preset", "cpu", "--num-lots", "4", "--num-minibatches", "2"),
     *("--unroll-length", "4", "--num-steps", "640", "--checkpoint-updates", "3"),
     *("--env.num-parked-cars", "4", "--env.sim.sim-dt", "0.02"),
+    *("--env.physics", "bicycle"),  # quicker to compile; `test_learner` trains on MJX
     *("--networks.policy-layers", "16", "--networks.value-layers", "16"),
     *("--eval-episodes", "0", "--video-seconds", "0"),
 )
