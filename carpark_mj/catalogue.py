@@ -145,8 +145,16 @@ GOALS = (
         "",
         "share of the steps without a goal",
         "episodes",
-        "RatioExplorePerEps",
+        "RatioExplorePerEps, 1 - RatioGoalPerEps",
         ("explored_steps", "length"),
+    ),
+    Metric(
+        "towards_space",
+        "",
+        "share of the steps without a goal that led nearer to any tracked bay",
+        "episodes",
+        "RatioMoveTowardsExploringPerEps",
+        ("towards_space_steps", "explored_steps"),
     ),
     Metric("stop_explore", "", "goals taken", "mean", "NumStopExplorePerEps"),
     Metric(

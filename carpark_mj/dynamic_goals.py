@@ -48,6 +48,7 @@ class GoalEvents:
 # Tallies of an episode, by what became of the goal in its steps; see `GoalEvents`.
 GOAL_COUNTS = (
     "explored_steps",
+    "towards_space_steps",
     "stop_explore",
     "change_goal",
     "stop_goal",
@@ -56,10 +57,14 @@ GOAL_COUNTS = (
 )
 
 
-def goal_counts(events: GoalEvents) -> dict[str, jax.Array]:
-    """A step (num_agents,) as numbers to be added up, by the names of `GOAL_COUNTS`."""
-    counts = {"explored_steps": events.exploring}
-    counts |= {name: getattr(events, name) for name in GOAL_COUNTS[1:]}
+def goal_counts(events: GoalEvents, nearer: jax.Array) -> dict[str, jax.Array]:
+    """A step (num_agents,) as numbers to be added up, by the names of `GOAL_COUNTS`.
+
+    `nearer` (num_agents,) bool says whom the step led nearer to a tracked bay.
+    """
+    exploring = events.exploring
+    counts = {"explored_steps": exploring, "towards_space_steps": exploring & nearer}
+    counts |= {name: getattr(events, name) for name in GOAL_COUNTS[2:]}
     return {name: count.astype(jnp.float32) for name, count in counts.items()}
 
 

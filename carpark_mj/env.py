@@ -11,14 +11,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from carpark_mj import metrics, rewards
+from carpark_mj import metrics
 from carpark_mj.actions import ActionSpec, harmless
 from carpark_mj.config import EnvConfig, LayoutConfig
-from carpark_mj.dynamic_goals import GoalEvents, aims, goal_counts
+from carpark_mj.dynamic_goals import goal_counts
 from carpark_mj.episode import judge
 from carpark_mj.fleet import Fleet
-from carpark_mj.giving_way import Contexts, count, enforce
-from carpark_mj.goal_rewards import dynamic_progress, dynamic_terms
+from carpark_mj.giving_way import count
 from carpark_mj.lanes import has_lanes, is_wrong_way
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
@@ -34,8 +33,10 @@ from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import full_float32
 from carpark_mj.randomisation import check
+from carpark_mj.rewarding import goal_poses, step_rewards
 from carpark_mj.searching import choose, look_round, review, set_out, stay
 from carpark_mj.sensors import update_sensors
+from carpark_mj.spaces import nearer_to_any
 from carpark_mj.starts import (
     check_room,
     restart,
@@ -45,7 +46,7 @@ from carpark_mj.starts import (
 )
 from carpark_mj.state import State, TimeStep
 from carpark_mj.tallies import measure
-from carpark_mj.types import Events, VehicleState
+from carpark_mj.types import VehicleState
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
 
@@ -242,14 +243,24 @@ class ParkingEnv:
         if has_lanes(state.layout):
             wrong_way = is_wrong_way(state.layout, vehicle)
         with jax.named_scope("rewards"):
-            goal_pose = self._goal_pose(state, vehicle)
-            terms = self._reward_terms(
-                before, state, vehicle, goal_pose, events, wrong_way, goals, contexts
+            goal_pose = goal_poses(state, vehicle)
+            terms = step_rewards(
+                config,
+                before,
+                state,
+                vehicle,
+                goal_pose,
+                events,
+                wrong_way,
+                goals,
+                contexts,
             )
             reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
         measured = {f"return_{name}": term for name, term in terms.items()}
-        if goals is not None and contexts is not None:
-            measured |= goal_counts(goals)
+        if goals is not None and contexts is not None and before.spaces is not None:
+            way = before.vehicle.pose_w[:, :2], vehicle.pose_w[:, :2]
+            nearer = nearer_to_any(state.layout, before.spaces, *way)
+            measured |= goal_counts(goals, nearer)
             measured |= count(contexts, goals.change_goal | goals.stop_goal)
         if config.metrics.is_on:
             with jax.named_scope("metrics"):
@@ -355,55 +366,6 @@ class ParkingEnv:
         """Bays (num_agents, bays) that can be an agent's goal; None = all."""
         size = state.physics.vehicle.size
         return self.fleet.bays_for(state.layout, size, state.parked_size)[0]
-
-    def _goal_pose(self, state: State, vehicle: VehicleState) -> jax.Array:
-        """Poses (num_agents, 3) of the goals; see `aims` for agents that explore."""
-        layout, goal = state.layout, state.occupancy.goal
-        if state.spaces is None:
-            return layout.bay_pose[goal]
-        return aims(layout, goal, state.spaces, vehicle.pose_w[:, :2])[0]
-
-    def _reward_terms(
-        self,
-        before: State,
-        state: State,
-        vehicle: VehicleState,
-        goal_pose: jax.Array,
-        events: Events,
-        wrong_way: jax.Array | None,
-        goals: GoalEvents | None,
-        contexts: Contexts | None,
-    ) -> dict[str, jax.Array]:
-        """The reward of a step by term; 0 for those that had finished before."""
-        config = self.config
-        cars = state.physics.vehicle
-        terms = rewards.reward_terms(
-            config.reward,
-            state.vehicle,
-            vehicle,
-            goal_pose,
-            events,
-            rewards.effort(config, state.vehicle, vehicle, cars),
-            config.episode.max_steps,
-            wrong_way,
-        )
-        if goals is not None and contexts is not None and state.spaces is not None:
-            progress = dynamic_progress(
-                config.reward,
-                state.layout,
-                state.spaces,
-                (before.occupancy.goal, state.occupancy.goal),
-                state.vehicle,
-                vehicle,
-            )
-            terms = dynamic_terms(
-                config.reward, terms, progress, goals, events.diverged
-            )
-            kept = goals.continue_goal & ~events.diverged
-            terms = enforce(config.giving_way, contexts, kept, terms)
-        return {
-            name: jnp.where(state.active, term, 0.0) for name, term in terms.items()
-        }
 
     def _observe(self, state: State) -> jax.Array:
         return observe_lot(self.config, self.fleet, state)

@@ -55,3 +55,23 @@ def track_spaces(
     turn = jnp.cumsum(empty, axis=1) == jnp.cumsum(newcomer, axis=2)
     here = same | (turn & empty & newcomer)
     return jnp.min(jnp.where(here, bay, layout.num_bays), axis=2).astype(jnp.int32)
+
+
+def nearer_to_any(
+    layout: Layout, spaces: jax.Array, before_xy: jax.Array, after_xy: jax.Array
+) -> jax.Array:
+    """Whether a step led nearer to any of the bays tracked at its start.
+
+    Args:
+        layout: the lot.
+        spaces: (num_agents, num_spaces) int32 bays tracked.
+        before_xy: (num_agents, 2) centres at the start of the step [m].
+        after_xy: (num_agents, 2) at its end.
+
+    Returns:
+        (num_agents,) bool.
+    """
+    bay_xy = layout.bay_pose[spaces, :2]
+    before = jnp.linalg.norm(bay_xy - before_xy[:, None], axis=-1)
+    after = jnp.linalg.norm(bay_xy - after_xy[:, None], axis=-1)
+    return ((after < before) & (spaces < layout.num_bays)).any(axis=1)

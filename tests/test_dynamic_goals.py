@@ -29,7 +29,7 @@ from carpark_mj.dynamic_goals import (
 )
 from carpark_mj.goal_rewards import dynamic_progress, dynamic_terms
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.spaces import free_bays, no_spaces, track_spaces
+from carpark_mj.spaces import free_bays, nearer_to_any, no_spaces, track_spaces
 from scenes import cars, lot
 
 # Five bays in a row, 4 m apart, and as many bays' worth of padding.
@@ -172,16 +172,29 @@ def test_the_five_transitions_partition_the_steps_of_active_agents():
 
 def test_counts_of_an_episode_conserve_its_steps():
     counts = dict.fromkeys(GOAL_COUNTS, jnp.zeros(500))
+    nearer = jnp.arange(500) % 3 == 0
     sums = {name: np.zeros(500) for name in vars(random_events(jax.random.key(0))[3])}
     for k in range(4):
         _, _, _, events = random_events(jax.random.key(k), 500)
-        counts = jax.tree.map(jnp.add, counts, goal_counts(events))
+        counts = jax.tree.map(jnp.add, counts, goal_counts(events, nearer))
         for name, flag in vars(events).items():
             sums[name] += np.asarray(flag)
-    for name in GOAL_COUNTS[1:]:
+    for name in GOAL_COUNTS[2:]:
         np.testing.assert_array_equal(counts[name], sums[name])
     explored = sums["continue_explore"] + sums["stop_goal"]
     np.testing.assert_array_equal(counts["explored_steps"], explored)
+    towards = np.where(nearer, explored, 0)  # with a goal it does not count
+    np.testing.assert_array_equal(counts["towards_space_steps"], towards)
+
+
+def test_nearer_to_any_tracked_bay_asks_all_of_them_and_no_empty_slot():
+    layout = lot([(10.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (0.0, 10.0, 0.0)])
+    none = layout.num_bays
+    spaces = jnp.array([[0, 1], [0, none], [none, none], [1, 2], [2, none]], jnp.int32)
+    before = jnp.zeros((5, 2))
+    after = jnp.array([[1.0, 0], [-1.0, 0], [1.0, 0], [0.0, 1.0], [5.0, 0.1]])
+    nearer = nearer_to_any(layout, spaces, before, after)
+    assert nearer.tolist() == [True, False, False, True, False]
 
 
 def test_whoever_has_the_goal_where_another_parks_loses_it():

@@ -52,8 +52,8 @@ ALLOWED = {
     "fleet": {"config", "vehicle", "layouts", "fit", "goals", "respawn"},
 } | {name: BASE | TASK | {"layouts"} for name in TASK}
 ALLOWED["presets"] = {"config"}
-ENV = {*ALLOWED, "state", "searching", "starts", "observing", "env"}
-for name in ("state", "searching", "starts", "observing", "env"):
+ENV = {*ALLOWED, "state", "searching", "starts", "observing", "rewarding", "env"}
+for name in ("state", "searching", "starts", "observing", "rewarding", "env"):
     ALLOWED[name] = ENV - {"env", "scene"}
 OUTER = {
     "wrappers",
