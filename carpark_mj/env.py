@@ -23,6 +23,7 @@ from carpark_mj.layouts import Layout, generate_member, layout_config, make_layo
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.observations import observation_size
 from carpark_mj.observations.rings import forget
+from carpark_mj.observations.tracking import in_view
 from carpark_mj.observing import (
     intended_parked_pose,
     observe_lot,
@@ -363,9 +364,14 @@ class ParkingEnv:
         return physics, dataclasses.replace(vehicle, trace_w=trace_w)
 
     def _fitting(self, state: State) -> jax.Array | None:
-        """Bays (num_agents, bays) that can be an agent's goal; None = all."""
+        """Bays (num_agents, bays) that an agent can track as a goal; None = all."""
+        layout, view = state.layout, self.config.observation
         size = state.physics.vehicle.size
-        return self.fleet.bays_for(state.layout, size, state.parked_size)[0]
+        fits = self.fleet.bays_for(layout, size, state.parked_size)[0]
+        if view.field_of_view == 360.0 and view.tracking_diameter is None:
+            return fits
+        seen = in_view(view, state.vehicle.pose_w, layout.bay_pose[:, :2])
+        return seen if fits is None else seen & fits
 
     def _observe(self, state: State) -> jax.Array:
         return observe_lot(self.config, self.fleet, state)

@@ -29,6 +29,7 @@ from carpark_mj.giving_way import (
     goals_in_turn,
 )
 from carpark_mj.observations.tracking import tracks
+from carpark_mj.presets import environment
 from carpark_mj.searching import look_round
 from scenes import SlidePhysics, placed
 
@@ -417,6 +418,13 @@ def test_a_goal_that_is_lost_is_not_given_up(drive):
     assert timestep.goal_events.lost_untracked.tolist() == [True, False]
     np.testing.assert_array_equal(timestep.metrics["met_local_any"], [1.0, 1.0])
     np.testing.assert_array_equal(timestep.metrics["gave_way_local_any"], [0.0, 0.0])
+
+
+@pytest.mark.parametrize(("scheme", "size"), [("L,L,A", 11), ("G,G,A", 13)])
+def test_the_scheme_says_whether_agents_see_global_information(scheme, size):
+    way = GivingWayConfig(scheme, -0.1)
+    env = ParkingEnv(replace(environment("tanner-dynamic"), giving_way=way))
+    assert env.observation_size == size
 
 
 def test_a_scheme_needs_agents_that_choose_their_goals():

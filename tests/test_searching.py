@@ -89,6 +89,21 @@ def test_everybody_starts_exploring_and_knows_the_nearest_free_bays():
     assert np.isfinite(observation).all()
 
 
+def test_bays_out_of_view_are_not_tracked():
+    view = dataclasses.replace(CONFIG.observation, tracking_diameter=40.0)
+    view = dataclasses.replace(view, field_of_view=90.0)
+    env = ParkingEnv(dataclasses.replace(CONFIG, observation=view), SlidePhysics())
+    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(4), 16))
+    pose, bays = state.vehicle.pose_w, np.asarray(state.layout.bay_pose[0])
+    offset = bays[:, :2] - pose[:, :, None, :2]
+    bearing = np.arctan2(offset[..., 1], offset[..., 0]) - pose[:, :, None, 2]
+    ahead = np.cos(bearing) >= np.cos(np.radians(45.0))
+    seen = ahead & (np.linalg.norm(offset, axis=-1) <= 20.0)
+    lot, agent, slot = np.nonzero(state.spaces < NONE)
+    assert seen[lot, agent, state.spaces[lot, agent, slot]].all()
+    assert 0 < len(lot) < state.spaces.size  # some see fewer than they could track
+
+
 # Steps by hand
 
 
