@@ -192,7 +192,8 @@ def test_nearer_to_any_tracked_bay_asks_all_of_them_and_no_empty_slot():
     none = layout.num_bays
     spaces = jnp.array([[0, 1], [0, none], [none, none], [1, 2], [2, none]], jnp.int32)
     before = jnp.zeros((5, 2))
-    after = jnp.array([[1.0, 0], [-1.0, 0], [1.0, 0], [0.0, 1.0], [5.0, 0.1]])
+    # The third comes nearer to the last bay, which JAX reads for an empty slot.
+    after = jnp.array([[1.0, 0], [-1.0, 0], [0.0, 1.0], [0.0, 1.0], [5.0, 0.1]])
     nearer = nearer_to_any(layout, spaces, before, after)
     assert nearer.tolist() == [True, False, False, True, False]
 
