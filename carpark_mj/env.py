@@ -11,43 +11,43 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from carpark_mj import metrics
-from carpark_mj.actions import ActionSpec, harmless
 from carpark_mj.config import EnvConfig, LayoutConfig
-from carpark_mj.dynamic_goals import goal_counts
-from carpark_mj.episode import judge
-from carpark_mj.fleet import Fleet
-from carpark_mj.giving_way import count
-from carpark_mj.lanes import has_lanes, is_wrong_way
+from carpark_mj.fleet.draw import Fleet
+from carpark_mj.fleet.randomization import check
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
-from carpark_mj.observations import observation_size
-from carpark_mj.observations.rings import forget
-from carpark_mj.observations.tracking import in_view
-from carpark_mj.observing import (
-    intended_parked_pose,
-    observe_lot,
-    remember_rings,
-    who_tracks,
-)
-from carpark_mj.physics.base import Physics, where_cars
-from carpark_mj.physics.make import make_physics
-from carpark_mj.precision import full_float32
-from carpark_mj.randomisation import check
-from carpark_mj.rewarding import goal_poses, step_rewards
-from carpark_mj.searching import choose, look_round, review, set_out, stay
-from carpark_mj.sensors import update_sensors
-from carpark_mj.spaces import nearer_to_any
-from carpark_mj.starts import (
+from carpark_mj.mdp.actions import ActionSpec, harmless
+from carpark_mj.mdp.chosen_goals import goal_counts
+from carpark_mj.mdp.giving_way import count
+from carpark_mj.mdp.lanes import has_lanes, is_wrong_way
+from carpark_mj.mdp.metrics import episode as metrics
+from carpark_mj.mdp.metrics.tallies import measure
+from carpark_mj.mdp.rewarding import goal_poses, step_rewards
+from carpark_mj.mdp.searching import choose, look_round, review, set_out, stay
+from carpark_mj.mdp.spawning.starts import (
     check_room,
     restart,
     split_if_random,
     start_lot,
     start_stats,
 )
+from carpark_mj.mdp.terminations import judge
+from carpark_mj.mdp.tracked_bays import nearer_to_any
+from carpark_mj.observations import observation_size
+from carpark_mj.observations.observing import (
+    intended_parked_pose,
+    observe_lot,
+    remember_rings,
+    who_tracks,
+)
+from carpark_mj.observations.rings import forget
+from carpark_mj.observations.sensors import update_sensors
+from carpark_mj.observations.tracking import in_view
+from carpark_mj.physics.base import Physics, where_cars
+from carpark_mj.physics.make import make_physics
+from carpark_mj.precision import full_float32
 from carpark_mj.state import State, TimeStep
-from carpark_mj.tallies import measure
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
 
@@ -81,14 +81,14 @@ class ParkingEnv:
             vehicle: a car of one's own instead of the preset `config.vehicle`.
 
         Raises:
-            ValueError: the lot cannot hold the cars asked for, the randomisation
+            ValueError: the lot cannot hold the cars asked for, the randomization
                 could draw an impossible car, or there is no such preset.
         """
         self.config = config if config is not None else EnvConfig()
         self.vehicle = vehicle if vehicle is not None else preset(self.config.vehicle)
         self.fleet = Fleet(self.config, self.vehicle)
         for params in self.fleet.agents:
-            check(self.config.randomisation, params)
+            check(self.config.randomization, params)
         self._lot = layout_config(self.config.layout)
         self._layout = None if self._lot.is_random else make_layout(self._lot)
         check_room(self.config, self._lot)
@@ -354,8 +354,8 @@ class ParkingEnv:
         return harmless(spec, action)
 
     def _freeze(
-        self, state: State, physics: Any, vehicle: VehicleState
-    ) -> tuple[Any, VehicleState]:
+        self, state: State, physics: Any, vehicle: Motion
+    ) -> tuple[Any, Motion]:
         """Keeps finished agents exactly where they stopped."""
         physics = where_cars(state.active, physics, state.physics)
         vehicle = where_cars(state.active, vehicle, state.vehicle)

@@ -5,12 +5,12 @@ from typing import Any
 import jax
 from flax import struct
 
-from carpark_mj.dynamic_goals import GoalEvents
-from carpark_mj.goals import Occupancy
 from carpark_mj.layouts.types import Layout
-from carpark_mj.metrics import EpisodeStats
-from carpark_mj.sensors import Sensors
-from carpark_mj.types import Events, VehicleState
+from carpark_mj.mdp.chosen_goals import GoalEvents
+from carpark_mj.mdp.goals import Occupancy
+from carpark_mj.mdp.metrics.episode import EpisodeStats
+from carpark_mj.observations.sensors import Sensors
+from carpark_mj.types import Events, Motion
 
 
 @struct.dataclass
@@ -36,7 +36,7 @@ class State:
     """
 
     physics: Any
-    vehicle: VehicleState
+    vehicle: Motion
     layout: Layout
     occupancy: Occupancy
     spaces: jax.Array | None
@@ -76,6 +76,6 @@ class TimeStep:
     events: Events
     metrics: dict[str, jax.Array]
     reward_terms: dict[str, jax.Array]
-    vehicle: VehicleState
+    vehicle: Motion
     goal: jax.Array
     goal_events: GoalEvents | None = None

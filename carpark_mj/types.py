@@ -9,7 +9,7 @@ from flax import struct
 
 
 @struct.dataclass
-class VehicleState:
+class Motion:
     """What the task may know of the cars' motion; any leading batch shape `(...)`.
 
     Attributes:

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import tyro
 
-from carpark_mj.command_line import USER_ERRORS, one_line
+from carpark_mj.cli.common import USER_ERRORS, one_line
 from carpark_mj.config import CONTACT_SIM_DT, SimConfig
 from carpark_mj.physics import ContactPhysics, MjxPhysics
 from carpark_mj.vehicle import make_vehicle, preset

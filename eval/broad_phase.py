@@ -21,13 +21,13 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.clearance import clearances
-from carpark_mj.collision_time import collision_times
-from carpark_mj.command_line import USER_ERRORS, one_line
+from carpark_mj.cli.common import USER_ERRORS, one_line
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.episode import find_hits
 from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.mdp.metrics.clearance import clearances
+from carpark_mj.mdp.metrics.collision_time import collision_times
+from carpark_mj.mdp.terminations import find_hits
 from carpark_mj.state import State
 
 SCENES = {

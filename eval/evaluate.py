@@ -22,11 +22,11 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.catalogue import DRIVING, GOALS, SAFETY
-from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
+from carpark_mj.cli.common import USER_ERRORS, keep_compiled_programs, one_line
 from carpark_mj.config import EnvConfig, MetricsConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation import (
+from carpark_mj.evaluation.catalogue import DRIVING, GOALS, SAFETY
+from carpark_mj.evaluation.rollout import (
     HITS,
     OUTCOMES,
     Evaluation,
@@ -37,7 +37,7 @@ from carpark_mj.evaluation import (
 from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
 from carpark_mj.policy.networks import Policy
 from carpark_mj.policy.runs import load_policy, write_json
-from carpark_mj.presets import environment
+from carpark_mj.registry import environment
 
 BASELINES = {"zero": zero_policy, "random": random_policy}
 
@@ -50,7 +50,7 @@ class EvaluateConfig:
         run: run folder or checkpoint file; or give `--policy`.
         policy: `zero`, `random`, or a run folder or checkpoint file.
         environment: of `zero` and `random`, by name, `tanner-fixed` for example; see
-            `carpark_mj.presets`.
+            `carpark_mj.registry`.
         episodes: whole episodes, rounded up to the same number per agent.
         seed: of the held-out lots; training never uses these keys.
         rule: judge by another parked rule than the run was trained under.

@@ -17,7 +17,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.command_line import USER_ERRORS, one_line
+from carpark_mj.cli.common import USER_ERRORS, one_line
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import ROWS, layout_maxima, make_layout, pad_layout

@@ -23,7 +23,7 @@ import tyro
 from PIL import Image
 from rich.progress import track
 
-from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
+from carpark_mj.cli.common import USER_ERRORS, keep_compiled_programs, one_line
 from carpark_mj.config import EnvConfig, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
@@ -52,7 +52,7 @@ class RenderConfig:
 
     Attributes:
         run: run folder, checkpoint file, or `zero` or `random`.
-        environment: of `zero` and `random`, by name; see `carpark_mj.presets`.
+        environment: of `zero` and `random`, by name; see `carpark_mj.registry`.
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
             `frame.png` in the run folder, `gallery.png` here for the gallery.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its

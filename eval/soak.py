@@ -24,17 +24,17 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from carpark_mj.actions import neutralise
-from carpark_mj.config import Distribution, RandomisationConfig, SimConfig
+from carpark_mj.config import Distribution, RandomizationConfig, SimConfig
+from carpark_mj.fleet.randomization import randomise
+from carpark_mj.mdp.actions import neutralise
 from carpark_mj.physics.mjx import CarState, MjxPhysics
-from carpark_mj.randomisation import randomise
 from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
 
 ArrayOrNumpy = TypeVar("ArrayOrNumpy", jax.Array, np.ndarray)
 
 HOLD = 10  # control steps of 20 ms for which an action is held, as in the environment
 ROUNDS = 60  # actions of an episode: 12 s
-RANDOMISATION = RandomisationConfig(
+RANDOMISATION = RandomizationConfig(
     mass=Distribution(width=0.25),
     cg_x=Distribution(width=0.15, relative=False),
     cg_height=Distribution(width=0.2),

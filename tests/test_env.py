@@ -10,12 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-from carpark_mj.config import EnvConfig, EpisodeConfig, reward_preset
-from carpark_mj.env import ParkingEnv
-from carpark_mj.observations.fields import FAR
-from carpark_mj.wrappers.brax import BraxParking
-from scenes import (
+from helpers.scenes import (
     LOTS,
     SlidePhysics,
     check_occupancy,
@@ -28,6 +23,11 @@ from scenes import (
     placed,
     stacked,
 )
+
+from carpark_mj.config import EnvConfig, EpisodeConfig, reward_preset
+from carpark_mj.env import ParkingEnv
+from carpark_mj.observations.fields import FAR
+from carpark_mj.wrappers.brax import BraxParking
 
 MAX_STEPS = 10
 # Agents 0, 1 and 2 stand here by default, 5 m apart, away from bays and walls.

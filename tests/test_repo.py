@@ -48,7 +48,7 @@ ALLOWED = {
     "layouts": BASE,
     "scene": BASE | {"vehicle", "layouts"},
     "physics": BASE | {"vehicle", "layouts", "scene"},
-    "randomisation": {"config", "vehicle"},
+    "randomization": {"config", "vehicle"},
     "fleet": {"config", "vehicle", "layouts", "fit", "goals", "respawn"},
 } | {name: BASE | TASK | {"layouts"} for name in TASK}
 ALLOWED["presets"] = {"config"}

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
+from carpark_mj.cli.common import USER_ERRORS, keep_compiled_programs, one_line
 from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before MuJoCo is imported; without GL there is no video at the end

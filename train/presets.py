@@ -1,7 +1,7 @@
 """Settings of PPO training: one frozen dataclass, and presets.
 
 `cpu`, `gpu` and their mixtures are made for a kind of hardware. The others are the
-experiments of Tanner 2022 by the names of their environments, `carpark_mj.presets`:
+experiments of Tanner 2022 by the names of their environments, `carpark_mj.registry`:
 16 M agent steps with settings of our own, meant for a GPU.
 
 `tanner-fixed-original` has the study's hyperparameters, table 5.1, so far as this loop
@@ -22,7 +22,7 @@ from typing import Literal
 
 from carpark_mj.config import EnvConfig, RewardConfig, SpawnConfig
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.presets import DYNAMIC, FIXED, TANNER_DYNAMIC, TANNER_FIXED
+from carpark_mj.registry import DYNAMIC, FIXED, TANNER_DYNAMIC, TANNER_FIXED
 
 PresetName = Literal[
     "auto",

@@ -27,7 +27,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from carpark_mj.command_line import USER_ERRORS, keep_compiled_programs, one_line
+from carpark_mj.cli.common import USER_ERRORS, keep_compiled_programs, one_line
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from flags import read_flags

@@ -4,7 +4,7 @@ import dataclasses
 from typing import Literal
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.presets import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
+from carpark_mj.registry import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 
 QLearningPreset = Literal["tanner-qlearning", "tanner-qlearning-rings"]
 

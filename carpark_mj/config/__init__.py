@@ -32,7 +32,7 @@ from carpark_mj.config.task import (
 from carpark_mj.config.variation import (
     Distribution,
     DistributionKind,
-    RandomisationConfig,
+    RandomizationConfig,
     SensorConfig,
 )
 
@@ -63,7 +63,7 @@ __all__ = [
     "ObservationConfig",
     "ParkedRule",
     "PhysicsName",
-    "RandomisationConfig",
+    "RandomizationConfig",
     "RewardConfig",
     "RewardName",
     "Scheme",

@@ -19,7 +19,7 @@ from carpark_mj.config.observation import ObservationConfig
 from carpark_mj.config.reward import RewardConfig
 from carpark_mj.config.simulation import SimConfig
 from carpark_mj.config.task import EpisodeConfig, SpawnConfig
-from carpark_mj.config.variation import RandomisationConfig, SensorConfig
+from carpark_mj.config.variation import RandomizationConfig, SensorConfig
 
 PhysicsName = Literal["mjx", "scene", "bicycle", "grid"]
 
@@ -55,7 +55,7 @@ class EnvConfig:
         episode: when they end.
         reward: reward weights.
         observation: what an agent sees.
-        randomisation: what differs between cars.
+        randomization: what differs between cars.
         sensors: errors of what an agent sees.
         metrics: what is measured beside the outcomes.
     """
@@ -76,7 +76,7 @@ class EnvConfig:
     episode: EpisodeConfig = EpisodeConfig()
     reward: RewardConfig = RewardConfig()
     observation: ObservationConfig = ObservationConfig()
-    randomisation: RandomisationConfig = RandomisationConfig()
+    randomization: RandomizationConfig = RandomizationConfig()
     sensors: SensorConfig = SensorConfig()
     metrics: MetricsConfig = MetricsConfig()
 

@@ -11,7 +11,7 @@ RewardName = Literal["shaped", "tanner"]
 
 @dataclasses.dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the reward terms of `carpark_mj.rewards`; a weight of 0 drops a term.
+    """Weights of the reward terms of `carpark_mj.mdp.rewards`; a weight of 0 drops a term.
 
     Attributes:
         park: paid once when the agent parks.
@@ -32,7 +32,7 @@ class RewardConfig:
         smoothness_by_speed: whether that counts times the share of the top speed.
         reverse: taken over a whole episode, for each step in reverse.
         wrong_way: taken over a whole episode, for each step driven against the lanes
-            (`carpark_mj.lanes`); no term in lots that never have lanes.
+            (`carpark_mj.mdp.lanes`); no term in lots that never have lanes.
         closeness: taken over a whole episode, for each step times the share of
             `closeness_range` by which the nearest other agent is too close.
         closeness_range: clearance between agents at which closeness begins [m].

@@ -55,7 +55,7 @@ _ABSOLUTE = Distribution(relative=False)
 
 
 @dataclasses.dataclass(frozen=True)
-class RandomisationConfig:
+class RandomizationConfig:
     """What differs between cars, drawn anew at every spawn; all off by default.
 
     Attributes:

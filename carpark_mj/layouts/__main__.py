@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from carpark_mj.command_line import USER_ERRORS, one_line
+from carpark_mj.cli.common import USER_ERRORS, one_line
 from carpark_mj.config import LayoutConfig
 from carpark_mj.layouts import (
     AngledConfig,

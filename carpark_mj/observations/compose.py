@@ -14,13 +14,13 @@ from carpark_mj.observations.rays import cast_rays
 from carpark_mj.observations.rings import count_rings, ring_counts
 from carpark_mj.observations.spaces import goal_code, rival_fields, tracked_bays
 from carpark_mj.observations.tracking import in_view, track_agents
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 
 
 def observe(
     config: ObservationConfig,
     layout: Layout,
-    vehicle: VehicleState,
+    vehicle: Motion,
     goal: jax.Array,
     parked_pose: jax.Array,
     parked_size: jax.Array,

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import to_local
 from carpark_mj.observations.fields import FAR, NEAR
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 
 
 def own_motion(
-    vehicle: VehicleState, max_speed: jax.Array, max_steering: jax.Array
+    vehicle: Motion, max_speed: jax.Array, max_steering: jax.Array
 ) -> dict[str, jax.Array]:
     """Own speed, steering and yaw rate of every agent (num_agents, 1)."""
     return {
@@ -20,7 +20,7 @@ def own_motion(
 
 
 def own_goal(
-    vehicle: VehicleState, goal_pose: jax.Array, goal_size: jax.Array
+    vehicle: Motion, goal_pose: jax.Array, goal_size: jax.Array
 ) -> dict[str, jax.Array]:
     """The goal seen by every agent; `goal_pose` (num_agents, 3)."""
     local = to_local(vehicle.pose_w, goal_pose)
@@ -39,7 +39,7 @@ def own_goal(
 
 
 def own_car(
-    vehicle: VehicleState,
+    vehicle: Motion,
     wheelbase: jax.Array,
     rear_axle: jax.Array,
     max_steering: jax.Array,

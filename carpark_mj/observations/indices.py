@@ -15,7 +15,7 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import make_fields
 from carpark_mj.observations.rings import count_rings, ring_counts
 from carpark_mj.observations.tanner import bearing_index, speed_level
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 
 
 def observe_indices(
@@ -23,7 +23,7 @@ def observe_indices(
     grid: GridConfig,
     ctrl_dt: float,
     layout: Layout,
-    vehicle: VehicleState,
+    vehicle: Motion,
     goal: jax.Array,
     parked_pose: jax.Array,
     parked_size: jax.Array,

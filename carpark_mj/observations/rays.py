@@ -5,12 +5,12 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.broad_phase import box_gaps, disc_gaps, is_crowded, visit_near
 from carpark_mj.geometry import (
     ray_box_distance,
     ray_disc_distance,
     rotate,
 )
+from carpark_mj.geometry.broad_phase import box_gaps, disc_gaps, is_crowded, visit_near
 from carpark_mj.layouts.types import Layout
 
 CHUNK = 8  # obstacles whose rays are worked out at a time in a crowded lot

@@ -7,18 +7,18 @@ other agents.
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.broad_phase import disc_gaps
 from carpark_mj.config import ObservationConfig
 from carpark_mj.geometry import point_box_distance
+from carpark_mj.geometry.broad_phase import disc_gaps
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import ring_names
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 
 
 def count_rings(
     config: ObservationConfig,
     layout: Layout,
-    vehicle: VehicleState,
+    vehicle: Motion,
     parked_pose: jax.Array,
     parked_size: jax.Array,
 ) -> jax.Array:

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import FAR
 from carpark_mj.observations.localised import localise
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 
 
 def tracked_bays(
-    layout: Layout, vehicle: VehicleState, spaces: jax.Array
+    layout: Layout, vehicle: Motion, spaces: jax.Array
 ) -> dict[str, jax.Array]:
     """Describes tracked bays in the observers' frames.
 

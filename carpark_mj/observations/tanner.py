@@ -34,7 +34,7 @@ from carpark_mj.observations.fields import make_fields
 from carpark_mj.observations.rings import count_rings, ring_counts
 from carpark_mj.observations.spaces import goal_code, rivals
 from carpark_mj.observations.tracking import in_view, track_cars
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 
 DIAGONAL = 74 * 2**0.5 * WORLD_UNIT  # m, of his world of 74 x 74 world units
 
@@ -59,7 +59,7 @@ def observe_tanner(
     grid: GridConfig,
     ctrl_dt: float,
     layout: Layout,
-    vehicle: VehicleState,
+    vehicle: Motion,
     goal: jax.Array,
     parked_pose: jax.Array,
     parked_size: jax.Array,

@@ -1,4 +1,4 @@
-"""Physics back ends: controls in, `VehicleState` out."""
+"""Physics back ends: controls in, `Motion` out."""
 
 from carpark_mj.physics.base import Physics
 from carpark_mj.physics.bicycle import BicyclePhysics

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SimConfig
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 from carpark_mj.vehicle.vehicle import Vehicle
 
 PhysicsState = TypeVar("PhysicsState")
@@ -62,7 +62,9 @@ class Physics(Protocol[PhysicsState]):
         """
         ...
 
-    def arrange(self, state: PhysicsState, parked_pose: jax.Array) -> PhysicsState:
+    def set_parked_poses(
+        self, state: PhysicsState, parked_pose: jax.Array
+    ) -> PhysicsState:
         """Tells where the parked cars stand: at the start, and when one has moved.
 
         Args:
@@ -71,7 +73,7 @@ class Physics(Protocol[PhysicsState]):
         """
         ...
 
-    def read(self, state: PhysicsState) -> VehicleState:
+    def read(self, state: PhysicsState) -> Motion:
         """What the task may know of the state."""
         ...
 

@@ -22,7 +22,7 @@ from carpark_mj.config import SimConfig
 from carpark_mj.geometry import rotate, wrap_angle
 from carpark_mj.physics.base import require_plain_ground, where_cars
 from carpark_mj.precision import full_float32
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.vehicle import Vehicle
 
@@ -37,7 +37,7 @@ class BicycleState:
         actuators: what steering and drive have reached.
         vehicle: parameters.
         trace_w: (..., k, 3) footprint poses within the last control step.
-        finite: (...) bool, see `VehicleState.finite`.
+        finite: (...) bool, see `Motion.finite`.
     """
 
     pose_w: jax.Array
@@ -146,17 +146,19 @@ class BicyclePhysics:
         """Puts some cars elsewhere, at rest; see `Physics.place`."""
         return where_cars(mask, self.init(pose_w, vehicle), state)
 
-    def arrange(self, state: BicycleState, parked_pose: jax.Array) -> BicycleState:
-        """Nothing: cars live alone; see `Physics.arrange`."""
+    def set_parked_poses(
+        self, state: BicycleState, parked_pose: jax.Array
+    ) -> BicycleState:
+        """Nothing: cars live alone; see `Physics.set_parked_poses`."""
         del parked_pose
         return state
 
-    def read(self, state: BicycleState) -> VehicleState:
+    def read(self, state: BicycleState) -> Motion:
         """What the task may know; see `Physics.read`."""
         slip = slip_angle(state.actuators.steering + state.vehicle.steering_offset)
         # The rear axle follows the middle between the axles along the car's axis.
         rear = state.speed * jnp.cos(slip)
-        return VehicleState(
+        return Motion(
             pose_w=state.trace_w[..., -1, :],
             velocity_b=jnp.stack([rear, jnp.zeros_like(rear)], axis=-1),
             yaw_rate=state.speed * jnp.sin(slip) / (state.vehicle.wheelbase / 2),

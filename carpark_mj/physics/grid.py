@@ -17,7 +17,7 @@ from flax import struct
 
 from carpark_mj.config import GridConfig, SimConfig
 from carpark_mj.physics.base import require_plain_ground, where_cars
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 from carpark_mj.vehicle.vehicle import Vehicle
 
 
@@ -105,19 +105,19 @@ class GridPhysics:
         """Puts some cars elsewhere, at rest; see `Physics.place`."""
         return where_cars(mask, self.init(pose_w, vehicle), state)
 
-    def arrange(self, state: GridState, parked_pose: jax.Array) -> GridState:
-        """Nothing: cars live alone; see `Physics.arrange`."""
+    def set_parked_poses(self, state: GridState, parked_pose: jax.Array) -> GridState:
+        """Nothing: cars live alone; see `Physics.set_parked_poses`."""
         del parked_pose
         return state
 
-    def read(self, state: GridState) -> VehicleState:
+    def read(self, state: GridState) -> Motion:
         """Metres and radians; the speed is the level's, before rounding to points."""
         xy = state.point * jnp.float32(self.grid.point_size)
         pose = jnp.concatenate([xy, self._yaw[state.heading][..., None]], axis=-1)
         metres = self.grid.speed_step * self.grid.point_size / self.ctrl_dt
         speed = state.level * jnp.float32(metres)
         still = jnp.zeros_like(speed)
-        return VehicleState(
+        return Motion(
             pose_w=pose,
             velocity_b=jnp.stack([speed, still], axis=-1),
             yaw_rate=-state.turn * jnp.float32(self._turn / self.ctrl_dt),

@@ -20,7 +20,7 @@ from carpark_mj.vehicle.parameters import VehicleParameters
 
 CAR_NQ, CAR_NV, CAR_BODIES = 13, 12, 7
 _MASSES = ("body_mass", "body_inertia", "body_ipos")
-AGENT, PARKED_CAR, WALL = range(3)  # columns of `VehicleState.touched`
+AGENT, PARKED_CAR, WALL = range(3)  # columns of `Motion.touched`
 
 
 class LotModel:

@@ -32,7 +32,7 @@ from carpark_mj.physics.tyres import (
     init_tyres,
 )
 from carpark_mj.precision import full_float32
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.presets import COMPACT
@@ -55,7 +55,7 @@ class CarState:
         actuators: what steering and drive have reached.
         vehicle: parameters.
         trace_w: (..., k, 3) footprint poses within the last control step.
-        finite: (...) bool, see `VehicleState.finite`.
+        finite: (...) bool, see `Motion.finite`.
     """
 
     qpos: jax.Array
@@ -124,12 +124,12 @@ class MjxPhysics:
         """Puts some cars elsewhere, at rest; see `Physics.place`."""
         return where_cars(mask, self.init(pose_w, vehicle), state)
 
-    def arrange(self, state: CarState, parked_pose: jax.Array) -> CarState:
-        """Nothing: cars live alone; see `Physics.arrange`."""
+    def set_parked_poses(self, state: CarState, parked_pose: jax.Array) -> CarState:
+        """Nothing: cars live alone; see `Physics.set_parked_poses`."""
         del parked_pose
         return state
 
-    def read(self, state: CarState) -> VehicleState:
+    def read(self, state: CarState) -> Motion:
         """Reads the motion out of fresh `qpos` and `qvel`; see `Physics.read`."""
         return _batched(self._read, state.finite.ndim)(state)
 
@@ -223,10 +223,10 @@ class MjxPhysics:
         data = mjx.step(model, data)
         return data.qpos, data.qvel, tyres, actuators
 
-    def _read(self, state: CarState) -> VehicleState:
+    def _read(self, state: CarState) -> Motion:
         rotation = rotation_matrix(state.qpos[3:7])
         velocity_b = rotation.T @ state.qvel[:3]
-        return VehicleState(
+        return Motion(
             pose_w=state.trace_w[-1],
             velocity_b=velocity_b[:2],
             yaw_rate=state.qvel[5],

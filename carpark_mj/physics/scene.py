@@ -24,12 +24,14 @@ from carpark_mj.physics.car import centre_pose, substep_forces
 from carpark_mj.physics.lot_model import LotModel
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.precision import full_float32
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.surfaces import on_surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
-MOVED = 1e-3  # m or rad, by which `arrange` knows a parked car stands elsewhere
+MOVED = (
+    1e-3  # m or rad, by which `set_parked_poses` knows a parked car stands elsewhere
+)
 
 
 @struct.dataclass
@@ -38,10 +40,10 @@ class SceneState:
 
     Attributes:
         cars: the agents' cars, (num_agents,).
-        parked_told: (num_parked_cars, 3) footprint poses last given to `arrange`.
+        parked_told: (num_parked_cars, 3) footprint poses last given to `set_parked_poses`.
         parked_qpos: (num_parked_cars, 3) rear axles' centres: x, y [m], yaw [rad].
         parked_qvel: (num_parked_cars, 3) their rates.
-        touched: (num_agents, 3) bool, see `VehicleState.touched`.
+        touched: (num_agents, 3) bool, see `Motion.touched`.
     """
 
     cars: CarState
@@ -92,7 +94,7 @@ class ScenePhysics:
         parked = jnp.zeros((*lead, self._num_parked_cars, 3), pose_w.dtype)
         return SceneState(
             cars=self._single.init(pose_w, vehicle),
-            # Nowhere, so that the first `arrange` moves them all.
+            # Nowhere, so that the first `set_parked_poses` moves them all.
             parked_told=jnp.full_like(parked, jnp.inf),
             parked_qpos=parked,
             parked_qvel=parked,
@@ -110,8 +112,8 @@ class ScenePhysics:
         )
 
     @full_float32
-    def arrange(self, state: SceneState, parked_pose: jax.Array) -> SceneState:
-        """Puts parked cars told to stand elsewhere there; see `Physics.arrange`."""
+    def set_parked_poses(self, state: SceneState, parked_pose: jax.Array) -> SceneState:
+        """Puts parked cars told to stand elsewhere there; see `Physics.set_parked_poses`."""
         moved = jnp.abs(parked_pose - state.parked_told).max(-1, keepdims=True) > MOVED
         x, y, yaw = (parked_pose[..., k] for k in range(3))
         rear = jnp.stack(
@@ -141,7 +143,7 @@ class ScenePhysics:
             axis=-1,
         )
 
-    def read(self, state: SceneState) -> VehicleState:
+    def read(self, state: SceneState) -> Motion:
         """Reads the motion and what was touched; see `Physics.read`."""
         vehicle = self._single.read(state.cars)
         return dataclasses.replace(vehicle, touched=state.touched)

@@ -15,7 +15,7 @@ from brax.training.distribution import (
     TanhBijector,
 )
 
-from carpark_mj.actions import ActionSpec
+from carpark_mj.mdp.actions import ActionSpec
 
 
 def action_distribution(spec: ActionSpec) -> ParametricDistribution:

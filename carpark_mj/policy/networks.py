@@ -10,7 +10,7 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
 
-from carpark_mj.actions import ActionSpec
+from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.distributions import action_distribution
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]

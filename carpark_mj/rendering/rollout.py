@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation import evaluation_key
+from carpark_mj.evaluation.rollout import evaluation_key
 from carpark_mj.layouts.types import Layout
 from carpark_mj.policy.networks import Policy
 

@@ -19,7 +19,7 @@ import jax
 import mujoco
 import numpy as np
 
-from carpark_mj.command_line import USER_ERRORS, one_line
+from carpark_mj.cli.common import USER_ERRORS, one_line
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config

@@ -1,6 +1,6 @@
 """The per-car parameters as data: a pytree that travels in the physics state.
 
-Fleets and randomisation change these arrays, never the compiled program. Build one
+Fleets and randomization change these arrays, never the compiled program. Build one
 with `make_vehicle`, and batches of it with `jax.tree.map`.
 """
 

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.oracle import CCar
 
 from carpark_mj.config import SimConfig
 from carpark_mj.physics import MjxPhysics
 from carpark_mj.vehicle import COMPACT, VehicleParameters, make_vehicle
-from oracle import CCar
 
 SIM = SimConfig(sim_dt=0.01, ctrl_dt=0.01, trace_dt=0.01)
 START = (1.0, -2.0, 0.4)

@@ -10,11 +10,11 @@ import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.episode import find_hits
 from carpark_mj.geometry import box_distance
 from carpark_mj.layouts import make_layout
+from carpark_mj.mdp.terminations import find_hits
 from carpark_mj.physics import MjxPhysics, ScenePhysics
-from carpark_mj.types import VehicleState
+from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 SIM = SimConfig()
@@ -56,7 +56,7 @@ def driven():
     controls = np.clip(np.repeat(style, 8, axis=0) + noise, -1, 1).astype(np.float32)
     results = []
     for physics in (MjxPhysics(SIM), scene()):
-        state = jax.vmap(physics.arrange)(physics.init(pose, vehicle), parked)
+        state = jax.vmap(physics.set_parked_poses)(physics.init(pose, vehicle), parked)
 
         def step(state, control, physics=physics):
             if physics.contacts:
@@ -143,7 +143,7 @@ def test_box_tests_and_contacts_agree_on_ten_thousand_configurations():
     @jax.vmap
     def boxes(pose, bays):
         zero = jnp.zeros(AGENTS)
-        vehicle = VehicleState(
+        vehicle = Motion(
             pose_w=pose,
             velocity_b=jnp.zeros((AGENTS, 2)),
             yaw_rate=zero,
@@ -188,7 +188,7 @@ def crash(gap_speed=2.5):
     )
     vehicle = jax.tree.map(lambda x: x[0], fleet(1))
     state = physics.init(jnp.array(pose), vehicle)
-    state = physics.arrange(state, LAYOUT.bay_pose[:PARKED])
+    state = physics.set_parked_poses(state, LAYOUT.bay_pose[:PARKED])
     step = jax.jit(physics.step)
     controls = np.zeros((AGENTS, 2), np.float32)
     controls[0, 1] = 1.0
@@ -247,17 +247,17 @@ def test_a_moved_parked_car_is_put_there_and_a_pushed_one_stays_pushed():
     physics = scene()
     vehicle = jax.tree.map(lambda x: x[0], fleet(1))
     state = physics.init(starts(np.random.default_rng(0), 1)[0], vehicle)
-    state = physics.arrange(state, LAYOUT.bay_pose[:PARKED])
+    state = physics.set_parked_poses(state, LAYOUT.bay_pose[:PARKED])
     np.testing.assert_allclose(
         physics.parked_pose(state), LAYOUT.bay_pose[:PARKED], atol=1e-5
     )
     pushed = state.replace(parked_qpos=state.parked_qpos.at[2, 0].add(0.3))
-    again = physics.arrange(pushed, LAYOUT.bay_pose[:PARKED])
+    again = physics.set_parked_poses(pushed, LAYOUT.bay_pose[:PARKED])
     assert float(again.parked_qpos[2, 0] - state.parked_qpos[2, 0]) == pytest.approx(
         0.3, abs=1e-5
     )
     told = LAYOUT.bay_pose[:PARKED].at[2].set(LAYOUT.bay_pose[30])
-    moved = physics.arrange(again, told)
+    moved = physics.set_parked_poses(again, told)
     np.testing.assert_allclose(physics.parked_pose(moved), told, atol=1e-5)
 
 
@@ -265,7 +265,7 @@ def test_a_non_finite_car_is_contained_and_flagged():
     physics = scene()
     vehicle = jax.tree.map(lambda x: x[0], fleet(1))
     state = physics.init(starts(np.random.default_rng(0), 1)[0], vehicle)
-    state = physics.arrange(state, LAYOUT.bay_pose[:PARKED])
+    state = physics.set_parked_poses(state, LAYOUT.bay_pose[:PARKED])
     cars = state.cars.replace(qvel=state.cars.qvel.at[3, 0].set(jnp.nan))
     after = jax.jit(physics.step)(state.replace(cars=cars), jnp.zeros((AGENTS, 2)))
     read = physics.read(after)
@@ -278,11 +278,13 @@ def test_a_lot_s_result_does_not_depend_on_its_neighbours_in_the_batch():
     pose = starts(np.random.default_rng(2), 3)
     parked = jnp.broadcast_to(LAYOUT.bay_pose[:PARKED], (3, PARKED, 3))
     controls = jnp.full((3, AGENTS, 2), 0.7)
-    batch = jax.vmap(physics.arrange)(physics.init(pose, fleet(3)), parked)
+    batch = jax.vmap(physics.set_parked_poses)(physics.init(pose, fleet(3)), parked)
     step = jax.jit(jax.vmap(physics.step))
     for _ in range(3):
         batch = step(batch, controls)
-    alone = jax.vmap(physics.arrange)(physics.init(pose[1:2], fleet(1)), parked[1:2])
+    alone = jax.vmap(physics.set_parked_poses)(
+        physics.init(pose[1:2], fleet(1)), parked[1:2]
+    )
     for _ in range(3):
         alone = step(alone, controls[1:2])
     np.testing.assert_allclose(batch.cars.qpos[1], alone.cars.qpos[0], atol=1e-6)

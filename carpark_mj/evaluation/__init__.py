@@ -1,0 +1,1 @@
+"""Evaluation of policies: roll-outs, metrics of many episodes, reports."""

@@ -1,0 +1,198 @@
+"""The catalogue of metrics: what each means, its unit, how episodes add up.
+
+The only place that defines them; the tables of `docs/metrics.md` are made from it. An
+evaluation has a column for each in the table of episodes, and a number or a few of all
+episodes together.
+"""
+
+import dataclasses
+from typing import Literal
+
+from carpark_mj.mdp.metrics.clearance import RANGE
+from carpark_mj.mdp.metrics.collision_time import HORIZON
+
+# How episodes add up.
+Pool = Literal["rate", "mean", "parked", "steps", "episodes", "least", "most"]
+POOLS: dict[Pool, str] = {
+    "rate": "share of the episodes",
+    "mean": "mean over episodes",
+    "parked": "mean over parked episodes",
+    "steps": "sum over all steps of all episodes / number of these steps",
+    "episodes": "mean over the episodes that have such steps",
+    "least": "median, 5 % quantile and minimum over episodes",
+    "most": "median, 95 % quantile and maximum over episodes",
+}
+START_STEPS = 2  # a crash so early is laid to the spawn, not to the driver (Tanner)
+
+
+@dataclasses.dataclass(frozen=True)
+class Metric:
+    """A metric of an episode.
+
+    Attributes:
+        name: column of the table of episodes.
+        unit: of its numbers there; empty for counts, flags and shares.
+        meaning: what it is.
+        pool: how episodes add up.
+        study: what it is called in tables C.3 and C.4 of Tanner 2022.
+        ratio: columns that it is the quotient of; None if it is no quotient.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    pool: Pool
+    study: str = ""
+    ratio: tuple[str, str] | None = None
+
+
+def _rate(name: str, meaning: str, study: str = "") -> Metric:
+    return Metric(name, "", meaning, "rate", study)
+
+
+def _per_step(name: str, unit: str, meaning: str, study: str = "") -> Metric:
+    return Metric(name, unit, meaning, "steps", study, (f"{name}_sum", "length"))
+
+
+def _clearance(kind: str, what: str) -> Metric:
+    meaning = f"smallest gap of footprints to {what}; {RANGE:g} = never nearer"
+    return Metric(f"min_clearance{kind}", "m", meaning, "least")
+
+
+def _collision_time(kind: str, what: str) -> Metric:
+    meaning = f"shortest time to collision with {what}; {HORIZON:g} = never sooner"
+    return Metric(f"min_collision_time{kind}", "s", meaning, "least")
+
+
+_WHAT = {
+    "": "anything",
+    "_agent": "another agent",
+    "_parked_car": "a parked car",
+    "_wall": "a wall or disc",
+}
+OUTCOME = (
+    _rate("parked", "parked under the rule in force", "p"),
+    _rate("crashed", "touched something", "c"),
+    _rate("timed_out", "neither within the longest episode", "h"),
+    _rate("diverged", "the physics gave a number that is not finite"),
+    _rate("hit_agent", "crashed into an agent; both count", "Total Crashes Car"),
+    _rate("hit_parked_car", "crashed into a parked car", "Total Crashes StaticCar"),
+    _rate("hit_wall", "crashed into a wall or disc", "Total Crashes Wall"),
+    _rate(
+        "crashed_at_start",
+        f"crashed within the first {START_STEPS} steps",
+        "Total Crashes StartEpisode",
+    ),
+    Metric("episode_return", "", "sum of rewards", "mean", "Final Mean Reward"),
+    Metric("length", "steps", "control steps", "mean", "Final Mean Episode Length"),
+    Metric("time_to_park", "s", "duration of a parked episode", "parked"),
+    Metric("path", "m", "way driven, either direction", "parked"),
+    Metric("gear_changes", "", "changes of the direction of travel", "parked"),
+    Metric("invalid_actions", "", "steps whose action is NaN or outside", "mean"),
+    Metric("wrong_way", "m", "way driven against the lanes, if any", "mean"),
+    Metric("final_distance", "m", "from centre to the goal's centre", "parked"),
+    Metric("final_heading", "rad", "to the goal's axis, either way round", "parked"),
+    Metric("final_speed", "m/s", "absolute speed at the end", "parked", "ParkVelocity"),
+)
+DRIVING = (
+    _per_step("speed", "m/s", "mean absolute speed", "VelocityAvg"),
+    _per_step("yaw_rate", "rad/s", "mean absolute yaw rate", "DeltaThetaAvg"),
+    _per_step("steering_rate", "rad/s", "mean absolute rate of the road-wheel angle"),
+    Metric(
+        "nearest_car",
+        "m",
+        "mean distance of centres to the nearest car, agent or parked",
+        "steps",
+        "NearestCarDistAvg",
+        ("nearest_car_sum", "nearest_car_steps"),
+    ),
+    Metric(
+        "towards_goal",
+        "",
+        "share of the steps with a goal that led nearer to it",
+        "episodes",
+        "RatioMoveTowardsPerEps",
+        ("towards_goal_steps", "goal_steps"),
+    ),
+)
+SAFETY = (
+    *(_clearance(kind, what) for kind, what in _WHAT.items()),
+    *(_collision_time(kind, what) for kind, what in _WHAT.items()),
+    _per_step("acceleration", "m/s²", "mean length of the acceleration"),
+    Metric("peak_acceleration", "m/s²", "largest length of the acceleration", "most"),
+    _per_step("jerk", "m/s³", "mean length of the jerk"),
+    Metric("peak_jerk", "m/s³", "largest length of the jerk", "most"),
+)
+_GAVE_WAY = {
+    "local_same": ("tracked", "has the same goal", "GaveWayLocalSameGoal"),
+    "local_any": ("tracked", "has any goal", "GaveWayLocalAnyGoal"),
+    "global_same": ("anywhere", "has the same goal", "GaveWayGlobalSameGoal"),
+    "global_any": ("anywhere", "has any goal", "GaveWayGlobalAnyGoal"),
+    "untracked_same": ("untracked", "has the same goal", "GaveWayNonLocalSameGoal"),
+    "untracked_any": ("untracked", "has any goal", ""),
+    "untracked_other": ("untracked", "has another goal", "GaveWayNonLocalAnyGoal"),
+    "only_untracked_same": ("untracked, no tracked one,", "has the same goal", ""),
+    "only_untracked_any": ("untracked, no tracked one,", "has any goal", ""),
+    "global_same_not_local_any": (
+        "anywhere, none tracked with any goal,",
+        "has the same goal",
+        "",
+    ),
+}
+GOALS = (
+    Metric(
+        "explore_share",
+        "",
+        "share of the steps without a goal",
+        "episodes",
+        "RatioExplorePerEps, 1 - RatioGoalPerEps",
+        ("explored_steps", "length"),
+    ),
+    Metric(
+        "towards_space",
+        "",
+        "share of the steps without a goal that led nearer to any tracked bay",
+        "episodes",
+        "RatioMoveTowardsExploringPerEps",
+        ("towards_space_steps", "explored_steps"),
+    ),
+    Metric("stop_explore", "", "goals taken", "mean", "NumStopExplorePerEps"),
+    Metric(
+        "change_goal", "", "goals changed for others", "mean", "NumChangeGoalPerEps"
+    ),
+    Metric("stop_goal", "", "goals given up to explore", "mean", "NumStopGoalPerEps"),
+    Metric(
+        "lost_untracked",
+        "",
+        "goals lost because others were nearer",
+        "mean",
+        "NumLostGoalPerEps",
+    ),
+    Metric("lost_taken", "", "goals lost because another agent parked there", "mean"),
+    *(
+        Metric(
+            f"conformity_{name}",
+            "",
+            f"of the steps in which an agent nearer to the goal, {where}, {what}: "
+            "share in which the goal was let go of",
+            "steps",
+            study,
+            (f"gave_way_{name}", f"met_{name}"),
+        )
+        for name, (where, what, study) in _GAVE_WAY.items()
+    ),
+)
+METRICS = OUTCOME + DRIVING + SAFETY + GOALS
+
+
+def markdown_table(metrics: tuple[Metric, ...]) -> str:
+    """Metrics as a markdown table."""
+    lines = [
+        "| metric | unit | meaning | together | Tanner 2022 |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| `{m.name}` | {m.unit} | {m.meaning} | {m.pool} | {m.study} |"
+        for m in metrics
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""Which cars there are: presets drawn, randomized and checked."""

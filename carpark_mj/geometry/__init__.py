@@ -1,0 +1,43 @@
+"""Plane geometry: poses in SE(2), oriented boxes and discs, the broad phase."""
+
+from carpark_mj.geometry.boxes import (
+    box_contact_time,
+    box_corners,
+    box_disc_contact_time,
+    box_disc_distance,
+    box_disc_overlap,
+    box_distance,
+    box_inside,
+    boxes_overlap,
+    point_box_distance,
+    ray_box_distance,
+    ray_disc_distance,
+    swept_half_size,
+)
+from carpark_mj.geometry.se2 import (
+    axis_angle_error,
+    rotate,
+    to_local,
+    to_world,
+    wrap_angle,
+)
+
+__all__ = [
+    "axis_angle_error",
+    "box_contact_time",
+    "box_corners",
+    "box_disc_contact_time",
+    "box_disc_distance",
+    "box_disc_overlap",
+    "box_distance",
+    "box_inside",
+    "boxes_overlap",
+    "point_box_distance",
+    "ray_box_distance",
+    "ray_disc_distance",
+    "rotate",
+    "swept_half_size",
+    "to_local",
+    "to_world",
+    "wrap_angle",
+]

@@ -1,0 +1,42 @@
+"""Poses in the plane, SE(2).
+
+A pose is `(x [m], y [m], yaw [rad])`, yaw counter-clockwise from +x. Every function
+broadcasts over leading dimensions.
+"""
+
+import jax
+import jax.numpy as jnp
+
+
+def wrap_angle(angle: jax.Array) -> jax.Array:
+    """Wraps angles [rad] of any shape to [-pi, pi)."""
+    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
+
+
+def rotate(vector: jax.Array, yaw: jax.Array) -> jax.Array:
+    """Rotates vectors (..., 2) counter-clockwise by yaw (...) [rad]."""
+    cos, sin = jnp.cos(yaw), jnp.sin(yaw)
+    x, y = vector[..., 0], vector[..., 1]
+    return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
+def to_local(frame: jax.Array, pose: jax.Array) -> jax.Array:
+    """Expresses world poses (..., 3) in the frame of other poses (..., 3)."""
+    xy = rotate(pose[..., :2] - frame[..., :2], -frame[..., 2])
+    yaw = wrap_angle(pose[..., 2] - frame[..., 2])
+    return jnp.concatenate([xy, yaw[..., None]], axis=-1)
+
+
+def to_world(frame: jax.Array, pose: jax.Array) -> jax.Array:
+    """Maps poses (..., 3) given in the frame of other poses (..., 3) to the world."""
+    xy = frame[..., :2] + rotate(pose[..., :2], frame[..., 2])
+    yaw = wrap_angle(pose[..., 2] + frame[..., 2])
+    return jnp.concatenate([xy, yaw[..., None]], axis=-1)
+
+
+def axis_angle_error(yaw: jax.Array) -> jax.Array:
+    """Angle [rad] in [0, pi/2] between two undirected axes at a heading difference.
+
+    A car parked nose in and one parked nose out are both aligned with their bay.
+    """
+    return jnp.abs(wrap_angle(2.0 * yaw)) / 2.0

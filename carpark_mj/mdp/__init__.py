@@ -1,0 +1,1 @@
+"""The task: actions, goals, episodes, rewards and metrics of the MDP."""

@@ -1,0 +1,91 @@
+"""Starts on course for a collision with another agent (Tanner 2022, fixed goals).
+
+Both would meet after equally long ways if they drove straight to their goals.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import SpawnConfig
+from carpark_mj.geometry import rotate
+from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.spawning.poses import BlockedAt, clearance, draw_heading, on_grid
+
+ATTEMPTS = 10  # new goal, new other agent; then the start is random
+DRAWS = 11  # points where the two would meet, per attempt
+
+
+def crash_pose(
+    config: SpawnConfig,
+    layout: Layout,
+    goal_xy: jax.Array,
+    other_xy: jax.Array,
+    other_goal_xy: jax.Array,
+    other_mask: jax.Array,
+    target_mask: jax.Array,
+    key: jax.Array,
+    blocked: BlockedAt = None,
+) -> tuple[jax.Array, jax.Array]:
+    """One attempt to start an agent on a collision course; pure, static shapes.
+
+    The target is uniform among the agents that are `crash_distance` or more from their
+    goals. The two would meet at a point of the target's straight way, uniform between
+    `crash_distance` before its goal and `min_distance` ahead of it. The start lies
+    behind that point, seen from the own goal, as far as the target is from it. The
+    first of `DRAWS` points counts whose start lies in a spawn region, keeps
+    `min_distance` to every other agent and touches nothing. The heading is random.
+
+    Args:
+        config: spawning rules.
+        layout: the lot.
+        goal_xy: (2,) centre of the agent's goal [m].
+        other_xy: (num_agents, 2) centres of the agents [m].
+        other_goal_xy: (num_agents, 2) centres of their goals [m].
+        other_mask: (num_agents,) bool, the agents to keep away from.
+        target_mask: (num_agents,) bool, those that drive to a goal.
+        key: consumed.
+        blocked: see `spawn_pose`.
+
+    Returns:
+        (3,) pose of the footprint's centre, and () bool whether the attempt succeeded;
+        otherwise the pose means nothing.
+    """
+    target_key, way_key, yaw_key = jax.random.split(key, 3)
+    ways = jnp.linalg.norm(other_xy - other_goal_xy, axis=-1)
+    able = target_mask & (ways >= config.crash_distance)
+    target = jax.random.categorical(target_key, jnp.where(able, 0.0, -jnp.inf))
+    way, end = ways[target], other_goal_xy[target]
+    longest = way - config.min_distance
+    found = able.any() & (longest >= config.crash_distance)
+
+    share = jax.random.uniform(way_key, (DRAWS,))
+    rest = config.crash_distance + share * (longest - config.crash_distance)
+    meeting = end + rest[:, None] * _unit(other_xy[target] - end)
+    start = meeting - (way - rest)[:, None] * _unit(goal_xy - meeting)
+
+    start, region, inside = _into_region(config, layout, start)
+    yaw = draw_heading(layout, region, yaw_key)
+    pose = jnp.concatenate([start, yaw[:, None]], axis=-1)
+    good = inside & (clearance(start, other_xy, other_mask) > config.min_distance)
+    if blocked is not None:
+        good = good & ~blocked(pose)
+    return pose[jnp.argmax(good)], found & good.any()
+
+
+def _unit(vector: jax.Array) -> jax.Array:
+    length = jnp.linalg.norm(vector, axis=-1, keepdims=True)
+    return vector / jnp.maximum(length, 1e-6)
+
+
+def _into_region(
+    config: SpawnConfig, layout: Layout, xy: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Points (n, 2) on the grid if there is one, their spawn regions, and if in any."""
+    pose, size = layout.spawn_pose, layout.spawn_size
+    local = rotate(xy[:, None] - pose[:, :2], -pose[:, 2])
+    inside = jnp.all(jnp.abs(local) <= size / 2, axis=-1) & layout.spawn_mask
+    region = jnp.argmax(inside, axis=-1)
+    local = jnp.take_along_axis(local, region[:, None, None], axis=1)[:, 0]
+    local = on_grid(config, local, size[region])
+    point = pose[region, :2] + rotate(local, pose[region, 2])
+    return point, region, inside.any(axis=-1)

@@ -1,0 +1,235 @@
+"""Evaluation: intervals, whole episodes, fixed quotas, the same result twice."""
+
+import collections
+import csv
+import json
+
+import jax
+import numpy as np
+import pytest
+from helpers.scenes import SlidePhysics
+
+from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.rollout import (
+    HITS,
+    OUTCOMES,
+    allot,
+    evaluate,
+    evaluation_key,
+    random_policy,
+    summarise,
+    wilson_interval,
+    zero_policy,
+)
+from carpark_mj.layouts import StreetConfig, mixture
+from carpark_mj.mdp.actions import ActionSpec
+
+
+def test_wilson_intervals_match_published_values():
+    # 8 of 10 (Agresti & Coull 1998 and any calculator): 0.490, 0.943.
+    np.testing.assert_allclose(wilson_interval(8, 10), (0.4902, 0.9433), atol=1e-4)
+    low, high = wilson_interval(0, 20)
+    assert low == 0.0
+    assert high == pytest.approx(0.1611, abs=1e-4)  # z^2 / (n + z^2)
+    assert wilson_interval(20, 20)[1] == 1.0
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+
+
+def test_a_summary_is_what_a_hand_count_gives():
+    def row(outcome, hit="", length=10.0):
+        flags = {name: float(name in (outcome, hit)) for name in OUTCOMES + HITS}
+        numbers = dict.fromkeys(
+            ("path", "gear_changes", "final_distance", "final_heading", "final_speed"),
+            2.0,
+        )
+        return {**flags, **numbers, "length": length, "episode_return": 1.0}
+
+    rows = [row("parked", length=20.0), row("parked"), row("crashed", "hit_wall")]
+    rows.append(row("timed_out", length=200.0))
+    summary = summarise(rows, ctrl_dt=0.2)
+    assert summary["episodes"] == 4
+    assert summary["parked"]["rate"] == 0.5
+    assert summary["hit_wall"]["count"] == 1
+    assert summary["parked_time"] == pytest.approx(3.0)  # mean of 20 and 10 steps
+    assert summary["parked_heading_error_deg"] == pytest.approx(np.degrees(2.0))
+
+
+@pytest.fixture(scope="module")
+def env():
+    return ParkingEnv(
+        EnvConfig(
+            num_agents=2,
+            num_parked_cars=20,
+            sim=SimConfig(sim_dt=0.02),
+            episode=EpisodeConfig(max_steps=30),
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def result(env):
+    return evaluate(
+        env, random_policy(ActionSpec(2)), num_episodes=20, seed=3, num_lots=4
+    )
+
+
+def test_every_agent_gives_the_same_number_of_whole_episodes(result):
+    counts = collections.Counter((row["lot"], row["agent"]) for row in result.episodes)
+    assert set(counts.values()) == {3}  # 20 episodes over 4 x 2 agents, rounded up
+    assert len(counts) == 8
+
+
+def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
+    by_term = result.summary["mean_returns"]
+    assert {"park", "crash", "time", "progress", "approach"} <= by_term.keys()
+    for row in result.episodes:
+        total = sum(row[f"return_{name}"] for name in by_term)
+        # float32 sums of 30 steps.
+        assert total == pytest.approx(row["episode_return"], abs=1e-4)
+    for name, mean in by_term.items():
+        column = [row[f"return_{name}"] for row in result.episodes]
+        assert mean == pytest.approx(np.mean(column))
+    assert sum(by_term.values()) == pytest.approx(
+        result.summary["mean_return"], abs=1e-4
+    )
+    crashes = sum(row["crashed"] for row in result.episodes)
+    paid = sum(row["return_crash"] for row in result.episodes)
+    assert paid == pytest.approx(-2.5 * crashes)
+
+
+def test_every_episode_has_exactly_one_outcome_and_a_length(result):
+    for row in result.episodes:
+        assert sum(row[name] for name in OUTCOMES) == 1
+        assert 1 <= row["length"] <= 30
+        assert (row["length"] == 30) or not row["timed_out"]
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not(env, result):
+    again = evaluate(
+        env, random_policy(ActionSpec(2)), num_episodes=20, seed=3, num_lots=4
+    )
+    assert again.episodes == result.episodes
+    other = evaluate(
+        env, random_policy(ActionSpec(2)), num_episodes=20, seed=4, num_lots=4
+    )
+    assert other.episodes != result.episodes
+
+
+def test_the_zero_policy_stands_until_time_is_up(env):
+    found = evaluate(
+        env, zero_policy(ActionSpec(2)), num_episodes=8, seed=0, num_lots=4
+    )
+    assert found.summary["timed_out"]["rate"] == 1.0
+    assert max(row["path"] for row in found.episodes) < 0.01  # m in 6 s on the brake
+
+
+def test_evaluation_never_uses_training_s_key():
+    for seed in range(3):
+        training = jax.random.key_data(jax.random.fold_in(jax.random.key(seed), 0))
+        held_out = jax.random.key_data(evaluation_key(seed))
+        assert (training != held_out).any()
+
+
+@pytest.mark.parametrize(
+    ("shares", "lots", "counts"),
+    [
+        ([0.25] * 4, 128, [32] * 4),
+        ([0.25] * 4, 4, [1] * 4),
+        ([0.25, 0.5, 0.25], 8, [2, 4, 2]),
+        ([1.0], 3, [3]),
+        ([1 / 3] * 3, 10, [3, 4, 3]),
+    ],
+)
+def test_members_of_a_mixture_get_their_shares_of_the_lots(shares, lots, counts):
+    assert np.bincount(allot(shares, lots), minlength=len(shares)).tolist() == counts
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """Six episodes asked for, in a mixture of a square and streets."""
+    street = StreetConfig(bays_per_side=(3, 4))
+    env = ParkingEnv(
+        EnvConfig(
+            layout=mixture(["compact", street], [2, 1]),
+            num_agents=1,
+            num_parked_cars=1,
+            episode=EpisodeConfig(max_steps=5),
+        ),
+        SlidePhysics(),
+    )
+    return evaluate(env, random_policy(ActionSpec(2)), num_episodes=6, seed=3), env
+
+
+def test_families_are_summed_up_apart_and_add_up(mixed):
+    result, _ = mixed
+    of_lot = {row["lot"]: row["family"] for row in result.episodes}
+    assert of_lot == dict(enumerate(["compact"] * 4 + ["street"] * 2))
+    assert list(result.families) == ["compact", "street"]
+    for name, summary in result.families.items():
+        rows = [row for row in result.episodes if row["family"] == name]
+        assert summary["episodes"] == len(rows)
+        for outcome in OUTCOMES:
+            rate = summary[outcome]
+            assert rate["count"] == sum(row[outcome] for row in rows)
+            expected = wilson_interval(rate["count"], len(rows))
+            assert (rate["low"], rate["high"]) == expected
+    for outcome in OUTCOMES:
+        total = sum(summary[outcome]["count"] for summary in result.families.values())
+        assert result.summary[outcome]["count"] == total
+
+
+def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(mixed, monkeypatch):
+    result, env = mixed
+    asked = []
+
+    def reset(key, split="train", member=None):
+        asked.append(split)
+        return ParkingEnv.reset(env, key, split, member)
+
+    monkeypatch.setattr(env, "reset", reset)
+    again = evaluate(env, random_policy(ActionSpec(2)), num_episodes=6, seed=3)
+    assert again.episodes == result.episodes
+    assert asked == ["test"]
+
+
+def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
+    mixed, tmp_path, capsys
+):
+    import evaluate as command
+
+    result, _ = mixed
+    files = command.write_evaluation(tmp_path, result, {})
+    assert [path.name for path in files] == [
+        "evaluation.csv",
+        "evaluation.json",
+        "families.csv",
+    ]
+    with files[2].open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["family"] for row in rows] == ["compact", "street", "all"]
+    assert [int(row["episodes"]) for row in rows] == [4, 2, 6]
+    for row in rows:
+        rates = [float(row[f"{outcome}_rate"]) for outcome in OUTCOMES]
+        assert sum(rates) == pytest.approx(1.0)
+        assert float(row["parked_low"]) <= rates[0] <= float(row["parked_high"])
+    stored = json.loads(files[1].read_text())
+    assert stored["families"]["street"]["episodes"] == 2
+    command.print_families(result)
+    printed = capsys.readouterr().out
+    for name in ("compact", "street", "all"):
+        assert name in printed
+
+
+def test_a_single_lot_has_no_table_of_families(result, tmp_path):
+    import evaluate as command
+
+    files = command.write_evaluation(tmp_path, result, {})
+    assert len(files) == 2
+    assert "families" not in json.loads(files[1].read_text())
+    assert {row["family"] for row in result.episodes} == {"tanner"}
+
+
+def test_impossible_evaluations_are_refused(env):
+    with pytest.raises(ValueError, match="num_episodes must be at least 1, not 0"):
+        evaluate(env, zero_policy(ActionSpec(2)), num_episodes=0, seed=0)

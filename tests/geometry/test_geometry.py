@@ -1,0 +1,221 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from helpers.scenes import moved, overlap_oracle, polygons
+
+from carpark_mj import geometry
+
+PAIRS = 6000
+
+
+def random_boxes(rng, count, reach=6.0, longest=8.0):
+    pose = rng.uniform([-reach, -reach, -4.0], [reach, reach, 4.0], (count, 3))
+    return np.float32(pose), np.float32(rng.uniform(0.5, longest, (count, 2)))
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    rng = np.random.default_rng(0)
+    return (*random_boxes(rng, PAIRS), *random_boxes(rng, PAIRS))
+
+
+def test_boxes_overlap_agrees_with_shapely(pairs):
+    expected, certain = overlap_oracle(*pairs)
+    got = np.asarray(geometry.boxes_overlap(*pairs))
+    np.testing.assert_array_equal(got[certain], expected[certain])
+    assert (~certain).sum() <= 5
+    assert 0.2 < expected.mean() < 0.8  # both answers are well represented
+
+
+def test_boxes_that_only_touch_do_not_overlap():
+    size = jnp.array([4.0, 2.0])
+    beside = jnp.array([[4.0, 0.0, 0.0], [0.0, 2.0, 0.0], [-4.0, 2.0, 0.0]])
+    assert not geometry.boxes_overlap(jnp.zeros(3), size, beside, size).any()
+    nearer = beside * (1.0 - 1e-3)
+    assert geometry.boxes_overlap(jnp.zeros(3), size, nearer, size).all()
+
+
+def test_a_box_with_nan_overlaps_nothing():
+    size = jnp.array([4.0, 2.0])
+    nan = jnp.array([[jnp.nan, 0, 0], [0, jnp.nan, 0], [0, 0, jnp.nan]])
+    assert not geometry.boxes_overlap(nan, size, jnp.zeros(3), size).any()
+    assert not geometry.boxes_overlap(jnp.zeros(3), size, nan, size).any()
+
+
+def test_box_inside_agrees_with_shapely():
+    rng = np.random.default_rng(1)
+    pose_a, size_a = random_boxes(rng, PAIRS, 1.5, 4.0)
+    pose_b, size_b = random_boxes(rng, PAIRS, 1.5, 4.0)
+    size_b = size_b + np.float32(3.0)
+    inner = polygons(pose_a, size_a)
+    smaller = shapely.covers(polygons(pose_b, size_b - 2e-4), inner)
+    larger = shapely.covers(polygons(pose_b, size_b + 2e-4), inner)
+    certain = smaller == larger
+    got = np.asarray(geometry.box_inside(pose_a, size_a, pose_b, size_b))
+    np.testing.assert_array_equal(got[certain], larger[certain])
+    assert (~certain).sum() <= 5
+    assert 0.2 < larger.mean() < 0.8
+
+
+def test_a_box_is_inside_itself_and_inside_no_smaller_box():
+    size = jnp.array([4.0, 2.0])
+    pose = jnp.array([1.0, 2.0, 0.0])
+    assert geometry.box_inside(pose, size, pose, size)
+    assert not geometry.box_inside(pose, size, pose, size - jnp.array([1e-3, 0.0]))
+    assert not geometry.box_inside(pose, size, pose, size - jnp.array([0.0, 1e-3]))
+
+
+def test_box_distance_agrees_with_shapely(pairs):
+    expected = shapely.distance(polygons(*pairs[:2]), polygons(*pairs[2:]))
+    got = geometry.box_distance(*pairs)
+    # Coordinates up to 12 m resolve 1e-6 m in float32; a few roundings add up.
+    np.testing.assert_allclose(got, expected, atol=2e-5)
+    assert (expected > 0.1).sum() > PAIRS / 5
+
+
+def test_point_box_distance_agrees_with_shapely(pairs):
+    pose, size = pairs[:2]
+    point = np.random.default_rng(2).uniform(-9, 9, (PAIRS, 2)).astype(np.float32)
+    expected = shapely.distance(polygons(pose, size), shapely.points(point))
+    got = geometry.point_box_distance(point, pose, size)
+    np.testing.assert_allclose(got, expected, atol=2e-5)  # float32, as above
+    assert (expected == 0).sum() > 100
+
+
+def test_overlap_and_distance_are_symmetric(pairs):
+    pose_a, size_a, pose_b, size_b = pairs
+    there = geometry.boxes_overlap(pose_a, size_a, pose_b, size_b)
+    back = geometry.boxes_overlap(pose_b, size_b, pose_a, size_a)
+    _, certain = overlap_oracle(*pairs)
+    np.testing.assert_array_equal(np.asarray(there)[certain], back[certain])
+    there = geometry.box_distance(pose_a, size_a, pose_b, size_b)
+    back = geometry.box_distance(pose_b, size_b, pose_a, size_a)
+    np.testing.assert_allclose(there, back, atol=2e-5)  # float32, as above
+
+
+def test_overlap_inside_and_distance_do_not_depend_on_the_frame(pairs):
+    pose_a, size_a, pose_b, size_b = pairs
+    motion = (15.0, -8.0, 2.1)
+    there = (moved(pose_a, motion), size_a, moved(pose_b, motion), size_b)
+    _, certain = overlap_oracle(*pairs)
+    for function in (geometry.boxes_overlap, geometry.box_inside):
+        same = np.asarray(function(*there) == function(*pairs))
+        assert same[certain].all(), function
+    before = geometry.box_distance(*pairs)
+    # Coordinates reach 25 m now: 2e-6 m each, and the yaw rounds too.
+    np.testing.assert_allclose(geometry.box_distance(*there), before, atol=5e-5)
+
+
+def test_to_world_undoes_to_local():
+    rng = np.random.default_rng(3)
+    frame, pose = (
+        np.float32(rng.uniform([-20, -20, -3.1], [20, 20, 3.1], (1000, 3)))
+        for _ in range(2)
+    )
+    there = geometry.to_world(frame, geometry.to_local(frame, pose))
+    np.testing.assert_allclose(there, pose, atol=3e-5)  # float32 at 40 m
+    there = geometry.to_local(frame, geometry.to_world(frame, pose))
+    np.testing.assert_allclose(there, pose, atol=3e-5)
+
+
+def test_to_local_sees_what_lies_ahead_on_x_and_what_lies_left_on_y():
+    facing_north = jnp.array([1.0, 2.0, jnp.pi / 2])
+    ahead = geometry.to_local(facing_north, jnp.array([1.0, 5.0, jnp.pi / 2]))
+    left = geometry.to_local(facing_north, jnp.array([-1.0, 2.0, jnp.pi]))
+    # cos(pi / 2) is 4e-8 in float32.
+    np.testing.assert_allclose(ahead, [3.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(left, [0.0, 2.0, jnp.pi / 2], atol=1e-6)
+
+
+def test_wrapped_angles_lie_in_minus_pi_to_below_pi():
+    rng = np.random.default_rng(4)
+    edges = np.pi * np.arange(-9, 10, dtype=np.float32)
+    edges = np.float32(edges)
+    around = [np.nextafter(edges, np.float32(s * np.inf)) for s in (-1, 1)]
+    angles = np.concatenate(
+        [np.float32(rng.uniform(-60, 60, 5000)), edges, *around]
+    ).astype(np.float32)
+    wrapped = np.asarray(geometry.wrap_angle(jnp.asarray(angles)))
+    assert (wrapped >= -np.float32(np.pi)).all()
+    assert (wrapped < np.float32(np.pi)).all()
+    # The same direction: float32 angles of 60 rad resolve 4e-6 rad.
+    turn = np.exp(1j * wrapped.astype(np.float64)) - np.exp(1j * np.float64(angles))
+    assert np.abs(turn).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("degrees", "expected"),
+    [(0, 0), (30, 30), (-30, 30), (90, 90), (120, 60), (180, 0), (-175, 5), (359, 1)],
+)
+def test_axis_angle_error_is_the_same_nose_in_and_nose_out(degrees, expected):
+    error = geometry.axis_angle_error(jnp.radians(jnp.float32(degrees)))
+    # float32 angles of 6 rad resolve 5e-7 rad = 3e-5 deg, doubled by the function.
+    assert float(jnp.degrees(error)) == pytest.approx(expected, abs=1e-4)
+
+
+def test_corners_go_counter_clockwise_from_front_left():
+    pose = jnp.array([1.0, 2.0, jnp.pi / 2])  # front is north, left is west
+    corners = geometry.box_corners(pose, jnp.array([4.0, 2.0]))
+    expected = [[0.0, 4.0], [0.0, 0.0], [2.0, 0.0], [2.0, 4.0]]
+    np.testing.assert_allclose(corners, expected, atol=1e-6)  # cos(pi/2) = -4e-8
+    assert shapely.Polygon(np.asarray(corners)).exterior.is_ccw
+
+
+def test_geometry_broadcasts_over_leading_dimensions():
+    rng = np.random.default_rng(5)
+    pose_a, size_a = random_boxes(rng, 5)
+    pose_b, size_b = random_boxes(rng, 7)
+    args = pose_a[:, None], size_a[:, None], pose_b, size_b
+    for function in (
+        geometry.boxes_overlap,
+        geometry.box_inside,
+        geometry.box_distance,
+    ):
+        table = np.asarray(function(*args))
+        assert table.shape == (5, 7)
+        single = [
+            [function(pose_a[i], size_a[i], pose_b[j], size_b[j]) for j in range(7)]
+            for i in range(5)
+        ]
+        # Batched and single programs may round differently.
+        np.testing.assert_allclose(table, np.array(single), atol=1e-5)
+    assert geometry.box_corners(pose_a[:, None], size_b).shape == (5, 7, 4, 2)
+    assert geometry.to_local(pose_a[:, None], pose_b).shape == (5, 7, 3)
+
+
+def test_box_disc_overlap_and_distance_agree_with_shapely():
+    rng = np.random.default_rng(6)
+    pose, size = random_boxes(rng, PAIRS)
+    centre = rng.uniform(-6, 6, (PAIRS, 2)).astype(np.float32)
+    radius = rng.uniform(0.1, 3.0, PAIRS).astype(np.float32)
+    gap = shapely.distance(polygons(pose, size), shapely.points(centre)) - radius
+    got = geometry.box_disc_distance(pose, size, centre, radius)
+    np.testing.assert_allclose(got, np.maximum(gap, 0.0), atol=2e-5)  # float32
+    certain = np.abs(gap) > 1e-4
+    got = np.asarray(geometry.box_disc_overlap(pose, size, centre, radius))
+    np.testing.assert_array_equal(got[certain], (gap < 0)[certain])
+    assert (~certain).sum() <= 5
+    assert 0.2 < (gap < 0).mean() < 0.8
+
+
+def test_discs_that_only_touch_or_hold_nan_overlap_nothing():
+    pose, size = jnp.zeros(3), jnp.array([4.0, 2.0])
+    # Ahead, at the left, and a 3-4-5 triangle off the front left corner.
+    centre = jnp.array([[3.0, 0.0], [0.0, 2.0], [5.0, 5.0]])
+    radius = jnp.array([1.0, 1.0, 5.0])
+    assert not geometry.box_disc_overlap(pose, size, centre, radius).any()
+    assert geometry.box_disc_overlap(pose, size, centre, radius * 1.001).all()
+    for nan in (centre * jnp.nan, centre):
+        bad = radius if jnp.isnan(nan).all() else radius * jnp.nan
+        assert not geometry.box_disc_overlap(pose, size, nan, bad).any()
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.1, 0.5, 1.3, np.pi])
+def test_swept_half_size_is_the_bounding_box_of_all_headings(spread):
+    size = np.float32([4.255, 1.799])
+    yaw = np.linspace(-spread, spread, 20_001)
+    pose = np.stack([np.zeros_like(yaw), np.zeros_like(yaw), yaw], axis=1)
+    bounds = shapely.bounds(polygons(pose, np.broadcast_to(size, (yaw.size, 2))))
+    got = geometry.swept_half_size(jnp.asarray(size), jnp.asarray(spread))
+    np.testing.assert_allclose(got, bounds[:, 2:].max(axis=0), atol=1e-5)

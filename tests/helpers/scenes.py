@@ -1,0 +1,276 @@
+"""Scenes, stand-ins and shared compiled environments for the tests of the task."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import shapely
+from flax import struct
+
+from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import Layout, build, make_layout
+from carpark_mj.observations import make_fields
+from carpark_mj.physics.base import where_cars
+from carpark_mj.state import State, TimeStep
+from carpark_mj.types import Motion
+from carpark_mj.vehicle import Vehicle
+
+CAR = (4.0, 2.0)  # m, a round footprint for hand-worked numbers
+
+
+def cars(
+    pose: Any,
+    speed: Any = 0.0,
+    steering: Any = 0.0,
+    yaw_rate: Any = 0.0,
+    sideways: Any = 0.0,
+    size: Any = CAR,
+    trace: Any = None,
+    finite: Any = True,
+) -> Motion:
+    """Cars (..., ) by hand; scalars hold for all of them, the trace stands still."""
+    pose = jnp.asarray(pose, jnp.float32)
+    lead = pose.shape[:-1]
+
+    def full(value: Any, *shape: int) -> jax.Array:
+        return jnp.broadcast_to(jnp.asarray(value, jnp.float32), (*lead, *shape))
+
+    return Motion(
+        pose_w=pose,
+        velocity_b=jnp.stack([full(speed), full(sideways)], axis=-1),
+        yaw_rate=full(yaw_rate),
+        steering=full(steering),
+        size=full(size, 2),
+        trace_w=pose[..., None, :]
+        if trace is None
+        else jnp.asarray(trace, jnp.float32),
+        finite=jnp.broadcast_to(jnp.asarray(finite), lead),
+    )
+
+
+def lot(
+    bays: Any,
+    walls: Any = (),
+    bay_size: Any = (6.0, 3.0),
+    wall_size: Any = (1.0, 1.0),
+    spawn_size: Any = (10.0, 10.0),
+    discs: Any = (),
+) -> Layout:
+    """A layout by hand with one spawn region at the origin; discs are x, y, radius."""
+    bays = jnp.asarray(bays, jnp.float32).reshape(-1, 3)
+    walls = jnp.asarray(walls, jnp.float32).reshape(-1, 3)
+    discs = jnp.asarray(discs, jnp.float32).reshape(-1, 3)
+    return build.assemble(
+        (50.0, 50.0),
+        build.bays(bays, bay_size),
+        build.walls(walls, wall_size),
+        build.discs(discs[:, :2], discs[:, 2]),
+        build.spawns(jnp.zeros((1, 3)), spawn_size, np.pi),
+    )
+
+
+def moved(pose: Any, motion: tuple[float, float, float]) -> jax.Array:
+    """Poses (..., 3) after a rigid motion: turn about the origin, then shift."""
+    pose = np.asarray(pose, np.float64)
+    xy = (pose[..., 0] + 1j * pose[..., 1]) * np.exp(1j * motion[2])
+    x, y = xy.real + motion[0], xy.imag + motion[1]
+    return jnp.asarray(np.stack([x, y, pose[..., 2] + motion[2]], -1), jnp.float32)
+
+
+def moved_cars(vehicle: Motion, motion: Any) -> Motion:
+    return vehicle.replace(
+        pose_w=moved(vehicle.pose_w, motion), trace_w=moved(vehicle.trace_w, motion)
+    )
+
+
+def moved_lot(layout: Layout, motion: Any) -> Layout:
+    return layout.replace(
+        bay_pose=moved(layout.bay_pose, motion),
+        wall_pose=moved(layout.wall_pose, motion),
+        disc_centre=moved(jnp.pad(layout.disc_centre, ((0, 0), (0, 1))), motion)[:, :2],
+        lane_pose=moved(layout.lane_pose, motion),
+        spawn_pose=moved(layout.spawn_pose, motion),
+    )
+
+
+def polygons(pose: Any, size: Any) -> np.ndarray:
+    """Boxes as shapely polygons, worked out apart from `carpark_mj.geometry`."""
+    pose, size = np.asarray(pose, np.float64), np.asarray(size, np.float64)
+    centre = pose[..., 0] + 1j * pose[..., 1]
+    along = np.exp(1j * pose[..., 2])
+    ahead = along * size[..., 0] / 2
+    left = 1j * along * size[..., 1] / 2
+    ring = [
+        centre + a * ahead + b * left for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    ]
+    ring = np.stack(ring, axis=-1)
+    return shapely.polygons(np.stack([ring.real, ring.imag], axis=-1))
+
+
+NOISE = 1e-4  # m; float32 at 50 m resolves 4e-6 m, a sum of a few such errors
+
+
+def overlap_oracle(
+    pose_a: Any, size_a: Any, pose_b: Any, size_b: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Shapely's answer, and where it holds with box a one `NOISE` larger or smaller."""
+    b, size_a = polygons(pose_b, size_b), np.asarray(size_a, np.float64)
+    shrunk = shapely.intersects(polygons(pose_a, size_a - 2 * NOISE), b)
+    grown = shapely.intersects(polygons(pose_a, size_a + 2 * NOISE), b)
+    return grown, grown == shrunk
+
+
+def fields_of(
+    observation: Any, config: Any, num_spaces: int = 0
+) -> dict[str, np.ndarray]:
+    """An observation (..., size) cut into its named fields (..., k)."""
+    observation = np.asarray(observation)
+    named, start = {}, 0
+    for field in make_fields(config, None, num_spaces):
+        named[field.name] = observation[..., start : start + field.size]
+        start += field.size
+    assert start == observation.shape[-1]
+    return named
+
+
+def check_occupancy(goal: Any, parked_bay: Any, bay_mask: Any) -> None:
+    """Asserts the plan's invariants for histories (..., agents) and (..., cars)."""
+    goal, parked_bay = np.asarray(goal), np.asarray(parked_bay)
+    held = np.sort(np.concatenate([goal, parked_bay], axis=-1), axis=-1)
+    # All different: goals from goals, cars from cars, and no car on a goal.
+    assert (np.diff(held, axis=-1) > 0).all()
+    assert np.take_along_axis(np.asarray(bay_mask), held, axis=-1).all()
+
+
+@struct.dataclass
+class SlideState:
+    pose_w: jax.Array
+    speed: jax.Array
+    steering: jax.Array
+    trace_w: jax.Array
+    finite: jax.Array
+    vehicle: Vehicle
+
+
+class SlidePhysics:
+    """A stand-in back end for hand-worked steps: turn on the spot, then slide ahead.
+
+    `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a car whose
+    speed is NaN diverges.
+    """
+
+    contacts = False
+
+    def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SlideState:
+        zero = jnp.zeros(pose_w.shape[:-1], jnp.float32)
+        return SlideState(
+            pose_w=pose_w,
+            speed=zero,
+            steering=zero,
+            trace_w=jnp.repeat(pose_w[..., None, :], 4, axis=-2),
+            finite=jnp.ones(zero.shape, bool),
+            vehicle=vehicle,
+        )
+
+    def step(self, state: SlideState, controls: jax.Array) -> SlideState:
+        finite = jnp.isfinite(state.speed)
+        controls = jnp.where(finite[..., None], controls, 0.0)
+        yaw = state.pose_w[..., 2] + 0.2 * controls[..., 0]
+        ahead = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
+        share = jnp.arange(1, 5, dtype=jnp.float32) / 4
+        way = 0.5 * controls[..., 1, None] * share
+        xy = state.pose_w[..., None, :2] + way[..., None] * ahead[..., None, :]
+        turned = jnp.broadcast_to(yaw[..., None, None], (*xy.shape[:-1], 1))
+        trace = jnp.concatenate([xy, turned], axis=-1)
+        return state.replace(
+            pose_w=trace[..., -1, :],
+            speed=2.5 * controls[..., 1],
+            steering=0.1 * controls[..., 0],
+            trace_w=trace,
+            finite=finite,
+        )
+
+    def place(self, state, mask, pose_w, vehicle) -> SlideState:
+        return where_cars(mask, self.init(pose_w, vehicle), state)
+
+    def set_parked_poses(self, state: SlideState, parked_pose: jax.Array) -> SlideState:
+        return state
+
+    def read(self, state: SlideState) -> Motion:
+        return Motion(
+            pose_w=state.pose_w,
+            velocity_b=jnp.stack([state.speed, jnp.zeros_like(state.speed)], axis=-1),
+            yaw_rate=jnp.zeros_like(state.speed),
+            steering=state.steering,
+            size=state.vehicle.size,
+            trace_w=state.trace_w,
+            finite=state.finite,
+        )
+
+
+def placed(env: ParkingEnv, state: State, pose: Any) -> State:
+    """The state with its cars standing at the given poses (lots, agents, 3)."""
+    pose = jnp.asarray(pose, jnp.float32)
+    physics = env.physics.init(pose, state.physics.vehicle)
+    return state.replace(physics=physics, vehicle=env.physics.read(physics))
+
+
+LOTS = 4
+
+
+@functools.cache
+def mjx_env() -> ParkingEnv:
+    """The environment whose compiled step the slow tests share."""
+    return ParkingEnv(
+        EnvConfig(num_agents=3, num_parked_cars=8, episode=EpisodeConfig(max_steps=60))
+    )
+
+
+@functools.cache
+def mjx_reset():
+    return jax.jit(jax.vmap(mjx_env().reset_to_layout))
+
+
+@functools.cache
+def mjx_step():
+    return jax.jit(jax.vmap(mjx_env().step))
+
+
+def mixed_lots() -> Layout:
+    """Two `tanner` and two `compact` lots as one batch."""
+    layouts = [make_layout(n) for n in ("tanner", "compact", "tanner", "compact")]
+    return jax.tree.map(lambda *rows: jnp.stack(rows), *layouts)
+
+
+def mjx_start(seed: int = 0) -> tuple[State, jax.Array]:
+    """The shared environment's lots, freshly started."""
+    return mjx_reset()(mixed_lots(), jax.random.split(jax.random.key(seed), LOTS))
+
+
+@functools.cache
+def mjx_rollout(
+    num_steps: int = 300,
+) -> tuple[State, jax.Array, list[State], list[TimeStep]]:
+    """Random driving: start, first observation, then states and time steps (numpy)."""
+    state, observation = start = mjx_start()
+    rng = np.random.default_rng(0)
+    states, timesteps = [], []
+    for k in range(num_steps):
+        # A driving style per agent for a while, so that the cars get somewhere.
+        if k % 20 == 0:
+            style = rng.uniform(-1, 1, (LOTS, 3, 2)) * (1.0, 1.5)
+        action = np.clip(style + rng.normal(0, 0.3, (LOTS, 3, 2)), -1, 1)
+        state, timestep = mjx_step()(state, jnp.asarray(action, jnp.float32))
+        kept = state.replace(key=jax.random.key_data(state.key))
+        states.append(jax.device_get(kept))
+        timesteps.append(jax.device_get(timestep))
+    del start
+    return mjx_start()[0], observation, states, timesteps
+
+
+def stacked(items: list[Any]) -> Any:
+    """A list of equal trees as one tree with a leading time axis."""
+    return jax.tree.map(lambda *rows: np.stack(rows), *items)

@@ -1,0 +1,239 @@
+"""Layouts from files: JSON there and back, TPCAP cases, and what bad files are told."""
+
+import dataclasses
+import json
+import math
+
+import jax
+import numpy as np
+import pytest
+import shapely
+from helpers.scenes import SlidePhysics, polygons
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import FromFileConfig, LotConfig, make_layout
+from carpark_mj.layouts.json_file import read_json, to_json
+from carpark_mj.layouts.tpcap import EDGE, TPCAP_CAR, read_tpcap
+
+HAND = {
+    "format": "carpark_mj layout 1",
+    "bays": [{"pose": [0, 6, -1.5707963], "size": [5, 2.5], "kind": "accessible"}],
+    "walls": [{"pose": [0, 9, 0], "size": [20, 0.4], "kind": "kerb"}],
+    "discs": [{"centre": [3, 4.5], "radius": 0.25}],
+    "lanes": [{"pose": [0, 0, 0], "size": [20, 6], "one_way": False}],
+    "spawns": [{"pose": [-5, 0, 0], "size": [4, 1]}],
+    "extent": [10, 10],
+}
+
+
+def written(tmp_path, data):
+    """A file with one list element a line, as drawn by hand."""
+    lines = ["{"]
+    for name, value in data.items():
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            rows = ",\n".join(json.dumps(row) for row in value)
+            lines.append(f'"{name}": [\n{rows}\n],')
+        else:
+            lines.append(f'"{name}": {json.dumps(value)},')
+    path = tmp_path / "hand.json"
+    path.write_text("\n".join(lines).rstrip(",") + "\n}\n")
+    return path
+
+
+def test_a_lot_drawn_by_hand_is_read_as_written(tmp_path):
+    layout = make_layout(str(written(tmp_path, HAND)))
+    np.testing.assert_allclose(layout.bay_pose, [[0, 6, -np.pi / 2]], atol=1e-6)
+    assert layout.bay_kind.tolist() == [1]  # accessible
+    assert layout.wall_kind.tolist() == [1]  # kerb
+    assert layout.disc_kind.tolist() == [0]  # pillar, by default
+    assert layout.disc_radius.tolist() == [0.25]
+    assert layout.lane_one_way.tolist() == [False]
+    np.testing.assert_allclose(layout.spawn_spread, 0.1)
+    assert layout.extent.tolist() == [10, 10]
+
+
+@pytest.mark.parametrize(
+    "config", ["tanner", LotConfig(pillar_every=3, num_aisles=(1, 2))]
+)
+def test_layouts_survive_json_bit_for_bit_without_their_padding(config, tmp_path):
+    layout = jax.device_get(make_layout(config, jax.random.key(3)))
+    path = tmp_path / "lot.json"
+    path.write_text(to_json(layout))
+    back = jax.device_get(read_json(path))
+    for kind in ("bay", "wall", "disc", "lane", "spawn"):
+        mask = getattr(layout, f"{kind}_mask")
+        assert getattr(back, f"{kind}_mask").all()
+        for name in (n for n in vars(layout) if n.startswith(f"{kind}_")):
+            if name != f"{kind}_mask":
+                before, after = getattr(layout, name)[mask], getattr(back, name)
+                if name.endswith("pose"):  # yaw is wrapped again, to 3e-7 rad
+                    np.testing.assert_array_equal(after[:, :2], before[:, :2])
+                    np.testing.assert_allclose(after[:, 2], before[:, 2], atol=1e-6)
+                else:
+                    np.testing.assert_array_equal(after, before)
+    np.testing.assert_array_equal(back.extent, layout.extent)
+
+
+def changed(**changes):
+    return {**HAND, **changes}
+
+
+BAD_JSON = [
+    (changed(format="carpark_mj layout 2"), 1, "format must be 'carpark_mj layout 1'"),
+    ({k: v for k, v in HAND.items() if k != "extent"}, 1, "extent missing"),
+    (changed(slots=[]), 1, r"unknown \['slots'\]"),
+    (changed(extent=[10]), 1, r"extent must be 2 numbers, not \[10\]"),
+    (changed(bays=[*HAND["bays"], {"pose": [0, 0, 0]}]), 5, r"bays\[1\].size is miss"),
+    (changed(bays=[{"pose": [0, 0], "size": [5, 2]}]), 4, r"bays\[0\].pose must be 3"),
+    (changed(walls=[{"pose": [0, "x", 0], "size": [1, 1]}]), 7, r"walls\[0\].pose"),
+    (changed(discs=[{"centre": [0, 0], "radius": math.nan}]), 10, "must be a number"),
+    (changed(discs=[{"centre": [0, 0], "radius": -1}]), 10, "must be positive, not -1"),
+    (changed(bays=[{"pose": [0, 0, 0], "size": [5, 0]}]), 4, "size must be positive"),
+    (changed(extent=[-10, 10]), 1, r"extent must be positive, not \[-10, 10\]"),
+    (changed(walls=[{"pose": [0, 9e9, 0], "size": [1, 1]}]), 7, "at most 10000"),
+    (changed(walls=[{"pose": [0, 10**400, 0], "size": [1, 1]}]), 7, "at most 10000"),
+    (changed(discs=[{"centre": [0, 0], "radius": 1, "r": 2}]), 10, r"unknown \['r'\]"),
+    (changed(walls=[{**HAND["walls"][0], "kind": "hedge"}]), 7, "'hedge'; choose"),
+    (changed(lanes=[{**HAND["lanes"][0], "one_way": 1}]), 13, "true or false, not 1"),
+    (changed(spawns=[3]), 1, r"spawns\[0\] must be an object, not 3"),
+]
+
+
+@pytest.mark.parametrize(("data", "line", "message"), BAD_JSON)
+def test_bad_json_layouts_are_told_what_and_where(data, line, message, tmp_path):
+    path = written(tmp_path, data)
+    with pytest.raises(ValueError, match=message) as caught:
+        FromFileConfig(path=str(path))
+    assert f"{path}, line {line}: " in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_text_that_is_no_json_names_the_line(tmp_path):
+    path = tmp_path / "broken.json"
+    path.write_text('{"format": "carpark_mj layout 1",\n "bays": [\n')
+    with pytest.raises(ValueError, match=r"broken.json, line 3: Expecting value"):
+        make_layout(str(path))
+    path.write_text("[1, 2]")
+    with pytest.raises(ValueError, match="line 1: a layout is an object, not list"):
+        make_layout(str(path))
+    path.write_text("[" * 100_000)
+    with pytest.raises(ValueError, match="brackets are nested too deeply"):
+        make_layout(str(path))
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match=r"cannot read .*broken.json: it is no text"):
+        make_layout(str(path))
+    with pytest.raises(ValueError, match=r"nowhere.json: No such file or directory"):
+        make_layout("nowhere.json")
+    with pytest.raises(ValueError, match=r"path must end in one of \.json, \.csv"):
+        FromFileConfig(path="lot.txt")
+
+
+def test_a_layout_that_is_not_sound_is_refused(tmp_path):
+    bay = HAND["bays"][0]
+    path = written(tmp_path, changed(bays=[bay, bay]))
+    with pytest.raises(
+        ValueError, match=r"no sound layout: bays overlap: \[\[0, 1\]\]"
+    ):
+        make_layout(str(path))
+
+
+def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):
+    path = str(written(tmp_path, HAND))
+    config = EnvConfig(layout=path, num_agents=1, num_parked_cars=0)
+    env = ParkingEnv(config, SlidePhysics())
+    state, _ = env.reset(jax.random.key(0))
+    x, y, yaw = np.asarray(state.vehicle.pose_w[0])
+    assert abs(x + 5) <= 2.001
+    assert abs(y) <= 0.501
+    assert abs(yaw) <= 0.1001
+    with pytest.raises(ValueError, match="num_agents must be at most 1"):
+        ParkingEnv(dataclasses.replace(config, num_agents=2))
+
+
+# TPCAP
+
+SQUARE = [(8, 2), (12, 2), (12, 4), (8, 4)]
+LEFT_U = [(-4, 4), (-4, 9), (-3, 9), (-3, 6), (-1, 6), (-1, 9), (0, 9), (0, 4)]
+SHARP = [(2, -8), (9, -6), (3, -3)]
+
+
+def case(tmp_path, polygons_, start=(0, 0, 0), goal=(5, 12, math.pi / 2), text=None):
+    numbers = [*start, *goal, len(polygons_), *(len(p) for p in polygons_)]
+    numbers += [x for polygon in polygons_ for point in polygon for x in point]
+    path = tmp_path / "case.csv"
+    path.write_text(text or ",".join(map(str, numbers)) + "\n")
+    return path
+
+
+def test_a_tpcap_case_is_placed_by_its_rear_axles(tmp_path):
+    layout = read_tpcap(case(tmp_path, [SQUARE, LEFT_U, SHARP]))
+    assert layout.is_well_formed(TPCAP_CAR.size) == []
+    # Length 4.689 m, rear overhang 0.929 m: the centre lies 1.4155 m ahead.
+    bay, start = np.asarray(layout.bay_pose[0]), np.asarray(layout.spawn_pose[0])
+    between = bay - start
+    np.testing.assert_allclose(
+        between, [5 - 1.4155, 12 + 1.4155, math.pi / 2], atol=1e-5
+    )
+    np.testing.assert_allclose(
+        layout.bay_size[0], [4.689 + 0.4, 1.942 + 0.4], atol=1e-5
+    )
+    assert layout.spawn_spread.tolist() == [0.0]
+
+
+def test_rectangles_are_one_wall_and_other_polygons_their_edges(tmp_path):
+    turned = shapely.affinity.rotate(shapely.Polygon(SQUARE), 33, origin=(0, 0))
+    shapes = [list(turned.exterior.coords)[:-1][::-1], LEFT_U, SHARP]
+    layout = jax.device_get(read_tpcap(case(tmp_path, shapes, goal=(-9, -9, 0))))
+    walls = polygons(layout.wall_pose, layout.wall_size)
+    assert len(walls) == 1 + len(LEFT_U) + len(SHARP)
+    # The case was moved: put its start back.
+    shift = np.array([1.4155, 0.0]) - layout.spawn_pose[0, :2]
+    walls = shapely.transform(walls, lambda xy: xy + shift)
+    expected = shapely.Polygon(shapes[0])
+    assert walls[0].symmetric_difference(expected).area < 1e-3
+    for shape, mine in ((LEFT_U, walls[1:9]), (SHARP, walls[9:])):
+        polygon, mine = shapely.Polygon(shape), shapely.union_all(mine)
+        # Every point of the outline is covered, and nothing sticks out by over 2 cm.
+        assert polygon.exterior.difference(mine.buffer(1e-4)).length < 1e-6
+        assert mine.within(polygon.buffer(EDGE * 1.01))
+        assert mine.difference(polygon).area < 0.002  # tips at sharp corners
+
+
+def test_a_tight_goal_gets_a_smaller_bay(tmp_path):
+    # A wall 0.08 m beside the goal's footprint, which is 1.942 m wide about y = 12.
+    wall = [(4, 13.051), (9, 13.051), (9, 14), (4, 14)]
+    layout = read_tpcap(case(tmp_path, [wall], goal=(5, 12, 0)))
+    np.testing.assert_allclose(
+        layout.bay_size[0] - np.array(TPCAP_CAR.size), 0.1, atol=1e-5
+    )
+    assert layout.is_well_formed(TPCAP_CAR.size) == []
+
+
+BAD_CSV = [
+    ("1,2,3\n4,5,6\n", 2, r"7 numbers\), not 6"),
+    ("1,2,3\n4,5,pi\n", 2, "'pi' is no number"),
+    ("0,0,0,5,12,0\n1.5,3\n", 2, "number of obstacles must be a whole number"),
+    ("0,0,0,5,12,0\n3,4\n", 2, "3 obstacles need 3 vertex counts, there are 1"),
+    ("0,0,0,5,12,0\n1\n2\n", 3, "vertex count of obstacle 0 .* at least 3, not 2"),
+    ("0,0,0,5,12,0,1,3\n1,1,2,2,3\n", 2, "make 14 numbers, not 13"),
+    ("0,0,0,5,12,0,0,inf\n", 1, "'inf' is no number"),
+    ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", 2, "at the goal would stand in an"),
+    ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", 1, "at the start would stand in an"),
+]
+
+
+@pytest.mark.parametrize(("text", "line", "message"), BAD_CSV)
+def test_bad_tpcap_cases_are_told_what_and_where(text, line, message, tmp_path):
+    path = case(tmp_path, [], text=text)
+    with pytest.raises(ValueError, match=message) as caught:
+        make_layout(str(path))
+    assert f"{path}, line {line}: " in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_case_without_obstacles_and_a_missing_one(tmp_path):
+    layout = make_layout(str(case(tmp_path, [])))
+    assert layout.wall_mask.shape == (0,)
+    with pytest.raises(ValueError, match=r"cannot read the case .*nowhere.csv"):
+        make_layout("nowhere.csv")

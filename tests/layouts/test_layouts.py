@@ -1,0 +1,284 @@
+import math
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from helpers.scenes import moved, polygons
+
+from carpark_mj.layouts import (
+    COMPACT,
+    SQUARES,
+    Maxima,
+    SquareConfig,
+    make_layout,
+    pad_layout,
+    square,
+)
+
+WU = 0.5625  # m per world unit of Tanner's scene
+NAMES = sorted(SQUARES)
+EXACT = 1e-5  # m; float32 at 25 m resolves 2e-6 m
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_named_layouts_are_well_formed(name):
+    assert make_layout(name).is_well_formed() == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_square_lot_has_36_bays_4_blocks_and_4_outer_walls(name):
+    layout = make_layout(name)
+    assert int(layout.bay_mask.sum()) == 36
+    assert int(layout.wall_mask.sum()) == 8
+    size = np.asarray(layout.wall_size)
+    assert (size[:, 0] == size[:, 1]).sum() == 4  # blocks
+    assert (size[:, 0] > 4 * size[:, 1]).sum() == 4  # slabs
+    assert int(layout.spawn_mask.sum()) == 1
+
+
+def test_tanner_bays_lie_where_his_scene_has_them():
+    layout = make_layout("tanner")
+    pose = np.asarray(layout.bay_pose)
+    along = [-24, -18, -12, -6, 0, 6, 12, 18, 24]
+    # Headings of his table, clockwise from +y, turned into ours: 90 deg - heading.
+    sides = {"bottom": 0, "right": 270, "top": 180, "left": 90}
+    expected = []
+    for side, heading in sides.items():
+        yaw = math.radians(90 - heading)
+        row = -32 if side in ("bottom", "left") else 32
+        for s in along:
+            x, y = (s, row) if side in ("bottom", "top") else (row, s)
+            expected.append((x * WU, y * WU, yaw))
+    np.testing.assert_allclose(pose[:, :2], np.array(expected)[:, :2], atol=EXACT)
+    turn = np.exp(1j * pose[:, 2]) - np.exp(1j * np.array(expected)[:, 2])
+    assert np.abs(turn).max() < EXACT
+    np.testing.assert_allclose(layout.bay_size, [[10 * WU, 6 * WU]] * 36, atol=EXACT)
+
+
+def test_tanner_walls_are_his_colliders():
+    layout = make_layout("tanner")
+    pose, size = np.asarray(layout.wall_pose), np.asarray(layout.wall_size)
+    blocks = size[:, 0] == size[:, 1]
+    corners = sorted(map(tuple, np.round(pose[blocks, :2] / WU, 4)))
+    assert corners == [(-32, -32), (-32, 32), (32, -32), (32, 32)]
+    np.testing.assert_allclose(size[blocks], 9 * WU, atol=EXACT)
+    distance = np.linalg.norm(pose[~blocks, :2], axis=1)
+    inner_face = distance - size[~blocks, 1] / 2
+    np.testing.assert_allclose(inner_face, 37.5 * WU, atol=EXACT)
+
+
+def test_the_spawn_region_is_tanners_square_of_42_world_units():
+    layout = make_layout("tanner")
+    np.testing.assert_allclose(layout.spawn_size, [[42 * WU, 42 * WU]], atol=EXACT)
+    np.testing.assert_array_equal(layout.spawn_pose, [[0, 0, 0]])
+
+
+def test_compact_bays_are_2_50_m_by_5_00_m():
+    layout = make_layout("compact")
+    np.testing.assert_allclose(layout.bay_size, [[5.0, 2.5]] * 36, atol=EXACT)
+    assert COMPACT.bay_width == 2.5
+    # Rows start where the open square of nine bay widths ends.
+    far = np.abs(np.asarray(layout.bay_pose)[:, :2]).max(axis=1)
+    np.testing.assert_allclose(far, 9 * 2.5 / 2 + 5.0 / 2, atol=EXACT)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_parked_cars_point_out_of_their_bay_into_the_open_square(name):
+    layout = make_layout(name)
+    pose, size = np.asarray(layout.bay_pose), np.asarray(layout.bay_size)
+    ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
+    mouth = pose[:, :2] + ahead * size[:, :1] / 2
+    # The middle of the bay's front edge lies on the edge of the open square.
+    half = 9 * size[0, 1] / 2
+    np.testing.assert_allclose(np.abs(mouth).max(axis=1), half, atol=EXACT)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_square_lot_looks_the_same_after_a_quarter_turn(name):
+    layout = make_layout(name)
+
+    def bays(turn):
+        pose = moved(layout.bay_pose, (0.0, 0.0, turn))
+        ahead = np.exp(1j * np.asarray(pose[:, 2], np.float64))
+        table = np.c_[pose[:, :2], ahead.real, ahead.imag, layout.bay_size]
+        return sorted(map(tuple, np.round(table, 3) + 0.0))
+
+    def walls(turn):
+        pose = moved(layout.wall_pose, (0.0, 0.0, turn))
+        return shapely.union_all(polygons(pose, layout.wall_size))
+
+    assert bays(math.pi / 2) == bays(0.0)
+    difference = shapely.symmetric_difference(walls(math.pi / 2), walls(0.0))
+    assert difference.area < 1e-2  # m^2; 1e-5 m of rounding along 300 m of edges
+
+
+def furnished(layout, disc=None, lane=None, lane_width=2.0):
+    """The layout with a disc (x, y, radius) or a lane along x so far below."""
+    maxima = Maxima(36, 8, 1, 1, 1)
+    layout = pad_layout(layout, maxima)
+    if disc is not None:
+        layout = layout.replace(
+            disc_centre=jnp.array([disc[:2]]),
+            disc_radius=jnp.array([disc[2]]),
+            disc_mask=jnp.ones(1, bool),
+        )
+    if lane is not None:
+        layout = layout.replace(
+            lane_pose=jnp.array([[0.0, -lane, 0.0]]),
+            lane_size=jnp.array([[10.0, lane_width]]),
+            lane_mask=jnp.ones(1, bool),
+        )
+    return layout
+
+
+def test_a_disc_and_a_lane_out_of_the_way_are_sound():
+    layout = make_layout("tanner")
+    assert furnished(layout, disc=(15.5, 15.5, 0.2)).is_well_formed() == []
+    assert furnished(layout, lane=10.0).is_well_formed() == []
+
+
+def test_a_larger_car_needs_more_room():
+    layout = make_layout("compact")
+    assert layout.is_well_formed((4.5, 1.8)) == []
+    problems = layout.is_well_formed((5.1, 1.8))
+    assert problems[0].startswith("bays are smaller than the car: [0, 1, 2]")
+
+
+def broken(name):
+    layout = make_layout("tanner")
+    bay, wall = layout.bay_pose, layout.wall_size
+    faults = {
+        "overlapping bays": layout.replace(bay_pose=bay.at[1, 0].add(-1.0)),
+        "the same bay twice": layout.replace(bay_pose=bay.at[1].set(bay[0])),
+        "negative bay size": layout.replace(
+            bay_size=layout.bay_size.at[3, 1].set(-1.0)
+        ),
+        "zero wall size": layout.replace(wall_size=wall.at[0, 0].set(0.0)),
+        "NaN bay": layout.replace(bay_pose=bay.at[0, 2].set(jnp.nan)),
+        "infinite wall": layout.replace(wall_size=wall.at[0, 0].set(jnp.inf)),
+        "NaN extent": layout.replace(extent=jnp.array([jnp.nan, 20.0])),
+        "bay outside": layout.replace(bay_pose=bay.at[0, 1].add(-0.5)),
+        "bay in a wall": layout.replace(wall_pose=layout.wall_pose.at[0].set(bay[5])),
+        "spawn region in a wall": layout.replace(spawn_size=jnp.array([[32.0, 32.0]])),
+        "no bay": layout.replace(bay_mask=jnp.zeros(36, bool)),
+        "no spawn region": layout.replace(spawn_mask=jnp.zeros(1, bool)),
+        "mask of numbers": layout.replace(bay_mask=jnp.ones(36)),
+        "poses of integers": layout.replace(bay_pose=bay.astype(jnp.int32)),
+        "rows missing": layout.replace(wall_pose=layout.wall_pose[:7]),
+        "disc in a bay": furnished(layout, disc=(0.0, -17.0, 0.3)),
+        "disc near a spawn region": furnished(layout, disc=(0.0, -14.0, 0.3)),
+        "disc in a lane": furnished(layout, disc=(0.0, -14.0, 0.3), lane=14.0),
+        "negative disc": furnished(layout, disc=(0.0, -14.0, -0.3)),
+        "lane through bays": furnished(layout, lane=14.0, lane_width=4.0),
+        "lane through a wall": furnished(layout, lane=21.5),
+        "spawn region beside bays": layout.replace(
+            spawn_size=jnp.array([[27.0, 27.0]])
+        ),
+        "bay too narrow": layout.replace(
+            bay_size=layout.bay_size.at[7].set(jnp.array([5.0, 1.7]))
+        ),
+        "kinds of floats": layout.replace(bay_kind=jnp.zeros(36)),
+    }
+    return faults[name]
+
+
+@pytest.mark.parametrize(
+    ("fault", "word"),
+    [
+        ("overlapping bays", "bays overlap"),
+        ("the same bay twice", "bays overlap"),
+        ("negative bay size", "bay_size must be positive"),
+        ("zero wall size", "wall_size must be positive"),
+        ("NaN bay", "bay_pose holds a non-finite"),
+        ("infinite wall", "wall_size holds a non-finite"),
+        ("NaN extent", "extent"),
+        ("bay outside", r"bays lie outside the extent: \[0\]"),
+        ("bay in a wall", "bays meet walls"),
+        ("spawn region in a wall", "spawn regions meet walls"),
+        ("no bay", "no bay"),
+        ("no spawn region", "no spawn region"),
+        ("mask of numbers", "bay_mask must be bool"),
+        ("poses of integers", "bay_pose must be float32"),
+        ("rows missing", "wall_pose must be"),
+        ("disc in a bay", "bays meet discs: "),
+        ("disc near a spawn region", "cars spawning in spawn regions meet discs"),
+        ("disc in a lane", "lanes meet discs"),
+        ("negative disc", "disc_radius must be positive"),
+        ("lane through bays", "lanes meet bays"),
+        ("lane through a wall", "lanes meet walls"),
+        ("spawn region beside bays", "cars spawning in spawn regions meet bays"),
+        ("bay too narrow", r"bays are smaller than the car: \[7\]"),
+        ("kinds of floats", "bay_kind must be int32"),
+    ],
+)
+def test_is_well_formed_names_each_kind_of_fault(fault, word):
+    problems = broken(fault).is_well_formed()
+    assert any(re.search(word, problem) for problem in problems), problems
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
+    layout = make_layout(name)
+    padded = pad_layout(layout, Maxima(40, 11, 2, 4, 3))
+    assert padded.is_well_formed() == []
+    assert padded.num_bays == 40
+    assert padded.wall_mask.shape == (11,)
+    assert padded.disc_radius.shape == (2,)
+    assert padded.lane_one_way.shape == (4,)
+    assert padded.spawn_mask.shape == (3,)
+    for kind in ("bay", "wall", "spawn"):
+        mask = np.asarray(getattr(padded, f"{kind}_mask"))
+        for part in ("pose", "size"):
+            rows = np.asarray(getattr(padded, f"{kind}_{part}"))
+            real = np.asarray(getattr(layout, f"{kind}_{part}"))
+            np.testing.assert_array_equal(rows[mask], real)
+            np.testing.assert_array_equal(rows[~mask], 0.0)
+
+
+@pytest.mark.parametrize("rows", [(35, 8, 0, 0, 1), (36, 7, 0, 0, 1), (36, 8, 0, 0, 0)])
+def test_padding_to_fewer_rows_than_there_are_raises(rows):
+    with pytest.raises(ValueError, match="cannot be padded to"):
+        pad_layout(make_layout("tanner"), Maxima(*rows))
+
+
+def test_an_unknown_layout_raises_and_lists_the_known_ones():
+    with pytest.raises(ValueError, match=r"'ring'.*'lot', .* 'tanner'\]"):
+        make_layout("ring")
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"bays_per_side": 0}, "bays_per_side must be .* of at least 1, not 0"),
+        ({"bays_per_side": 9.5}, "bays_per_side must be a whole number .* not 9.5"),
+        ({"wall_gap": math.inf}, "wall_gap must be .* not negative, not inf"),
+        ({"bay_width": 1.7}, "must hold a car of 1.799 m x 4.255 m, not 1.7 m"),
+        ({"bay_length": 4.0}, "must hold a car of 1.799 m x 4.255 m, not 3.375 m x"),
+        (
+            {"bays_per_side": 1, "bay_width": 2.4},
+            r"leave a square of 2.40 m, the car needs \d.\d\d m to turn",
+        ),
+        ({"wall_gap": -0.1}, "wall_gap must be .* not negative, not -0.1"),
+        ({"bay_width": math.nan}, "bay_width must be .* not negative, not nan"),
+        ({"spawn_margin": 16.0}, "spawn_margin 16.0 m leaves no spawn region"),
+    ],
+)
+def test_impossible_square_lots_raise(change, word):
+    with pytest.raises(ValueError, match=word):
+        SquareConfig(**change)
+
+
+def test_square_lots_of_other_sizes_are_well_formed():
+    config = SquareConfig(bays_per_side=5, bay_width=2.7, bay_length=5.2)
+    layout = square(config, jax.random.key(0))
+    assert layout.is_well_formed() == []
+    assert layout.num_bays == 20
+
+
+def test_layout_arrays_are_strongly_typed_float32():
+    for leaf in jax.tree.leaves(make_layout("tanner")):
+        assert leaf.dtype in (jnp.float32, jnp.int32, jnp.bool_)
+        assert not leaf.weak_type

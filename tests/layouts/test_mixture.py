@@ -1,0 +1,184 @@
+"""Mixtures and environments whose every lot has a layout of its own."""
+
+import dataclasses
+import functools
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import SlidePhysics
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import (
+    DeadEndConfig,
+    FromFileConfig,
+    GarageRowConfig,
+    MixtureConfig,
+    SquareConfig,
+    StreetConfig,
+    generate,
+    layout_config,
+    member_shares,
+    mixture,
+)
+from carpark_mj.policy import runs
+
+MEMBERS = (
+    SquareConfig(bays_per_side=5),
+    StreetConfig(bays_per_side=(3, 4)),
+    DeadEndConfig(),
+)
+WEIGHTS = (1.0, 2.0, 1.0)
+LOTS = 400
+
+
+@functools.cache
+def compiled():
+    """An environment in a mixture with its compiled functions."""
+    config = EnvConfig(layout=mixture(MEMBERS, WEIGHTS), num_parked_cars=2)
+    env = ParkingEnv(config, SlidePhysics())
+    return env, jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(env.step))
+
+
+@functools.cache
+def layouts(seed=0):
+    _, reset, _ = compiled()
+    state, _ = reset(jax.random.split(jax.random.key(seed), LOTS))
+    return jax.device_get(state.layout)
+
+
+def member(batch):
+    """Which family each lot is of: only streets have two lanes, squares have none."""
+    return np.array([0, 2, 1])[batch.lane_mask.sum(axis=-1)]
+
+
+def test_families_are_drawn_in_proportion_to_their_weights():
+    share = np.bincount(member(layouts()), minlength=3) / LOTS
+    # Five standard deviations of 400 draws.
+    np.testing.assert_allclose(share, [0.25, 0.5, 0.25], atol=0.125)
+
+
+def test_every_lot_of_a_mixture_is_one_its_family_draws():
+    batch, families = layouts(), member(layouts())
+    for family in range(3):
+        one = jax.tree.map(lambda x, f=family: x[families == f][0], batch)
+        assert one.is_well_formed() == []
+        own = jax.eval_shape(
+            functools.partial(generate, MEMBERS[family]), jax.random.key(0)
+        )
+        assert one.bay_mask[own.bay_mask.shape[0] :].sum() == 0
+    assert batch.bay_mask.shape[1] == 20  # the square's
+    assert batch.lane_mask.shape[1] == 2  # the street's
+    square = jax.tree.map(lambda x: x[families == 0][0], batch)
+    np.testing.assert_array_equal(
+        square.bay_pose, generate(MEMBERS[0], jax.random.key(0)).bay_pose
+    )
+
+
+def test_other_keys_and_other_families_need_no_other_program():
+    env, reset, step = compiled()
+    assert env.config.num_agents == 2
+    for seed in range(3):
+        state, _ = reset(jax.random.split(jax.random.key(seed), LOTS))
+        for _ in range(2):
+            state, _ = step(state, jnp.zeros((LOTS, 2, 2)))
+    assert reset._cache_size() == 1
+    assert step._cache_size() == 1
+
+
+def test_members_are_called_by_their_names_with_their_shares():
+    tight = [GarageRowConfig(level=level) for level in ("normal", "complex")]
+    members = ["compact", *tight, SquareConfig(bays_per_side=5)]
+    assert member_shares(mixture(members, [1, 1, 2, 4])) == {
+        "compact": 0.125,
+        "garage_row": 0.125,
+        "garage_row 2": 0.25,
+        "square": 0.5,
+    }
+    assert list(member_shares(MixtureConfig())) == [
+        "compact",
+        "street",
+        "street_parallel",
+        "angled",
+    ]
+    assert member_shares(StreetConfig()) == {"street": 1.0}
+
+
+def test_the_layout_of_a_lot_follows_from_its_reset_key_alone():
+    env, _, _ = compiled()
+    key = jax.random.split(jax.random.key(0), LOTS)[5]
+    state, _ = jax.jit(env.reset)(key)
+    batch = jax.tree.map(lambda x: x[5], layouts())
+    for a, b in zip(*map(jax.tree.leaves, (state.layout, batch)), strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-5)  # float32 at 20 m
+
+
+def test_agents_and_parked_cars_only_use_the_bays_that_are_there():
+    _, reset, _ = compiled()
+    state, _ = reset(jax.random.split(jax.random.key(4), LOTS))
+    mask = np.asarray(state.layout.bay_mask)
+    held = np.c_[state.occupancy.goal, state.occupancy.parked_bay]
+    assert np.take_along_axis(mask, held, axis=1).all()
+    assert not mask.all()
+
+
+def test_the_fewest_bays_of_any_member_limit_the_cars():
+    config = mixture(["compact", StreetConfig(bays_per_side=(3, 9))])
+    assert config.min_bays == 6
+    ParkingEnv(
+        EnvConfig(layout=config, num_agents=2, num_parked_cars=4), SlidePhysics()
+    )
+    with pytest.raises(ValueError, match=r"num_parked_cars must be at most 4 \(6 bays"):
+        ParkingEnv(EnvConfig(layout=config, num_parked_cars=5), SlidePhysics())
+
+
+def test_names_with_commas_between_are_a_mixture():
+    config = EnvConfig(layout="compact,street,street")
+    assert layout_config(config.layout) == mixture(["compact", "street", "street"])
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        "lot",
+        GarageRowConfig(level="complex", num_bays=(18, 20)),
+        mixture(["compact", StreetConfig(), GarageRowConfig()], [1, 2, 3]),
+    ],
+)
+def test_layouts_survive_the_json_of_a_run(layout):
+    config = EnvConfig(layout=layout)
+    text = json.dumps(dataclasses.asdict(config))
+    assert runs.from_dict(EnvConfig, json.loads(text)) == config
+
+
+def test_a_stored_layout_of_an_unknown_family_is_refused():
+    data = dataclasses.asdict(EnvConfig(layout=StreetConfig()))
+    data["layout"]["family"] = "ring"
+    with pytest.raises(ValueError, match="unknown family 'ring'; choose from"):
+        runs.from_dict(EnvConfig, data)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: mixture([]), "members of a mixture must be one config or more"),
+        (lambda: mixture(["ring"]), "unknown layout 'ring'"),
+        (lambda: mixture(["compact"], [1, 2]), r"one for each of the 1 members"),
+        (
+            lambda: mixture(["compact"], [0.0]),
+            r"weights must be positive, not \(0.0,\)",
+        ),
+        (lambda: MixtureConfig(members=("x",)), "members must be layout configs"),  # type: ignore
+        (lambda: MixtureConfig(members=[StreetConfig()]), "members of a mixture must"),  # type: ignore
+        (lambda: mixture(["compact"], ["1"]), r"weights must be positive"),  # type: ignore
+        (lambda: EnvConfig(layout="street,ring"), "unknown layout 'ring'; choose from"),
+        (lambda: EnvConfig(layout="street.jsn"), r"or name a file \(.json, .csv\)"),
+        (lambda: FromFileConfig(), "path must end in one of"),
+    ],
+)
+def test_impossible_mixtures_raise(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -1,0 +1,241 @@
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from helpers.scenes import lot, moved, polygons
+
+from carpark_mj.config import WORLD_UNIT, SpawnConfig
+from carpark_mj.layouts import Maxima, make_layout, pad_layout
+from carpark_mj.mdp.spawning.poses import spawn_pose
+
+RANDOM = SpawnConfig(close_ratio=0.0)
+CLOSE = SpawnConfig(close_ratio=1.0)
+NOBODY = jnp.zeros((1, 2)), jnp.zeros(1, bool)
+COUNT = 4000
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def draw_all(config, layout, goal, xy, mask, keys):
+    def one(key):
+        return spawn_pose(config, layout, goal, xy, mask, key)
+
+    return jax.vmap(one)(keys)
+
+
+def draw(config, layout, goal=(0.0, 0.0, 0.0), others=NOBODY, count=COUNT, seed=0):
+    """Many spawn poses as numpy."""
+    keys = jax.random.split(jax.random.key(seed), count)
+    goal = jnp.array(goal, jnp.float32)
+    return np.asarray(draw_all(config, layout, goal, *others, keys), np.float64)
+
+
+def people(*xy):
+    return jnp.array(xy, jnp.float32), jnp.ones(len(xy), bool)
+
+
+def two_regions():
+    """A turned square of 8 m at (-10, 0), and 2 m by 8 m at (10, 0); one padding."""
+    layout = lot([(0.0, 20.0, 0.0)])
+    layout = layout.replace(
+        spawn_pose=jnp.array([[-10.0, 0.0, 0.7], [10.0, 0.0, 0.0]]),
+        spawn_size=jnp.array([[8.0, 8.0], [2.0, 8.0]]),
+        spawn_spread=jnp.full(2, jnp.pi),
+        spawn_mask=jnp.ones(2, bool),
+    )
+    return pad_layout(layout, Maxima(1, 0, 0, 0, 3))
+
+
+def test_random_spawns_are_uniform_over_the_region():
+    layout = make_layout("tanner")
+    side = 42 * 0.5625
+    pose = draw(RANDOM, layout)
+    assert np.abs(pose[:, :2]).max() <= side / 2
+    cell = np.floor((pose[:, :2] / side + 0.5) * 4).astype(int)
+    count = np.bincount(cell[:, 0] * 4 + cell[:, 1], minlength=16)
+    chi_square = ((count - COUNT / 16) ** 2 / (COUNT / 16)).sum()
+    assert chi_square < 37.7  # the 0.1 % quantile at 15 degrees of freedom
+
+
+def test_spawn_headings_are_uniform():
+    for config in (RANDOM, CLOSE):
+        yaw = draw(config, make_layout("tanner"))[:, 2]
+        assert (np.abs(yaw) <= np.float32(np.pi)).all()
+        count = np.histogram(yaw, bins=12, range=(-np.pi, np.pi))[0]
+        chi_square = ((count - COUNT / 12) ** 2 / (COUNT / 12)).sum()
+        assert chi_square < 31.3  # the 0.1 % quantile at 11 degrees of freedom
+
+
+def test_regions_are_drawn_in_proportion_to_their_area_and_padding_never():
+    layout = two_regions()
+    pose = draw(RANDOM, layout)
+    point = shapely.points(pose[:, :2])
+    regions = polygons(layout.spawn_pose[:2], layout.spawn_size[:2])
+    # 1e-5 m of float32 rounding at the edge.
+    inside = shapely.distance(regions[:, None], point) < 1e-5
+    assert inside.any(axis=0).all()
+    # Areas 64 and 16: 80 %. Deviation 0.6 %, five of them.
+    assert inside[0].mean() == pytest.approx(0.8, abs=0.032)
+
+
+def test_random_spawns_keep_the_distance_to_others_where_there_is_room():
+    # They take a third of the region: all 16 candidates fail once in 1e8 draws.
+    others = people((-9.0, -9.0), (9.0, 9.0))
+    pose = draw(RANDOM, make_layout("tanner"), others=others)
+    gap = np.linalg.norm(pose[:, None, :2] - np.asarray(others[0]), axis=2).min(axis=1)
+    assert gap.min() > RANDOM.min_distance
+
+
+def test_agents_that_are_masked_are_not_kept_away_from():
+    xy, mask = people((0.0, 0.0), (100.0, 0.0))
+    pose = draw(RANDOM, make_layout("tanner"), others=(xy, mask.at[0].set(False)))
+    gap = np.linalg.norm(pose[:, :2], axis=1)
+    # 18 m^2 pi of 558 m^2 lie within 4.2 m.
+    assert (gap < 4.2).mean() == pytest.approx(np.pi * 4.2**2 / 23.625**2, abs=0.03)
+
+
+def test_the_farthest_candidate_is_taken_when_none_keeps_the_distance():
+    # An agent in the middle of a square of 4 m: no point is 7.38 m away.
+    layout = lot([(0.0, 20.0, 0.0)], spawn_size=(4.0, 4.0))
+    pose = draw(RANDOM, layout, others=people((0.0, 0.0)))
+    gap = np.linalg.norm(pose[:, :2], axis=1)
+    # Best of 16 uniform draws: mean of max over 16, worked out by sampling.
+    rng = np.random.default_rng(0)
+    sample = np.linalg.norm(rng.uniform(-2, 2, (20000, 16, 2)), axis=2).max(axis=1)
+    # Deviation 0.25 m over sqrt(4000): 0.004 m, five of them.
+    assert gap.mean() == pytest.approx(sample.mean(), abs=0.02)
+
+
+def test_a_single_candidate_is_taken_whatever_its_distance():
+    config = SpawnConfig(close_ratio=0.0, num_candidates=1)
+    pose = draw(config, make_layout("tanner"), others=people((0.0, 0.0)))
+    assert (np.linalg.norm(pose[:, :2], axis=1) < config.min_distance).any()
+
+
+@pytest.mark.parametrize("goal", [(0.0, 18.0, 0.0), (18.0, -13.5, 0.0), (3.0, 2.0, 0)])
+def test_close_spawns_lie_within_close_distance_of_the_point_nearest_the_goal(goal):
+    half = 21 * 0.5625
+    nearest = np.clip(goal[:2], -half, half)
+    pose = draw(CLOSE, make_layout("tanner"), goal=goal)
+    assert np.abs(pose[:, :2]).max() <= half
+    gap = np.linalg.norm(pose[:, :2] - nearest, axis=1)
+    assert gap.max() <= CLOSE.close_distance + 1e-5  # float32
+    # A walk can be long and it can be short.
+    assert gap.max() > 0.9 * CLOSE.close_distance
+    assert gap.min() < 0.1 * CLOSE.close_distance
+
+
+def test_close_spawns_lie_in_the_region_nearest_the_goal():
+    layout = two_regions()
+    for goal, region in (((-9.0, 20.0, 0.0), 0), ((8.0, 20.0, 0.0), 1)):
+        pose = draw(CLOSE, layout, goal=goal)
+        area = polygons(layout.spawn_pose[region], layout.spawn_size[region])
+        point = shapely.points(pose[:, :2])
+        assert shapely.distance(area, point).max() < 1e-5  # float32
+        nearest = shapely.shortest_line(area, shapely.Point(goal[:2])).coords[0]
+        gap = np.linalg.norm(pose[:, :2] - nearest, axis=1)
+        assert gap.max() <= CLOSE.close_distance + 1e-4  # float32
+
+
+def test_close_ratio_is_the_share_of_close_spawns():
+    config = SpawnConfig(close_ratio=0.3, close_distance=1.0)
+    goal = (0.0, 18.0, 0.0)
+    nearest = np.array([0.0, 21 * 0.5625])
+    gap = np.linalg.norm(
+        draw(config, make_layout("tanner"), goal)[:, :2] - nearest, axis=1
+    )
+    by_chance = np.pi / 2 / 23.625**2
+    # Deviation 0.7 %: five of them.
+    expected = 0.3 + 0.7 * by_chance
+    assert (gap <= 1.0).mean() == pytest.approx(expected, abs=0.036)
+
+
+def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
+    layout = make_layout("tanner")
+    one = draw(RANDOM, layout, goal=(0.0, 18.0, 0.0))
+    other = draw(RANDOM, layout, goal=(18.0, 0.0, 1.0))
+    np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("config", [RANDOM, CLOSE])
+def test_headings_stray_from_the_regions_no_farther_than_its_spread(config):
+    layout = two_regions().replace(
+        spawn_pose=jnp.array([[-10.0, 0.0, 3.1], [10.0, 0.0, -1.0], [0.0, 0.0, 0.0]]),
+        spawn_spread=jnp.array([0.2, 0.05, 0.0]),
+    )
+    for goal, region in (((-10.0, 9.0, 0.0), 0), ((10.0, 9.0, 0.0), 1)):
+        pose = draw(config, layout, goal=goal)
+        here = (pose[:, 0] < 0) == (region == 0)
+        stray = np.angle(np.exp(1j * (pose[here, 2] - (3.1, -1.0)[region])))
+        spread = (0.2, 0.05)[region]
+        # Uniform: the extremes are met, and the deviation is that of a uniform one.
+        assert spread * 0.98 < np.abs(stray).max() <= spread + 1e-6
+        assert stray.std() == pytest.approx(spread / np.sqrt(3), rel=0.05)
+        assert (np.abs(pose[:, 2]) <= np.pi + 1e-6).all()
+
+
+def test_spawns_move_with_the_lot():
+    layout, goal, motion = two_regions(), (8.0, 20.0, 0.0), (7.0, -3.0, 1.1)
+    there = layout.replace(spawn_pose=moved(layout.spawn_pose, motion))
+    for config in (RANDOM, CLOSE):
+        before = draw(config, layout, goal, count=500)[:, :2]
+        # Walks of close spawns are drawn in the region's frame, so they turn along.
+        after = draw(config, there, tuple(moved(goal, motion)), count=500)[:, :2]
+        expected = moved(np.c_[before, np.zeros(500)], motion)[:, :2]
+        np.testing.assert_allclose(after, expected, atol=2e-5)  # float32 at 20 m
+
+
+GRID_CLOSE = SpawnConfig(close_ratio=1.0, grid=WORLD_UNIT / 16)
+FAR = (0.0, 60.0, 0.0)  # a goal far above: walks begin in the middle of the upper edge
+
+
+def test_on_a_grid_a_close_spawn_is_a_walk_of_unit_steps_within_the_region():
+    side = 21 * WORLD_UNIT
+    pose = draw(GRID_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
+    steps = (pose - [0.0, side]) / WORLD_UNIT
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
+    assert pose[:, 1].max() <= side + 1e-5
+    # Ten units at most give walks of up to nine steps; some never leave.
+    assert np.abs(np.round(steps)).sum(axis=1).max() <= 9
+    assert (np.abs(steps) < 0.5).all(axis=1).any()
+
+
+def test_a_grid_walk_is_the_study_s():
+    """The same distribution as of a walk worked out one step after the other."""
+    rng = np.random.default_rng(0)
+    ends = np.zeros((20_000, 2))
+    for end in ends:
+        for _ in range(rng.integers(10)):
+            while True:
+                step = ((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
+                if end[1] + step[1] <= 0:
+                    break
+            end += step
+    side = 21 * WORLD_UNIT
+    pose = draw(GRID_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
+    steps = (pose - [0.0, side]) / WORLD_UNIT
+    for axis in range(2):
+        bins = np.arange(-6.5, 7.5)
+        mine = np.histogram(steps[:, axis], bins)[0] / COUNT
+        study = np.histogram(ends[:, axis], bins)[0] / len(ends)
+        # Deviations of a share of 4,000 and of 20,000: 0.9 % at most; five of them.
+        np.testing.assert_allclose(mine, study, atol=0.045)
+    far = np.linalg.norm(ends, axis=1)
+    near = np.linalg.norm(steps, axis=1)
+    assert near.mean() == pytest.approx(far.mean(), abs=0.1)
+    straight = draw(CLOSE, make_layout("tanner"), goal=FAR)[:, :2] - [0.0, side]
+    # Without a grid the start is one straight step and lies farther off.
+    assert np.linalg.norm(straight, axis=1).mean() > 1.5 * near.mean() * WORLD_UNIT
+
+
+def test_on_a_grid_close_spawns_lie_on_its_points_in_a_turned_region_too():
+    layout, spacing = two_regions(), 0.4
+    config = SpawnConfig(close_ratio=1.0, grid=spacing, close_distance=4.0)
+    pose = draw(config, layout, goal=(-9.0, 20.0, 0.0))[:, :2]
+    local = (pose[:, 0] + 10 + 1j * pose[:, 1]) * np.exp(-0.7j)
+    point = np.stack([local.real, local.imag], axis=1) / spacing
+    np.testing.assert_allclose(point, np.round(point), atol=1e-3)
+    assert np.abs(point).max() <= 10 + 1e-3
+    assert len(np.unique(np.round(point), axis=0)) > 20

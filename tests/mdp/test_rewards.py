@@ -1,0 +1,353 @@
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import cars, moved, moved_cars
+
+from carpark_mj.config import EnvConfig, GridConfig, RewardConfig, reward_preset
+from carpark_mj.mdp.rewards import (
+    Effort,
+    effort,
+    goal_potential,
+    is_nearer,
+    reward_terms,
+    term_names,
+)
+from carpark_mj.physics.grid import GridPhysics, GridState
+from carpark_mj.types import Events
+from carpark_mj.vehicle import COMPACT, make_vehicle
+
+TANNER = reward_preset("tanner")
+SHAPED = reward_preset("shaped")
+MAX_STEPS = 200
+STEERING_CHANGE = 0.084  # rad, 0.42 rad/s for 0.2 s
+PHYSICAL = EnvConfig()
+VEHICLE = make_vehicle(COMPACT)
+
+
+def events(count, **true):
+    """Events of some agents; each keyword lists the agents it holds for."""
+    flags = {
+        field.name: np.isin(np.arange(count), true.get(field.name, []))
+        for field in dataclasses.fields(Events)
+    }
+    return Events(**{name: jnp.array(flag) for name, flag in flags.items()})
+
+
+def terms(config, before, after, goal, happened=None):
+    goal = jnp.broadcast_to(jnp.asarray(goal, jnp.float32), after.pose_w.shape)
+    count = after.pose_w.shape[0]
+    named = reward_terms(
+        config,
+        before,
+        after,
+        goal,
+        happened if happened is not None else events(count),
+        effort(PHYSICAL, before, after, VEHICLE),
+        MAX_STEPS,
+    )
+    assert tuple(named) == term_names()
+    return {name: np.asarray(term, np.float64) for name, term in named.items()}
+
+
+GOAL = (10.0, 0.0, 0.0)
+
+
+def test_every_term_of_a_hand_worked_step():
+    config = RewardConfig(
+        park=4.0,
+        final_speed=0.6,
+        final_heading=0.9,
+        crash=1.5,
+        halt=0.7,
+        time=1.0,
+        progress=0.2,
+        alignment=0.5,
+        alignment_range=4.0,
+        approach=0.15,
+        smoothness=0.05,
+        reverse=0.1,
+        closeness=0.0,  # below
+    )
+    # Agent 0 comes 1 m nearer on the axis at a third of its 3 m/s; agent 1 reverses
+    # from 3 m to 5 m, turning from along the bay to 60 deg across it, with half the
+    # possible steering change.
+    before = cars([(4.0, 0.0, 0.0), (13.0, 0.0, 0.0)], steering=[0.1, 0.0])
+    after = cars(
+        [(5.0, 0.0, 0.0), (15.0, 0.0, math.pi / 3)],
+        steering=[0.1, -0.042],
+        speed=[1.0, -1.0],
+    )
+    got = terms(config, before, after, GOAL, events(2, parked=[0], crashed=[1]))
+    expected = {
+        "park": [4.0, 0.0],
+        "final_speed": [-0.6 / 3, 0.0],
+        "final_heading": [0.0, 0.0],
+        "crash": [0.0, -1.5],
+        "halt": [0.0, 0.0],
+        "time": [-1.0 / 200, -1.0 / 200],
+        # 0.2 a metre; and the misalignment gained at 5 m.
+        "progress": [0.2, -0.4 - 0.5 * math.pi / 3 * math.exp(-5 / 4)],
+        "approach": [0.15 / 200, -0.15 / 200],
+        "smoothness": [0.0, -0.05 / 200 * 0.5],
+        "reverse": [0.0, -0.1 / 200],
+        "closeness": [0.0, 0.0],
+    }
+    assert got.keys() == expected.keys()
+    for name, value in expected.items():
+        # float32 sums of numbers up to 4.
+        np.testing.assert_allclose(got[name], value, atol=1e-6, err_msg=name)
+
+
+def test_closeness_looks_at_the_nearest_other_agent_and_begins_at_its_range():
+    config = RewardConfig(closeness=10.0, closeness_range=3.0)
+    size = np.asarray(cars([(0.0, 0.0, 0.0)]).size[0], np.float64)
+    # In a row, nose to tail with gaps of 1.5 m and 2.99 m; the fourth stands alone.
+    x = [0.0, size[0] + 1.5, 2 * size[0] + 4.49, 60.0]
+    state = cars([(value, 0.0, 0.0) for value in x])
+    got = terms(config, state, state, GOAL)["closeness"]
+    near, far = -10 / 200 * 0.5, -10 / 200 * (1 - 2.99 / 3)
+    np.testing.assert_allclose(got, [near, near, far, 0.0], atol=1e-6)
+    alone = cars([(0.0, 0.0, 0.0)])
+    assert terms(config, alone, alone, GOAL)["closeness"] == 0.0
+
+
+def test_the_potential_is_minus_the_weighted_way_and_misalignment_left():
+    config = RewardConfig(progress=0.2, alignment=0.5, alignment_range=4.0)
+    pose = jnp.array([[10.0, 0.0, 0.0], [6.0, 3.0, 0.0], [10.0, 4.0, -math.pi / 2]])
+    potential = goal_potential(config, pose, jnp.array(GOAL))
+    expected = [0.0, -1.0, -0.8 - 0.5 * math.pi / 2 * math.exp(-1)]
+    np.testing.assert_allclose(potential, expected, atol=1e-6)
+
+
+def test_nose_in_and_nose_out_have_the_same_potential():
+    pose = jnp.array([[9.0, 0.5, 0.3], [9.0, 0.5, 0.3 - math.pi]])
+    nose_in, nose_out = goal_potential(SHAPED, pose, jnp.array(GOAL))
+    assert float(nose_in) == pytest.approx(float(nose_out), abs=1e-6)  # float32
+
+
+def random_path(steps, closed, seed=0):
+    rng = np.random.default_rng(seed)
+    path = rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (steps + 1, 3))
+    if closed:
+        path[-1] = path[0]
+    return np.float32(path)
+
+
+def test_progress_sums_to_zero_around_a_closed_loop():
+    path = random_path(300, closed=True)
+    got = terms(SHAPED, cars(path[:-1]), cars(path[1:]), GOAL)["progress"]
+    # 300 float32 differences of potentials of up to 6: 5e-7 each.
+    assert got.sum() == pytest.approx(0.0, abs=2e-4)
+    assert np.abs(got).sum() > 100  # though each step paid
+
+
+def test_progress_telescopes_along_a_path():
+    path = random_path(300, closed=False)
+    got = terms(SHAPED, cars(path[:-1]), cars(path[1:]), GOAL)["progress"]
+    ends = goal_potential(SHAPED, jnp.array(path[[0, -1]]), jnp.array(GOAL))
+    assert got.sum() == pytest.approx(float(ends[1] - ends[0]), abs=2e-4)  # as above
+
+
+def drive(distances, speed=1.0, steering=0.0):
+    """Steps along the bay's axis with the given distances to the goal."""
+    x = GOAL[0] - np.asarray(distances, np.float64)
+    poses = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
+    steering = np.broadcast_to(steering, x.shape)
+    before = cars(poses[:-1], speed, steering[:-1])
+    return terms(TANNER, before, cars(poses[1:], speed, steering[1:]), GOAL)
+
+
+def test_an_episode_of_tanners_that_always_approaches_sums_to_his_numbers():
+    got = drive(np.linspace(30.0, 10.0, MAX_STEPS + 1))
+    total = {name: term.sum() for name, term in got.items()}
+    expected = {"time": -0.2, "approach": 0.15, "progress": 0.0, "reverse": 0.0}
+    for name, value in expected.items():
+        assert total[name] == pytest.approx(value, abs=1e-6), name  # float32
+    assert sum(total.values()) == pytest.approx(-0.05, abs=1e-6)
+
+
+def test_an_episode_of_tanners_that_stands_still_is_as_bad_as_one_that_leaves():
+    for distances in (np.full(MAX_STEPS + 1, 10.0), np.linspace(10, 30, MAX_STEPS + 1)):
+        got = drive(distances)
+        assert got["approach"].sum() == pytest.approx(-0.15, abs=1e-6)  # float32
+        assert got["time"].sum() == pytest.approx(-0.2, abs=1e-6)
+
+
+def test_an_episode_of_tanners_in_reverse_costs_the_whole_reverse_sum():
+    got = drive(np.linspace(30.0, 10.0, MAX_STEPS + 1), speed=-1.0)
+    assert got["reverse"].sum() == pytest.approx(-0.1, abs=1e-6)  # float32
+    got = drive(np.linspace(30.0, 10.0, MAX_STEPS + 1), speed=0.0)
+    assert got["reverse"].sum() == 0.0
+
+
+def test_an_episode_of_tanners_with_all_the_steering_there_is_costs_its_sum():
+    steering = STEERING_CHANGE * (np.arange(MAX_STEPS + 1) % 2)
+    got = drive(np.linspace(30.0, 10.0, MAX_STEPS + 1), steering=steering)
+    assert got["smoothness"].sum() == pytest.approx(-0.05, abs=1e-6)  # float32
+
+
+def test_a_time_out_costs_nothing_by_itself():
+    vehicle = cars([(0.0, 0.0, 0.0)])
+    plain = terms(TANNER, vehicle, vehicle, GOAL)
+    timed_out = terms(TANNER, vehicle, vehicle, GOAL, events(1, timed_out=[0]))
+    assert plain == timed_out
+
+
+@pytest.mark.parametrize("config", [SHAPED, TANNER])
+def test_a_diverged_car_gets_nothing(config):
+    before = cars([(0.0, 0.0, 0.0)] * 2)
+    after = cars([(5.0, 0.0, 1.0)] * 2, speed=-1.0, steering=0.05)
+    got = terms(config, before, after, GOAL, events(2, diverged=[0]))
+    assert all(term[0] == 0.0 for term in got.values())
+    assert all(np.isfinite(term).all() for term in got.values())
+    assert got["time"][1] < 0.0
+
+
+def test_a_diverged_car_gets_nothing_even_from_numbers_that_are_not_finite():
+    before = cars([(0.0, 0.0, 0.0)])
+    after = cars([(math.nan, 0.0, 1.0)], speed=math.inf, steering=math.nan)
+    got = terms(SHAPED, before, after, GOAL, events(1, diverged=[0]))
+    assert all(term == 0.0 for term in got.values())
+
+
+@pytest.mark.parametrize("config", [SHAPED, TANNER])
+def test_rewards_do_not_depend_on_the_frame(config):
+    path = random_path(200, closed=False, seed=1)
+    goals = random_path(199, closed=False, seed=2)
+    rng = np.random.default_rng(3)
+    speed, steering = rng.normal(0, 1, 200), rng.uniform(-0.04, 0.04, (2, 200))
+    before = cars(path[:-1], steering=steering[0])
+    after = cars(path[1:], speed, steering[1])
+    happened = events(200, parked=range(0, 20), crashed=range(20, 50))
+    here = terms(config, before, after, goals, happened)
+    motion = (6.0, -11.0, 1.9)
+    there = terms(
+        config,
+        moved_cars(before, motion),
+        moved_cars(after, motion),
+        moved(goals, motion),
+        happened,
+    )
+    for name, term in here.items():
+        # float32 distances of 40 m: 4e-6 m; axis angles: 1e-6 rad.
+        np.testing.assert_allclose(there[name], term, atol=1e-5, err_msg=name)
+
+
+def test_reward_terms_are_strongly_typed_float32():
+    before = cars([(0.0, 0.0, 0.0)] * 2)
+    named = jax.eval_shape(
+        lambda: reward_terms(
+            SHAPED,
+            before,
+            before,
+            before.pose_w,
+            events(2),
+            effort(PHYSICAL, before, before, VEHICLE),
+            MAX_STEPS,
+        )
+    )
+    for term in named.values():
+        assert (term.shape, term.dtype, term.weak_type) == ((2,), jnp.float32, False)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "share"),
+    [(0, 0.0), (180, 0.0), (45, 0.5), (-45, 0.5), (90, 1.0), (150, 1 / 3)],
+)
+def test_parking_costs_its_rotation_none_along_the_bay_and_all_of_it_across(
+    degrees, share
+):
+    config = RewardConfig(final_heading=0.8)
+    parked = cars([(10.0, 0.0, math.radians(degrees))])
+    got = terms(config, parked, parked, GOAL, events(1, parked=[0]))
+    assert got["final_heading"] == pytest.approx(-0.8 * share, abs=1e-6)
+    assert terms(config, parked, parked, GOAL)["final_heading"] == 0.0
+
+
+@pytest.mark.parametrize("speed", [3.0, -1.5, 0.0])
+def test_parking_costs_its_speed_as_a_share_of_the_top_speed(speed):
+    config = RewardConfig(final_speed=0.6)
+    car = cars([GOAL], speed=speed)
+    got = terms(config, car, car, GOAL, events(1, parked=[0]))["final_speed"]
+    assert got == pytest.approx(-0.6 * abs(speed) / 3.0, abs=1e-6)
+    assert terms(config, car, car, GOAL)["final_speed"] == 0.0
+
+
+def test_a_halt_costs_once_when_time_is_up():
+    car = cars([(0.0, 0.0, 0.0)] * 2)
+    got = terms(RewardConfig(halt=0.2), car, car, GOAL, events(2, timed_out=[1]))
+    np.testing.assert_allclose(got["halt"], [0.0, -0.2], atol=1e-7)
+
+
+def test_smoothness_can_count_times_the_speed():
+    steering = STEERING_CHANGE * (np.arange(MAX_STEPS + 1) % 2)
+    poses = [(0.0, 0.0, 0.0)] * (MAX_STEPS + 1)
+    speed = np.linspace(-2.0, 3.0, MAX_STEPS)
+    before = cars(poses[:-1], 0.0, steering[:-1])
+    after = cars(poses[1:], speed, steering[1:])
+    plain = RewardConfig(smoothness=0.05)
+    got = terms(plain, before, after, GOAL)["smoothness"]
+    assert got.sum() == pytest.approx(-0.05, abs=1e-6)
+    by_speed = dataclasses.replace(plain, smoothness_by_speed=True)
+    got = terms(by_speed, before, after, GOAL)["smoothness"]
+    expected = -0.05 / MAX_STEPS * np.abs(speed) / 3.0
+    np.testing.assert_allclose(got, expected, atol=1e-9)
+
+
+# On the grid
+
+FINE = GridConfig()  # 24 headings, turns of up to 3, levels -2 to 4
+
+
+def grid_cars(points, level=0, turn=0):
+    """The grid's cars (n,) at points, as its physics shows them."""
+    physics = GridPhysics(FINE, PHYSICAL.sim)
+    count = len(points)
+    vehicle = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), VEHICLE)
+    zero = jnp.zeros(count, jnp.int32)
+    return physics.read(
+        GridState(
+            point=jnp.asarray(points, jnp.int32),
+            level=zero + jnp.asarray(level, jnp.int32),
+            heading=zero,
+            turn=zero + jnp.asarray(turn, jnp.int32),
+            vehicle=vehicle,
+        )
+    )
+
+
+def test_effort_on_the_grid_is_turn_and_level_over_the_most_there_are():
+    still, turn, level = grid_cars([(0, 0)] * 5), [-3, -1, 0, 2, 3], [4, 2, 0, -1, -2]
+    after = grid_cars([(0, 0)] * 5, level, turn)
+    got = effort(EnvConfig(physics="grid"), still, after, VEHICLE)
+    np.testing.assert_allclose(got.turn, [1, 1 / 3, 0, 2 / 3, 1], atol=1e-6)
+    np.testing.assert_allclose(got.speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
+
+
+def test_nearer_on_the_grid_is_exactly_what_whole_numbers_say():
+    """Moves of up to 16 points; ties of x^2 + y^2 abound."""
+    rng = np.random.default_rng(0)
+    goal = rng.integers(-512, 513, (20_000, 2))
+    reach = np.where(rng.random((20_000, 1)) < 0.5, 24, 1100)
+    before = goal + rng.integers(-reach, reach + 1, (20_000, 2))
+    after = before + rng.integers(-16, 17, (20_000, 2))
+    # Some swap their coordinates about the goal: exactly as far as before.
+    after[:3000] = goal[:3000] + (before[:3000] - goal[:3000])[:, ::-1]
+    goal_w = jnp.pad(grid_cars(goal).pose_w[:, :2], ((0, 0), (0, 1)))
+    got = np.asarray(is_nearer(grid_cars(before), grid_cars(after), goal_w))
+    far, near = ((before - goal) ** 2).sum(axis=1), ((after - goal) ** 2).sum(axis=1)
+    assert (far == near).sum() > 3000
+    np.testing.assert_array_equal(got, near < far)
+
+
+def test_efforts_have_one_number_an_agent():
+    one = grid_cars([(0, 0)] * 4)
+    for config in (PHYSICAL, EnvConfig(physics="grid")):
+        got = effort(config, one, one, VEHICLE)
+        assert isinstance(got, Effort)
+        assert got.turn.shape == got.speed.shape == (4,)
+        assert got.turn.dtype == got.speed.dtype == jnp.float32

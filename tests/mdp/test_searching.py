@@ -1,0 +1,415 @@
+"""Dynamic goals in the environment: hand-placed steps, and whatever happens by chance.
+
+Cars slide (`scenes.SlidePhysics`) where only the task matters.
+"""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import SlidePhysics, placed
+
+from carpark_mj.config import (
+    EnvConfig,
+    EpisodeConfig,
+    FleetConfig,
+    GoalConfig,
+    GoalRewards,
+    reward_preset,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import make_layout
+from carpark_mj.registry import DYNAMIC, TANNER_DYNAMIC
+from carpark_mj.rendering.rollout import Recording
+from carpark_mj.rendering.snapshot import aimed_at, snapshot
+
+AGENTS, SPACES, NONE = 4, 3, 36
+PAY = GoalRewards(taken_goal=-0.07)
+CONFIG = EnvConfig(
+    num_agents=AGENTS,
+    num_parked_cars=16,
+    goals=GoalConfig(dynamic=True, num_spaces=SPACES),
+    episode=EpisodeConfig(parked_rule="tanner", max_steps=30),
+    reward=dataclasses.replace(reward_preset("tanner"), goals=PAY),
+)
+APART = np.array([[-7.0, 0, 0], [0.0, 0, 0], [7.0, 0, 0], [0.0, 7, 0]], np.float32)
+
+
+@functools.cache
+def slide(respawn=True):
+    """An environment on sliding cars with its compiled functions."""
+    episode = dataclasses.replace(CONFIG.episode, respawn=respawn)
+    env = ParkingEnv(dataclasses.replace(CONFIG, episode=episode), SlidePhysics())
+    return env, jax.jit(env.reset), jax.jit(env.step)
+
+
+def act(choice, controls=(0.0, 0.0)):
+    """Actions (agents, 3) that all steer and drive alike."""
+    choice = np.asarray(choice, np.float32)[:, None]
+    return np.concatenate([np.tile(np.float32(controls), (len(choice), 1)), choice], 1)
+
+
+def start(respawn=True, pose=APART, goal=None, spaces=None):
+    """One lot with its agents standing at given poses; goals and spaces by hand."""
+    env, reset, step = slide(respawn)
+    state = placed(env, reset(jax.random.key(0))[0], pose)
+    if goal is not None:
+        goal = jnp.asarray(goal, jnp.int32)
+        state = state.replace(
+            occupancy=state.occupancy.replace(goal=goal),
+            spaces=jnp.full((AGENTS, SPACES), NONE).at[:, 0].set(goal),
+        )
+    return env, step, state
+
+
+def free(state):
+    """Bays without a parked car."""
+    return np.setdiff1d(np.arange(NONE), state.occupancy.parked_bay)
+
+
+# Starting
+
+
+def test_everybody_starts_exploring_and_knows_the_nearest_free_bays():
+    env, reset, _ = slide()
+    assert env.action_spec.continuous == 2
+    assert env.action_spec.choices == (1 + SPACES,)
+    state, observation = reset(jax.random.key(3))
+    assert state.occupancy.goal.tolist() == [NONE] * AGENTS
+    assert state.spaces.shape == (AGENTS, SPACES)
+    bays = np.asarray(state.layout.bay_pose)[:, :2]
+    for xy, spaces in zip(state.vehicle.pose_w[:, :2], state.spaces, strict=True):
+        gap = np.linalg.norm(bays - xy, axis=1)
+        order = [bay for bay in np.argsort(gap) if bay in free(state)]
+        assert spaces.tolist() == order[:SPACES]
+    assert len(np.unique(state.occupancy.parked_bay)) == 16
+    assert np.isfinite(observation).all()
+
+
+def test_bays_out_of_view_are_not_tracked():
+    view = dataclasses.replace(CONFIG.observation, tracking_diameter=40.0)
+    view = dataclasses.replace(view, field_of_view=90.0)
+    env = ParkingEnv(dataclasses.replace(CONFIG, observation=view), SlidePhysics())
+    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(4), 16))
+    pose, bays = state.vehicle.pose_w, np.asarray(state.layout.bay_pose[0])
+    offset = bays[:, :2] - pose[:, :, None, :2]
+    bearing = np.arctan2(offset[..., 1], offset[..., 0]) - pose[:, :, None, 2]
+    ahead = np.cos(bearing) >= np.cos(np.radians(45.0))
+    seen = ahead & (np.linalg.norm(offset, axis=-1) <= 20.0)
+    lot, agent, slot = np.nonzero(state.spaces < NONE)
+    assert seen[lot, agent, state.spaces[lot, agent, slot]].all()
+    assert 0 < len(lot) < state.spaces.size  # some see fewer than they could track
+
+
+# Steps by hand
+
+
+def test_a_choice_is_made_before_the_step_and_judged_with_it():
+    _, step, state = start()
+    mine = state.layout.bay_pose[state.spaces[1, 2]]
+    pose = APART.copy()
+    pose[1] = mine
+    # JAX reads a row past the end as the last: no goal must not mean the last bay.
+    pose[3] = np.asarray(state.layout.bay_pose[NONE - 1])
+    state = placed(slide()[0], state, pose)
+    _, explores = step(state, act([0, 0, 0, 0]))
+    assert not explores.events.parked.any()  # in a bay, but without a goal
+    after, timestep = step(state, act([1, 3, 0, 0]))
+    np.testing.assert_array_equal(timestep.events.parked, [False, True, False, False])
+    assert timestep.goal.tolist()[:2] == [state.spaces[0, 0], state.spaces[1, 2]]
+    assert timestep.reward_terms["park"][1] == 1.0
+    assert after.occupancy.goal[1] == NONE  # the new episode explores
+    assert state.spaces[1, 2] in after.occupancy.parked_bay
+    named = timestep.metrics
+    assert (named["stop_explore"][1], named["explored_steps"][1]) == (1.0, 0.0)
+
+
+def test_whose_goal_another_parks_in_goes_exploring_and_pays_for_it():
+    state = start()[2]
+    bay = int(free(state)[0])
+    pose = APART.copy()
+    pose[2] = np.asarray(state.layout.bay_pose[bay])
+    _, step, state = start(pose=pose, goal=[bay, NONE, bay, bay])
+    after, timestep = step(state, act([1, 0, 1, 1]))
+    np.testing.assert_array_equal(timestep.events.parked, [False, False, True, False])
+    goals = timestep.goal_events
+    np.testing.assert_array_equal(goals.lost_taken, [True, False, False, True])
+    assert not goals.lost_untracked.any()
+    assert after.occupancy.goal.tolist() == [NONE] * AGENTS
+    assert bay not in np.asarray(after.spaces)
+    np.testing.assert_allclose(
+        timestep.reward_terms["taken_goal"], [-0.07, 0, 0, -0.07], atol=1e-7
+    )
+    # The loss belongs to the step, in the return too.
+    np.testing.assert_allclose(
+        timestep.metrics["episode_return"], timestep.reward, atol=1e-6
+    )
+    assert after.stats.tallies["lost_taken"].tolist() == [1, 0, 0, 1]
+    assert after.stats.tallies["explored_steps"].tolist() == [0, 1, 0, 0]
+
+
+def test_a_goal_out_of_sight_is_lost_at_the_end_of_the_step():
+    _, reset, _ = slide()
+    state, _ = reset(jax.random.key(0))
+    gap = np.linalg.norm(state.layout.bay_pose[:, :2] - APART[0, :2], axis=1)
+    far = max(free(state), key=lambda bay: gap[bay])
+    _, step, state = start(goal=[far, NONE, NONE, NONE])
+    after, timestep = step(state, act([1, 0, 0, 0]))
+    np.testing.assert_array_equal(timestep.goal_events.lost_untracked, [True, *[0] * 3])
+    assert timestep.goal[0] == far  # held during the step
+    assert timestep.goal_events.continue_goal[0]
+    assert after.occupancy.goal[0] == NONE
+    assert timestep.reward_terms["lost_goal"][0] == pytest.approx(-0.05)
+
+
+def test_of_two_agents_in_one_bay_the_first_parks_and_the_other_crashes():
+    state = start()[2]
+    bay = int(free(state)[0])
+    pose = APART.copy()
+    pose[1] = pose[3] = np.asarray(state.layout.bay_pose[bay])
+    _, step, state = start(pose=pose, goal=[NONE, bay, NONE, bay])
+    after, timestep = step(state, act([0, 1, 0, 1]))
+    np.testing.assert_array_equal(timestep.events.parked, [False, True, False, False])
+    np.testing.assert_array_equal(timestep.events.crashed, [False, False, False, True])
+    assert len(np.unique(after.occupancy.parked_bay)) == 16
+    assert bay in after.occupancy.parked_bay
+
+
+def test_without_respawning_a_parked_agent_keeps_its_bay_from_the_others():
+    state = start(respawn=False)[2]
+    gap = np.linalg.norm(state.layout.bay_pose[:, :2] - APART[0, :2], axis=1)
+    bay = int(min(free(state), key=lambda bay: gap[bay]))  # agent 0 would track it
+    pose = APART.copy()
+    pose[1] = np.asarray(state.layout.bay_pose[bay])
+    _, step, state = start(False, pose, [bay, bay, NONE, NONE])
+    before = state.occupancy.parked_bay
+    state, timestep = step(state, act([1, 1, 0, 0]))
+    np.testing.assert_array_equal(timestep.goal_events.lost_taken, [True, *[0] * 3])
+    assert state.occupancy.goal.tolist() == [NONE, bay, NONE, NONE]
+    np.testing.assert_array_equal(state.occupancy.parked_bay, before)
+    for choice in (0, 1, 2):
+        state, timestep = step(state, act([1, choice, 1, 1]))
+        assert bay not in np.delete(np.asarray(state.spaces), 1, axis=0)
+        assert state.occupancy.goal[1] == bay
+        assert timestep.reward[1] == 0.0
+        assert not any(flag[1] for flag in vars(timestep.goal_events).values())
+
+
+def test_the_final_observation_is_of_the_goal_chosen_in_the_step():
+    env, step, state = start()
+    state, _ = step(state, act([0] * AGENTS))  # looks round from where it stands
+    state = state.replace(step=jnp.array([29, 0, 0, 0], jnp.int32))
+    final_observation = jax.jit(env.final_observation)
+    for choice in (0, 1):
+        _, timestep = step(state, act([choice, 1, 0, 0]))
+        assert timestep.events.timed_out[0]
+        final = final_observation(state, timestep)
+        # The goal's position; the new episode has no goal.
+        assert bool(np.any(final[0, 3:5])) == bool(choice)
+        assert not np.any(timestep.observation[0, 3:5])
+
+
+# Whatever happens
+
+
+def drive(env, num_steps, seed, parks):
+    """Random driving and choosing; states before and after every step, numpy.
+
+    With a chance of `parks` an agent with a goal is put into its bay beforehand.
+    """
+    spec, agents = env.action_spec, env.num_agents
+
+    def one(state, key):
+        keys = jax.random.split(key, 5)
+        index = jax.random.randint(keys[0], (agents, 9), 0, jnp.array([999] * 9))
+        index = index[:, : len(spec.choices)] % jnp.array(spec.choices)
+        goal = state.occupancy.goal
+        held = jnp.argmax(state.spaces == goal[:, None], axis=1) + 1
+        held = jnp.where(goal == NONE, 0, held)
+        keep = jax.random.bernoulli(keys[1], 0.7, (agents,))
+        index = index.at[:, -1].set(jnp.where(keep, held, index[:, -1]))
+        numbers = jax.random.uniform(keys[2], (agents, spec.continuous), minval=-0.5)
+        action = jnp.concatenate([numbers, index], axis=1) if spec.continuous else index
+        if parks:
+            put = jax.random.bernoulli(keys[3], parks, (agents,)) & (goal < NONE)
+            pose = state.layout.bay_pose[jnp.minimum(goal, NONE - 1)]
+            physics = env.physics.place(state.physics, put, pose, state.physics.vehicle)
+            state = state.replace(physics=physics, vehicle=env.physics.read(physics))
+        after, timestep = env.step(state, action)
+        bare = [x.replace(physics=None, key=None) for x in (state, after)]
+        return after, (*bare, timestep)
+
+    def run(key):
+        state, _ = env.reset(key)
+        return jax.lax.scan(one, state, jax.random.split(key, num_steps))[1]
+
+    return jax.device_get(jax.jit(run)(jax.random.key(seed)))
+
+
+def check(env, before, after, timestep):
+    """The invariants of dynamic goals over a stretch of time."""
+    events, goals = timestep.events, timestep.goal_events
+    agents = env.num_agents
+    parked_bay = np.sort(after.occupancy.parked_bay, axis=1)
+    assert (np.diff(parked_bay, axis=1) > 0).all()  # none lost, none doubled
+    assert (parked_bay >= 0).all()
+    assert (parked_bay < NONE).all()
+    # Tracked bays are the nearest free ones.
+    bays = after.layout.bay_pose[0, :, :2]
+    free = np.ones((len(parked_bay), NONE), bool)
+    np.put_along_axis(free, parked_bay, False, axis=1)
+    xy = after.vehicle.pose_w[:, :, None, :2]
+    gap = np.where(free[:, None], np.linalg.norm(xy - bays, axis=-1), np.inf)
+    count = env.config.goals.num_spaces
+    nearest = np.sort(gap, axis=-1)[..., :count]
+    found = np.sort(np.take_along_axis(gap, after.spaces, axis=-1), axis=-1)
+    np.testing.assert_allclose(found, nearest, atol=1e-4)
+    # A bay that stays among them keeps its slot.
+    old, new = before.spaces[~events.done], after.spaces[~events.done]
+    stays = (old[:, :, None] == new[:, None, :]).any(axis=2)
+    np.testing.assert_array_equal(old[stays], new[stays])
+    # Goals are tracked, those that new episodes start with too; lost ones are none.
+    goal = after.occupancy.goal
+    assert ((goal == NONE) | (after.spaces == goal[..., None]).any(axis=-1)).all()
+    lost = goals.lost_untracked | goals.lost_taken
+    assert not (lost & events.done).any()
+    goes_on = ~events.done
+    kept = np.where(lost, NONE, timestep.goal)
+    np.testing.assert_array_equal(goal[goes_on], kept[goes_on])
+    # One transition each; rewards are what the transitions pay.
+    names = [*vars(goals)][:5]
+    flags = np.stack([getattr(goals, name) for name in names])
+    assert (flags.sum(axis=0) == 1).all()
+    terms, pay = timestep.reward_terms, env.config.reward.goals
+    paid = {name: getattr(pay, name) for name in names} | {"stop_goal": pay.stop}
+    for name, flag in zip(names, flags, strict=True):
+        np.testing.assert_allclose(terms[name], paid[name] * flag, atol=1e-7)
+    np.testing.assert_allclose(terms["lost_goal"], pay.lost * goals.lost_untracked)
+    np.testing.assert_allclose(timestep.reward, sum(terms.values()), atol=1e-5)
+    assert not (events.parked & goals.exploring).any()
+    assert not terms["approach"][goals.exploring].any()
+    assert (terms["progress"][goals.exploring] <= 0).all()
+    # Metrics of an episode are the sums of what happened in it.
+    sums = {name: np.zeros(agents) for name in timestep.metrics if name in vars(goals)}
+    assert {"lost_untracked", "lost_taken", "stop_goal", "change_goal"} <= set(sums)
+    explored, length = np.zeros(agents), np.zeros(agents)
+    for t in range(len(goal)):
+        explored, length = explored + goals.exploring[t], length + 1
+        steps = timestep.metrics["explored_steps"][t], timestep.metrics["length"][t]
+        np.testing.assert_array_equal(steps, (explored, length))
+        for name in sums:
+            sums[name] += getattr(goals, name)[t]
+            np.testing.assert_array_equal(timestep.metrics[name][t], sums[name])
+            sums[name][events.done[t]] = 0
+        explored[events.done[t]], length[events.done[t]] = 0, 0
+    assert np.isfinite(timestep.observation).all()
+    return goals, events
+
+
+def test_invariants_when_many_park_and_goals_are_shared():
+    env = ParkingEnv(CONFIG, SlidePhysics())
+    goals, events = check(env, *drive(env, 300, seed=1, parks=0.1))
+    assert events.parked.sum() > 20
+    for name in vars(goals):
+        assert getattr(goals, name).any(), name
+
+
+@pytest.mark.parametrize(
+    "config",
+    [TANNER_DYNAMIC, dataclasses.replace(DYNAMIC, physics="bicycle")],
+    ids=["tanner-dynamic", "dynamic"],
+)
+def test_invariants_of_the_named_environments(config):
+    env = ParkingEnv(config)
+    goals, events = check(env, *drive(env, 60, seed=2, parks=0.0))
+    assert goals.lost_untracked.any()
+    assert goals.stop_explore.any()
+    if config.physics == "grid":
+        assert events.done.any()
+
+
+def test_half_of_the_close_starts_have_the_bay_beside_them_for_a_goal():
+    spawn = dataclasses.replace(CONFIG.spawn, close_ratio=1.0)
+    env = ParkingEnv(dataclasses.replace(CONFIG, spawn=spawn), SlidePhysics())
+    _, after, timestep = drive(env, 300, seed=3, parks=0.1)
+    fresh = timestep.events.done
+    begun = after.occupancy.goal[fresh]
+    assert len(begun) > 50
+    # Not all: the bay may be taken, or not be among the nearest.
+    assert 0.25 < (begun < NONE).mean() < 0.6
+    tracked = (after.spaces[fresh] == begun[:, None]).any(axis=1)
+    np.testing.assert_array_equal(tracked, begun < NONE)
+
+
+def test_agents_of_a_fleet_track_only_bays_they_fit_in():
+    config = dataclasses.replace(
+        CONFIG, fleet=FleetConfig(agents=("city", "van")), episode=EpisodeConfig()
+    )
+    env = ParkingEnv(config, SlidePhysics())
+    layout = make_layout("tanner")
+    short = jnp.arange(NONE) % 3 > 0  # 4.95 m, the van is 4.90 m long, a city car 3.6
+    size = layout.bay_size.at[:, 0].set(jnp.where(short, 4.95, layout.bay_size[:, 0]))
+    reset = jax.jit(jax.vmap(env.reset_to_layout, (None, 0)))
+    state, _ = reset(layout.replace(bay_size=size), jax.random.split(jax.random.key(0)))
+    van = np.asarray(state.vehicle.size[..., 0]) > 4.5
+    assert van.any()
+    assert not van.all()
+    tracks_short = np.asarray(short)[state.spaces].any(axis=-1)
+    assert (state.spaces < NONE).all()
+    np.testing.assert_array_equal(tracks_short, ~van)
+
+
+# Refusals and pictures
+
+
+@pytest.mark.parametrize(
+    ("num_parked_cars", "num_spaces", "message"),
+    [
+        (16, 21, r"num_spaces must be at most 20 \(36 bays less 16 .*, not 21"),
+        (36, 1, "num_spaces must be at most 0 .*, not 1"),
+        (40, 1, "num_spaces must be at most 0 .*, not 1"),
+    ],
+)
+def test_more_tracked_bays_than_the_lot_has_free_are_refused(
+    num_parked_cars, num_spaces, message
+):
+    config = EnvConfig(
+        num_parked_cars=num_parked_cars, goals=GoalConfig(True, num_spaces)
+    )
+    with pytest.raises(ValueError, match=message) as caught:
+        ParkingEnv(config)
+    assert "\n" not in str(caught.value)
+
+
+def test_there_may_be_more_agents_than_free_bays():
+    env = ParkingEnv(
+        dataclasses.replace(CONFIG, num_parked_cars=35, goals=GoalConfig(True, 1))
+    )
+    assert env.num_agents == AGENTS
+
+
+def test_a_picture_shows_no_goal_of_an_agent_that_explores():
+    layout = start()[2].layout
+    flags = np.zeros((1, 2), bool)
+    recording = Recording(
+        layout=layout,
+        ctrl_dt=0.2,
+        pose_w=np.zeros((1, 1, 2, 3)),
+        steering=np.zeros((1, 2)),
+        speed=np.array([[1.0, 0.0]]),
+        goal=np.array([[5, NONE]]),
+        parked_pose=np.zeros((1, 0, 3)),
+        active=~flags,
+        parked=flags,
+        crashed=flags,
+        timed_out=flags,
+        step=np.ones((1, 2), int),
+    )
+    seen = snapshot(recording, 0)
+    assert seen.state == ("drives", "stands, explores")
+    np.testing.assert_array_equal(seen.goal_pose[0], layout.bay_pose[5])
+    assert np.isnan(seen.goal_pose[1]).all()
+    assert np.isnan(aimed_at(layout, np.array([NONE]))[1]).all()

@@ -1,0 +1,349 @@
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import (
+    LOTS,
+    cars,
+    fields_of,
+    lot,
+    mjx_env,
+    mjx_rollout,
+    moved,
+    moved_cars,
+    moved_lot,
+)
+
+from carpark_mj.config import ObservationConfig
+from carpark_mj.layouts import make_layout
+from carpark_mj.observations import (
+    make_fields,
+    markdown_table,
+    observation_size,
+    observe,
+)
+from carpark_mj.observations.fields import FAR, NEAR
+
+CONFIGS = [
+    ObservationConfig(),
+    ObservationConfig(tracked_agents=0, tracked_parked_cars=0, rings=()),
+    ObservationConfig(
+        tracked_agents=5, tracked_parked_cars=1, rings=(4.5,), ring_cap=3
+    ),
+    ObservationConfig(tracked_agents=0, tracked_parked_cars=4, rings=(3.0, 7.25)),
+    ObservationConfig(rays=5, lane=True),
+]
+MAX_SPEED, MAX_STEERING = 3.0, 0.6
+
+observe_jit = jax.jit(observe, static_argnums=0)
+
+
+def observed(config, layout, vehicle, goal, parked_bay=(), parked_size=(4.0, 2.0)):
+    """Named fields of all agents."""
+    parked_bay = jnp.array(parked_bay, jnp.int32)
+    count = vehicle.size.shape[0]
+    observation = observe_jit(
+        config,
+        layout,
+        vehicle,
+        jnp.array(goal),
+        layout.bay_pose[parked_bay],
+        jnp.broadcast_to(jnp.array(parked_size), (parked_bay.shape[0], 2)),
+        jnp.full(count, MAX_SPEED),
+        jnp.full(count, MAX_STEERING),
+    )
+    assert observation.shape == (count, observation_size(config))
+    assert observation.dtype == jnp.float32
+    return fields_of(observation, config)
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_the_table_of_fields_describes_the_whole_vector(config):
+    fields = make_fields(config)
+    names = [field.name for field in fields]
+    assert len(set(names)) == len(names)
+    assert sum(field.size for field in fields) == observation_size(config)
+    assert all(field.low < field.high and field.meaning for field in fields)
+    # `observed` asserts that the vector is as long as the table says.
+    named = observed(config, BAYS, cars([(0.0, 0.0, 0.0)] * 2), [0, 1], [2])
+    assert list(named) == names
+
+
+def test_the_markdown_table_has_a_row_for_every_field_of_the_first_car_of_a_kind():
+    config = ObservationConfig(tracked_agents=3, tracked_parked_cars=1)
+    rows = markdown_table(config).splitlines()[2:]
+    once = ObservationConfig(tracked_agents=1, tracked_parked_cars=1)
+    names = [field.name for field in make_fields(once)]
+    assert [row.split("`")[1] for row in rows] == names
+
+
+# Bays of 6 m x 3 m; the scene below is worked out by hand.
+BAYS = lot([(10.0, 5.0, math.pi / 2), (-4.0, 0.0, 0.0), (2.0, 2.0, 0.0), (2.0, 9.0, 0)])
+
+
+def test_a_hand_worked_scene():
+    # Agent 0 at (2, 1) facing north: ahead is +y, left is -x.
+    vehicle = cars(
+        [(2.0, 1.0, math.pi / 2), (2.0, 5.0, math.pi), (-3.0, 1.0, 0.0)],
+        speed=[1.5, -0.6, 3.0],
+        steering=[-0.3, 0.0, 0.6],
+        yaw_rate=[0.25, 0.1, -0.5],
+        size=[(4.0, 2.0), (5.0, 1.5), (4.0, 2.0)],
+    )
+    config = ObservationConfig(rings=())
+    named = observed(config, BAYS, vehicle, [0, 1, 2], [2, 3])
+    expected = {
+        "speed": [0.5],
+        "steering": [-0.5],
+        "yaw_rate": [0.25],
+        # Goal 4 m ahead and 8 m to the right, turned like the car.
+        "goal_position": [4 / 20, -8 / 20],
+        "goal_near": [1.0, -1.0],
+        "goal_heading": [1.0, 0.0],
+        "goal_distance": [math.hypot(4, 8) / 20],
+        # Seen from the goal, which faces north too, the car is behind and left.
+        "in_bay": [-1.0, 1.0],
+        "goal_size": [2 / 5, 1 / 5],
+        # Agent 1 is 4 m ahead facing left, its goal (-4, 0) is 1 m behind, 6 m left.
+        "agent_0_present": [1.0],
+        "agent_0_position": [4 / 20, 0.0],
+        "agent_0_near_position": [4 / 6, 0.0],
+        "agent_0_heading": [0.0, 1.0],
+        "agent_0_size": [1.0, 0.3],
+        "agent_0_speed": [-0.2],
+        "agent_0_goal": [-1 / 20, 6 / 20],
+        # Agent 2 is 5 m to the left facing right, its goal (2, 2) 1 m ahead.
+        "agent_1_present": [1.0],
+        "agent_1_position": [0.0, 5 / 20],
+        "agent_1_near_position": [0.0, 5 / 6],
+        "agent_1_heading": [0.0, -1.0],
+        "agent_1_size": [0.8, 0.4],
+        "agent_1_speed": [1.0],
+        "agent_1_goal": [1 / 20, 0.0],
+        # Parked cars stand in bays 2 and 3, 1 m and 8 m ahead, facing right.
+        "parked_0_present": [1.0],
+        "parked_0_position": [1 / 20, 0.0],
+        "parked_0_near_position": [1 / 6, 0.0],
+        "parked_0_heading": [0.0, -1.0],
+        "parked_0_size": [0.8, 0.4],
+        "parked_1_present": [1.0],
+        "parked_1_position": [8 / 20, 0.0],
+        "parked_1_near_position": [1.0, 0.0],
+        "parked_1_heading": [0.0, -1.0],
+        "parked_1_size": [0.8, 0.4],
+    }
+    assert named.keys() == expected.keys()
+    for name, value in expected.items():
+        # cos(pi / 2) is 4e-8 in float32, times 8 m.
+        np.testing.assert_allclose(named[name][0], value, atol=1e-6, err_msg=name)
+
+
+def test_close_to_the_goal_the_near_fields_tell_the_offset():
+    # 0.9 m behind and 0.6 m right of bay 1, which faces east, and turned by 0.2 rad.
+    vehicle = cars([(-4.9, -0.6, 0.2)])
+    named = observed(CONFIGS[1], BAYS, vehicle, [1])
+    np.testing.assert_allclose(named["in_bay"][0], [-0.3, -0.2], atol=1e-6)
+    # The goal in the car's frame: turned back by 0.2 rad.
+    ahead = 0.9 * math.cos(0.2) + 0.6 * math.sin(0.2)
+    left = 0.6 * math.cos(0.2) - 0.9 * math.sin(0.2)
+    np.testing.assert_allclose(
+        named["goal_near"][0], [ahead / NEAR, left / NEAR], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        named["goal_position"][0], [ahead / FAR, left / FAR], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        named["goal_heading"][0], [math.cos(0.2), -math.sin(0.2)], atol=1e-6
+    )
+
+
+def test_rings_count_the_walls_within_their_radius_up_to_the_cap():
+    # Unit squares whose nearest faces are 1, 2, 2, 2 and 3 m from the origin.
+    walls = [(1.5, 0, 0), (-2.5, 0, 0), (0, 2.5, 0), (0, -2.5, 0), (3.5, 0.0, 0.0)]
+    layout = lot([(20.0, 0.0, 0.0)], walls)
+    vehicle = cars([(0.0, 0.0, 1.0), (100.0, 0.0, 0.0)])
+    config = ObservationConfig(
+        tracked_agents=0,
+        tracked_parked_cars=0,
+        rings=(1.9, 2.1, 3.9, 4.1, 6.1),
+        ring_cap=3,
+    )
+    named = observed(config, layout, vehicle, [0, 0])
+    counts = [named[f"ring_{d:g}m"] for d in config.rings]
+    expected = [[0, 0], [1 / 3, 0], [1 / 3, 0], [1, 0], [1, 0]]  # 4 and 5 are capped
+    np.testing.assert_allclose(np.squeeze(counts, -1), expected, atol=1e-7)
+
+
+def test_rings_do_not_count_padding_walls():
+    layout = lot([(20.0, 0.0, 0.0)], [(1.5, 0.0, 0.0), (-1.5, 0.0, 0.0)])
+    layout = layout.replace(wall_mask=jnp.array([True, False]))
+    config = ObservationConfig(rings=(4.0,), ring_cap=4)
+    named = observed(config, layout, cars([(0.0, 0.0, 0.0)]), [0])
+    np.testing.assert_array_equal(named["ring_4m"], [[0.25]])
+
+
+def test_rings_count_discs_with_the_walls_and_no_padding_discs():
+    # Discs whose rims are 1.5 m and 2.5 m away, and a wall at 1 m.
+    discs = [(2.0, 0.0, 0.5), (0.0, -2.75, 0.25)]
+    layout = lot([(20.0, 0.0, 0.0)], [(-1.5, 0.0, 0.0)], discs=discs)
+    config = ObservationConfig(rings=(1.9, 2.9, 3.1, 4.9, 5.1), ring_cap=3)
+    for mask, expected in (([1, 1], [0, 1, 2, 2, 3]), ([1, 0], [0, 1, 2, 2, 2])):
+        masked = layout.replace(disc_mask=jnp.array(mask, bool))
+        named = observed(config, masked, cars([(0.0, 0.0, 1.0)]), [0])
+        count = [3 * named[f"ring_{d:g}m"].item() for d in config.rings]
+        np.testing.assert_allclose(count, expected, atol=1e-6)
+
+
+def tracked(named, kind):
+    names = [name for name in named if name.startswith(kind)]
+    assert names
+    return np.concatenate([named[name] for name in names], axis=-1)
+
+
+def test_cars_that_do_not_exist_are_all_zeros():
+    config = ObservationConfig(tracked_agents=3, tracked_parked_cars=2)
+    alone = observed(config, BAYS, cars([(1.0, 2.0, 0.5)]), [0])
+    np.testing.assert_array_equal(tracked(alone, "agent_"), 0.0)
+    np.testing.assert_array_equal(tracked(alone, "parked_"), 0.0)
+    pair = observed(config, BAYS, cars([(1.0, 2.0, 0.5), (8.0, 2.0, 1.0)]), [0, 1], [2])
+    for name, expected in (
+        ("agent_0", 1),
+        ("agent_1", 0),
+        ("agent_2", 0),
+        ("parked_0", 1),
+        ("parked_1", 0),
+    ):
+        np.testing.assert_array_equal(pair[f"{name}_present"], [[expected]] * 2)
+        assert np.any(tracked(pair, name) != 0.0) == bool(expected)
+
+
+def random_scene(seed=0, count=6):
+    """A `tanner` lot with cars anywhere, and its plan."""
+    rng = np.random.default_rng(seed)
+    vehicle = cars(
+        rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (count, 3)),
+        speed=rng.uniform(-2, 3, count),
+        steering=rng.uniform(-0.6, 0.6, count),
+        yaw_rate=rng.normal(0, 0.3, count),
+        size=rng.uniform((3.5, 1.6), (4.8, 1.9), (count, 2)),
+    )
+    bays = rng.permutation(36)[: count + 16]
+    parked_size = rng.uniform((3.5, 1.6), (4.8, 1.9), (16, 2)).astype(np.float32)
+    return vehicle, bays[:count], bays[count:], parked_size
+
+
+@pytest.mark.parametrize(
+    "motion", [(3.0, -7.0, 0.0), (0.0, 0.0, 2.0), (9.0, 4.0, -1.2)]
+)
+def test_observations_do_not_change_when_the_whole_lot_is_moved(motion):
+    config, layout = ObservationConfig(), make_layout("tanner")
+    vehicle, *plan = random_scene()
+    here = observed(config, layout, vehicle, *plan)
+    there = observed(
+        config, moved_lot(layout, motion), moved_cars(vehicle, motion), *plan
+    )
+    for name, value in here.items():
+        # float32 at 30 m is 2e-6 m, and headings are sums of rounded angles.
+        np.testing.assert_allclose(there[name], value, atol=5e-6, err_msg=name)
+
+
+def test_observations_do_not_depend_on_the_order_of_the_other_agents():
+    config, layout = ObservationConfig(), make_layout("tanner")
+    vehicle, goal, *parked = random_scene()
+    order = np.array([0, 4, 2, 5, 1, 3])
+    shuffled = jax.tree.map(lambda x: x[order], vehicle)
+    here = observed(config, layout, vehicle, goal, *parked)
+    there = observed(config, layout, shuffled, goal[order], *parked)
+    for name, value in here.items():
+        np.testing.assert_array_equal(there[name], value[order], err_msg=name)
+
+
+def test_observations_do_not_depend_on_the_order_of_the_parked_cars():
+    config, layout = ObservationConfig(), make_layout("tanner")
+    vehicle, goal, parked_bay, parked_size = random_scene()
+    order = np.random.default_rng(1).permutation(16)
+    here = observed(config, layout, vehicle, goal, parked_bay, parked_size)
+    there = observed(
+        config, layout, vehicle, goal, parked_bay[order], parked_size[order]
+    )
+    for name, value in here.items():
+        np.testing.assert_array_equal(there[name], value, err_msg=name)
+
+
+def test_tracked_cars_are_the_nearest_and_the_nearest_comes_first():
+    config = ObservationConfig(tracked_agents=2, tracked_parked_cars=2)
+    layout = make_layout("tanner")
+    vehicle, goal, parked_bay, parked_size = random_scene(2)
+    named = observed(config, layout, vehicle, goal, parked_bay, parked_size)
+    xy = np.asarray(vehicle.pose_w[:, :2])
+    parked_xy = np.asarray(layout.bay_pose)[parked_bay, :2]
+    for kind, other in (("agent", xy), ("parked", parked_xy)):
+        gap = np.linalg.norm(xy[:, None] - other, axis=-1)
+        if kind == "agent":
+            np.fill_diagonal(gap, np.inf)
+        nearest = np.sort(gap, axis=1)[:, :2]
+        for k in range(2):
+            seen = np.linalg.norm(named[f"{kind}_{k}_position"], axis=-1) * FAR
+            np.testing.assert_allclose(seen, nearest[:, k], atol=1e-5)  # float32
+
+
+def rollout_fields():
+    _, _, _, timesteps = mjx_rollout()
+    observation = np.stack([timestep.observation for timestep in timesteps])
+    return fields_of(observation, mjx_env().config.observation)
+
+
+def test_observations_stay_within_the_declared_ranges_while_driving():
+    named = rollout_fields()
+    for field in make_fields(mjx_env().config.observation):
+        value = named[field.name]
+        # 1e-5: headings are unit vectors, steering reaches its limit, up to rounding.
+        assert value.min() >= field.low - 1e-5, field
+        assert value.max() <= field.high + 1e-5, field
+
+
+def test_every_number_observed_varies_but_those_that_cannot():
+    # Three agents and eight parked cars of one size: all tracked cars exist always.
+    fixed = {"present": "there are cars enough", "size": "all cars are alike"}
+    named = rollout_fields()
+    constant = {
+        name
+        for name, value in named.items()
+        if np.ptp(value, axis=(0, 1, 2)).min() == 0
+    }
+    expected = {
+        f"{kind}_{k}_{part}"
+        for kind in ("agent", "parked")
+        for k in range(2)
+        for part in fixed
+    }
+    # `goal_size` varies between the lots of the batch only.
+    assert constant == expected
+    assert named["goal_size"].shape[1] == LOTS
+
+
+def test_moving_a_pose_by_hand_agrees_with_the_scene_helper():
+    # A guard of the invariance tests: the motion is a rotation, then a shift.
+    pose = moved((1.0, 0.0, 0.0), (5.0, 0.0, math.pi / 2))
+    np.testing.assert_allclose(pose, [5.0, 1.0, math.pi / 2], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "numbers"),
+    [
+        ({"tracked_agents": 1}, -12),  # present, 4 x 2, speed, 2 of its goal
+        ({"tracked_parked_cars": 3}, +9),  # present, 4 x 2
+        ({"rings": (5.0,)}, -2),
+        ({"ring_cap": 1}, 0),
+        ({"rays": 7}, 7),
+        ({"ray_range": 3.0}, 0),
+        ({"lane": True}, 4),  # present, 2 of its heading, one-way
+    ],
+)
+def test_each_setting_adds_or_drops_its_numbers(change, numbers):
+    base = ObservationConfig()
+    size = observation_size(dataclasses.replace(base, **change))
+    assert size - observation_size(base) == numbers

@@ -1,0 +1,238 @@
+"""Rays: exact free ways along bearings, with shapely as the judge."""
+
+import dataclasses
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from helpers.scenes import (
+    NOISE,
+    cars,
+    fields_of,
+    lot,
+    moved,
+    moved_cars,
+    moved_lot,
+    polygons,
+)
+
+from carpark_mj.config import ObservationConfig
+from carpark_mj.geometry import broad_phase, ray_box_distance, ray_disc_distance
+from carpark_mj.observations import make_fields, observe
+from carpark_mj.observations.rays import cast_rays
+
+COUNT, REACH = 8, 10.0
+AGENTS, PARKED, WALLS, DISCS = 3, 4, 3, 3
+cast_rays_jit = jax.jit(cast_rays, static_argnums=(6, 7))
+observe_jit = jax.jit(observe, static_argnums=0)
+NOBODY = jnp.zeros((0, 3)), jnp.zeros((0, 2)), jnp.zeros(0, bool)
+
+
+def ways(vehicle, layout, parked=NOBODY, count=4, reach=10.0):
+    """Free ways [m] (agents, count)."""
+    seen = cast_rays_jit(vehicle.pose_w, vehicle.size, *parked, layout, count, reach)
+    return np.asarray(seen) * reach
+
+
+def test_a_hand_worked_scene():
+    # A car of 4 m x 2 m faces north: rays ahead, to the left, behind, to the right.
+    layout = lot(
+        [(50.0, 50.0, 0.0)],
+        walls=[(0.0, 9.0, 0.0), (0.0, -12.0, 0.0)],
+        wall_size=[(8.0, 2.0), (8.0, 2.0)],
+        discs=[(-5.0, 0.0, 0.5), (-9.0, 0.0, 3.0)],
+    )
+    vehicle = cars([(0.0, 0.0, math.pi / 2), (0.0, -5.0, 0.0)])
+    parked = jnp.array([[6.0, 0.0, 0.0]]), jnp.array([[4.0, 2.0]]), jnp.array([True])
+    got = ways(vehicle, layout, parked)
+    # Ahead a wall from y = 8; left a disc from x = -4.5; behind the other agent, whose
+    # side is at y = -4; right a parked car from x = 4.
+    np.testing.assert_allclose(got[0], [6.0, 3.5, 2.0, 3.0], atol=1e-5)
+    # Left of the second stands the first, with its rear 2 m off; the wall right of it
+    # begins at y = -11, and before and behind it there is nothing.
+    np.testing.assert_allclose(got[1], [10.0, 2.0, 10.0, 5.0], atol=1e-5)
+
+
+def test_a_car_alone_sees_nothing_not_even_itself_or_padding():
+    layout = lot([(0.0, 0.0, 0.0)], walls=[(0.0, 0.0, 0.0)], discs=[(3.0, 0.0, 0.5)])
+    vehicle = cars([(0.0, 0.0, 0.7)])
+    parked = jnp.array([[4.0, 0.0, 0.0]]), jnp.array([[4.0, 2.0]]), jnp.array([True])
+    assert ways(vehicle, layout, parked, 12).min() == 0.0
+    masked = layout.replace(wall_mask=jnp.zeros(1, bool), disc_mask=jnp.zeros(1, bool))
+    absent = (*parked[:2], jnp.array([False]))
+    np.testing.assert_array_equal(ways(vehicle, masked, absent, 12), 10.0)
+
+
+def test_the_way_ends_at_the_range_and_is_none_inside_an_obstacle():
+    vehicle = cars([(0.0, 0.0, 0.0)])
+    for gap, seen in ((4.99, 4.99), (5.01, 5.0), (0.0, 0.0), (-1.0, 0.0)):
+        layout = lot([(50.0, 0.0, 0.0)], walls=[(2.5 + gap, 0.0, 0.0)])
+        got = ways(vehicle, layout, count=1, reach=5.0)
+        assert got[0, 0] == pytest.approx(seen, abs=1e-5), gap
+
+
+def test_rays_that_only_graze_do_not_hit():
+    origin, ahead = jnp.zeros(2), jnp.array([1.0, 0.0])
+    box = ray_box_distance(origin, ahead, jnp.array([5.0, 1.0, 0.0]), jnp.full(2, 2.0))
+    disc = ray_disc_distance(origin, ahead, jnp.array([5.0, 1.0]), jnp.float32(1.0))
+    assert (float(box), float(disc)) == (math.inf, math.inf)
+    # And they see nothing behind them.
+    behind = jnp.array([-5.0, 0.0, 0.0])
+    assert ray_box_distance(origin, ahead, behind, jnp.ones(2)) == math.inf
+    assert ray_disc_distance(origin, ahead, behind[:2], jnp.float32(1.0)) == math.inf
+
+
+def scenes(count=60, seed=0):
+    """Cars, parked cars and layouts of random lots in about 24 m."""
+    rng = np.random.default_rng(seed)
+
+    def poses(n):
+        return np.float32(rng.uniform((-12, -12, -3.1), (12, 12, 3.1), (count, n, 3)))
+
+    vehicle = cars(
+        poses(AGENTS), size=rng.uniform((3.5, 1.6), (5, 2), (count, AGENTS, 2))
+    )
+    sizes = np.float32(rng.uniform((3.5, 1.6), (5, 2), (count, PARKED, 2)))
+    parked = poses(PARKED), sizes, rng.uniform(size=(count, PARKED)) < 0.8
+    template = lot([(50.0, 0, 0)], walls=np.zeros((3, 3)), discs=np.zeros((3, 3)))
+    layout = jax.tree.map(lambda x: jnp.repeat(x[None], count, axis=0), template)
+    return (
+        vehicle,
+        parked,
+        layout.replace(
+            wall_pose=poses(WALLS),
+            wall_size=np.float32(
+                rng.uniform((0.2, 0.2), (12.0, 1.0), (count, WALLS, 2))
+            ),
+            wall_mask=rng.uniform(size=(count, WALLS)) < 0.8,
+            disc_centre=poses(DISCS)[..., :2],
+            disc_radius=np.float32(rng.uniform(0.1, 1.5, (count, DISCS))),
+            disc_mask=rng.uniform(size=(count, DISCS)) < 0.8,
+        ),
+    )
+
+
+@functools.cache
+def compiled(crowded):
+    """Rays (lots, agents, count) [m], by the broad phase or by testing every pair."""
+
+    @jax.jit
+    @jax.vmap
+    def run(vehicle, parked, layout):
+        pose, size = vehicle.pose_w, vehicle.size
+        return REACH * cast_rays(pose, size, *parked, layout, COUNT, REACH)
+
+    def call(*scene):
+        before = broad_phase.MANY_PAIRS
+        broad_phase.MANY_PAIRS = 0 if crowded else 10**9
+        try:
+            return np.asarray(run(*scene))
+        finally:
+            broad_phase.MANY_PAIRS = before
+
+    return call
+
+
+def shapely_ways(vehicle, parked, layout, grown):
+    """The oracle's ways with obstacles larger by some metres."""
+    pose = np.asarray(vehicle.pose_w, np.float64)
+    yaw = pose[..., 2, None] + np.arange(COUNT) * 2 * np.pi / COUNT
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1) * 60.0
+    start = np.broadcast_to(pose[..., None, :2], ahead.shape)
+    rays = shapely.linestrings(np.stack([start, start + ahead], axis=-2))
+    own = polygons(vehicle.pose_w, np.asarray(vehicle.size, np.float64))
+    outline = shapely.length(shapely.intersection(rays, own[..., None]))
+    centre = shapely.points(start)
+    way = np.full(rays.shape, np.inf)
+
+    def meet(obstacles, mask):
+        """Obstacles (lots, 1 or agents, n), those that count."""
+        met = shapely.intersection(rays[..., None], obstacles[:, :, None])
+        gap = shapely.distance(centre[..., None], met)
+        gap = np.where(np.isnan(gap) | ~mask[:, :, None], np.inf, gap)
+        np.minimum(way, gap.min(axis=-1), out=way)
+
+    def boxes(pose, size):
+        size = np.asarray(size, np.float64) + 2 * grown
+        return polygons(pose, size)[:, None]
+
+    meet(boxes(vehicle.pose_w, vehicle.size), ~np.eye(AGENTS, dtype=bool)[None])
+    meet(boxes(*parked[:2]), parked[2][:, None])
+    meet(boxes(layout.wall_pose, layout.wall_size), layout.wall_mask[:, None])
+    radius = np.asarray(layout.disc_radius, np.float64) + grown
+    discs = shapely.buffer(shapely.points(layout.disc_centre), radius, quad_segs=128)
+    meet(discs[:, None], layout.disc_mask[:, None])
+    return np.clip(way - outline, 0.0, REACH)
+
+
+def test_rays_agree_with_shapely():
+    scene = scenes()
+    got = compiled(False)(*scene)
+    # Between the ways to slightly larger and slightly smaller obstacles; a polygon of
+    # 512 corners is 2e-5 of a disc's radius too small.
+    low, high = (shapely_ways(*scene, grown) for grown in (NOISE, -NOISE))
+    assert (got >= low - 1e-5).all()
+    assert (got <= high + 1e-5).all()
+    assert (high - low < 0.01).mean() > 0.98
+    assert 0.1 < (got == REACH).mean() < 0.9
+    assert (got == 0.0).any()
+
+
+def test_the_broad_phase_changes_nothing():
+    scene = scenes(200, seed=1)
+    every, near = compiled(False)(*scene), compiled(True)(*scene)
+    np.testing.assert_allclose(near, every, atol=1e-5)  # float32, fused otherwise
+
+
+def test_rays_do_not_change_when_the_whole_lot_is_moved():
+    vehicle, parked, layout = scenes()
+    motion = (9.0, -4.0, 1.9)
+    there = (
+        moved_cars(vehicle, motion),
+        (moved(parked[0], motion), *parked[1:]),
+        layout.replace(
+            wall_pose=moved(layout.wall_pose, motion),
+            disc_centre=moved(
+                np.pad(layout.disc_centre, ((0, 0), (0, 0), (0, 1))), motion
+            )[..., :2],
+        ),
+    )
+    here, there = compiled(False)(vehicle, parked, layout), compiled(False)(*there)
+    # Rays that graze a corner or a disc amplify rounding; all others keep their way.
+    assert (np.abs(here - there) < 1e-3).mean() > 0.995
+    assert np.median(np.abs(here - there)) < 5e-6
+
+
+def test_rays_are_a_field_of_the_observation():
+    config = ObservationConfig(tracked_agents=0, tracked_parked_cars=0, rings=())
+    config = dataclasses.replace(config, rays=4, ray_range=8.0)
+    field = make_fields(config)[-1]
+    assert (field.name, field.size, field.low, field.high) == ("rays", 4, 0.0, 1.0)
+    layout = lot([(9.0, 0.0, 0.0), (0.0, 7.0, 0.0)], walls=[(0.0, -5.0, 0.0)])
+    vehicle, one = cars([(0.0, 0.0, 0.0)]), jnp.ones(1)
+    size = jnp.full((2, 2), 2.0)
+    seen = observe_jit(
+        config, layout, vehicle, jnp.array([0]), layout.bay_pose, size, one, one
+    )
+    rays = fields_of(seen, config)["rays"]
+    # 8 - 2 m ahead, 6 - 1 m left, nothing behind, 4.5 - 1 m to the wall on the right.
+    np.testing.assert_allclose(rays, [[6 / 8, 5 / 8, 1.0, 3.5 / 8]], atol=1e-6)
+    moved = moved_lot(layout, (5.0, 3.0, 2.0))
+    again = observe_jit(
+        config,
+        moved,
+        moved_cars(vehicle, (5.0, 3.0, 2.0)),
+        jnp.array([0]),
+        moved.bay_pose,
+        size,
+        one,
+        one,
+    )
+    np.testing.assert_allclose(again, seen, atol=5e-6)
+    for bad in ({"rays": -1}, {"ray_range": 0.0}):
+        with pytest.raises(ValueError, match=next(iter(bad))):
+            dataclasses.replace(config, **bad)

@@ -1,0 +1,114 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import SlidePhysics, cars, fields_of, placed
+
+from carpark_mj.config import EnvConfig, SensorConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.observations.sensors import init_sensors, observed, update_sensors
+
+KEY = jax.random.key(0)
+LATE = SensorConfig(delay_min=2, delay_max=2)
+
+
+def standing(count, x=0.0):
+    pose = np.zeros((count, 3), np.float32)
+    pose[:, 0] = x
+    return cars(pose)
+
+
+def test_late_sensors_show_what_was_then():
+    sensors = init_sensors(LATE, standing(3, 0.0), KEY)
+    seen = []
+    for x in (1.0, 2.0, 3.0, 4.0):
+        vehicle = standing(3, x)
+        sensors = update_sensors(LATE, sensors, vehicle, jnp.zeros(3, bool), KEY)
+        seen.append(np.asarray(observed(sensors, vehicle).pose_w[:, 0]).tolist())
+    assert seen == [[0.0] * 3, [0.0] * 3, [1.0] * 3, [2.0] * 3]
+
+
+def test_delays_are_drawn_from_the_whole_range_and_from_no_more():
+    config = SensorConfig(delay_min=1, delay_max=3)
+    delay = np.asarray(init_sensors(config, standing(200), KEY).delay)
+    assert set(delay) == {1, 2, 3}
+
+
+def test_noise_has_the_configured_spread_and_no_bias():
+    config = SensorConfig(position_noise=0.1, heading_noise=0.02, speed_noise=0.3)
+    vehicle = cars(np.full((20_000, 3), 1.0), speed=2.0, yaw_rate=0.4, steering=0.1)
+    seen = observed(init_sensors(config, vehicle, KEY), vehicle)
+    for error, spread in (
+        (seen.pose_w[:, 0] - 1.0, 0.1),
+        (seen.pose_w[:, 1] - 1.0, 0.1),
+        (seen.pose_w[:, 2] - 1.0, 0.02),
+        (seen.velocity_b[:, 0] - 2.0, 0.3),
+        (seen.velocity_b[:, 1], 0.3),
+    ):
+        # 20,000 samples: standard errors of 0.5 % (spread) and 0.7 % of it (mean).
+        assert float(error.std()) == pytest.approx(spread, rel=0.03)
+        assert abs(float(error.mean())) < 0.03 * spread
+    np.testing.assert_array_equal(seen.yaw_rate, vehicle.yaw_rate)
+    np.testing.assert_array_equal(seen.steering, vehicle.steering)
+    np.testing.assert_array_equal(seen.trace_w, vehicle.trace_w)
+
+
+def slide(sensors):
+    config = EnvConfig(num_agents=2, num_parked_cars=2, sensors=sensors)
+    return ParkingEnv(config, SlidePhysics())
+
+
+def test_judging_rewards_and_motion_ignore_the_sensors():
+    noisy = SensorConfig(position_noise=3.0, heading_noise=1.0, delay_max=3)
+    runs = []
+    for sensors in (SensorConfig(), noisy):
+        env = slide(sensors)
+        state, _ = jax.jit(env.reset)(KEY)
+        pose = [[-5.0, 0.0, 0.0], [5.0, 0.0, 1.0]]
+        occupancy = state.occupancy.replace(goal=jnp.array([0, 1]))
+        state = placed(env, state, pose).replace(occupancy=occupancy)
+        _, timestep = jax.jit(env.step)(state, jnp.array([[0.1, 0.5], [0.0, -0.5]]))
+        runs.append(timestep)
+    truth, run = runs
+    np.testing.assert_array_equal(truth.reward, run.reward)
+    np.testing.assert_array_equal(truth.vehicle.pose_w, run.vehicle.pose_w)
+    for name in truth.metrics:
+        np.testing.assert_array_equal(truth.metrics[name], run.metrics[name])
+
+
+def test_an_agent_observes_its_own_past_and_a_fresh_start_after_a_respawn():
+    env = slide(LATE)
+    step = jax.jit(env.step)
+    state, _ = jax.jit(env.reset)(KEY)
+    # Far from everything, so that nothing ends the episode.
+    state = placed(env, state, [[-4.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    ahead = jnp.array([[0.0, 1.0], [0.0, 1.0]])
+    speeds = []
+    for _ in range(4):
+        state, timestep = step(state, ahead)
+        assert not timestep.events.done.any()
+        named = fields_of(timestep.observation, env.config.observation)
+        speeds.append(float(named["speed"][0, 0]))
+    limit = env.vehicle.max_speed
+    # Slides at 2.5 m/s from the first step; seen two steps later.
+    assert speeds == pytest.approx([0.0, 0.0, 2.5 / limit, 2.5 / limit])
+    over = state.replace(step=jnp.full(2, env.config.episode.max_steps, jnp.int32))
+    after, timestep = step(over, ahead)
+    assert timestep.events.done.all()
+    seen = observed(after.sensors, after.vehicle)
+    np.testing.assert_array_equal(seen.pose_w, after.vehicle.pose_w)
+    np.testing.assert_array_equal(seen.speed, [0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position_noise": -0.1}, "position_noise must be at least 0.0"),
+        ({"speed_noise": np.nan}, "speed_noise must be at least 0.0"),
+        ({"delay_min": -1}, "delay_min must be at least 0"),
+        ({"delay_min": 3, "delay_max": 2}, "delay_max must be at least 3, not 2"),
+    ],
+)
+def test_impossible_sensors_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        SensorConfig(**change)

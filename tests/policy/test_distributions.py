@@ -1,0 +1,295 @@
+"""Distributions of actions: closed forms, SciPy, integrals, samples, Brax's own."""
+
+import itertools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo import losses as ppo_losses
+from brax.training.agents.ppo import networks as ppo_networks
+from brax.training.distribution import NormalTanhDistribution
+from brax.training.types import Transition
+from scipy import special, stats
+
+from carpark_mj.evaluation.rollout import random_policy, zero_policy
+from carpark_mj.mdp.actions import ActionSpec, neutralise_choices
+from carpark_mj.policy.distributions import action_distribution
+from carpark_mj.policy.networks import NetworkConfig, make_networks, make_policy
+from carpark_mj.policy.runs import init_normalizer
+
+GRID = ActionSpec(0, (5, 7, 3))
+MIXED = ActionSpec(2, (3,))
+SPECS = [GRID, MIXED, ActionSpec(1, (4, 4))]
+DRAWS = 100_000
+
+
+def parameters(spec: ActionSpec, seed: int = 0, n: int | None = None) -> jax.Array:
+    """Of a random distribution, or of n."""
+    size = action_distribution(spec).param_size
+    shape = (size,) if n is None else (n, size)
+    return jax.random.normal(jax.random.key(seed), shape)
+
+
+def split(spec: ActionSpec, params: jax.Array) -> tuple[jax.Array, list[np.ndarray]]:
+    """Parameters of the numbers, and probabilities of each branch."""
+    ends = 2 * spec.continuous + np.cumsum((0, *spec.choices))
+    logits = [np.asarray(params)[..., a:b] for a, b in itertools.pairwise(ends)]
+    numbers = params[..., : 2 * spec.continuous]
+    return numbers, [special.softmax(part.astype(float), axis=-1) for part in logits]
+
+
+@pytest.fixture(scope="module")
+def draws():
+    """Of every kind: parameters, raw actions (DRAWS, size), their log-probabilities."""
+
+    def draw(spec):
+        distribution, params = action_distribution(spec), parameters(spec)
+        many = jnp.broadcast_to(params, (DRAWS, *params.shape))
+        raw = distribution.sample_no_postprocessing(many, jax.random.key(1))
+        return params, raw, distribution.log_prob(many, raw)
+
+    return {spec: jax.jit(lambda spec=spec: draw(spec))() for spec in SPECS}
+
+
+def assert_mean(samples, expected):
+    """The mean of samples is as expected, to 4 standard errors."""
+    samples = np.asarray(samples, float)
+    error = samples.std(axis=0) / np.sqrt(len(samples))
+    np.testing.assert_array_less(np.abs(samples.mean(axis=0) - expected), 4 * error)
+
+
+@pytest.mark.parametrize(
+    ("spec", "size"),
+    [(ActionSpec(2), 4), (GRID, 15), (MIXED, 7), (ActionSpec(1, (4, 4)), 10)],
+)
+def test_there_are_parameters_for_every_number_and_every_choice(spec, size):
+    assert action_distribution(spec).param_size == size
+
+
+def test_numbers_alone_are_exactly_brax_s_networks():
+    config = NetworkConfig((8, 8), (8,))
+    ours = make_networks(config, 5, ActionSpec(2))
+    theirs = ppo_networks.make_ppo_networks(
+        5,
+        2,
+        preprocess_observations_fn=running_statistics.normalize,  # pyright: ignore
+        policy_hidden_layer_sizes=(8, 8),
+        value_hidden_layer_sizes=(8,),
+    )
+    assert type(ours.parametric_action_distribution) is NormalTanhDistribution
+    observation = jax.random.normal(jax.random.key(2), (3, 5))
+    normalizer = init_normalizer(5)
+
+    for part in ("policy_network", "value_network"):
+
+        def start(networks, part=part):
+            network = getattr(networks, part)
+            params = network.init(jax.random.key(0))
+            return params, network.apply(normalizer, params, observation)
+
+        found = [jax.jit(lambda n=n: start(n))() for n in (ours, theirs)]
+        jax.tree.map(np.testing.assert_array_equal, *found)
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_all_actions_have_a_probability_of_one_together(spec):
+    # A sum over all choices and trapezia over u, of which tanh u is the action and
+    # (cosh u)^-2 its derivative.
+    distribution, params = action_distribution(spec), parameters(spec)
+    u = np.linspace(-14.0, 14.0, 201)
+    axes = [u] * spec.continuous + [np.arange(n) for n in spec.choices]
+    slope = (u[1] - u[0]) / np.cosh(u) ** 2
+    weights = [slope] * spec.continuous + [np.ones(n) for n in spec.choices]
+    raw = jnp.array(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), spec.dtype)
+    many = jnp.broadcast_to(params, (*raw.shape[:-1], *params.shape))
+    log_prob = jax.jit(distribution.log_prob)(many, raw)
+    density = np.exp(np.asarray(log_prob, float))
+    for weight in reversed(weights):
+        density = density @ weight
+    np.testing.assert_allclose(density, 1.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_log_probability_entropy_and_kl_of_the_choices_are_scipy_s(spec):
+    distribution = action_distribution(spec)
+    params, old = parameters(spec, 0, 6), parameters(spec, 5, 6)
+    n = spec.continuous
+    key, raw_key = jax.random.split(jax.random.key(3))
+    raw = jax.jit(distribution.sample_no_postprocessing)(params, raw_key)
+    index = np.asarray(raw)[:, n:].astype(int)
+    numbers, branches = split(spec, params)
+    old_numbers, old_branches = split(spec, old)
+    rows = np.arange(6)
+    log_prob = sum(np.log(p[rows, index[:, i]]) for i, p in enumerate(branches))
+    entropy = sum(stats.entropy(p, axis=-1) for p in branches)
+    kl = sum(
+        stats.entropy(q, p, axis=-1)
+        for q, p in zip(old_branches, branches, strict=True)
+    )
+    if n:  # the numbers' part is Brax's own
+        brax = NormalTanhDistribution(n)
+        log_prob += brax.log_prob(numbers, raw[:, :n])
+        entropy += brax.entropy(numbers, jax.random.split(key)[0])
+        kl += brax.create_dist(numbers).kl_divergence(brax.create_dist(old_numbers))
+
+    @jax.jit
+    def find(params, old):
+        new, old = distribution.create_dist(params), distribution.create_dist(old)
+        return (
+            distribution.log_prob(params, raw),
+            distribution.entropy(params, key),
+            new.kl_divergence(old),
+        )
+
+    for found, expected in zip(find(params, old), (log_prob, entropy, kl), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_samples_are_as_frequent_as_their_probabilities_say(spec, draws):
+    params, raw, _ = draws[spec]
+    numbers, branches = split(spec, params)
+    n = spec.continuous
+    for i, p in enumerate(branches):
+        index = np.asarray(raw)[:, n + i]
+        assert_mean(index[:, None] == np.arange(len(p)), p)
+    if n:
+        normal = NormalTanhDistribution(n).create_dist(numbers)
+        assert_mean(raw[:, :n], normal.loc)
+        assert_mean((raw[:, :n] - normal.loc) ** 2, normal.scale**2)
+    # Independent of each other: no two correlate.
+    correlation = np.corrcoef(np.asarray(raw, float), rowvar=False)
+    off = correlation - np.eye(len(correlation))
+    assert np.abs(off).max() < 4.5 / np.sqrt(DRAWS)
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_entropy_and_kl_are_what_samples_say(spec, draws):
+    params, raw, log_prob = draws[spec]
+    distribution = action_distribution(spec)
+    keys = jax.random.split(jax.random.key(9), 20_000)
+    entropies = jax.jit(jax.vmap(lambda key: distribution.entropy(params, key)))(keys)
+    both = np.mean(entropies)
+    spread = np.hypot(
+        np.std(entropies) / np.sqrt(len(keys)), np.std(log_prob) / np.sqrt(DRAWS)
+    )
+    assert abs(both + np.mean(log_prob)) < 4 * spread + 1e-5
+    # KL(old || new) from draws of the old, to which `draws` belong.
+    new = parameters(spec, 7)
+    many = jnp.broadcast_to(new, (DRAWS, *new.shape))
+    old, new_dist = (distribution.create_dist(p) for p in (params, new))
+    difference = np.asarray(log_prob - jax.jit(distribution.log_prob)(many, raw))
+    error = difference.std() / np.sqrt(DRAWS)
+    kl = new_dist.kl_divergence(old)
+    # Brax adds 1e-5 within a logarithm, for every number.
+    assert abs(difference.mean() - kl) < 4 * error + 1e-4
+    assert kl > 0.1
+    assert abs(old.kl_divergence(old)) < 1e-4
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_the_mode_is_the_likeliest_and_actions_are_in_range(spec, draws):
+    params, raw, _ = draws[spec]
+    distribution = action_distribution(spec)
+    numbers, branches = split(spec, params)
+    expected = [*np.tanh(numbers[: spec.continuous]), *map(np.argmax, branches)]
+    mode = distribution.mode(params)
+    np.testing.assert_allclose(mode, expected, rtol=1e-6)
+    action = distribution.postprocess(raw)
+    assert action.dtype == mode.dtype == spec.dtype
+    n = spec.continuous
+    assert (np.abs(action[:, :n]) <= 1.0).all()
+    same, invalid = neutralise_choices(action[:, n:], spec.choices)
+    np.testing.assert_array_equal(same, action[:, n:])
+    assert not invalid.any()
+    back = np.asarray(distribution.inverse_postprocess(action))
+    unsaturated = np.abs(np.asarray(raw)[:, :n]).max(axis=1, initial=0.0) < 2.0
+    assert unsaturated.mean() > 0.1
+    np.testing.assert_allclose(back[unsaturated], raw[unsaturated], atol=1e-4)
+
+
+def test_the_gradient_of_a_log_probability_is_one_hot_less_softmax():
+    distribution, params = action_distribution(GRID), parameters(GRID)
+    index = jnp.array([4, 0, 1])
+    found = jax.grad(distribution.log_prob)(params, index)
+    _, branches = split(GRID, params)
+    expected = [np.eye(len(p))[i] - p for i, p in zip(index, branches, strict=True)]
+    np.testing.assert_allclose(found, np.concatenate(expected), atol=1e-6)
+
+
+def test_reported_moments_are_those_of_the_indices():
+    dist = action_distribution(GRID).create_dist(parameters(GRID))
+    for i, p in enumerate(split(GRID, parameters(GRID))[1]):
+        index = stats.rv_discrete(values=(np.arange(len(p)), p))
+        np.testing.assert_allclose(dist.loc[i], index.mean(), rtol=1e-5)
+        np.testing.assert_allclose(dist.scale[i], index.std(), rtol=1e-4)
+
+
+@pytest.mark.parametrize("spec", [GRID, MIXED])
+def test_brax_s_loss_takes_them_as_they_are(spec):
+    # Actions as drawn: ratios are 1, so the policy's loss is minus the mean advantage,
+    # which is normalised to 0, and its gradient makes the better half likelier.
+    networks = make_networks(NetworkConfig((8,), (8,)), 4, spec)
+    normalizer = init_normalizer(4)
+    container: Any = ppo_losses.PPONetworkParams  # its fields are hidden from Pyright
+    params = container(
+        policy=jax.jit(networks.policy_network.init)(jax.random.key(0)),
+        value=jax.jit(networks.value_network.init)(jax.random.key(1)),
+    )
+    agents, steps = 64, 2
+    observation = jax.random.normal(jax.random.key(2), (agents, steps, 4))
+    policy = make_policy(networks, normalizer, params.policy, deterministic=False)
+    action, extras = jax.jit(policy)(observation, jax.random.key(3))
+    assert extras["raw_action"].dtype == action.dtype == spec.dtype
+    better = action[..., -1] == 0  # pays for the first choice of the last branch
+    data = Transition(
+        observation=observation,
+        action=action,
+        reward=better.astype(jnp.float32),
+        discount=jnp.zeros((agents, steps)),
+        next_observation=observation,
+        extras={
+            "policy_extras": extras,
+            "state_extras": {"truncation": jnp.zeros((agents, steps))},
+        },
+    )
+
+    def loss(params):
+        return ppo_losses.compute_ppo_loss(
+            params, normalizer, data, jax.random.key(4), networks, entropy_cost=0.0
+        )
+
+    (_, metrics), grads = jax.jit(jax.value_and_grad(loss, has_aux=True))(params)
+    assert abs(metrics["policy_loss"]) < 1e-5
+    assert abs(metrics["kl_mean"]) < 1e-4
+    assert all(np.isfinite(value) for value in metrics.values())
+
+    def chance(policy_params):
+        logits = networks.policy_network.apply(normalizer, policy_params, observation)
+        _, branches = split(spec, logits)
+        return branches[-1][..., 0].mean()
+
+    moved = jax.tree.map(lambda p, g: p - 0.1 * g, params.policy, grads.policy)
+    assert chance(moved) > chance(params.policy) + 1e-3
+
+
+@pytest.mark.parametrize("spec", [ActionSpec(2), *SPECS])
+def test_baselines_stand_still_or_draw_evenly(spec):
+    observation = jnp.zeros((20_000, 3, 4))
+    n = spec.continuous
+    action, _ = zero_policy(spec)(observation, jax.random.key(0))
+    assert action.dtype == spec.dtype
+    assert action.shape == (20_000, 3, spec.size)
+    middle = [0.0] * n + [(count - 1) // 2 for count in spec.choices]
+    np.testing.assert_array_equal(action[7, 1], middle)
+    action, _ = random_policy(spec)(observation, jax.random.key(0))
+    assert action.dtype == spec.dtype
+    drawn = np.asarray(action).reshape(-1, spec.size)
+    assert_mean(drawn[:, :n], 0.0)
+    assert_mean(drawn[:, :n] ** 2, 1 / 3)
+    assert np.abs(drawn[:, :n]).max(initial=0.0) <= 1.0
+    for i, count in enumerate(spec.choices):
+        assert_mean(drawn[:, n + i, None] == np.arange(count), 1 / count)

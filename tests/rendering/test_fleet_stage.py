@@ -1,0 +1,108 @@
+"""The stage shows of every agent the car that it drives, and parked cars as large."""
+
+import numpy as np
+import pytest
+from helpers.scenes import SlidePhysics
+
+from carpark_mj.config import EnvConfig, FleetConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.rollout import zero_policy
+from carpark_mj.fleet.draw import Fleet
+from carpark_mj.layouts import make_layout
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.rendering.rollout import record
+from carpark_mj.rendering.stage import Stage
+from carpark_mj.vehicle import COMPACT, PRESETS
+from carpark_mj.vehicle.parameters import scaled
+
+NAMES = ("city", "van")
+KINDS = [PRESETS[name] for name in NAMES]
+POSE = np.array([[5.0, 3.0, 0.4], [-6.0, -4.0, 2.0]])
+PARKED = np.array([[12.0, -2.0, 1.0], [-12.0, 6.0, -2.0]])
+CARS = [scaled(PRESETS["suv"], 1.05), PRESETS["city"]]
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return Stage(make_layout("tanner"), COMPACT, 2, 2, KINDS, CARS)
+
+
+def sizes(*kinds):
+    return np.float32([(KINDS[k].length, KINDS[k].width) for k in kinds])
+
+
+def hull(stage, name):
+    """Centre (3,), heading and length and width of a hull."""
+    geom = stage.model.geom(f"{name}hull").id
+    axis = stage.data.geom_xmat[geom].reshape(3, 3)[:2, 0]
+    yaw = np.arctan2(axis[1], axis[0])
+    return stage.data.geom_xpos[geom], yaw, 2 * stage.model.geom_size[geom, :2]
+
+
+@pytest.mark.parametrize("driven", [(0, 1), (1, 1), (1, 0)])
+def test_the_car_an_agent_drives_stands_on_its_footprint_the_others_below(
+    stage, driven
+):
+    stage.place(POSE, np.zeros(2), PARKED, sizes(*driven))
+    for agent, shown in enumerate(driven):
+        for kind, infix in enumerate(("", "kind1/")):
+            centre, yaw, size = hull(stage, f"agent{agent}/{infix}")
+            np.testing.assert_allclose(size, sizes(kind)[0], atol=1e-6)
+            if kind == shown:
+                np.testing.assert_allclose(centre[:2], POSE[agent, :2], atol=1e-6)
+                assert yaw == pytest.approx(POSE[agent, 2])
+            else:
+                assert centre[2] < -10.0
+        infix = "kind1/" if shown else ""
+        assert stage.camera(f"agent{agent}/chase") == f"agent{agent}/{infix}chase"
+    assert stage.camera("topdown") == "topdown"
+
+
+def test_front_wheels_obey_the_geometry_of_the_car_that_is_driven(stage):
+    steering = np.array([0.5, 0.5])
+    stage.place(POSE, steering, PARKED, sizes(0, 1))
+    for prefix, params in (("agent0/", KINDS[0]), ("agent1/kind1/", KINDS[1])):
+        angles = [stage.data.joint(f"{prefix}steer_{s}").qpos[0] for s in ("fl", "fr")]
+        # Ackermann: cotangents differ by track over wheelbase.
+        difference = 1 / np.tan(angles[1]) - 1 / np.tan(angles[0])
+        assert difference == pytest.approx(params.track_width / params.wheelbase)
+
+
+def test_parked_cars_stand_on_their_own_footprints(stage):
+    stage.place(POSE, np.zeros(2), PARKED)
+    for k, params in enumerate(CARS):
+        centre, yaw, size = hull(stage, f"parked{k}/")
+        np.testing.assert_allclose(centre[:2], PARKED[k, :2], atol=1e-6)
+        assert yaw == pytest.approx(PARKED[k, 2])
+        np.testing.assert_allclose(size, (params.length, params.width))
+    suv = PRESETS["suv"]
+    assert CARS[0].length == pytest.approx(1.05 * suv.length)
+    assert CARS[0].wheelbase == pytest.approx(1.05 * suv.wheelbase)
+
+
+def test_parked_cars_are_known_by_their_proportions():
+    fleet = Fleet(EnvConfig(fleet=FleetConfig(parked_cars=tuple(PRESETS))), COMPACT)
+    for params in PRESETS.values():
+        for scale in (0.9, 1.0, 1.1):
+            size = np.float32([[scale * params.length, scale * params.width]])
+            (found,) = fleet.parked_vehicles(size)
+            assert found.mass == params.mass
+            assert found.height == pytest.approx(scale * params.height, rel=1e-5)
+
+
+def test_a_recording_knows_the_cars_there_are_and_no_others():
+    config = EnvConfig(
+        num_agents=1,
+        num_parked_cars=6,
+        occupancy=(0.05, 0.08),  # of 36 bays: 2
+        fleet=FleetConfig(NAMES, parked_cars=("suv",)),
+    )
+    env = ParkingEnv(config, SlidePhysics())
+    story = record(env, zero_policy(ActionSpec(2)), 2, seed=0)
+    assert story.parked_pose.shape == (2, 2, 3)
+    assert np.abs(story.parked_pose[..., :2]).max() < 30.0
+    suv = PRESETS["suv"]
+    np.testing.assert_allclose(story.parked_size, [(suv.length, suv.width)] * 2)
+    assert story.size is not None
+    assert story.size.shape == (2, 1, 2)
+    assert story.size[0, 0].tolist() in sizes(0, 1).tolist()

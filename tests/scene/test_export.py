@@ -1,0 +1,164 @@
+"""Exported scenes: whole, at rest, and driving without this project."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from carpark_mj.scene import car_look
+from carpark_mj.scene.__main__ import SceneConfig, main, make_scene
+from carpark_mj.scene.export import try_out
+from carpark_mj.vehicle import COMPACT
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "scene.xml"
+    main(SceneConfig(out=str(path)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def model(exported):
+    return mujoco.MjModel.from_xml_path(str(exported))
+
+
+def run(model, data, seconds):
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+
+
+def test_the_file_is_whole_and_the_same_model(exported, model):
+    text = exported.read_text()
+    assert "file=" not in text  # no mesh or texture of its own
+    assert "agentK/steer" in text.split("<mujoco")[0]  # the guide comes first
+    spec, _ = make_scene(SceneConfig(out="x.xml"))
+    built = spec.compile()
+    assert [model.actuator(k).name for k in range(model.nu)] == [
+        f"agent{k}/{c}" for k in range(2) for c in ("steer", "drive", "brake")
+    ]
+    for field in ("body_mass", "body_inertia", "body_pos", "jnt_type", "eq_data"):
+        np.testing.assert_allclose(
+            getattr(model, field), getattr(built, field), rtol=1e-4, atol=1e-6
+        )
+
+
+def test_nothing_moves_when_nobody_touches_it(model):
+    data = mujoco.MjData(model)
+    start = data.qpos.copy()
+    highest = 0.0
+    for _ in range(10):
+        run(model, data, 1.0)
+        highest = max(highest, float(np.abs(data.qpos - start).max()))
+    assert highest < 1e-3  # metres and radians, every car; measured 1e-5
+    assert data.ncon == 4 * 2  # eight tyres on the ground and nothing else
+    assert not any(warning.number for warning in data.warning)
+
+
+def test_a_script_without_carpark_mj_drives_stops_and_stands(tmp_path):
+    path = tmp_path / "empty.xml"
+    main(SceneConfig(out=str(path), num_agents=1, num_parked_cars=0))
+    done = subprocess.run(
+        [sys.executable, "-I", str(ROOT / "examples" / "drive_scene.py"), str(path)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    measured = json.loads(done.stdout)
+    assert not measured["imported_carpark_mj"]
+    assert measured["speed_m_s"] == pytest.approx(1.5, abs=0.1)
+    radius = COMPACT.wheelbase / math.tan(math.radians(30))
+    assert measured["wheelbase_over_tan_delta_m"] == pytest.approx(radius)
+    assert measured["circle_radius_m"] == pytest.approx(radius, rel=0.01)
+    assert abs(measured["speed_after_braking_m_s"]) < 1e-6
+    assert measured["stopping_distance_m"] < 0.4
+    assert measured["drift_at_rest_in_10_s_mm"] < 1.0
+
+
+def test_cars_walls_and_parked_cars_collide(model):
+    """An agent is set down beside a parked car and driven into it, then a wall."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    parked = model.body("parked0").id
+    pose, turn = data.xpos[parked].copy(), data.xquat[parked].copy()
+    forward = data.xmat[parked].reshape(3, 3)[:, 0]
+    # Nose to nose, one metre apart, facing each other.
+    root = data.joint("agent0/root")
+    gap = 2 * (COMPACT.length - COMPACT.rear_overhang) + 1.0
+    root.qpos[:2] = (pose + gap * forward)[:2]
+    half_turn = np.array([0.0, 0.0, 0.0, 1.0])
+    facing = np.zeros(4)
+    mujoco.mju_mulQuat(facing, turn, half_turn)
+    root.qpos[3:] = facing
+    data.actuator("agent0/drive").ctrl = 1.0
+    run(model, data, 3.0)
+    moved = data.xpos[parked] - pose
+    assert moved @ forward < -0.05  # pushed back into its bay
+    reach = (data.xpos[model.body("agent0/car").id] - data.xpos[parked]) @ forward
+    assert reach > 2 * (COMPACT.length - COMPACT.rear_overhang) - 0.1  # not through it
+    run(model, data, 10.0)  # against the wall behind the bay
+    assert np.abs(data.xpos[1:, :2]).max() < 21.1
+
+
+def test_impossible_scenes_are_one_sentence(tmp_path):
+    with pytest.raises(ValueError, match="give --out"):
+        SceneConfig()
+    with pytest.raises(ValueError, match=r"\.xml"):
+        SceneConfig(out="scene.mjcf")
+    with pytest.raises(ValueError, match="num_parked_cars must be at most 34"):
+        main(SceneConfig(out=str(tmp_path / "a.xml"), num_parked_cars=99))
+    with pytest.raises(ValueError, match="unknown vehicle 'tank'"):
+        main(SceneConfig(out=str(tmp_path / "a.xml"), vehicle="tank"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_display_the_way_out_is_named(monkeypatch):
+    if sys.platform != "linux":
+        pytest.skip("displays are asked for by variable on Linux only")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(OSError, match="--out and open it elsewhere"):
+        main(SceneConfig(view="window"))
+
+
+def test_looks_change_no_mass_and_no_motion(monkeypatch):
+    """The same drive, bit for bit, in scenes with and without the cars' looks."""
+
+    def drive():
+        spec, _ = make_scene(SceneConfig(out="x.xml", num_parked_cars=2))
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        data.ctrl[:3] = [0.3, 1.0, 0.0]
+        run(model, data, 0.5)
+        return model, data
+
+    with_looks, moved = drive()
+    monkeypatch.setattr(car_look, "_add_looks", lambda *_: None)
+    without, expected = drive()
+    assert with_looks.nmesh > without.nmesh
+    for field in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_M0"):
+        np.testing.assert_array_equal(
+            getattr(with_looks, field), getattr(without, field)
+        )
+    np.testing.assert_array_equal(moved.qpos, expected.qpos)
+    assert np.abs(moved.qvel).max() > 0.3
+
+
+def test_looks_are_only_seen(model):
+    for geom in np.flatnonzero(model.geom_group == 2):
+        assert model.geom_contype[geom] == model.geom_conaffinity[geom] == 0
+
+
+def test_a_scene_that_blows_up_is_told_by_mujoco_s_own_word(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT
+    spec, _ = make_scene(SceneConfig(out="x.xml", num_agents=1, num_parked_cars=0))
+    assert try_out(spec, 0.1) == []
+    spec.option.gravity = [0.0, 0.0, -1e12]
+    assert any("BADQACC" in warning for warning in try_out(spec, 0.1))

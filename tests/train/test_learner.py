@@ -1,0 +1,302 @@
+"""The learner: the same update as Brax's own PPO, schedules, and the NaN guard."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.envs.base import State
+from brax.training import acting
+from brax.training import pmap as brax_pmap
+from brax.training.agents.ppo import losses as ppo_losses
+from brax.training.agents.ppo import train as brax_ppo
+from brax.training.types import Transition
+from helpers.scenes import SlidePhysics
+from jax.sharding import PartitionSpec
+
+from carpark_mj.config import EnvConfig, SimConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.policy.networks import MIN_STD, NetworkConfig, make_networks
+from carpark_mj.wrappers.brax import BraxParking
+from learner import AXIS, Learner, num_devices, schedule
+from presets import PRESETS
+
+TINY = dataclasses.replace(
+    PRESETS["cpu"],
+    num_lots=2,
+    unroll_length=8,
+    num_minibatches=1,
+    num_epochs=3,
+    num_steps=320,
+    entropy_cost=0.0,  # Brax's entropy is sampled: with other keys it differs
+    entropy_cost_end=0.0,
+    learning_rate_end=PRESETS["cpu"].learning_rate,
+    networks=NetworkConfig((16, 16), (16,)),
+    env=EnvConfig(num_agents=2, sim=SimConfig(sim_dt=0.02)),
+)
+AGENTS = TINY.num_lots * TINY.env.num_agents
+
+
+@pytest.fixture(scope="module")
+def learner():
+    return Learner(TINY)
+
+
+@pytest.fixture(scope="module")
+def state(learner):
+    return learner.init()
+
+
+def canned_data(learner, state, seed: int) -> Transition:
+    """A made-up unroll (time, agents, ...) with terminations and truncations."""
+    rng = np.random.default_rng(seed)
+    shape = (TINY.unroll_length, AGENTS)
+
+    def normal(*size):
+        return jnp.asarray(rng.normal(size=(*shape, *size)), jnp.float32)
+
+    observation = 2.0 + 3.0 * normal(learner.env.observation_size)
+    raw = normal(2)
+    logits = learner.networks.policy_network.apply(
+        state.normalizer, state.policy, observation
+    )
+    distribution = learner.networks.parametric_action_distribution
+    done = jnp.asarray(rng.random(shape) < 0.2, jnp.float32)
+    truncation = done * jnp.asarray(rng.random(shape) < 0.5, jnp.float32)
+    return Transition(
+        observation=observation,
+        action=jnp.tanh(raw),
+        reward=normal(),
+        discount=1.0 - done,
+        next_observation=normal(learner.env.observation_size),
+        extras={
+            "policy_extras": {
+                "log_prob": distribution.log_prob(logits, raw) + 0.1 * normal(),
+                "raw_action": raw,
+                "distribution_params": logits,
+            },
+            "state_extras": {
+                "truncation": truncation,
+                "episode_done": done,
+                "episode_metrics": {},
+            },
+        },
+    )
+
+
+class StandInEnv:
+    """What Brax's trainer asks of an environment before it acts."""
+
+    def __init__(self, observation_size: int) -> None:
+        self.action_size = 2
+        self.observation_size = observation_size
+        self._obs = jnp.zeros((AGENTS, observation_size))
+
+    def reset(self, keys):
+        zero = jnp.zeros(keys.shape[0])
+        info = {"truncation": zero, "episode_done": zero, "episode_metrics": {}}
+        return State(None, self._obs, zero, zero, {}, info)
+
+
+def brax_update(learner, state, data, monkeypatch):
+    """Parameters after one update of `brax.training.agents.ppo.train` on the data."""
+
+    def replicate(tree, devices):
+        return jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * len(devices)), tree)
+
+    monkeypatch.setattr(jax, "device_put_replicated", replicate, raising=False)
+    # Its check of replicas means nothing on one device, and fails under this JAX.
+    monkeypatch.setattr(brax_pmap, "assert_is_replicated", lambda tree: None)
+    monkeypatch.setattr(acting, "generate_unroll", lambda env, s, *_, **__: (s, data))
+
+    def factory(observation_size, action_size, preprocess_observations_fn):
+        del preprocess_observations_fn
+        return make_networks(
+            TINY.networks, observation_size[-1], ActionSpec(action_size)
+        )
+
+    _, params, _ = brax_ppo.train(
+        StandInEnv(learner.env.observation_size),  # pyright: ignore
+        num_timesteps=1,
+        wrap_env=False,
+        num_envs=AGENTS,
+        episode_length=100,
+        learning_rate=TINY.learning_rate,
+        entropy_cost=0.0,
+        discounting=TINY.discount,
+        unroll_length=TINY.unroll_length,
+        batch_size=AGENTS,
+        num_minibatches=1,
+        num_updates_per_batch=TINY.num_epochs,
+        normalize_observations=True,
+        clipping_epsilon=TINY.clip,
+        gae_lambda=TINY.gae_lambda,
+        max_grad_norm=TINY.max_grad_norm,
+        network_factory=factory,
+        max_devices_per_host=1,
+        run_evals=False,
+        restore_params=(state.normalizer, state.policy, state.value),
+    )
+    return params
+
+
+@pytest.mark.filterwarnings("ignore")  # Brax's trainer uses deprecated JAX names
+def test_an_update_equals_brax_s_own_on_the_same_data(learner, state, monkeypatch):
+    data = canned_data(learner, state, seed=0)
+
+    def learn(state, data):
+        data = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
+        return learner._learn(state, data, jax.random.key(5))[0]
+
+    alone = jax.make_mesh(
+        (1,),
+        (AXIS,),
+        axis_types=(jax.sharding.AxisType.Auto,),
+        devices=jax.devices()[:1],
+    )
+    whole = PartitionSpec()
+    ours = jax.jit(
+        jax.shard_map(
+            learn,
+            mesh=alone,
+            in_specs=(whole, whole),
+            out_specs=whole,
+            check_vma=False,
+        )
+    )(jax.device_get(state), data)
+    theirs = brax_update(learner, state, data, monkeypatch)
+    moved = 0.0
+    for mine, brax, old in zip(
+        ours[:3], theirs, (state.normalizer, state.policy, state.value), strict=True
+    ):
+        for a, b, c in zip(*map(jax.tree.leaves, (mine, brax, old)), strict=True):
+            # Three Adam steps of 1.5e-3; measured agreement 2e-7.
+            np.testing.assert_allclose(np.asarray(a), np.asarray(b), atol=2e-6)
+            moved = max(moved, float(np.abs(np.asarray(a) - np.asarray(c)).max()))
+    assert moved > 1e-3
+
+
+def test_a_truncated_step_is_bootstrapped_and_a_terminated_one_is_not():
+    # One agent, three steps, the second ends its episode; lambda 0.9, discount 0.5.
+    values = jnp.array([[1.0], [2.0], [3.0]])
+    rewards = jnp.array([[1.0], [1.0], [1.0]])
+    end, none = jnp.array([[0.0], [1.0], [0.0]]), jnp.zeros((3, 1))
+
+    def gae(truncation, termination):
+        _, advantages = ppo_losses.compute_gae(
+            truncation, termination, rewards, values, jnp.array([4.0]), 0.9, 0.5
+        )
+        return advantages[:, 0]
+
+    # Terminated: advantage 1 - V(s1) = -1. The step before sees V(s1) plus that.
+    np.testing.assert_allclose(gae(none, end)[1], 1.0 - 2.0)
+    np.testing.assert_allclose(gae(none, end)[0], 1.0 + 0.5 * (2.0 - 1.0) - 1.0)
+    # Truncated: nothing is learned from the cut step, and the value before it is
+    # bootstrapped with V(s1), not with zero to go.
+    np.testing.assert_allclose(gae(end, none)[1], 0.0)
+    np.testing.assert_allclose(gae(end, none)[0], 1.0 + 0.5 * 2.0 - 1.0)
+
+
+def test_schedules_are_linear_and_stay_at_their_ends():
+    progress = jnp.array([-1.0, 0.0, 0.25, 1.0, 3.0])
+    np.testing.assert_allclose(
+        schedule(1e-3, 2e-4, progress), [1e-3, 1e-3, 8e-4, 2e-4, 2e-4], rtol=1e-6
+    )
+
+
+def test_lots_and_minibatches_divide_over_the_devices_used(monkeypatch):
+    monkeypatch.setattr(jax, "local_device_count", lambda: 6)
+    config = dataclasses.replace(TINY, num_lots=8, num_minibatches=4)
+    # 8 lots x 2 agents: 4 devices hold 4 agents each, one per minibatch; 5 and 6 do
+    # not divide the lots.
+    assert num_devices(config) == 4
+    assert num_devices(dataclasses.replace(config, num_minibatches=16)) == 1
+
+
+def learned_leaves(state) -> list[np.ndarray]:
+    parts = (state.normalizer, state.policy, state.value, state.optimizer)
+    return [np.array(leaf) for leaf in jax.tree.leaves(parts)]
+
+
+def test_a_non_finite_update_is_dropped_whole(learner):
+    update = learner.compile()
+    state = learner.init()
+    good, _ = update(learner.place(jax.device_get(state)))
+    before = jax.device_get(good)
+    assert int(good.skipped) == 0
+    kept = learned_leaves(before)
+    # All bays are equal here: what never varied is not blown up either.
+    assert before.normalizer.std.min() == np.float32(MIN_STD)
+    poisoned = before.replace(
+        env=before.env.replace(obs=np.full_like(before.env.obs, np.nan))
+    )
+    after, metrics = update(learner.place(poisoned))
+    after = jax.device_get(after)
+    assert int(after.skipped) == 1
+    assert int(metrics["skipped"]) == 1
+    for old, new in zip(kept, learned_leaves(after), strict=True):
+        np.testing.assert_array_equal(new, old)
+    # The cars' actions were NaN: they are contained, and the next update is fine.
+    assert np.isfinite(after.env.obs).all()
+    final, metrics = update(learner.place(after))
+    assert int(final.skipped) == 1
+    assert np.isfinite(metrics["loss/total_loss"])
+    assert update._cache_size() == 1  # no weak type recompiled it
+    # What a run leaves is the mean of the policies: of the first alone, then with the
+    # third update's at a weight of 1/3; the dropped one changed nothing.
+    final = jax.device_get(final)
+    for first, same, last, mean in zip(
+        *map(
+            jax.tree.leaves,
+            (before.policy, before.average, final.policy, final.average),
+        ),
+        strict=True,
+    ):
+        np.testing.assert_allclose(same, first, atol=1e-7)
+        np.testing.assert_allclose(mean, first + (last - first) / 3, atol=1e-7)
+        assert np.abs(mean - last).max() > 1e-5
+
+
+def unrolls(updates, **changes):
+    """What is collected for some updates from one start, and how often it compiled."""
+    learner = Learner(dataclasses.replace(TINY, num_lots=8, **changes))
+    learner.env = BraxParking(ParkingEnv(TINY.env, SlidePhysics()))
+    start = jax.jit(learner.build)()
+    collect = jax.jit(lambda state: learner._collect(state, jax.random.key(1))[1])
+    data = [collect(start.replace(update=jnp.int32(update))) for update in updates]
+    return [x.extras["state_extras"] for x in data], collect._cache_size()
+
+
+def test_hitboxes_are_scaled_until_a_number_of_agent_steps_of_training():
+    # 8 lots x 2 agents x 8 steps an update: 300 steps are 3 updates, begun ones whole.
+    data, compilations = unrolls(
+        (0, 2, 3, 50), num_steps=10_000, hitbox_scale=30.0, hitbox_steps=300
+    )
+    crashed = [x["episode_metrics"]["crashed"].mean() for x in data]
+    assert crashed[0] == crashed[1] == 1.0  # boxes of 120 m
+    assert crashed[2] == crashed[3] < 0.5
+    assert compilations == 1
+
+
+IMPOSSIBLE_HITBOXES = [
+    ({"hitbox_scale": 0.0}, "hitbox_scale must be positive, not 0.0"),
+    ({"hitbox_scale": 1.5}, "hitbox_scale 1.5 needs hitbox_steps of at least 1, not 0"),
+    ({"hitbox_steps": -1}, "hitbox_steps must not be negative, not -1"),
+    (
+        {
+            "hitbox_scale": 1.5,
+            "hitbox_steps": 9,
+            "env": EnvConfig(num_agents=2, physics="scene"),
+        },
+        "hitbox_scale must be 1 in scene physics, .* not 1.5",
+    ),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), IMPOSSIBLE_HITBOXES)
+def test_impossible_hitboxes_are_refused_in_a_sentence(changes, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        dataclasses.replace(TINY, **changes)
+    assert "\n" not in str(caught.value)
