@@ -1,11 +1,22 @@
-"""State types shared by the physics and the task. All are pytrees of float32 arrays.
+"""State of a lot and what a step makes of it. All are pytrees.
 
-The suffix `_w` marks the world frame, `_b` the body frame of the car (x forward,
-y left). Units are SI and radians.
+Suffix `_w` marks the world frame, `_b` the body frame of the car (x forward, y left).
+Units are SI and radians; poses are (x [m], y [m], yaw [rad]) of a footprint's centre.
+Floats are float32.
 """
+
+from typing import Protocol
 
 import jax
 from flax import struct
+
+from carpark_mj.config import ContextName
+from carpark_mj.layouts.types import Layout
+
+# Index of no bay, whatever the layout: as a goal the agent is exploring, as the bay of
+# a parked car the car is absent, in a list of tracked bays the slot is empty. Reading
+# `array[NO_BAY]` gives the last row, writing `array.at[NO_BAY]` writes nothing.
+NO_BAY = 2**31 - 1
 
 
 @struct.dataclass
@@ -13,8 +24,7 @@ class Motion:
     """What the task may know of the cars' motion; any leading batch shape `(...)`.
 
     Attributes:
-        pose_w: (..., 3) pose of the footprint's centre: x [m], y [m], yaw [rad] in
-            [-pi, pi).
+        pose_w: (..., 3) yaw in [-pi, pi).
         velocity_b: (..., 2) velocity of the rear-axle centre, forward and left [m/s].
         yaw_rate: (...) [rad/s], counter-clockwise positive.
         steering: (...) commanded road-wheel angle of the bicycle model [rad], left
@@ -43,6 +53,177 @@ class Motion:
         """(...) signed speed along the car's axis [m/s]."""
         return self.velocity_b[..., 0]
 
+    @property
+    def xy(self) -> jax.Array:
+        """(..., 2) centres [m]."""
+        return self.pose_w[..., :2]
+
+
+class CarParameters(Protocol):
+    """Parameters of cars (...) that the task reads; see `carpark_mj.vehicle.Vehicle`.
+
+    Attributes:
+        size: (..., 2) length and width of the footprint [m].
+        wheelbase: (...) [m].
+        centre_offset: (...) footprint's centre ahead of the rear axle [m].
+        max_speed: (...) forwards [m/s].
+        max_reverse_speed: (...) [m/s], positive.
+        max_steering: (...) road-wheel angle of the bicycle model [rad].
+        steering_rate: (...) [rad/s].
+    """
+
+    @property
+    def size(self) -> jax.Array: ...  # noqa: D102
+
+    @property
+    def wheelbase(self) -> jax.Array: ...  # noqa: D102
+
+    @property
+    def centre_offset(self) -> jax.Array: ...  # noqa: D102
+
+    @property
+    def max_speed(self) -> jax.Array: ...  # noqa: D102
+
+    @property
+    def max_reverse_speed(self) -> jax.Array: ...  # noqa: D102
+
+    @property
+    def max_steering(self) -> jax.Array: ...  # noqa: D102
+
+    @property
+    def steering_rate(self) -> jax.Array: ...  # noqa: D102
+
+
+class PhysicsState(Protocol):
+    """State of any physics back end, as far as the task reads it."""
+
+    @property
+    def vehicle(self) -> CarParameters:
+        """Parameters of the agents' cars (num_agents,)."""
+        ...
+
+
+@struct.dataclass
+class ParkedCars:
+    """The parked cars of a lot.
+
+    Attributes:
+        bay: (num_parked_cars,) int32 where each belongs; `NO_BAY` if it is absent. No
+            two in one bay.
+        pose_w: (num_parked_cars, 3) where each stands: in its bay, where it has been
+            pushed in physics with contacts, or far away if it is absent.
+        size: (num_parked_cars, 2) footprints [m].
+        offset: (num_parked_cars, 3) where they stand in their bays if these allow it,
+            bay frame; None while all stand in the middle.
+    """
+
+    bay: jax.Array
+    pose_w: jax.Array
+    size: jax.Array
+    offset: jax.Array | None = None
+
+    @property
+    def present(self) -> jax.Array:
+        """(num_parked_cars,) bool."""
+        return self.bay != NO_BAY
+
+
+@struct.dataclass
+class Reading:
+    """Measured motion of cars (...); frames and units of `Motion`.
+
+    Attributes:
+        pose_w: (..., 3).
+        velocity_b: (..., 2).
+        yaw_rate: (...).
+        steering: (...).
+    """
+
+    pose_w: jax.Array
+    velocity_b: jax.Array
+    yaw_rate: jax.Array
+    steering: jax.Array
+
+
+@struct.dataclass
+class Sensors:
+    """Sensors of the agents of a lot.
+
+    Attributes:
+        history: readings (num_agents, delay_max + 1, ...), newest first.
+        delay: (num_agents,) int32 control steps by which an agent's are late.
+    """
+
+    history: Reading
+    delay: jax.Array
+
+
+@struct.dataclass
+class EpisodeStats:
+    """What is known of the running episodes; all (num_agents,) float32.
+
+    Attributes:
+        episode_return: sum of rewards, undiscounted.
+        length: control steps.
+        path: driven length [m].
+        gear_changes: times the direction of travel changed.
+        direction: sign of the last motion, 0 before the first.
+        invalid_actions: steps whose action was NaN or out of range.
+        wrong_way: part of the path driven against the lanes [m]; None in lots that
+            never have lanes.
+        tallies: all others by name, see `carpark_mj.mdp.metrics.tallies`.
+    """
+
+    episode_return: jax.Array
+    length: jax.Array
+    path: jax.Array
+    gear_changes: jax.Array
+    direction: jax.Array
+    invalid_actions: jax.Array
+    wrong_way: jax.Array | None
+    tallies: dict[str, jax.Array]
+
+
+@struct.dataclass
+class State:
+    """Everything about one lot at one time.
+
+    Attributes:
+        physics: state of the back end, (num_agents,) cars.
+        motion: the agents' motion, read from it.
+        layout: the lot's plan.
+        goal: (num_agents,) int32 the bay each agent heads for; `NO_BAY` while it is
+            exploring. Fixed goals are distinct.
+        tracked_bays: (num_agents, num_tracked_bays) int32 free bays each agent tracks,
+            `NO_BAY` in empty slots; None while goals are fixed.
+        parked_cars: the cars that stand in bays.
+        ring_history: (num_agents, ring_history, rings) int32 what rings counted before,
+            oldest first; None if the past is not observed.
+        step: (num_agents,) int32 control steps made in the running episodes.
+        active: (num_agents,) bool; False once finished when nobody respawns.
+        stats: of the running episodes.
+        sensors: the agents' sensors; None while they observe the true motion.
+        key: randomness of this lot.
+    """
+
+    physics: PhysicsState
+    motion: Motion
+    layout: Layout
+    goal: jax.Array
+    tracked_bays: jax.Array | None
+    parked_cars: ParkedCars
+    ring_history: jax.Array | None
+    step: jax.Array
+    active: jax.Array
+    stats: EpisodeStats
+    sensors: Sensors | None
+    key: jax.Array
+
+    @property
+    def exploring(self) -> jax.Array:
+        """(num_agents,) bool, has no goal."""
+        return self.goal == NO_BAY
+
 
 @struct.dataclass
 class Events:
@@ -64,3 +245,99 @@ class Events:
     def done(self) -> jax.Array:
         """(num_agents,) the agent's episode has ended."""
         return self.parked | self.crashed | self.timed_out | self.diverged
+
+
+@struct.dataclass
+class GoalEvents:
+    """What became of goals that agents choose, in a step; all (num_agents,) bool.
+
+    Exactly one of the first five, which the agent chose, holds for an active agent. The
+    next two exclude each other and come after the choice.
+
+    Attributes:
+        continue_explore: had no goal and took none.
+        stop_explore: took a goal.
+        continue_goal: kept its goal.
+        change_goal: took another goal.
+        stop_goal: gave its goal up.
+        lost_untracked: lost its goal, which is no longer among the tracked bays.
+        lost_taken: lost its goal, where another agent has parked.
+        contexts: situations in which the agent should give way, by name; see
+            `carpark_mj.mdp.giving_way`.
+    """
+
+    continue_explore: jax.Array
+    stop_explore: jax.Array
+    continue_goal: jax.Array
+    change_goal: jax.Array
+    stop_goal: jax.Array
+    lost_untracked: jax.Array
+    lost_taken: jax.Array
+    contexts: dict[ContextName, jax.Array]
+
+    @property
+    def exploring(self) -> jax.Array:
+        """(num_agents,) has no goal during the step."""
+        return self.continue_explore | self.stop_goal
+
+
+@struct.dataclass
+class Transition:
+    """One control step of a lot: what rewards, metrics and new episodes read.
+
+    Attributes:
+        before: the state at its start, as agents observed it.
+        after: the state at its end: cars have moved, goals may be lost, no new episode
+            has begun.
+        goal: (num_agents,) int32 goals held during the step.
+        target_pose: (num_agents, 3) poses of these goals; of an exploring agent that of
+            the nearest bay it tracks after the step.
+        events: how episodes stand after the step.
+        goal_events: what became of the goals; None while they are fixed.
+        wrong_way: (num_agents,) bool, drives against the lanes; None in lots that never
+            have lanes.
+        invalid_action: (num_agents,) bool, the action was NaN or out of range.
+    """
+
+    before: State
+    after: State
+    goal: jax.Array
+    target_pose: jax.Array
+    events: Events
+    goal_events: GoalEvents | None
+    wrong_way: jax.Array | None
+    invalid_action: jax.Array
+
+
+@struct.dataclass
+class TimeStep:
+    """What a step tells the agents; all leading dimension (num_agents,).
+
+    Attributes:
+        observation: (num_agents, observation_size); of the new episode where an agent
+            has respawned.
+        reward: (num_agents,).
+        terminated: (num_agents,) bool, parked or crashed: do not bootstrap.
+        truncated: (num_agents,) bool, timed out or diverged: bootstrap from
+            `final_observation`.
+        events: what happened.
+        metrics: per-episode numbers, valid where `events.done`.
+        reward_terms: the reward by term.
+        motion: at the end of the step, before any respawn.
+        goal: (num_agents,) int32 goals held during the step.
+        goal_events: what became of the goals; None while they are fixed.
+        final_observation: (num_agents, observation_size) what agents saw at the end of
+            the step, before any respawn; None unless `EpisodeConfig.final_observation`.
+    """
+
+    observation: jax.Array
+    reward: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+    events: Events
+    metrics: dict[str, jax.Array]
+    reward_terms: dict[str, jax.Array]
+    motion: Motion
+    goal: jax.Array
+    goal_events: GoalEvents | None = None
+    final_observation: jax.Array | None = None
