@@ -16,18 +16,24 @@ from carpark_mj.config.layout import (
 )
 from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observation import (
-    TANNER_OBSERVATION,
     BayPart,
-    Encoding,
-    ObservationConfig,
+    ContinuousObservation,
+    IndexObservation,
+    Observation,
+    RayConfig,
+    RingConfig,
+    ShareConfig,
+    TannerObservation,
+    ViewConfig,
 )
 from carpark_mj.config.reward import REWARDS, RewardConfig, RewardName, reward_preset
 from carpark_mj.config.simulation import CONTACT_SIM_DT, SimConfig, Surface, TyresName
-from carpark_mj.config.task import (
+from carpark_mj.config.spawning import EvolutionRule, SpawnConfig
+from carpark_mj.config.terminations import (
+    PARKED_RULES,
     EpisodeConfig,
-    EvolutionRule,
+    ParkedLimits,
     ParkedRule,
-    SpawnConfig,
 )
 from carpark_mj.config.variation import (
     Distribution,
@@ -40,13 +46,12 @@ __all__ = [
     "CONTACT_SIM_DT",
     "LAYOUT_FILES",
     "REWARDS",
-    "TANNER_OBSERVATION",
+    "PARKED_RULES",
     "WORLD_UNIT",
     "BayPart",
     "ContextName",
     "Distribution",
     "DistributionKind",
-    "Encoding",
     "EnvConfig",
     "EpisodeConfig",
     "EvolutionRule",
@@ -60,7 +65,15 @@ __all__ = [
     "LayoutConfig",
     "LayoutName",
     "MetricsConfig",
-    "ObservationConfig",
+    "IndexObservation",
+    "Observation",
+    "ParkedLimits",
+    "RayConfig",
+    "RingConfig",
+    "ShareConfig",
+    "TannerObservation",
+    "ViewConfig",
+    "ContinuousObservation",
     "ParkedRule",
     "PhysicsName",
     "RandomizationConfig",

@@ -1,0 +1,48 @@
+"""Progress towards a goal: a potential, and whether a step led nearer."""
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import WORLD_UNIT, RewardConfig
+from carpark_mj.geometry import axis_angle_error
+
+NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of the study's grid: less is rounding
+
+
+def goal_potential(
+    weights: RewardConfig, pose_w: jax.Array, goal_pose: jax.Array
+) -> jax.Array:
+    """Potential (...) of a pose: minus the weighted way still to go.
+
+    Progress terms are differences of this (undiscounted), so that no closed loop pays.
+    The misalignment with the bay's axis, either way round, counts more the nearer the
+    goal is.
+
+    Args:
+        weights: of distance and misalignment.
+        pose_w: (..., 3).
+        goal_pose: (..., 3).
+    """
+    distance = jnp.linalg.norm(pose_w[..., :2] - goal_pose[..., :2], axis=-1)
+    misalignment = axis_angle_error(pose_w[..., 2] - goal_pose[..., 2])
+    fading = jnp.exp(-distance / weights.alignment_range)
+    return -(weights.progress * distance + weights.alignment * misalignment * fading)
+
+
+def is_nearer(
+    before_xy: jax.Array, after_xy: jax.Array, target_xy: jax.Array
+) -> jax.Array:
+    """Whether a step led nearer to a target by more than `NEARER`; (...) bool.
+
+    From the difference of the squared distances, (b - a)(b + a), which on the grid is
+    exact in float32: going round the target at the same distance is not coming nearer.
+
+    Args:
+        before_xy: (..., 2) centre at the start of the step [m].
+        after_xy: (..., 2) at its end.
+        target_xy: (..., 2).
+    """
+    b, a = before_xy - target_xy, after_xy - target_xy
+    gained = jnp.sum((b - a) * (b + a), axis=-1)
+    both = jnp.linalg.norm(b, axis=-1) + jnp.linalg.norm(a, axis=-1)
+    return gained > NEARER * both
