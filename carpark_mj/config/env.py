@@ -82,7 +82,9 @@ class EnvConfig:
     episode: EpisodeConfig = dataclasses.field(default_factory=EpisodeConfig)
     reward: RewardConfig = dataclasses.field(default_factory=RewardConfig)
     observation: Observation = dataclasses.field(default_factory=ContinuousObservation)
-    randomization: RandomizationConfig = dataclasses.field(default_factory=RandomizationConfig)
+    randomization: RandomizationConfig = dataclasses.field(
+        default_factory=RandomizationConfig
+    )
     sensors: SensorConfig = dataclasses.field(default_factory=SensorConfig)
     metrics: MetricsConfig = dataclasses.field(default_factory=MetricsConfig)
 
@@ -101,60 +103,61 @@ class EnvConfig:
         at_least(self, 0, "num_parked_cars")
         if self.occupancy is not None:
             require_range("occupancy", self.occupancy, 0.0, 1.0)
-        self._check_goals()
-        self._check_observation()
-
-    def _check_goals(self) -> None:
-        scheme = self.giving_way.scheme
-        if scheme is not None and not self.goals.dynamic:
+        if self.giving_way.scheme is not None and not self.goals.dynamic:
             raise ValueError(
-                f"giving_way.scheme {scheme!r} needs dynamic goals, goals.dynamic = "
-                "True"
+                f"giving_way.scheme {self.giving_way.scheme!r} needs dynamic goals, "
+                "goals.dynamic = True"
             )
         if self.goals.dynamic:
             self.reward.goals.check()
+        self._check_observation()
 
     def _check_observation(self) -> None:
-        seen = self.observation
-        if isinstance(seen, IndexObservation):
+        """Refuses an observation that does not fit the rest.
+
+        Raises:
+            ValueError: naming the setting and what it needs.
+        """
+        observation, scheme = self.observation, self.giving_way.scheme
+        sees_own_car = (
+            isinstance(observation, ContinuousObservation) and observation.own_car
+        )
+        if self.fleet.agents and not sees_own_car:
+            raise ValueError(
+                "fleet.agents needs observation.own_car = True of the encoding "
+                "'continuous': agents that are not all alike must know what they drive"
+            )
+        if isinstance(observation, IndexObservation):
             if self.physics != "grid":
                 raise ValueError(
-                    f"observation 'indices' needs grid physics, not {self.physics}"
+                    "observation.encoding 'indices' needs grid physics, not "
+                    f"{self.physics}"
                 )
             if self.goals.dynamic:
                 raise ValueError(
-                    "observation 'indices' needs fixed goals, not dynamic ones"
+                    "observation.encoding 'indices' needs fixed goals, not dynamic ones"
                 )
             return
-        scheme = self.giving_way.scheme
-        asked = self.giving_way.global_information
-        if scheme is not None and seen.global_information != asked:
+        if self.goals.dynamic and observation.share.goal_headings:
+            raise ValueError("observation.share.goal_headings needs fixed goals")
+        wanted = self.giving_way.global_information
+        if scheme is not None and observation.global_information != wanted:
             raise ValueError(
                 f"giving_way.scheme {scheme!r} needs observation.global_information = "
-                f"{asked}, not {seen.global_information}"
+                f"{wanted}, not {observation.global_information}"
             )
-        if self.goals.dynamic and seen.share.goal_headings:
+        others = self.num_agents - 1 + self.num_parked_cars
+        if (
+            isinstance(observation, TannerObservation)
+            and observation.tracked_cars > others
+        ):
             raise ValueError(
-                "observation.share.goal_headings needs fixed goals, goals.dynamic = "
-                "False"
-            )
-        if isinstance(seen, TannerObservation):
-            others = self.num_agents - 1 + self.num_parked_cars
-            if seen.tracked_cars > others:
-                raise ValueError(
-                    f"observation.tracked_cars must be at most {others} (the other "
-                    f"{self.num_agents - 1} agents and {self.num_parked_cars} parked "
-                    f"cars), not {seen.tracked_cars}"
-                )
-        elif self.fleet.agents and not seen.own_car:
-            raise ValueError(
-                "observation.own_car must be True with fleet.agents: agents that are "
-                "not all alike must know what they drive"
+                f"observation.tracked_cars must be at most {others} (the other "
+                f"{self.num_agents - 1} agents and {self.num_parked_cars} parked "
+                f"cars), not {observation.tracked_cars}"
             )
 
     @property
     def varies(self) -> bool:
         """Whether there is more than one kind of car, always as many, neatly parked."""
-        return (
-            self.fleet.is_on or self.jitter.is_on or self.occupancy is not None
-        )
+        return self.fleet.is_on or self.jitter.is_on or self.occupancy is not None
