@@ -17,8 +17,3 @@ class MetricsConfig:
 
     driving: bool = False
     safety: bool = False
-
-    @property
-    def is_on(self) -> bool:
-        """Whether anything is measured in the steps."""
-        return self.driving or self.safety

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import point_box_distance
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.metrics.episode import MOVING
+from carpark_mj.mdp.progress import MOVING
 from carpark_mj.types import Motion
 
 # Beyond this angle to the lane's direction a car drives against it; up to it a car

@@ -1,12 +1,14 @@
-"""Progress towards a goal: a potential, and whether a step led nearer."""
+"""Progress of a step: a potential, whether it led nearer, and which way cars drove."""
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, RewardConfig
 from carpark_mj.geometry import axis_angle_error
+from carpark_mj.types import Motion
 
-NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of the study's grid: less is rounding
+NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of Tanner's finer grid: rounding
+MOVING = 0.05  # m/s, slower cars have no direction of travel
 
 
 def goal_potential(
@@ -32,17 +34,18 @@ def goal_potential(
 def is_nearer(
     before_xy: jax.Array, after_xy: jax.Array, target_xy: jax.Array
 ) -> jax.Array:
-    """Whether a step led nearer to a target by more than `NEARER`; (...) bool.
+    """Whether points (..., 2) came nearer to targets (..., 2) by more than `NEARER`.
 
     From the difference of the squared distances, (b - a)(b + a), which on the grid is
     exact in float32: going round the target at the same distance is not coming nearer.
-
-    Args:
-        before_xy: (..., 2) centre at the start of the step [m].
-        after_xy: (..., 2) at its end.
-        target_xy: (..., 2).
     """
-    b, a = before_xy - target_xy, after_xy - target_xy
+    b = before_xy - target_xy
+    a = after_xy - target_xy
     gained = jnp.sum((b - a) * (b + a), axis=-1)
     both = jnp.linalg.norm(b, axis=-1) + jnp.linalg.norm(a, axis=-1)
     return gained > NEARER * both
+
+
+def direction_of_travel(motion: Motion) -> jax.Array:
+    """Sign (...) of the speed along the car's axis; 0 below `MOVING`."""
+    return jnp.sign(motion.speed) * (jnp.abs(motion.speed) > MOVING)

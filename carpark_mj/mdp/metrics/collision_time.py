@@ -13,94 +13,98 @@ import jax.numpy as jnp
 from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
 from carpark_mj.geometry.broad_phase import MARGIN, box_gaps, disc_gaps, least_near
 from carpark_mj.layouts.types import Layout
-from carpark_mj.types import Motion
+from carpark_mj.types import Motion, ParkedCars
 
 HORIZON = 10.0  # s, no collision that soon counts as this long
 CHUNK = 2  # pairs per agent worked out at a time
 
 
 def collision_times(
-    layout: Layout,
-    vehicle: Motion,
-    parked_pose: jax.Array,
-    parked_size: jax.Array,
-    parked_mask: jax.Array,
+    layout: Layout, motion: Motion, parked: ParkedCars
 ) -> dict[str, jax.Array]:
-    """Times (num_agents,) [s] by kind: `agent`, `parked_car`, `wall`; see above.
+    """Times (num_agents,) [s] by the names of `clearance.KINDS`; see above.
 
-    0 where footprints overlap, at most `HORIZON`. Discs count as walls.
-
-    Args:
-        layout: the lot.
-        vehicle: the agents (num_agents,) at the instant asked about.
-        parked_pose: (num_parked_cars, 3).
-        parked_size: (num_parked_cars, 2) [m].
-        parked_mask: (num_parked_cars,) bool, cars that exist.
+    0 where footprints overlap, at most `HORIZON`.
     """
-    own = jnp.eye(vehicle.size.shape[0], dtype=bool)
-    velocity_w = rotate(vehicle.velocity_b, vehicle.pose_w[..., 2])
-
-    def to_boxes(
-        pose: jax.Array, size: jax.Array, velocity: jax.Array, counts: jax.Array
-    ) -> jax.Array:
-        relative = velocity_w[:, None] - velocity
-        gap = box_gaps(vehicle.pose_w[:, :2], pose, size)
-
-        def find(index: jax.Array) -> jax.Array:
-            return box_contact_time(
-                vehicle.pose_w[:, None],
-                vehicle.size[:, None],
-                pose[index],
-                size[index],
-                jnp.take_along_axis(relative, index[..., None], axis=1),
-            )
-
-        return least_near(_bound(vehicle, gap, relative, counts), find, HORIZON, CHUNK)
-
-    def to_discs(centre: jax.Array, radius: jax.Array, counts: jax.Array) -> jax.Array:
-        relative = jnp.broadcast_to(
-            velocity_w[:, None], (*own.shape[:1], *centre.shape)
-        )
-        gap = disc_gaps(vehicle.pose_w[:, :2], centre, radius)
-
-        def find(index: jax.Array) -> jax.Array:
-            return box_disc_contact_time(
-                vehicle.pose_w[:, None],
-                vehicle.size[:, None],
-                centre[index],
-                radius[index],
-                velocity_w[:, None],
-            )
-
-        return least_near(_bound(vehicle, gap, relative, counts), find, HORIZON, CHUNK)
-
-    def at_rest(pose: jax.Array) -> jax.Array:
-        return jnp.zeros_like(pose[:, :2])
-
-    walls = to_boxes(
-        layout.wall_pose, layout.wall_size, at_rest(layout.wall_pose), layout.wall_mask
+    pose, size = motion.pose_w, motion.size
+    others = ~jnp.eye(size.shape[0], dtype=bool)
+    velocity_w = rotate(motion.velocity_b, pose[..., 2])
+    to_agents = _to_boxes(motion, pose, size, velocity_w, others)
+    to_parked = _to_boxes(motion, parked.pose_w, parked.size, None, parked.present)
+    to_walls = _to_boxes(
+        motion, layout.wall_pose, layout.wall_size, None, layout.wall_mask
     )
-    discs = to_discs(layout.disc_centre, layout.disc_radius, layout.disc_mask)
+    to_discs = _to_discs(layout, motion)
     return {
-        "agent": to_boxes(vehicle.pose_w, vehicle.size, velocity_w, ~own),
-        "parked_car": to_boxes(
-            parked_pose, parked_size, at_rest(parked_pose), parked_mask
-        ),
-        "wall": jnp.minimum(walls, discs),
+        "agent": to_agents,
+        "parked_car": to_parked,
+        "wall": jnp.minimum(to_walls, to_discs),
     }
 
 
+def _to_boxes(
+    motion: Motion,
+    pose: jax.Array,
+    size: jax.Array,
+    velocity_w: jax.Array | None,
+    mask: jax.Array,
+) -> jax.Array:
+    """Times (num_agents,) to the first collision with any of n boxes.
+
+    Args:
+        motion: the agents.
+        pose: (n, 3) of the boxes.
+        size: (n, 2) [m].
+        velocity_w: (n, 2) [m/s]; None = they stand still.
+        mask: (n,) or (num_agents, n) bool, boxes that count.
+    """
+    own = rotate(motion.velocity_b, motion.pose_w[..., 2])
+    other = jnp.zeros_like(pose[:, :2]) if velocity_w is None else velocity_w
+    relative = own[:, None] - other
+    gap = box_gaps(motion.pose_w[:, :2], pose, size)
+
+    def find(index: jax.Array) -> jax.Array:
+        return box_contact_time(
+            motion.pose_w[:, None],
+            motion.size[:, None],
+            pose[index],
+            size[index],
+            jnp.take_along_axis(relative, index[..., None], axis=1),
+        )
+
+    return least_near(_bound(motion, gap, relative, mask), find, HORIZON, CHUNK)
+
+
+def _to_discs(layout: Layout, motion: Motion) -> jax.Array:
+    """Times (num_agents,) to the first collision with any disc."""
+    centre, radius = layout.disc_centre, layout.disc_radius
+    own = rotate(motion.velocity_b, motion.pose_w[..., 2])[:, None]
+    gap = disc_gaps(motion.pose_w[:, :2], centre, radius)
+
+    def find(index: jax.Array) -> jax.Array:
+        return box_disc_contact_time(
+            motion.pose_w[:, None],
+            motion.size[:, None],
+            centre[index],
+            radius[index],
+            own,
+        )
+
+    bound = _bound(motion, gap, own, layout.disc_mask)
+    return least_near(bound, find, HORIZON, CHUNK)
+
+
 def _bound(
-    vehicle: Motion, gap: jax.Array, relative: jax.Array, counts: jax.Array
+    motion: Motion, gap: jax.Array, relative: jax.Array, mask: jax.Array
 ) -> jax.Array:
     """No pair (num_agents, n) collides sooner [s]: the gap at the relative speed.
 
     Args:
-        vehicle: the agents.
+        motion: the agents.
         gap: (num_agents, n) from their centres to the others' outlines [m].
-        relative: (num_agents, n, 2) velocities towards them [m/s].
-        counts: (n,) or (num_agents, n) bool, others that exist.
+        relative: (num_agents, n or 1, 2) velocities towards them [m/s].
+        mask: (n,) or (num_agents, n) bool, others that count.
     """
-    way = gap - jnp.linalg.norm(vehicle.size, axis=-1)[:, None] / 2 - MARGIN
+    way = gap - jnp.linalg.norm(motion.size, axis=-1)[:, None] / 2 - MARGIN
     time = way / jnp.linalg.norm(relative, axis=-1)  # inf if they keep their distance
-    return jnp.where(counts, jnp.where(way > 0.0, time, 0.0), jnp.inf)
+    return jnp.where(mask, jnp.where(way > 0.0, time, 0.0), jnp.inf)

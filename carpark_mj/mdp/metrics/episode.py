@@ -1,55 +1,22 @@
 """Per-agent episode statistics, carried in the state and read when an episode ends."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
-from flax import struct
 
+from carpark_mj.config import EnvConfig
 from carpark_mj.geometry import axis_angle_error
-from carpark_mj.mdp.metrics.tallies import fold_tallies
-from carpark_mj.types import Events, Motion
+from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.lanes import has_lanes
+from carpark_mj.mdp.metrics.tallies import first_tallies, fold_tallies, measure
+from carpark_mj.mdp.progress import direction_of_travel
+from carpark_mj.types import EpisodeStats, Events, Motion, Transition
 
 
-@struct.dataclass
-class EpisodeStats:
-    """Sums over the running episode; all (num_agents,) float32.
-
-    Attributes:
-        episode_return: undiscounted.
-        length: control steps.
-        path: driven length [m].
-        gear_changes: times the direction of travel changed.
-        direction: sign of the last motion, 0 before the first.
-        invalid_actions: steps whose action was NaN or outside [-1, 1].
-        wrong_way: part of the path driven against the lanes [m]; None in lots that
-            never have lanes.
-        tallies: all others by name, see `tallies`: the reward terms, what became of
-            dynamic goals and who gave way, and what `MetricsConfig` asks for.
-    """
-
-    episode_return: jax.Array
-    length: jax.Array
-    path: jax.Array
-    gear_changes: jax.Array
-    direction: jax.Array
-    invalid_actions: jax.Array
-    wrong_way: jax.Array | None = None
-    tallies: dict[str, jax.Array] = struct.field(default_factory=dict)
-
-
-MOVING = 0.05  # m/s, slower cars have no direction of travel
-
-
-def init_stats(
-    num_agents: int, lanes: bool = False, tallies: dict[str, jax.Array] | None = None
-) -> EpisodeStats:
-    """Statistics at the start of an episode.
-
-    Args:
-        num_agents: in the lot.
-        lanes: whether it has lanes.
-        tallies: (num_agents,) float32 first values of the tallies by name.
-    """
-    zero = jnp.zeros(num_agents, jnp.float32)
+def init_stats(config: EnvConfig, layout: Layout) -> EpisodeStats:
+    """Statistics of all agents of a lot at the start of their episodes."""
+    zero = jnp.zeros(config.num_agents, jnp.float32)
     return EpisodeStats(
         episode_return=zero,
         length=zero,
@@ -57,71 +24,67 @@ def init_stats(
         gear_changes=zero,
         direction=zero,
         invalid_actions=zero,
-        wrong_way=zero if lanes else None,
-        tallies=tallies or {},
+        wrong_way=zero if has_lanes(layout) else None,
+        tallies=first_tallies(config, layout),
     )
 
 
 def update_stats(
-    stats: EpisodeStats,
-    before: Motion,
-    after: Motion,
-    reward: jax.Array,
-    invalid_action: jax.Array,
-    wrong_way: jax.Array | None = None,
-    measured: dict[str, jax.Array] | None = None,
+    config: EnvConfig, transition: Transition, terms: dict[str, jax.Array]
 ) -> EpisodeStats:
-    """Adds a step; states before and after it, the latter before any respawn.
+    """Adds a step to the statistics of those who were active in it.
 
-    `wrong_way` (num_agents,) bool says who drove against the lanes; None without lanes.
-    `measured` are the step's numbers for the tallies.
+    Args:
+        config: says what to measure.
+        transition: the step.
+        terms: (num_agents,) its reward by term.
+
+    Raises:
+        ValueError: the step has other numbers than `init_stats` has made room for.
     """
-    points = jnp.concatenate(
-        [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
+    before, motion = transition.before, transition.after.motion
+    old, path = before.stats, _path(before.motion, motion)
+    wrong_way = None
+    if old.wrong_way is not None and transition.wrong_way is not None:
+        wrong_way = old.wrong_way + path * transition.wrong_way
+    direction = direction_of_travel(motion)
+    new = EpisodeStats(
+        episode_return=old.episode_return + jnp.sum(jnp.stack([*terms.values()]), 0),
+        length=old.length + 1.0,
+        path=old.path + path,
+        gear_changes=old.gear_changes + (direction * old.direction < 0),
+        direction=jnp.where(direction != 0, direction, old.direction),
+        invalid_actions=old.invalid_actions + transition.invalid_action,
+        wrong_way=wrong_way,
+        tallies=fold_tallies(old.tallies, measure(config, transition, terms)),
     )
-    path = jnp.linalg.norm(jnp.diff(points, axis=-2), axis=-1).sum(axis=-1)
-    direction = jnp.sign(after.speed) * (jnp.abs(after.speed) > MOVING)
-    changed = (direction * stats.direction) < 0
-    wrong_path = stats.wrong_way
-    if wrong_path is not None and wrong_way is not None:
-        wrong_path = wrong_path + path * wrong_way
-    return EpisodeStats(
-        episode_return=stats.episode_return + reward,
-        length=stats.length + 1.0,
-        path=stats.path + path,
-        gear_changes=stats.gear_changes + changed,
-        direction=jnp.where(direction != 0, direction, stats.direction),
-        invalid_actions=stats.invalid_actions + invalid_action,
-        wrong_way=wrong_path,
-        tallies=fold_tallies(stats.tallies, measured or {}),
-    )
+    return jax.tree.map(lambda x, y: jnp.where(before.active, x, y), new, old)
 
 
-def step_metrics(
-    stats: EpisodeStats,
-    events: Events,
-    after: Motion,
-    goal_pose: jax.Array,
+def episode_metrics(
+    transition: Transition, stats: EpisodeStats
 ) -> dict[str, jax.Array]:
-    """Named metrics (num_agents,) float32, meant to be read where `events.done`."""
-    offset = after.pose_w[..., :2] - goal_pose[..., :2]
-    heading = axis_angle_error(after.pose_w[..., 2] - goal_pose[..., 2])
+    """Named metrics (num_agents,) float32 of episodes, valid where `events.done`.
+
+    Args:
+        transition: the step.
+        stats: of the episodes, this step included.
+    """
+    pose_w, target = transition.after.motion.pose_w, transition.target_pose
+    events = {
+        field.name: getattr(transition.events, field.name)
+        for field in dataclasses.fields(Events)
+    }
     metrics = {
-        "parked": events.parked,
-        "crashed": events.crashed,
-        "timed_out": events.timed_out,
-        "diverged": events.diverged,
-        "hit_agent": events.hit_agent,
-        "hit_parked_car": events.hit_parked_car,
-        "hit_wall": events.hit_wall,
+        **events,
         "episode_return": stats.episode_return,
         "length": stats.length,
         "path": stats.path,
         "gear_changes": stats.gear_changes,
         "invalid_actions": stats.invalid_actions,
-        "final_distance": jnp.linalg.norm(offset, axis=-1),
-        "final_heading": heading,
-        "final_speed": jnp.abs(after.speed),
+        "final_distance": jnp.linalg.norm(pose_w[..., :2] - target[..., :2], axis=-1),
+        "final_heading": axis_angle_error(pose_w[..., 2] - target[..., 2]),
+        "final_speed": jnp.abs(transition.after.motion.speed),
     }
     if stats.wrong_way is not None:
         metrics["wrong_way"] = stats.wrong_way
@@ -131,3 +94,11 @@ def step_metrics(
         if not name.startswith("last_")
     }
     return {name: value.astype(jnp.float32) for name, value in metrics.items()}
+
+
+def _path(before: Motion, after: Motion) -> jax.Array:
+    """Length (num_agents,) [m] of the way driven in a step, along the trace."""
+    points = jnp.concatenate(
+        [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
+    )
+    return jnp.linalg.norm(jnp.diff(points, axis=-2), axis=-1).sum(axis=-1)

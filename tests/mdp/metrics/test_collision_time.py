@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from helpers.scenes import cars, lot, polygons
+from helpers.transitions import parked_cars
 
 from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
 from carpark_mj.mdp.metrics.collision_time import HORIZON, collision_times
@@ -91,9 +92,8 @@ def times(*poses, speed=0.0, walls=(), discs=(), parked=()):
         [*given, *[(FAR + 10.0 * k, FAR, 0.1) for k in range(2 - len(given))]]
         for given in (poses, walls, discs, parked)
     )
-    plan, size = lot([(0, 0, 0)], walls, discs=discs), jnp.array([[4.0, 2.0]] * 2)
-    vehicle = cars(poses, speed=speed)
-    found = run(plan, vehicle, jnp.float32(parked), size, jnp.ones(2, bool))
+    plan = lot([(0, 0, 0)], walls, discs=discs)
+    found = run(plan, cars(poses, speed=speed), parked_cars(parked, (4.0, 2.0)))
     return {kind: float(time[0]) for kind, time in found.items()}
 
 
@@ -147,20 +147,20 @@ def test_the_search_among_many_finds_what_testing_all_pairs_finds():
         pose = rng.uniform((-25, -25, -3.1), (25, 25, 3.1), (count, 3))
         return jnp.asarray(pose, jnp.float32)
 
-    walls, parked = poses(others), poses(others)
+    walls = poses(others)
+    parked = parked_cars(poses(others), 2.0, jnp.arange(others) % 3 > 0)
     plan = lot([(0, 0, 0)], walls, discs=np.float32(rng.uniform(0.2, 1, (discs, 3))))
     plan = plan.replace(disc_centre=poses(discs)[:, :2])
-    vehicle = cars(poses(agents), speed=rng.uniform(-3, 3, agents))
-    size, mask = jnp.full((others, 2), 2.0), jnp.arange(others) % 3 > 0
-    found = run(plan, vehicle, parked, size, mask)
+    motion = cars(poses(agents), speed=rng.uniform(-3, 3, agents))
+    found = run(plan, motion, parked)
 
     @jax.jit
     def all_pairs():
-        velocity = rotate(vehicle.velocity_b, vehicle.pose_w[:, 2])[:, None]
-        own = vehicle.pose_w[:, None], vehicle.size[:, None]
+        velocity = rotate(motion.velocity_b, motion.pose_w[:, 2])[:, None]
+        own = motion.pose_w[:, None], motion.size[:, None]
         relative = velocity - jnp.swapaxes(velocity, 0, 1)
-        to_agents = box_contact_time(*own, vehicle.pose_w, vehicle.size, relative)
-        to_parked = box_contact_time(*own, parked, size, velocity)
+        to_agents = box_contact_time(*own, motion.pose_w, motion.size, relative)
+        to_parked = box_contact_time(*own, parked.pose_w, parked.size, velocity)
         to_walls = box_contact_time(*own, walls, plan.wall_size, velocity)
         disc = plan.disc_centre, plan.disc_radius
         to_discs = box_disc_contact_time(*own, *disc, velocity)
@@ -170,7 +170,7 @@ def test_the_search_among_many_finds_what_testing_all_pairs_finds():
     to_agents, to_parked, to_walls, to_discs = all_pairs()
     expected = {
         "agent": to_agents,
-        "parked_car": jnp.where(mask, to_parked, jnp.inf),
+        "parked_car": jnp.where(parked.present, to_parked, jnp.inf),
         "wall": jnp.concatenate([to_walls, to_discs], axis=1),
     }
     for kind, time in expected.items():

@@ -1,40 +1,49 @@
-"""Tallies of hand-worked trajectories; of whole episodes in test_aggregation.py."""
+"""Tallies: folded by name, none forgotten; of hand-worked trajectories.
 
+Those of whole episodes are in test_aggregation.py.
+"""
+
+import dataclasses
 import itertools
+import re
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, lot
+from helpers.transitions import no_terms, parked_cars, transition
 
-from carpark_mj.config import MetricsConfig
-from carpark_mj.mdp.metrics.clearance import RANGE
+from carpark_mj.config import EnvConfig, MetricsConfig, SimConfig
+from carpark_mj.mdp.clearance import RANGE
+from carpark_mj.mdp.metrics import init_stats, update_stats
 from carpark_mj.mdp.metrics.collision_time import HORIZON
-from carpark_mj.mdp.metrics.tallies import first_tallies, fold_tallies, measure
+from carpark_mj.mdp.metrics.tallies import fold_tallies
+from carpark_mj.types import NO_BAY
 
-DT = 0.2  # s
-SAFETY = MetricsConfig(safety=True)
-PLAN = lot([(0, 0, 0)])
-NOTHING = jnp.zeros((0, 3)), jnp.zeros((0, 2)), jnp.zeros(0, bool)
+DT = SimConfig().ctrl_dt
+SAFETY, DRIVING = MetricsConfig(safety=True), MetricsConfig(driving=True)
 
 
-def tally(config, states, goal=(0.0, 0.0, 0.0), parked=NOTHING, **more):
+def tally(measured, states, target=(0.0, 0.0, 0.0), **more):
     """Tallies of the first of the cars that pass through some states."""
-    count = states[0].size.shape[0]
-    goal = jnp.broadcast_to(jnp.asarray(goal, jnp.float32), (count, 3))
-    tallies = first_tallies(config, count)
+    count, plan = states[0].size.shape[0], lot([target])
+    config = EnvConfig(num_agents=count, metrics=measured)
+    terms = no_terms(config, plan)
 
-    def step(tallies, before, after):
-        numbers = measure(
-            config, DT, PLAN, tallies, before, after, goal, *parked, **more
-        )
-        return fold_tallies(tallies, numbers)
+    @jax.jit
+    def step(stats, before, after):
+        happened = transition(config, plan, before, after, stats, **more)
+        return update_stats(config, happened, terms)
 
-    step = jax.jit(step) if config.safety else step
+    stats = init_stats(config, plan)
     for before, after in itertools.pairwise(states):
-        tallies = step(tallies, before, after)
-    return {name: float(value[0]) for name, value in tallies.items()}
+        stats = step(stats, before, after)
+    return {
+        name: float(value[0])
+        for name, value in stats.tallies.items()
+        if not name.startswith("return_")
+    }
 
 
 def test_a_name_says_how_its_numbers_are_folded():
@@ -50,9 +59,45 @@ def test_a_name_says_how_its_numbers_are_folded():
     assert all(value.dtype == jnp.float32 for value in folded.values())
 
 
+def test_a_number_that_nobody_listed_is_refused_and_so_is_a_missing_one():
+    zero = jnp.zeros(2)
+    with pytest.raises(ValueError, match=r"\[\] are only tallies and \['b'\] only num"):
+        fold_tallies({"a": zero}, {"a": zero, "b": zero})
+    with pytest.raises(ValueError, match=r"\['a'\] are only tallies and \[\] only num"):
+        fold_tallies({"a": zero, "b": zero}, {"b": zero})
+
+
+def test_a_reward_term_that_nobody_listed_is_refused_when_the_step_is_traced():
+    config, plan, standing = (
+        EnvConfig(num_agents=1),
+        lot([(0, 0, 0)]),
+        cars([[0.0] * 3]),
+    )
+    happened = transition(config, plan, standing, standing)
+    terms = no_terms(config, plan)
+    jax.eval_shape(lambda: update_stats(config, happened, terms))
+    more = terms | {"bonus": jnp.zeros(1)}
+    with pytest.raises(ValueError, match=re.escape("['return_bonus'] only numbers of")):
+        jax.eval_shape(lambda: update_stats(config, happened, more))
+    del terms["time"]
+    with pytest.raises(ValueError, match=re.escape("['return_time'] are only tallies")):
+        jax.eval_shape(lambda: update_stats(config, happened, terms))
+
+
+def test_goals_that_the_configuration_does_not_expect_are_refused():
+    fixed, plan, standing = EnvConfig(num_agents=1), lot([(0, 0, 0)]), cars([[0.0] * 3])
+    dynamic = dataclasses.replace(
+        fixed, goals=dataclasses.replace(fixed.goals, dynamic=True)
+    )
+    happened = transition(dynamic, plan, standing, standing)
+    with pytest.raises(ValueError, match=r"'explored_steps'.* are only tallies"):
+        update_stats(dynamic, happened, no_terms(dynamic, plan))
+
+
 def test_braking_straight_gives_the_hand_worked_deceleration_and_jerk():
     # 0.6, then 1.2 and 1.2 m/s less per step of 0.2 s: 3, 6, 6 m/s2, then none; the
     # jerk is 3 / 0.2 = 15 at first, then 15, 0 and 6 / 0.2 = 30 m/s3.
+    assert DT == 0.2
     speeds = (3.0, 2.4, 1.2, 0.0, 0.0)
     found = tally(SAFETY, [cars([(0, 0, 0.7)], speed=speed) for speed in speeds])
     expected = {
@@ -80,6 +125,19 @@ def test_turning_at_constant_speed_is_acceleration_towards_the_centre():
     assert found["min_collision_time_agent"] == HORIZON
 
 
+def test_the_least_clearance_and_time_are_those_of_the_worst_step():
+    # Towards a parked car 4 m long at 20 m: gaps of 8, 6 and 9 m, at 1, 3 and -1 m/s.
+    parked = parked_cars([(20, 0, 0)], (4.0, 2.0))
+    states = [cars([(x, 0, 0)], speed=v) for x, v in ((8, 1), (8, 1), (10, 3), (7, -1))]
+    found = tally(SAFETY, states, parked=parked)
+    assert found["min_clearance_parked_car"] == pytest.approx(6.0, abs=1e-5)
+    assert found["min_collision_time_parked_car"] == pytest.approx(2.0, abs=1e-5)
+    absent = parked_cars([(20, 0, 0)], (4.0, 2.0), present=False)
+    found = tally(SAFETY, states, parked=absent)
+    assert found["min_clearance_parked_car"] == RANGE
+    assert found["min_collision_time_parked_car"] == HORIZON
+
+
 def test_driving_is_summed_up_as_by_hand():
     states = [
         cars([(10.0, 0, 0)]),
@@ -87,9 +145,8 @@ def test_driving_is_summed_up_as_by_hand():
         cars([(9.0, 0, 0)], speed=0.5, steering=-0.1, yaw_rate=0.3),
         cars([(8.5, 0, 0)], speed=0.25, steering=-0.1),
     ]
-    parked = jnp.array([[9.0, 3.0, 0.0], [9.0, 1.0, 0.0]]), jnp.full((2, 2), 2.0)
-    mask = jnp.array([True, False])
-    found = tally(MetricsConfig(driving=True), states, parked=(*parked, mask))
+    parked = parked_cars([(9, 3, 0), (9, 1, 0)], present=[True, False])
+    found = tally(DRIVING, states, parked=parked)
     assert found == pytest.approx(
         {
             "speed_sum": 2.25,
@@ -105,7 +162,7 @@ def test_driving_is_summed_up_as_by_hand():
 
 def test_steps_without_goal_or_other_car_do_not_count():
     states = [cars([(5.0, 0, 0)]), cars([(4.0, 0, 0)])]
-    found = tally(MetricsConfig(driving=True), states, has_goal=jnp.array([False]))
+    found = tally(DRIVING, states, goal=NO_BAY)
     for name in ("goal_steps", "towards_goal_steps", "nearest_car_steps"):
         assert found[name] == 0.0
     assert found["nearest_car_sum"] == 0.0  # not inf
@@ -113,6 +170,5 @@ def test_steps_without_goal_or_other_car_do_not_count():
 
 def test_the_nearest_car_may_be_another_agent():
     states = [cars([(0, 0, 0), (3.0, 4.0, 0)])] * 2
-    parked = jnp.array([[6.0, 0.0, 0.0]]), jnp.full((1, 2), 2.0), jnp.ones(1, bool)
-    found = tally(MetricsConfig(driving=True), states, parked=parked)
+    found = tally(DRIVING, states, parked=parked_cars([(6.0, 0.0, 0.0)]))
     assert found["nearest_car_sum"] == pytest.approx(5.0)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import shapely
 from helpers.scenes import cars, lot, moved, moved_cars, polygons
+from helpers.transitions import parked_cars
 
-from carpark_mj.mdp.metrics import clearance
-from carpark_mj.mdp.metrics.clearance import RANGE, clearances
+from carpark_mj.geometry.broad_phase import is_crowded
+from carpark_mj.mdp import clearance
+from carpark_mj.mdp.clearance import KINDS, RANGE, agent_clearance, clearances
 from carpark_mj.mdp.terminations import find_hits
 
 LOTS, AGENTS, PARKED, WALLS, DISCS, TRACES = 60, 4, 5, 3, 4, 3
@@ -17,9 +19,9 @@ TEMPLATE = lot(np.zeros((1, 3)), np.zeros((WALLS, 3)), discs=np.zeros((DISCS, 3)
 
 @jax.jit
 @jax.vmap
-def run(vehicle, layout, parked, parked_size, parked_mask):
-    hits = find_hits(layout, vehicle, parked, parked_size)
-    return clearances(layout, vehicle, parked, parked_size, parked_mask), hits
+def run(layout, motion, parked):
+    hits = find_hits(layout, motion, parked.pose_w, parked.size)
+    return clearances(layout, motion, parked), hits
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +41,7 @@ def scene():
     pose = poses(AGENTS)[:, :, None]
     way = rng.uniform(-0.7, 0.7, (LOTS, AGENTS, 1, 3))
     trace = np.float32(pose + way * np.linspace(-1, 0, TRACES)[:, None])
-    vehicle = cars(trace[..., -1, :], size=sizes(AGENTS), trace=trace)
+    motion = cars(trace[..., -1, :], size=sizes(AGENTS), trace=trace)
     layout = jax.tree.map(lambda x: jnp.stack([x] * LOTS), TEMPLATE).replace(
         wall_pose=poses(WALLS),
         wall_size=sizes(WALLS),
@@ -48,14 +50,16 @@ def scene():
         disc_radius=np.float32(rng.uniform(0.1, 1.5, (LOTS, DISCS))),
         disc_mask=rng.uniform(size=(LOTS, DISCS)) < 0.7,
     )
-    mask = rng.uniform(size=(LOTS, PARKED)) < 0.7
-    return vehicle, layout, poses(PARKED), sizes(PARKED), mask
+    parked = jax.vmap(parked_cars)(
+        poses(PARKED), sizes(PARKED), rng.uniform(size=(LOTS, PARKED)) < 0.7
+    )
+    return layout, motion, parked
 
 
 def oracle(scene):
     """The same by shapely, of every pair at every instant."""
-    vehicle, layout, parked, parked_size, parked_mask = scene
-    own = polygons(vehicle.trace_w, np.asarray(vehicle.size)[:, :, None])
+    layout, motion, parked = scene
+    own = polygons(motion.trace_w, np.asarray(motion.size)[:, :, None])
 
     def gaps(shapes, counts, radius=0.0):  # shapes (lots, n, instants or 1)
         found = shapely.distance(own[:, :, None], shapes[:, None]) - radius
@@ -70,7 +74,7 @@ def oracle(scene):
     walls = still(layout.wall_pose, layout.wall_size, layout.wall_mask)
     found = {
         "agent": gaps(own, ~np.eye(AGENTS, dtype=bool)),
-        "parked_car": still(parked, parked_size, parked_mask),
+        "parked_car": still(parked.pose_w, parked.size, parked.present),
         "wall": np.minimum(walls, discs),
     }
     return {name: np.clip(gap, 0.0, RANGE) for name, gap in found.items()}
@@ -90,14 +94,15 @@ def test_clearance_is_shapely_s_distance_and_zero_just_where_cars_are_hit(scene)
 
 
 def test_clearance_does_not_depend_on_the_frame(scene):
-    vehicle, layout, parked, *rest = scene
-    motion = (5.0, -3.0, 1.1)
+    layout, motion, parked = scene
+    shift = (5.0, -3.0, 1.1)
     centre = jnp.pad(layout.disc_centre, ((0, 0), (0, 0), (0, 1)))
     layout = layout.replace(
-        wall_pose=moved(layout.wall_pose, motion),
-        disc_centre=moved(centre, motion)[..., :2],
+        wall_pose=moved(layout.wall_pose, shift),
+        disc_centre=moved(centre, shift)[..., :2],
     )
-    got, _ = run(moved_cars(vehicle, motion), layout, moved(parked, motion), *rest)
+    parked = parked.replace(pose_w=moved(parked.pose_w, shift))
+    got, _ = run(layout, moved_cars(motion, shift), parked)
     for name, gap in run(*scene)[0].items():
         np.testing.assert_allclose(got[name], gap, atol=1e-4, err_msg=name)
 
@@ -115,21 +120,35 @@ def test_nobody_near_costs_no_exact_test_and_counts_as_the_range(monkeypatch):
     for name in ("box_distance", "box_disc_distance"):
         monkeypatch.setattr(clearance, name, counted(getattr(clearance, name)))
     plan = lot([(0, 0, 0)], [(40, 0, 0)], discs=[(0, 40, 1)])
-    parked = jnp.array([[-40.0, 0, 0], [0, 0, 0]]), jnp.full((2, 2), 3.0)
-    mask = jnp.array([True, False])
+    parked = parked_cars([(-40, 0, 0), (0, 0, 0)], 3.0, [True, False])
     search = jax.jit(clearances)
-    far = search(plan, cars([(0, 0, 0), (0, -40, 0)]), *parked, mask)
+    far = search(plan, cars([(0, 0, 0), (0, -40, 0)]), parked)
     jax.effects_barrier()
     assert tested == []
     for gap in far.values():
         np.testing.assert_array_equal(gap, RANGE)
-    search(plan, cars([(0, 0, 0), (0, -10, 0)]), *parked, mask)
+    search(plan, cars([(0, 0, 0), (0, -10, 0)]), parked)
     jax.effects_barrier()
     assert set(tested) == {"box_distance"}
 
 
 def test_an_agent_alone_in_an_empty_lot_is_far_from_everything():
-    plan, none = lot([(0, 0, 0)]), (jnp.zeros((0, 3)), jnp.zeros((0, 2)))
-    gap = jax.jit(clearances)(plan, cars([(0, 0, 0)]), *none, jnp.zeros(0, bool))
-    assert list(gap) == ["agent", "parked_car", "wall"]
+    plan, alone = lot([(0, 0, 0)]), cars([(0, 0, 0)])
+    gap = jax.jit(clearances)(plan, alone, parked_cars())
+    assert tuple(gap) == KINDS
     assert all(value.tolist() == [RANGE] for value in gap.values())
+    assert agent_clearance(alone).tolist() == [np.inf]
+
+
+@pytest.mark.parametrize("count", [5, 30])  # of all pairs, and of the near ones
+def test_the_clearance_of_agents_as_they_stand_is_shapely_s(count):
+    rng = np.random.default_rng(count)
+    pose = rng.uniform((-15, -15, -3.1), (15, 15, 3.1), (count, 3))
+    size = rng.uniform(0.5, 5.0, (count, 2))
+    own = polygons(pose, size)
+    gap = shapely.distance(own[:, None], own)
+    expected = np.where(np.eye(count, dtype=bool), np.inf, gap).min(axis=1)
+    assert is_crowded(count, count) == (count == 30)
+    got = agent_clearance(cars(pose, size=size))
+    np.testing.assert_allclose(got, expected, atol=5e-5)  # m, float32 at 15 m
+    assert (expected > 0).any()
