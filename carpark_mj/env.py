@@ -70,7 +70,7 @@ class ParkingEnv:
     def __init__(
         self,
         config: EnvConfig | None = None,
-        physics: Physics | None = None,
+        physics: Physics[Any] | None = None,
         vehicle: VehicleParameters | None = None,
     ) -> None:
         """Builds the constants.
@@ -314,7 +314,9 @@ class ParkingEnv:
         Cars that `EnvConfig.occupancy` leaves out stand far `fit.AWAY`.
         """
         if self.physics.contacts:
-            return self.physics.parked_pose(state.physics)
+            return self.physics.parked_poses(
+                state.physics, intended_parked_pose(self.fleet, state)
+            )
         return intended_parked_pose(self.fleet, state)
 
     def final_observation(self, state: State, timestep: TimeStep) -> jax.Array:

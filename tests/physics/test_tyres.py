@@ -12,6 +12,7 @@ from carpark_mj.physics.tyres import (
     tyre_forces,
 )
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+from carpark_mj.vehicle.drive import WheelTorques
 
 DT = 0.01
 RADIUS = COMPACT.wheel_radius
@@ -77,7 +78,9 @@ def roll_to_steady_state(
             spin, state = carry
             motion = wheels(forward=speed, left=speed * np.tan(slip_angle))
             motion = motion.replace(spin=spin)
-            forces, state = tyre_forces(vehicle, motion, state, FREE, FREE, DT)
+            forces, state = tyre_forces(
+                vehicle, motion, state, WheelTorques(FREE, FREE), DT
+            )
             spin = spin + DT * forces.spin / vehicle.wheel_inertia
             return (spin, state), forces.force_w
 
@@ -102,7 +105,9 @@ def test_a_relaxed_tyre_opposes_sliding_in_any_direction(compact: Vehicle):
         motion = wheels(forward=forward, left=left)  # wheels that do not turn
         state = init_tyres()
         for _ in range(10):
-            forces, state = advance(compact, motion, state, FREE, LOCKED, DT)
+            forces, state = advance(
+                compact, motion, state, WheelTorques(FREE, LOCKED), DT
+            )
             force = np.asarray(forces.force_w)
             power = force[:, 0] * forward + force[:, 1] * left
             assert (power < 0).all()
@@ -112,7 +117,7 @@ def test_scrub_torque_opposes_the_twist_up_to_that_of_a_sliding_disc(compact: Ve
     state = init_tyres()
     for _ in range(50):
         motion = wheels(yaw_rate=0.4)
-        forces, state = advance(compact, motion, state, FREE, LOCKED, DT)
+        forces, state = advance(compact, motion, state, WheelTorques(FREE, LOCKED), DT)
         assert (np.asarray(forces.aligning) < 0).all()
     load = np.asarray(compact.tyres.static_load)
     disc = 2 / 3 * COMPACT.tyre.friction * load * COMPACT.tyre.patch_radius
@@ -187,8 +192,8 @@ def test_forces_turn_with_the_heading_of_the_wheel(compact: Vehicle):
     motion, state = random_motion(np.random.default_rng(4))
     straight = motion.replace(heading_w=wheels().heading_w)
     turned = motion.replace(heading_w=wheels(angle=np.pi / 2).heading_w)
-    along, _ = advance(compact, straight, state, FREE, FREE, DT)
-    across, _ = advance(compact, turned, state, FREE, FREE, DT)
+    along, _ = advance(compact, straight, state, WheelTorques(FREE, FREE), DT)
+    across, _ = advance(compact, turned, state, WheelTorques(FREE, FREE), DT)
     x, y, z = np.asarray(along.force_w).T
     expected = np.stack([-y, x, z], -1)
     assert across.force_w == pytest.approx(expected, abs=2e-3)  # cos 90 deg = 4e-8
@@ -239,7 +244,9 @@ def test_a_locked_wheel_holds_up_to_the_friction_limit(
         def substep(carry, i):
             velocity, position, state = carry
             motion = wheels().replace(velocity=velocity)
-            forces, state = tyre_forces(compact, motion, state, FREE, LOCKED, DT)
+            forces, state = tyre_forces(
+                compact, motion, state, WheelTorques(FREE, LOCKED), DT
+            )
             # Applied slowly: a sudden pull swings to twice its static deflection.
             ramp = jnp.minimum(1.0, i / 400)
             force = (ramp * pull)[:, None] * direction + forces.force_w[:, :2]
@@ -283,7 +290,7 @@ def test_a_disturbed_wheel_spin_comes_to_rest_without_chatter(
     state, spins = init_tyres(), [spin]
     for _ in range(60):
         motion = wheels(forward=speed, spin=spin)
-        forces, state = advance(vehicle, motion, state, FREE, FREE, DT)
+        forces, state = advance(vehicle, motion, state, WheelTorques(FREE, FREE), DT)
         spin = spin + np.float32(DT) * np.asarray(forces.spin) / np.float32(inertia)
         spins.append(spin)
     jerk = np.abs(np.diff(spins, n=2, axis=0))
