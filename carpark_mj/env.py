@@ -15,11 +15,12 @@ from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import check
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
+from carpark_mj.layouts.lanes import has_lanes
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.mdp.actions import ActionSpec, harmless
 from carpark_mj.mdp.chosen_goals import goal_counts
 from carpark_mj.mdp.giving_way import count
-from carpark_mj.mdp.lanes import has_lanes, is_wrong_way
+from carpark_mj.mdp.lanes import is_wrong_way
 from carpark_mj.mdp.metrics import episode as metrics
 from carpark_mj.mdp.metrics.tallies import measure
 from carpark_mj.mdp.rewarding import goal_poses, step_rewards

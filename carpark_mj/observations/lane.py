@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.layouts.lanes import has_lanes, nearest_lane
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.lanes import has_lanes, nearest_lane
 
 
 def own_lane(layout: Layout, own_pose: jax.Array) -> dict[str, jax.Array]:

@@ -61,10 +61,10 @@ def random_motion(rng: np.random.Generator) -> tuple[WheelMotion, TyreState]:
     return motion, state
 
 
-def random_torques(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def random_torques(rng: np.random.Generator) -> WheelTorques:
     drive = rng.normal(0, 500, 4).astype(np.float32)
     brake = np.float32(rng.choice([0.0, 1.0]) * rng.exponential(1000, 4))
-    return drive, brake
+    return WheelTorques(drive, brake)
 
 
 def roll_to_steady_state(
@@ -90,7 +90,9 @@ def roll_to_steady_state(
 
 
 def test_a_relaxed_tyre_at_rest_feels_its_load_and_nothing_else(compact: Vehicle):
-    forces, state = advance(compact, wheels(), init_tyres(), FREE, FREE, DT)
+    forces, state = advance(
+        compact, wheels(), init_tyres(), WheelTorques(FREE, FREE), DT
+    )
     assert forces.force_w[:, :2].tolist() == np.zeros((4, 2)).tolist()
     assert forces.force_w[:, 2].tolist() == compact.tyres.static_load.tolist()
     assert forces.spin.tolist() == [0.0] * 4
@@ -129,7 +131,7 @@ def test_horizontal_force_never_exceeds_friction(compact: Vehicle):
     largest = 0.0
     for _ in range(1000):
         motion, state = random_motion(rng)
-        forces, _ = advance(compact, motion, state, *random_torques(rng), DT)
+        forces, _ = advance(compact, motion, state, random_torques(rng), DT)
         force = np.asarray(forces.force_w)
         horizontal = np.hypot(force[:, 0], force[:, 1])
         # A lifted wheel counts as loaded with 1 N, which keeps its slip finite.
@@ -145,7 +147,7 @@ def test_bristles_stay_within_the_deflection_of_a_sliding_patch(compact: Vehicle
     tyres = compact.tyres
     for _ in range(300):
         motion, state = random_motion(rng)
-        forces, state = advance(compact, motion, state, *random_torques(rng), DT)
+        forces, state = advance(compact, motion, state, random_torques(rng), DT)
         limit = COMPACT.tyre.friction * np.maximum(forces.force_w[:, 2], 1.0)
         stretch = np.hypot(
             tyres.longitudinal_stiffness * state.longitudinal,
@@ -158,7 +160,7 @@ def test_a_car_seen_in_the_mirror_has_mirrored_forces(compact: Vehicle):
     rng = np.random.default_rng(3)
     for _ in range(100):
         motion, state = random_motion(rng)
-        drive, brake = random_torques(rng)
+        torques = random_torques(rng)
         flip, swap = np.array([1, -1], np.float32), LEFT_TO_RIGHT
         mirrored_motion = WheelMotion(
             heading_w=motion.heading_w[swap] * flip,
@@ -173,9 +175,10 @@ def test_a_car_seen_in_the_mirror_has_mirrored_forces(compact: Vehicle):
             lateral=-state.lateral[swap],
             twist=-state.twist[swap],
         )
-        forces, after = advance(compact, motion, state, drive, brake, DT)
+        forces, after = advance(compact, motion, state, torques, DT)
+        mirrored = WheelTorques(*(torque[swap] for torque in torques))
         seen, seen_after = advance(
-            compact, mirrored_motion, mirrored_state, drive[swap], brake[swap], DT
+            compact, mirrored_motion, mirrored_state, mirrored, DT
         )
         # Identical arithmetic up to signs, measured 0; 1e-3 N is float32 rounding.
         expected = np.asarray(forces.force_w)[swap] * [1, -1, 1]

@@ -13,10 +13,10 @@ from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import make_fleet
 from carpark_mj.layouts import Layout
+from carpark_mj.layouts.lanes import has_lanes
 from carpark_mj.mdp import goal_rewards
 from carpark_mj.mdp.chosen_goals import GOAL_COUNTS
 from carpark_mj.mdp.giving_way import COUNTS
-from carpark_mj.mdp.lanes import has_lanes
 from carpark_mj.mdp.metrics.episode import EpisodeStats, init_stats
 from carpark_mj.mdp.metrics.tallies import first_tallies
 from carpark_mj.mdp.rewards import term_names

@@ -21,8 +21,8 @@ from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 from carpark_mj.vehicle.drive import WheelTorques, ackermann
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
-from physics.runs import INDEX, Run, gravity_of
-from physics.tracks import Track
+from vehicle_suite.runs import INDEX, Run, gravity_of
+from vehicle_suite.tracks import Track
 
 CHUNK = 100  # substeps of one call of the compiled program
 # A locked axle is an integral servo on its wheels' difference in speed.

@@ -13,9 +13,9 @@ from carpark_mj.physics.tyres import init_tyres
 from carpark_mj.vehicle.drive import WheelTorques
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics.runs import INDEX, Run
-from physics.table import Study
-from physics.testbed import BrushTestbed, Testbed, controls, vehicle_of
+from vehicle_suite.runs import INDEX, Run
+from vehicle_suite.table import Study
+from vehicle_suite.testbed import BrushTestbed, Testbed, controls, vehicle_of
 
 STEPS = {"brush": (0.01, 0.005, 0.002, 0.001), "contact": (0.004, 0.002, 0.001)}  # s
 LONGEST = 0.01  # s, at which half a per cent of the path is allowed
