@@ -75,7 +75,7 @@ class SceneModel:
         """Compiles the model; arguments as in `ScenePhysics`."""
         self._num_agents = num_agents
         self._num_parked_cars = num_parked_cars
-        spec = build_scene(layout, params, num_agents, num_parked_cars)
+        spec = build_scene(layout, params, num_agents, (params,) * num_parked_cars)
         spec.option.timestep = sim.sim_dt
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.gravity = gravity_vector(sim)
