@@ -23,7 +23,7 @@ from typing import get_args
 import tyro
 
 from benchmarking.checkouts import Checkout, here, other_checkout
-from benchmarking.records import Job, What
+from benchmarking.records import Clock, Job, What
 from benchmarking.report import Row, markdown, write_csv
 from benchmarking.run import WorkerError, run_job
 from carpark_mj.cli.common import USER_ERRORS, one_line
@@ -49,6 +49,8 @@ class BenchmarkConfig:
         steps: control steps of 0.2 s per timing of `env` and `physics`; `ppo` times
             updates.
         timings: in each process, of which the best counts.
+        clock: `wall`, or `cpu`: seconds of all threads of the process, to compare
+            checkouts on a CPU that has other work to do.
         repeats: rounds, in each of which everything is measured once.
         out: CSV file of all measurements, written after each; empty = none.
     """
@@ -62,6 +64,7 @@ class BenchmarkConfig:
     preset: str = "auto"
     steps: int = 20
     timings: int = 10
+    clock: Clock = "wall"
     repeats: int = 3
     out: str = ""
 
@@ -89,6 +92,7 @@ class BenchmarkConfig:
                 self.num_parked_cars,
                 self.steps,
                 self.timings,
+                self.clock,
             )
             for what in self.what
             for variant in variants[what]

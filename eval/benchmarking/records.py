@@ -4,6 +4,7 @@ import dataclasses
 from typing import Literal
 
 What = Literal["env", "ppo", "physics"]
+Clock = Literal["wall", "cpu"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,6 +19,7 @@ class Job:
         num_parked_cars: likewise.
         steps: control steps per timing; `ppo` times updates instead.
         timings: of which the best counts.
+        clock: by which they are taken.
     """
 
     what: What
@@ -27,6 +29,7 @@ class Job:
     num_parked_cars: int
     steps: int
     timings: int
+    clock: Clock
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,10 +44,10 @@ class Measurement:
         layout: of the lots; empty for `physics`.
         agents: in each lot.
         lots: simulated at once.
-        rate: units per second.
-        unit: what is counted.
-        compile_s: tracing, lowering and compiling the program [s].
-        first_step_s: from the start of the process to the end of the first call [s].
+        rate: units per second of the clock.
+        unit: what is counted, and the second that is meant.
+        compile_s: tracing, lowering and compiling the program [s of the clock].
+        first_step_s: from the start of the process to that of the first call [likewise].
         peak_memory_mb: of the first GPU, or of the process on a CPU [1e6 bytes].
     """
 

@@ -20,13 +20,13 @@ import jax
 import jax.numpy as jnp
 
 from benchmarking.records import Job, Measurement
-from benchmarking.timing import best_time
+from benchmarking.timing import CLOCKS, best_time
 
 # Where the parts of the PPO trainer are, newest place first.
 PPO_HOMES = {
     "Learner": ("learners.ppo.learner", "learner"),
     "PRESETS": ("learners.ppo.presets", "presets"),
-    "configure_jax": ("learners.devices", "ppo"),
+    "configure_jax": ("ppo",),
 }
 
 
@@ -82,7 +82,7 @@ def env_subject(job: Job) -> Subject:
         what="env",
         layout=job.variant,
         agents=job.num_agents,
-        unit="agent-steps/s",
+        unit="agent-steps",
         count=job.lots * job.num_agents * job.steps,
         program=scan(step, job.steps),
         carry=(state, key),
@@ -106,7 +106,7 @@ def ppo_subject(job: Job) -> Subject:
         what=f"ppo {name}",
         layout=layout if isinstance(layout, str) else layout.family,
         agents=config.env.num_agents,
-        unit="agent-steps/s",
+        unit="agent-steps",
         count=config.steps_per_update,
         program=learner.compile(),
         carry=learner.init(),
@@ -139,7 +139,7 @@ def physics_subject(job: Job) -> Subject:
         what=f"physics {job.variant} {1e3 * sim.sim_dt:g} ms",
         layout="",
         agents=1,
-        unit="car-substeps/s",
+        unit="car-substeps",
         count=job.lots * job.steps * sim.num_substeps,
         program=scan(step, job.steps),
         carry=(state, jax.random.key(0)),
@@ -180,9 +180,10 @@ def measure(job: Job, started: float) -> Measurement:
         ValueError: settings that the environment or the preset refuses.
     """
     subject = SUBJECTS[job.what](job)
-    begun = time.perf_counter()
+    clock = CLOCKS[job.clock]
+    begun = clock()
     compiled = subject.program.lower(subject.carry).compile()
-    compile_s = time.perf_counter() - begun
+    compile_s = clock() - begun
     carry = subject.carry
 
     def call() -> Any:
@@ -191,7 +192,8 @@ def measure(job: Job, started: float) -> Measurement:
         return carry, outputs
 
     jax.block_until_ready(call())
-    first_step_s = time.time() - started
+    # The process's own clock begins with it.
+    first_step_s = time.time() - started if job.clock == "wall" else clock()
     return Measurement(
         device=device_name(),
         jax=metadata.version("jax"),
@@ -200,8 +202,8 @@ def measure(job: Job, started: float) -> Measurement:
         layout=subject.layout,
         agents=subject.agents,
         lots=job.lots,
-        rate=subject.count / best_time(call, job.timings),
-        unit=subject.unit,
+        rate=subject.count / best_time(call, job.timings, clock),
+        unit=f"{subject.unit}/{'s' if job.clock == 'wall' else 'CPU s'}",
         compile_s=compile_s,
         first_step_s=first_step_s,
         peak_memory_mb=peak_memory() / 1e6,
