@@ -11,18 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SimConfig
-from carpark_mj.types import Motion
+from carpark_mj.types import Motion, PhysicsState
 from carpark_mj.vehicle.vehicle import Vehicle
-
-
-class PhysicsState(Protocol):
-    """State of a back end, a pytree of which the task reads the cars' parameters."""
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """Parameters of the agents' cars, (..., num_agents)."""
-        ...
-
 
 S = TypeVar("S", bound=PhysicsState)
 Tree = TypeVar("Tree")
