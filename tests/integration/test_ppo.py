@@ -236,8 +236,9 @@ def test_bad_input_is_one_clear_sentence_and_leaves_nothing(
 
 
 def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):
-    import ppo
     from presets import PRESETS, PPOConfig
+
+    import ppo
 
     def config(**changes) -> PPOConfig:
         import dataclasses

@@ -7,7 +7,8 @@ import pytest
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.policy import runs
-from presets import PRESETS, PPOConfig
+from learners.ppo.config import PPOConfig
+from learners.ppo.presets import PRESETS
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
