@@ -29,13 +29,13 @@ def configure_jax() -> None:
 def run(arguments: Sequence[str] | None = None) -> int:
     """Trains; returns the exit code."""
     choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
-    from learners.flags import read_settings
     from learners.memory import require_memory
     from learners.ppo.config import RUN_SETTINGS
     from learners.ppo.learner import Learner
     from learners.ppo.presets import PRESETS
     from learners.ppo.train import TrainingDivergedError, finish, train
     from learners.run_folder import open_run
+    from learners.settings import read_settings
 
     hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
     config = read_settings(PRESETS[hardware], PRESETS, arguments, __doc__, RUN_SETTINGS)

@@ -14,13 +14,13 @@ import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import keep_compiled_programs, run_command
-from learners.flags import read_settings
 from learners.memory import require_memory
 from learners.q_learning.config import RUN_SETTINGS, QLearningConfig
 from learners.q_learning.learner import QLearner
 from learners.q_learning.presets import Q_PRESETS
 from learners.q_learning.train import train
 from learners.run_folder import open_run
+from learners.settings import read_settings
 
 
 def run(arguments: Sequence[str] | None = None) -> None:

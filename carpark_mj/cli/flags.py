@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import io
+import itertools
 import os
 import re
 import sys
@@ -113,12 +114,13 @@ def _sentence(box: str) -> str:
     """What tyro says in a box on stderr, without frame, title and helptext."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", box)
     lines = [line.strip("│ ") for line in text.splitlines()]
-    message: list[str] = []
-    for line in lines[1:]:
-        if line.startswith(("─", "╰")):
-            break
-        message.append(line)
-    sentence = " ".join(message) or " ".join(text.split())
-    sentence = re.sub(r"^Error parsing (\w+: )?", "", sentence)
-    meant = re.search(r"Perhaps you meant:[\s─]*(--\S+)", "\n".join(lines))
+    # Under the title: within the frame, or below a rule where there is no UTF-8.
+    start = 1 if lines[0].startswith("╭") else 2
+    message = itertools.takewhile(_is_text, lines[start:])
+    sentence = re.sub(r"^Error parsing (\w+: )?", "", " ".join(message))
+    meant = re.search(r"Perhaps you meant:\s*(--\S+)", "\n".join(lines))
     return f"{sentence}; perhaps you meant {meant[1]}" if meant else sentence
+
+
+def _is_text(line: str) -> bool:
+    return re.fullmatch(r"[─╰╯-]*", line) is None

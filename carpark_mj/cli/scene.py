@@ -185,7 +185,7 @@ def main(config: SceneConfig) -> None:
 
 def complete(arguments: Sequence[str]) -> list[str]:
     """The command line with `--view` alone written out as `--view window`."""
-    followed = zip(arguments, [*arguments[1:], "--"], strict=True)
+    followed = zip(arguments, [*arguments[1:], "--"], strict=False)
     return [
         word
         for argument, after in followed

@@ -17,7 +17,7 @@ from learners.q_learning import train
 from learners.q_learning.config import QLearningConfig
 from learners.q_learning.curve import rolling_mean
 from learners.q_learning.learner import QLearner, Training
-from learners.run_folder import open_run
+from learners.run_folder import LOCK, open_run
 
 SMALL = QLearningConfig(
     name="small", num_seeds=2, episodes=30, eval_episodes=10, window=10
@@ -119,7 +119,8 @@ def test_every_seed_makes_its_episodes_and_they_add_up(run):
 def test_a_run_leaves_whole_files(run):
     folder, _ = run
     names = {path.name for path in folder.iterdir()}
-    assert names == {"config.json", "checkpoints", "metrics.csv", "learning_curve.png"}
+    files = {"config.json", "checkpoints", "metrics.csv", "learning_curve.png"}
+    assert names == {LOCK, *files}
     rows = (folder / "metrics.csv").read_text().splitlines()
     assert rows[0].startswith("seed,episode,phase,episode_return,length,parked,crashed")
     assert len(rows) == 1 + 2 * 4

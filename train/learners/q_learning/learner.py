@@ -93,7 +93,7 @@ class QLearner:
         return states, actions
 
     def least_memory(self) -> int:
-        """Bytes that training needs at least need: state, episodes, a chunk."""
+        """Bytes that training needs at least: state, episodes, a chunk."""
         config = self.config
         agents = config.num_lots * config.env.num_agents
         steps = config.num_seeds * CHUNK * agents

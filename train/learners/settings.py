@@ -86,7 +86,7 @@ def read_config(cls: type[Config], folder: Path) -> Config:
 
 def _named_preset(arguments: Sequence[str]) -> str:
     name = ""
-    for word, after in zip(arguments, [*arguments[1:], ""], strict=True):
+    for word, after in zip(arguments, [*arguments[1:], ""], strict=False):
         flag, equals, value = word.partition("=")
         if flag == "--preset":
             name = value if equals else after

@@ -5,10 +5,10 @@ import dataclasses
 import pytest
 
 from carpark_mj.registry import TANNER_FIXED
-from learners.flags import read_settings
 from learners.ppo.config import RUN_SETTINGS
 from learners.ppo.presets import PRESETS
 from learners.q_learning.presets import Q_PRESETS
+from learners.settings import read_settings
 
 
 def read(*arguments):
