@@ -39,7 +39,7 @@ class AngledConfig(LayoutConfig):
     bay_length: Range = standards.BAY_LENGTH
     extra_aisle: Range = (0.0, 0.6)
     cross_aisle: Range = standards.TWO_WAY_AISLE
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "angled"
 
     def __post_init__(self) -> None:

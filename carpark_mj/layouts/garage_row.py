@@ -54,7 +54,7 @@ class GarageRowConfig(LayoutConfig):
     num_bays: IntRange = (4, 7)
     end_length: Range = (4.0, 6.0)
     wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "garage_row"
 
     def __post_init__(self) -> None:

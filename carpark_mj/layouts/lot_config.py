@@ -72,7 +72,7 @@ class LotConfig(LayoutConfig):
     num_entrances: IntRange = (1, 2)
     boundary: Boundary = "wall"
     wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "lot"
 
     def __post_init__(self) -> None:

@@ -56,7 +56,7 @@ class StreetConfig(LayoutConfig):
     aisle_width: Range = standards.TWO_WAY_AISLE
     end_length: Range = (4.0, 7.0)
     wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "street"
 
     def __post_init__(self) -> None:

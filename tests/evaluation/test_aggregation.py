@@ -159,7 +159,7 @@ def test_every_number_of_an_episode_is_in_the_catalogue(everything):
 
 
 def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys):
-    import evaluate as command
+    from carpark_mj.evaluation import report as command
 
     table, data = command.write_evaluation(tmp_path, everything, {})
     with table.open(newline="") as file:

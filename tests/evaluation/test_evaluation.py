@@ -196,7 +196,7 @@ def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(mixed, monke
 def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
     mixed, tmp_path, capsys
 ):
-    import evaluate as command
+    from carpark_mj.evaluation import report as command
 
     result, _ = mixed
     files = command.write_evaluation(tmp_path, result, {})
@@ -222,7 +222,7 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
 
 
 def test_a_single_lot_has_no_table_of_families(result, tmp_path):
-    import evaluate as command
+    from carpark_mj.evaluation import report as command
 
     files = command.write_evaluation(tmp_path, result, {})
     assert len(files) == 2

@@ -15,7 +15,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.indices import cardinalities
 from carpark_mj.policy.q_table import action_choices, state_index
 from carpark_mj.state import State
-from q_presets import QLearningConfig
+from learners.memory import num_bytes
+from learners.q_learning.config import QLearningConfig
 
 CHUNK = 5000  # control steps between looks at the clock
 
@@ -90,6 +91,15 @@ class QLearner:
         for size in self.choices:
             actions *= size
         return states, actions
+
+    def least_memory(self) -> int:
+        """Bytes that training needs at least: state, episodes, a chunk."""
+        config = self.config
+        agents = config.num_lots * config.env.num_agents
+        steps = config.num_seeds * CHUNK * agents
+        episodes = config.num_seeds * config.total_episodes
+        # A return (4), a length (4) and an outcome (1), with `done` (1) in a chunk.
+        return num_bytes(jax.eval_shape(self.init)) + 9 * episodes + 10 * steps
 
     def init(self) -> Training:
         """All seeds at the start; tables are zero."""
