@@ -10,9 +10,9 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOMES = {
+    "ContinuousObservation": "carpark_mj.config",
     "EnvConfig": "carpark_mj.config",
     "EpisodeConfig": "carpark_mj.config",
-    "ObservationConfig": "carpark_mj.config",
     "ParkingEnv": "carpark_mj.env",
     "RewardConfig": "carpark_mj.config",
     "SimConfig": "carpark_mj.config",

@@ -6,65 +6,67 @@ The object holds constants only; everything that changes is in `State`.
 """
 
 import dataclasses
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, LayoutConfig
+from carpark_mj.fleet.checks import check_cars, check_occupancy, check_room
 from carpark_mj.fleet.draw import Fleet
-from carpark_mj.fleet.randomization import check
+from carpark_mj.fleet.randomization import check_randomization, randomize_all
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
-from carpark_mj.mdp.actions import ActionSpec, harmless
-from carpark_mj.mdp.chosen_goals import goal_counts
-from carpark_mj.mdp.giving_way import count
-from carpark_mj.mdp.lanes import has_lanes, is_wrong_way
-from carpark_mj.mdp.metrics import episode as metrics
-from carpark_mj.mdp.metrics.tallies import measure
-from carpark_mj.mdp.rewarding import goal_poses, step_rewards
-from carpark_mj.mdp.searching import choose, look_round, review, set_out, stay
-from carpark_mj.mdp.spawning.starts import (
-    check_room,
-    restart,
-    split_if_random,
-    start_lot,
-    start_stats,
+from carpark_mj.mdp import actions, metrics, rewards, terminations
+from carpark_mj.mdp.actions import ActionSpec, action_spec
+from carpark_mj.mdp.bays import bay_fits
+from carpark_mj.mdp.goals import make_goals
+from carpark_mj.mdp.parked_cars import in_bays, poses_in_bays, relocate_parked_cars
+from carpark_mj.mdp.spawning.placing import (
+    SpawnInputs,
+    place_all,
+    place_waiting,
+    start_placing,
 )
-from carpark_mj.mdp.terminations import judge
-from carpark_mj.mdp.tracked_bays import nearer_to_any
-from carpark_mj.observations import observation_size
-from carpark_mj.observations.observing import (
-    intended_parked_pose,
-    observe_lot,
-    remember_rings,
-    who_tracks,
-)
-from carpark_mj.observations.rings import forget
-from carpark_mj.observations.sensors import update_sensors
-from carpark_mj.observations.tracking import in_view
+from carpark_mj.mdp.wrong_way import drives_wrong_way
+from carpark_mj.observations import observation_size, observe, rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import full_float32
-from carpark_mj.state import State, TimeStep
-from carpark_mj.types import Motion
-from carpark_mj.vehicle import VehicleParameters, drive, preset
+from carpark_mj.types import (
+    Events,
+    Motion,
+    ParkedCars,
+    PhysicsState,
+    State,
+    TimeStep,
+    Transition,
+)
+from carpark_mj.vehicle import Vehicle, VehicleParameters, drive, preset
 
 
 class ParkingEnv:
     """N agents park in a lot; see `EnvConfig` for what can be set.
 
-    - observation: (num_agents, observation_size) float32, `observations.fields`.
-    - action: (num_agents, 2) steer and pedal in [-1, 1], `vehicle.drive`; or on the
-      grid indices of an acceleration and a turn, `choices`. With dynamic goals one
-      index more: 0 = explore, k = head for the k-th of the tracked bays.
-    - reward: (num_agents,), `rewards`.
+    - observation: (num_agents, observation_size) float32, `observations`.
+    - action: (num_agents, 2) steer and pedal in [-1, 1], `vehicle.drive`; on the grid
+      indices of an acceleration and a turn. With dynamic goals one index more: 0 =
+      explore, k = head for the k-th of the tracked bays. See `action_spec`.
+    - reward: (num_agents,), `mdp.rewards`.
     - episodes belong to agents: one that parks, crashes or times out respawns alone
       (or stays put, `EpisodeConfig.respawn`) while the others drive on.
 
     >>> env = ParkingEnv(EnvConfig(num_agents=2))
     >>> state, observation = jax.jit(env.reset)(jax.random.key(0))
     >>> state, timestep = jax.jit(env.step)(state, jnp.zeros((2, 2)))
+
+    Attributes:
+        config: what was configured.
+        vehicle: parameters of the car that `config.vehicle` names, or one's own.
+        fleet: what the cars are drawn from.
+        layout_config: the lot, or the family it is drawn from.
+        goals: who decides them.
+        physics: the back end.
     """
 
     def __init__(
@@ -84,20 +86,19 @@ class ParkingEnv:
             ValueError: the lot cannot hold the cars asked for, the randomization
                 could draw an impossible car, or there is no such preset.
         """
-        self.config = config if config is not None else EnvConfig()
-        self.vehicle = vehicle if vehicle is not None else preset(self.config.vehicle)
-        self.fleet = Fleet(self.config, self.vehicle)
+        self.config = config = config if config is not None else EnvConfig()
+        self.vehicle = vehicle if vehicle is not None else preset(config.vehicle)
+        self.fleet = Fleet(config, self.vehicle)
+        self.layout_config: LayoutConfig = layout_config(config.layout)
+        fixed = not self.layout_config.is_random
+        self._layout = make_layout(self.layout_config) if fixed else None
         for params in self.fleet.agents:
-            check(self.config.randomization, params)
-        self._lot = layout_config(self.config.layout)
-        self._layout = None if self._lot.is_random else make_layout(self._lot)
-        check_room(self.config, self._lot)
-        self.fleet.check(self._lot, self._layout)
-        self.physics: Any = (
-            physics
-            if physics is not None
-            else make_physics(self.config, self._layout, self.vehicle)
-        )
+            check_randomization(config.randomization, params)
+        check_room(config, self.layout_config)
+        check_occupancy(config, self.layout_config)
+        check_cars(config, self.fleet, self.layout_config, self._layout)
+        self.goals = make_goals(config)
+        self.physics = physics or make_physics(config, self._layout, self.vehicle)
 
     @property
     def num_agents(self) -> int:
@@ -105,35 +106,14 @@ class ParkingEnv:
         return self.config.num_agents
 
     @property
-    def lot(self) -> LayoutConfig:
-        """The lot, or the family it is drawn from."""
-        return self._lot
-
-    @property
     def observation_size(self) -> int:
         """Length of an agent's observation."""
-        goals = self.config.goals
-        num_spaces = goals.num_spaces if goals.dynamic else 0
-        return observation_size(self.config.observation, num_spaces)
-
-    @property
-    def action_size(self) -> int:
-        """Length of an agent's action."""
-        return self.action_spec.size
+        return observation_size(self.config)
 
     @property
     def action_spec(self) -> ActionSpec:
         """What an agent's action consists of."""
-        goals = self.config.goals
-        goal = (1 + goals.num_spaces,) if goals.dynamic else ()
-        if self.config.physics == "grid":
-            return ActionSpec(0, (*self.config.grid.choices, *goal))
-        return ActionSpec(2, goal)
-
-    @property
-    def choices(self) -> tuple[int, ...] | None:
-        """How many there are in each branch of an action; None without branches."""
-        return self.action_spec.choices or None
+        return action_spec(self.config)
 
     def reset(
         self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
@@ -159,17 +139,43 @@ class ParkingEnv:
         self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
     ) -> Layout:
         """Draws a layout as `reset` does; always of the same shape."""
-        return generate_member(self._lot, member, lot_key(lot_number(split, key)))
+        key = lot_key(lot_number(split, key))
+        return generate_member(self.layout_config, member, key)
 
     @full_float32
     def reset_to_layout(
         self, layout: Layout, key: jax.Array
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have bays enough for cars and goals."""
-        state = start_lot(self.config, self.fleet, self.physics, layout, key)
-        if self.config.goals.dynamic:
-            state, _ = look_round(state, self._fitting(state))
-        return state, self._observe(state)
+        config, everybody = self.config, jnp.ones(self.num_agents, bool)
+        key, vehicle_key, sensor_key = self._split(key)
+        key, start_key, spawn_key = jax.random.split(key, 3)
+        start = self.fleet.start(layout, start_key)
+        vehicles = randomize_all(config.randomization, start.vehicles, vehicle_key)
+        inputs = self._spawn_inputs(layout, start.parked_cars, vehicles, vehicles)
+        nowhere = jnp.zeros((self.num_agents, 3), jnp.float32)
+        bay = start.parked_cars.bay
+        placing = start_placing(start.goal, bay, nowhere, everybody)
+        placing = place_all(self.goals.first_pose, inputs, placing, spawn_key)
+        physics = self.physics.init(placing.pose_w, vehicles)
+        physics = self.physics.set_parked_poses(physics, start.parked_cars.pose_w)
+        motion = self.physics.read(physics)
+        state = State(
+            physics=physics,
+            motion=motion,
+            layout=layout,
+            goal=start.goal,
+            tracked_bays=self.goals.init_tracked_bays(),
+            parked_cars=start.parked_cars,
+            ring_history=rings.init_history(config),
+            step=jnp.zeros(self.num_agents, jnp.int32),
+            active=everybody,
+            stats=metrics.init_stats(config, layout),
+            sensors=sensors.init_sensors(config.sensors, motion, sensor_key),
+            key=key,
+        )
+        state = self.goals.begin(state, placing, everybody, None)
+        return state, observe(config, state)
 
     @full_float32
     def step(
@@ -179,199 +185,188 @@ class ParkingEnv:
 
         Args:
             state: current state.
-            action: (num_agents, action_size), see `action_spec`; agents that have
-                finished brake instead. What is NaN or outside is neutralised and
-                counted in the metric `invalid_actions`.
+            action: (num_agents, action_spec.size); agents that have finished brake
+                instead. What is NaN or out of range is sanitized and counted in the
+                metric `invalid_actions`.
             hitbox_scale: see `find_hits`; None = 1.
 
         Returns:
             The next state and what the agents learn.
         """
-        config = self.config
-        key, cars_key, sensor_key = split_if_random(config, self.fleet, state.key)
-        state = dataclasses.replace(state, key=key)
-        controls, choice, invalid = self._read(state, action)
-        before = state
-        if config.goals.dynamic:
-            state = choose(state, choice[:, 0])
-        goal = state.occupancy.goal
-
-        ring_history = remember_rings(config, self.fleet, before)
-        physics = self.physics.step(state.physics, controls)
-        vehicle = self.physics.read(physics)
-        if not (config.episode.respawn or self.physics.contacts):
-            physics, vehicle = self._freeze(state, physics, vehicle)
-        step = state.step + state.active
-        with jax.named_scope("episode"):
-            events = judge(
-                config.episode,
-                state.layout,
-                vehicle,
-                goal,
-                intended_parked_pose(self.fleet, state),
-                state.parked_size,
-                step,
-                state.active,
-                config.goals.dynamic,
-                hitbox_scale,
-            )
-        after = dataclasses.replace(state, physics=physics, vehicle=vehicle, step=step)
-        starts = None
-        if config.episode.respawn:
-            with jax.named_scope("respawn"):
-                after, taken, starts = restart(
-                    config, self.fleet, self.physics, after, events, cars_key
-                )
-        else:
-            after = dataclasses.replace(after, active=after.active & ~events.done)
-            after, taken = stay(after, events)
-        goals = contexts = None
-        if config.goals.dynamic:
-            with jax.named_scope("goals"):
-                fitting = self._fitting(after)
-                after, goals, contexts = review(
-                    before,
-                    goal,
-                    after,
-                    events,
-                    taken,
-                    fitting,
-                    who_tracks(config, self.fleet, before),
-                )
-                after = set_out(after, events.done, starts)
-
-        wrong_way = None
-        if has_lanes(state.layout):
-            wrong_way = is_wrong_way(state.layout, vehicle)
+        config, before, keys = self.config, state, self._step_keys(state.key)
+        act = actions.parse(config, self._stop_finished(before, action))
+        chosen = self.goals.choose(before, act.goal_choice)
+        after = self._move(chosen, act.controls, keys)
+        with jax.named_scope("terminations"):
+            events = terminations.judge(config.episode, after, hitbox_scale)
+            ended = self._end_episodes(after, events, keys)
+        with jax.named_scope("goals"):
+            ended, goal_events = self.goals.update(before, ended, events)
+            target_pose = self.goals.target_pose(after)
+        wrong_way = drives_wrong_way(after.layout, after.motion)
+        transition = Transition(
+            before, after, target_pose, events, goal_events, wrong_way, act.invalid
+        )
         with jax.named_scope("rewards"):
-            goal_pose = goal_poses(state, vehicle)
-            terms = step_rewards(
-                config,
-                before,
-                state,
-                vehicle,
-                goal_pose,
-                events,
-                wrong_way,
-                goals,
-                contexts,
-            )
-            reward = jnp.sum(jnp.stack(list(terms.values())), axis=0)
-        measured = {f"return_{name}": term for name, term in terms.items()}
-        if goals is not None and contexts is not None and before.spaces is not None:
-            way = before.vehicle.pose_w[:, :2], vehicle.pose_w[:, :2]
-            nearer = nearer_to_any(state.layout, before.spaces, *way)
-            measured |= goal_counts(goals, nearer)
-            measured |= count(contexts, goals.change_goal | goals.stop_goal)
-        if config.metrics.is_on:
-            with jax.named_scope("metrics"):
-                measured |= measure(
-                    config.metrics,
-                    config.sim.ctrl_dt,
-                    state.layout,
-                    state.stats.tallies,
-                    state.vehicle,
-                    vehicle,
-                    goal_pose,
-                    self.parked_pose(dataclasses.replace(state, physics=physics)),
-                    state.parked_size,
-                    state.occupancy.parked_bay < state.layout.num_bays,
-                    goal < state.layout.num_bays,
-                )
-        old, cars = state.stats, (state.vehicle, vehicle)
-        stats = metrics.update_stats(old, *cars, reward, invalid, wrong_way, measured)
-        stats = where_cars(state.active, stats, old)
-        named = metrics.step_metrics(stats, events, vehicle, goal_pose)
-
-        respawned = events.done & config.episode.respawn
-        if config.episode.respawn:
-            stats = where_cars(respawned, start_stats(config, state.layout), stats)
-        sensors = update_sensors(
-            config.sensors, state.sensors, after.vehicle, respawned, sensor_key
-        )
-        ring_history = forget(ring_history, respawned)
-        after = dataclasses.replace(
-            after, stats=stats, sensors=sensors, ring_history=ring_history
-        )
+            terms = rewards.reward_terms(config, transition)
+        with jax.named_scope("metrics"):
+            stats = metrics.update_stats(config, transition, terms)
+        ended = dataclasses.replace(ended, stats=stats, key=keys.next)
+        with jax.named_scope("spawning"):
+            state = self._begin_episodes(ended, events, keys)
         with jax.named_scope("observations"):
-            observation = self._observe(after)
-        return after, TimeStep(
+            observation = observe(config, state)
+            final_observation = None
+            if config.episode.final_observation:
+                final_observation = observe(config, self.goals.track(after))
+        return state, TimeStep(
             observation=observation,
-            reward=reward,
+            reward=jnp.sum(jnp.stack(list(terms.values())), axis=0),
             terminated=events.parked | events.crashed,
             truncated=events.timed_out | events.diverged,
             events=events,
-            metrics=named,
+            metrics=metrics.episode_metrics(transition, stats),
             reward_terms=terms,
-            vehicle=vehicle,
-            goal=goal,
-            goal_events=goals,
+            motion=after.motion,
+            goal=after.goal,
+            goal_events=goal_events,
+            final_observation=final_observation,
         )
 
-    def parked_pose(self, state: State) -> jax.Array:
-        """Poses (num_parked_cars, 3) of the parked cars, pushed or in their bays.
+    def _move(self, state: State, controls: jax.Array, keys: "_StepKeys") -> State:
+        """The state when the cars have moved and their motion has been measured."""
+        config, ring_history = self.config, rings.update_history(self.config, state)
+        physics = self.physics.step(state.physics, controls)
+        motion = self.physics.read(physics)
+        if not (config.episode.respawn or self.physics.contacts):
+            physics, motion = _freeze(state, physics, motion)
+        parked_cars = state.parked_cars
+        pose_w = self.physics.parked_poses(physics, parked_cars.pose_w)
+        return dataclasses.replace(
+            state,
+            physics=physics,
+            motion=motion,
+            parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
+            ring_history=ring_history,
+            step=state.step + state.active,
+            sensors=sensors.measure(
+                config.sensors, state.sensors, motion, keys.reading
+            ),
+        )
 
-        Cars that `EnvConfig.occupancy` leaves out stand far `fit.AWAY`.
+    def _end_episodes(self, state: State, events: Events, keys: "_StepKeys") -> State:
+        """Where agents respawn a parked car takes the place of each that has parked.
+
+        Otherwise those that are done stay where they are and are no longer active.
         """
-        if self.physics.contacts:
-            return self.physics.parked_pose(state.physics)
-        return intended_parked_pose(self.fleet, state)
+        if not self.config.episode.respawn:
+            return dataclasses.replace(state, active=state.active & ~events.done)
+        parked_cars = relocate_parked_cars(self.config, state, events, keys.relocate)
+        return dataclasses.replace(state, parked_cars=parked_cars)
 
-    def final_observation(self, state: State, timestep: TimeStep) -> jax.Array:
-        """What agents saw at the end of a step, before any of them respawned.
-
-        Args:
-            state: before the step; parked cars are as they were then.
-            timestep: what the step returned.
-
-        Returns:
-            (num_agents, observation_size); `timestep.observation` where nobody was
-            done.
-        """
-        occupancy = dataclasses.replace(state.occupancy, goal=timestep.goal)
-        ring_history = remember_rings(self.config, self.fleet, state)
+    def _begin_episodes(self, state: State, events: Events, keys: "_StepKeys") -> State:
+        """New goals, cars and start poses of agents that are done."""
+        config, begun, layout = self.config, events.done, state.layout
+        if not config.episode.respawn:
+            return state
+        old, vehicles = state.physics.vehicle, self._draw_vehicles(state, keys.vehicles)
+        inputs = self._spawn_inputs(layout, state.parked_cars, vehicles, old)
+        placing = start_placing(
+            state.goal, state.parked_cars.bay, state.motion.pose_w, begun
+        )
+        placing = place_waiting(self.goals.place, inputs, placing, keys.spawn)
+        if self.fleet.mixed:  # who finds no bay for the new car keeps goal and car
+            vehicles = where_cars(placing.found, vehicles, old)
+        physics = self.physics.place(state.physics, begun, placing.pose_w, vehicles)
+        parked_cars = in_bays(layout, state.parked_cars, placing.parked_bay)
+        physics = self.physics.set_parked_poses(
+            physics, poses_in_bays(layout, parked_cars)
+        )
+        pose_w = self.physics.parked_poses(physics, parked_cars.pose_w)
+        motion = where_cars(begun, self.physics.read(physics), state.motion)
         state = dataclasses.replace(
             state,
-            vehicle=timestep.vehicle,
-            occupancy=occupancy,
-            ring_history=ring_history,
+            physics=physics,
+            motion=motion,
+            goal=placing.goal,
+            parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
+            ring_history=rings.forget(state.ring_history, begun),
+            step=jnp.where(begun, 0, state.step),
+            stats=where_cars(begun, metrics.init_stats(config, layout), state.stats),
+            sensors=sensors.reset(
+                config.sensors, state.sensors, motion, begun, keys.sensors
+            ),
         )
-        if self.config.goals.dynamic:
-            state, _ = look_round(state, self._fitting(state))
-        return self._observe(state)
+        return self.goals.begin(state, placing, begun, keys.first_goals)
 
-    def _read(
-        self, state: State, action: jax.Array
-    ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Controls for the physics, choices of goals, and who asked for nonsense."""
+    def _draw_vehicles(self, state: State, key: jax.Array) -> Vehicle:
+        """Parameters (num_agents,) of cars for agents that begin; `key` is consumed."""
+        config = self.config
+        if not (config.randomization.is_on or self.fleet.mixed):
+            return state.physics.vehicle
+        nominal, key = self.fleet.draw_agents(key)
+        return randomize_all(config.randomization, nominal, key)
+
+    def _spawn_inputs(
+        self, layout: Layout, parked_cars: ParkedCars, new: Vehicle, old: Vehicle
+    ) -> SpawnInputs:
+        fits = bay_fits(self.config, layout, new.size, parked_cars.size)
+        # Spawn regions have room for cars of the one kind they were made for.
+        sizes = (new.size, old.size) if self.fleet.mixed else (None, None)
+        return SpawnInputs(layout, parked_cars, *sizes, fits)
+
+    def _stop_finished(self, state: State, action: jax.Array) -> jax.Array:
+        """Actions (num_agents, size) with those of finished agents on the brake."""
         spec = self.action_spec
-        if not spec.continuous:  # who has finished is frozen in any case
-            _, indices, invalid = harmless(spec, action)
-            return indices[:, :2], indices[:, 2:], invalid
-        stop = drive.stopping_action(state.vehicle.speed)
+        if not spec.continuous:  # on the grid who has finished is frozen in any case
+            return action
+        stop = drive.stopping_action(state.motion.speed)
         stop = jnp.pad(stop, ((0, 0), (0, len(spec.choices))))
-        action = jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
-        return harmless(spec, action)
+        return jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
 
-    def _freeze(
-        self, state: State, physics: Any, vehicle: Motion
-    ) -> tuple[Any, Motion]:
-        """Keeps finished agents exactly where they stopped."""
-        physics = where_cars(state.active, physics, state.physics)
-        vehicle = where_cars(state.active, vehicle, state.vehicle)
-        still = jnp.broadcast_to(vehicle.pose_w[:, None], vehicle.trace_w.shape)
-        trace_w = where_cars(state.active, vehicle.trace_w, still)
-        return physics, dataclasses.replace(vehicle, trace_w=trace_w)
+    def _split(self, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """The lot's next key, and one each for vehicles and sensors, if they vary."""
+        config = self.config
+        if config.randomization.is_on or config.sensors.is_on or config.varies:
+            key, vehicle_key, sensor_key = jax.random.split(key, 3)
+            return key, vehicle_key, sensor_key
+        unused = jax.random.key(0)
+        return key, unused, unused
 
-    def _fitting(self, state: State) -> jax.Array | None:
-        """Bays (num_agents, bays) that an agent can track as a goal; None = all."""
-        layout, view = state.layout, self.config.observation
-        size = state.physics.vehicle.size
-        fits = self.fleet.bays_for(layout, size, state.parked_size)[0]
-        if view.field_of_view == 360.0 and view.tracking_diameter is None:
-            return fits
-        seen = in_view(view, state.vehicle.pose_w, layout.bay_pose[:, :2])
-        return seen if fits is None else seen & fits
+    def _step_keys(self, key: jax.Array) -> "_StepKeys":
+        key, vehicles, sensor_key = self._split(key)
+        reading, sensors = jax.random.split(sensor_key)
+        key, spawn = jax.random.split(key)
+        n = self.num_agents  # agents take the parts 0 to n - 1
+        return _StepKeys(
+            next=key,
+            vehicles=vehicles,
+            reading=reading,
+            sensors=sensors,
+            spawn=spawn,
+            first_goals=jax.random.fold_in(spawn, n),
+            relocate=jax.random.fold_in(spawn, n + 1),
+        )
 
-    def _observe(self, state: State) -> jax.Array:
-        return observe_lot(self.config, self.fleet, state)
+
+class _StepKeys(NamedTuple):
+    """A key for each thing that is drawn in a step, and the state's next."""
+
+    next: jax.Array
+    vehicles: jax.Array
+    reading: jax.Array
+    sensors: jax.Array
+    spawn: jax.Array
+    first_goals: jax.Array
+    relocate: jax.Array
+
+
+def _freeze(
+    state: State, physics: PhysicsState, motion: Motion
+) -> tuple[PhysicsState, Motion]:
+    """Keeps finished agents exactly where they stopped."""
+    physics = where_cars(state.active, physics, state.physics)
+    motion = where_cars(state.active, motion, state.motion)
+    still = jnp.broadcast_to(motion.pose_w[:, None], motion.trace_w.shape)
+    trace_w = where_cars(state.active, motion.trace_w, still)
+    return physics, dataclasses.replace(motion, trace_w=trace_w)

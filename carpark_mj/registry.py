@@ -32,8 +32,9 @@ from carpark_mj.config import (
     EpisodeConfig,
     GoalConfig,
     GridConfig,
-    ObservationConfig,
+    IndexObservation,
     RewardConfig,
+    RingConfig,
     SpawnConfig,
     reward_preset,
 )
@@ -72,22 +73,15 @@ TANNER_QLEARNING = EnvConfig(
         reverse=0.0,
         closeness=0.0,
     ),
-    observation=ObservationConfig(
-        tracked_agents=0, tracked_parked_cars=0, rings=(), encoding="indices"
-    ),
+    observation=IndexObservation(),
 )
 
 # Figure 5.2: every bay but the goal taken, rings of 14, 11, 10, 6 and 7 world units.
 TANNER_QLEARNING_RINGS = dataclasses.replace(
     TANNER_QLEARNING,
     num_parked_cars=35,
-    observation=ObservationConfig(
-        tracked_agents=0,
-        tracked_parked_cars=0,
-        rings=tuple(d * WORLD_UNIT for d in (14, 11, 10, 6, 7)),
-        ring_cap=1,
-        ring_cars=True,
-        encoding="indices",
+    observation=IndexObservation(
+        RingConfig(tuple(d * WORLD_UNIT for d in (14, 11, 10, 6, 7)), cap=1, cars=True)
     ),
 )
 
@@ -114,12 +108,12 @@ TANNER_FIXED = EnvConfig(
 
 # Table C.10, on top of C.9; the weights of goals are the defaults of `GoalRewards`.
 TANNER_DYNAMIC = dataclasses.replace(
-    TANNER_FIXED, goals=GoalConfig(dynamic=True, num_spaces=1)
+    TANNER_FIXED, goals=GoalConfig(dynamic=True, num_tracked_bays=1)
 )
 
 # The same tasks for real cars: everything else is the default environment's.
 FIXED = EnvConfig(layout="tanner", num_agents=7, num_parked_cars=16)
-DYNAMIC = dataclasses.replace(FIXED, goals=GoalConfig(dynamic=True, num_spaces=1))
+DYNAMIC = dataclasses.replace(FIXED, goals=GoalConfig(dynamic=True, num_tracked_bays=1))
 
 ENVIRONMENTS: dict[str, EnvConfig] = {
     "fixed": FIXED,

@@ -287,11 +287,10 @@ class Transition:
 
     Attributes:
         before: the state at its start, as agents observed it.
-        after: the state at its end: cars have moved, goals may be lost, no new episode
-            has begun.
-        goal: (num_agents,) int32 goals held during the step.
-        target_pose: (num_agents, 3) poses of these goals; of an exploring agent that of
-            the nearest bay it tracks after the step.
+        after: the state at its end: goals are those chosen, cars have moved; no goal is
+            lost, no parked car relocated and no new episode begun yet.
+        target_pose: (num_agents, 3) poses of the goals held during the step; of an
+            exploring agent that of the nearest bay it tracked.
         events: how episodes stand after the step.
         goal_events: what became of the goals; None while they are fixed.
         wrong_way: (num_agents,) bool, drives against the lanes; None in lots that never
@@ -301,12 +300,16 @@ class Transition:
 
     before: State
     after: State
-    goal: jax.Array
     target_pose: jax.Array
     events: Events
     goal_events: GoalEvents | None
     wrong_way: jax.Array | None
     invalid_action: jax.Array
+
+    @property
+    def goal(self) -> jax.Array:
+        """(num_agents,) int32 goals held during the step."""
+        return self.after.goal
 
 
 @struct.dataclass

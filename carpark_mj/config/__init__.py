@@ -16,18 +16,24 @@ from carpark_mj.config.layout import (
 )
 from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observation import (
-    TANNER_OBSERVATION,
     BayPart,
-    Encoding,
-    ObservationConfig,
+    ContinuousObservation,
+    IndexObservation,
+    Observation,
+    RayConfig,
+    RingConfig,
+    ShareConfig,
+    TannerObservation,
+    ViewConfig,
 )
 from carpark_mj.config.reward import REWARDS, RewardConfig, RewardName, reward_preset
 from carpark_mj.config.simulation import CONTACT_SIM_DT, SimConfig, Surface, TyresName
-from carpark_mj.config.task import (
+from carpark_mj.config.spawning import EvolutionRule, SpawnConfig
+from carpark_mj.config.terminations import (
+    PARKED_RULES,
     EpisodeConfig,
-    EvolutionRule,
+    ParkedLimits,
     ParkedRule,
-    SpawnConfig,
 )
 from carpark_mj.config.variation import (
     Distribution,
@@ -39,14 +45,14 @@ from carpark_mj.config.variation import (
 __all__ = [
     "CONTACT_SIM_DT",
     "LAYOUT_FILES",
+    "PARKED_RULES",
     "REWARDS",
-    "TANNER_OBSERVATION",
     "WORLD_UNIT",
     "BayPart",
     "ContextName",
+    "ContinuousObservation",
     "Distribution",
     "DistributionKind",
-    "Encoding",
     "EnvConfig",
     "EpisodeConfig",
     "EvolutionRule",
@@ -55,22 +61,29 @@ __all__ = [
     "GoalConfig",
     "GoalRewards",
     "GridConfig",
+    "IndexObservation",
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
     "LayoutName",
     "MetricsConfig",
-    "ObservationConfig",
+    "Observation",
+    "ParkedLimits",
     "ParkedRule",
     "PhysicsName",
     "RandomizationConfig",
+    "RayConfig",
     "RewardConfig",
     "RewardName",
+    "RingConfig",
     "Scheme",
     "SensorConfig",
+    "ShareConfig",
     "SimConfig",
     "SpawnConfig",
     "Surface",
+    "TannerObservation",
     "TyresName",
+    "ViewConfig",
     "reward_preset",
 ]

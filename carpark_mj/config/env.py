@@ -15,10 +15,16 @@ from carpark_mj.config.layout import (
     LayoutName,
 )
 from carpark_mj.config.metrics import MetricsConfig
-from carpark_mj.config.observation import ObservationConfig
+from carpark_mj.config.observation import (
+    ContinuousObservation,
+    IndexObservation,
+    Observation,
+    TannerObservation,
+)
 from carpark_mj.config.reward import RewardConfig
 from carpark_mj.config.simulation import SimConfig
-from carpark_mj.config.task import EpisodeConfig, SpawnConfig
+from carpark_mj.config.spawning import SpawnConfig
+from carpark_mj.config.terminations import EpisodeConfig
 from carpark_mj.config.variation import RandomizationConfig, SensorConfig
 
 PhysicsName = Literal["mjx", "scene", "bicycle", "grid"]
@@ -49,14 +55,14 @@ class EnvConfig:
             with whole numbers for actions.
         sim: time steps and ground.
         grid: granularities of `grid` physics.
-        goals: who chooses the goals.
+        goals: who decides the goals.
         giving_way: when agents that choose goals should give them up.
         spawn: where episodes start.
         episode: when they end.
         reward: reward weights.
-        observation: what an agent sees.
+        observation: what agents observe; one config per encoding.
         randomization: what differs between cars.
-        sensors: errors of what an agent sees.
+        sensors: errors of what agents observe.
         metrics: what is measured beside the outcomes.
     """
 
@@ -65,20 +71,22 @@ class EnvConfig:
     num_agents: int = 2
     num_parked_cars: int = 16
     occupancy: Range | None = None
-    fleet: FleetConfig = FleetConfig()
-    jitter: JitterConfig = JitterConfig()
+    fleet: FleetConfig = dataclasses.field(default_factory=FleetConfig)
+    jitter: JitterConfig = dataclasses.field(default_factory=JitterConfig)
     physics: PhysicsName = "mjx"
-    sim: SimConfig = SimConfig()
-    grid: GridConfig = GridConfig()
-    goals: GoalConfig = GoalConfig()
-    giving_way: GivingWayConfig = GivingWayConfig()
-    spawn: SpawnConfig = SpawnConfig()
-    episode: EpisodeConfig = EpisodeConfig()
-    reward: RewardConfig = RewardConfig()
-    observation: ObservationConfig = ObservationConfig()
-    randomization: RandomizationConfig = RandomizationConfig()
-    sensors: SensorConfig = SensorConfig()
-    metrics: MetricsConfig = MetricsConfig()
+    sim: SimConfig = dataclasses.field(default_factory=SimConfig)
+    grid: GridConfig = dataclasses.field(default_factory=GridConfig)
+    goals: GoalConfig = dataclasses.field(default_factory=GoalConfig)
+    giving_way: GivingWayConfig = dataclasses.field(default_factory=GivingWayConfig)
+    spawn: SpawnConfig = dataclasses.field(default_factory=SpawnConfig)
+    episode: EpisodeConfig = dataclasses.field(default_factory=EpisodeConfig)
+    reward: RewardConfig = dataclasses.field(default_factory=RewardConfig)
+    observation: Observation = dataclasses.field(default_factory=ContinuousObservation)
+    randomization: RandomizationConfig = dataclasses.field(
+        default_factory=RandomizationConfig
+    )
+    sensors: SensorConfig = dataclasses.field(default_factory=SensorConfig)
+    metrics: MetricsConfig = dataclasses.field(default_factory=MetricsConfig)
 
     def __post_init__(self) -> None:
         if not isinstance(self.layout, LayoutConfig | str):  # pyright: ignore
@@ -95,38 +103,61 @@ class EnvConfig:
         at_least(self, 0, "num_parked_cars")
         if self.occupancy is not None:
             require_range("occupancy", self.occupancy, 0.0, 1.0)
-        if self.fleet.agents and not self.observation.own_car:
-            # Agents that are not all alike must know what they drive.
-            observation = dataclasses.replace(self.observation, own_car=True)
-            object.__setattr__(self, "observation", observation)
-        if self.observation.encoding == "indices" and self.physics != "grid":
+        if self.giving_way.scheme is not None and not self.goals.dynamic:
             raise ValueError(
-                f"observation.encoding 'indices' needs grid physics, not {self.physics}"
+                f"giving_way.scheme {self.giving_way.scheme!r} needs dynamic goals, "
+                "goals.dynamic = True"
             )
-        if self.giving_way.scheme is not None:
-            if not self.goals.dynamic:
-                raise ValueError(
-                    f"giving_way.scheme {self.giving_way.scheme!r} needs dynamic "
-                    "goals, goals.dynamic = True"
-                )
-            # The scheme says whether agents see global information.
-            observation = dataclasses.replace(
-                self.observation,
-                global_information=self.giving_way.global_information,
-            )
-            object.__setattr__(self, "observation", observation)
         if self.goals.dynamic:
             self.reward.goals.check()
-            if self.observation.encoding == "indices":
+        self._check_observation()
+
+    def _check_observation(self) -> None:
+        """Refuses an observation that does not fit the rest.
+
+        Raises:
+            ValueError: naming the setting and what it needs.
+        """
+        observation, scheme = self.observation, self.giving_way.scheme
+        sees_own_car = (
+            isinstance(observation, ContinuousObservation) and observation.own_car
+        )
+        if self.fleet.agents and not sees_own_car:
+            raise ValueError(
+                "fleet.agents needs observation.own_car = True of the encoding "
+                "'continuous': agents that are not all alike must know what they drive"
+            )
+        if isinstance(observation, IndexObservation):
+            if self.physics != "grid":
+                raise ValueError(
+                    "observation.encoding 'indices' needs grid physics, not "
+                    f"{self.physics}"
+                )
+            if self.goals.dynamic:
                 raise ValueError(
                     "observation.encoding 'indices' needs fixed goals, not dynamic ones"
                 )
-            if self.observation.share_goal_heading:
-                raise ValueError("observation.share_goal_heading needs fixed goals")
+            return
+        if self.goals.dynamic and observation.share.goal_headings:
+            raise ValueError("observation.share.goal_headings needs fixed goals")
+        wanted = self.giving_way.global_information
+        if scheme is not None and observation.global_information != wanted:
+            raise ValueError(
+                f"giving_way.scheme {scheme!r} needs observation.global_information = "
+                f"{wanted}, not {observation.global_information}"
+            )
         others = self.num_agents - 1 + self.num_parked_cars
-        if self.observation.tracked_cars > others:
+        if (
+            isinstance(observation, TannerObservation)
+            and observation.tracked_cars > others
+        ):
             raise ValueError(
                 f"observation.tracked_cars must be at most {others} (the other "
                 f"{self.num_agents - 1} agents and {self.num_parked_cars} parked "
-                f"cars), not {self.observation.tracked_cars}"
+                f"cars), not {observation.tracked_cars}"
             )
+
+    @property
+    def varies(self) -> bool:
+        """Whether there is more than one kind of car, always as many, neatly parked."""
+        return self.fleet.is_on or self.jitter.is_on or self.occupancy is not None

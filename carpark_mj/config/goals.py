@@ -15,14 +15,14 @@ class GoalConfig:
     Attributes:
         dynamic: every agent chooses its goal itself, at every step, among the free
             bays it tracks; otherwise the environment draws one for each episode.
-        num_spaces: nearest free bays that an agent tracks (n_space).
+        num_tracked_bays: nearest free bays that an agent tracks (n_space).
     """
 
     dynamic: bool = False
-    num_spaces: int = 1
+    num_tracked_bays: int = 1
 
     def __post_init__(self) -> None:
-        at_least(self, 1, "num_spaces")
+        at_least(self, 1, "num_tracked_bays")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What agents see."""
+"""What agents observe: one config per encoding of the observation vector."""
 
 import dataclasses
 import math
@@ -7,128 +7,196 @@ from typing import Literal
 from carpark_mj.config.checks import at_least, choose, positive
 from carpark_mj.config.grid import WORLD_UNIT
 
-Encoding = Literal["continuous", "tanner", "indices"]
 BayPart = Literal["heading", "distance", "bearing"]
 BAY_PARTS: tuple[BayPart, ...] = ("heading", "distance", "bearing")
 
 
 @dataclasses.dataclass(frozen=True)
-class ObservationConfig:
-    """What an agent sees; the fields are listed in `carpark_mj.observations.fields`.
+class RingConfig:
+    """Circles about the car that count the objects they touch; none by default.
 
     Attributes:
-        tracked_agents: nearest agents seen.
-        tracked_parked_cars: nearest parked cars seen.
-        rings: diameters [m] of the circles about the car in which walls and discs are
-            counted.
-        ring_cap: largest count a ring reports.
-        own_car: see the own size, axles and turning radius; always so where agents are
-            drawn from a fleet.
-        rays: bearings along which the free way is seen, evenly spaced about the car
-            from straight ahead; 0 = none. Field `rays`, one number each: from the car's
-            outline to the nearest wall, disc, parked car or other agent.
-        ray_range: longest way seen along a ray [m].
-        lane: see the lane the car is in, or the nearest. Fields `lane_present`,
-            `lane_heading` (cos and sin, body frame) and `lane_one_way`.
-        encoding: `continuous`; `tanner`: the study's vector,
-            `carpark_mj.observations.tanner`; or `indices`: whole numbers for a table,
-            as in its Q-learning on the grid, `carpark_mj.observations.indices`.
-        ring_cars: rings count parked cars and other agents too.
-        ring_history: past counts of every ring that are seen (n_h), zero before the
+        diameters: of the circles [m].
+        cap: largest count a ring reports.
+        cars: count parked cars and other agents beside walls and discs.
+        history: past counts of every ring that are observed (n_h), zero before the
             episode.
-        share_speeds: see the speeds of tracked agents.
-        share_goals: see the goals of tracked agents: where they are or, where agents
-            choose them, which of the observer's tracked bays.
-        share_goal_heading: see the headings of their goals too; fixed goals only.
-        global_information: see, of the goal or of every tracked bay, how near the
-            nearest of all agents is, and the nearest that has it as goal.
-        field_of_view: full angle about the own heading [deg] in which other cars and
-            free bays are tracked.
-        tracking_diameter: of the circle about the car in which they are [m]; None = the
-            whole lot.
-        tracked_cars: with `tanner`, nearest cars seen, agents and parked cars in one
-            list (n_track).
-        bay_parts: with `tanner`, what is seen of the goal, or of tracked bays.
     """
 
-    tracked_agents: int = 2
-    tracked_parked_cars: int = 2
-    rings: tuple[float, ...] = (5.0, 6.2, 8.0)
-    ring_cap: int = 2
-    own_car: bool = False
-    rays: int = 0
-    ray_range: float = 10.0
-    lane: bool = False
-    encoding: Encoding = "continuous"
-    ring_cars: bool = False
-    ring_history: int = 0
-    share_speeds: bool = True
-    share_goals: bool = True
-    share_goal_heading: bool = False
-    global_information: bool = False
-    field_of_view: float = 360.0
-    tracking_diameter: float | None = None
-    tracked_cars: int = 0
-    bay_parts: tuple[BayPart, ...] = BAY_PARTS
+    diameters: tuple[float, ...] = ()
+    cap: int = 2
+    cars: bool = False
+    history: int = 0
 
     def __post_init__(self) -> None:
-        choose("encoding", self.encoding, Encoding)
-        counts = ("tracked_agents", "tracked_parked_cars", "tracked_cars")
-        at_least(self, 0, *counts, "rays", "ring_history")
-        positive(self, "ray_range")
-        at_least(self, 1, "ring_cap")
-        if any(not d > 0 for d in self.rings):
-            raise ValueError(f"rings must be positive diameters, not {self.rings}")
-        if len({f"{d:g}" for d in self.rings}) < len(self.rings):  # the fields' names
-            raise ValueError(f"rings must be different diameters, not {self.rings}")
-        if self.ring_history and not self.rings:
-            raise ValueError(f"ring_history {self.ring_history} needs rings")
+        if any(not (math.isfinite(d) and d > 0) for d in self.diameters):
+            raise ValueError(f"ring diameters must be positive, not {self.diameters}")
+        if len({f"{d:g}" for d in self.diameters}) < len(self.diameters):
+            # Fields are named by the diameters.
+            raise ValueError(f"ring diameters must be different, not {self.diameters}")
+        at_least(self, 1, "cap")
+        at_least(self, 0, "history")
+        if self.history and not self.diameters:
+            raise ValueError(f"ring history {self.history} needs ring diameters")
+
+
+@dataclasses.dataclass(frozen=True)
+class ViewConfig:
+    """Where other cars and free bays are tracked; in the whole lot by default.
+
+    Attributes:
+        field_of_view: full angle about the own heading [deg].
+        diameter: of the circle about the car [m]; None = the whole lot.
+    """
+
+    field_of_view: float = 360.0
+    diameter: float | None = None
+
+    def __post_init__(self) -> None:
         if not 0.0 < self.field_of_view <= 360.0:
             raise ValueError(
                 f"field_of_view must lie in (0, 360] deg, not {self.field_of_view}"
             )
-        diameter = self.tracking_diameter
+        diameter = self.diameter
         if diameter is not None and not (math.isfinite(diameter) and diameter > 0):
-            raise ValueError(
-                f"tracking_diameter must be positive or None, not {diameter}"
-            )
-        if self.share_goal_heading and not self.share_goals:
-            raise ValueError("share_goal_heading needs share_goals")
+            raise ValueError(f"view diameter must be positive or None, not {diameter}")
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether anything in the lot can be out of view."""
+        return self != ViewConfig()
+
+
+@dataclasses.dataclass(frozen=True)
+class ShareConfig:
+    """What agents know of the other agents they track, beside their poses.
+
+    Attributes:
+        speeds: their speeds.
+        goals: their goals: where they are or, where agents choose them, which of the
+            observer's tracked bays.
+        goal_headings: the headings of their goals too; fixed goals only.
+    """
+
+    speeds: bool = True
+    goals: bool = True
+    goal_headings: bool = False
+
+    def __post_init__(self) -> None:
+        if self.goal_headings and not self.goals:
+            raise ValueError("share.goal_headings needs share.goals")
+
+
+@dataclasses.dataclass(frozen=True)
+class RayConfig:
+    """Bearings along which the free way is observed; none by default.
+
+    Attributes:
+        count: evenly spaced about the car from straight ahead; 0 = none. Each is the
+            way from the car's outline to the nearest wall, disc, parked car or agent.
+        reach: longest way observed [m].
+    """
+
+    count: int = 0
+    reach: float = 10.0
+
+    def __post_init__(self) -> None:
+        at_least(self, 0, "count")
+        positive(self, "reach")
+
+
+@dataclasses.dataclass(frozen=True)
+class ContinuousObservation:
+    """Real numbers of order 1; the fields are listed in `observations.continuous`.
+
+    Attributes:
+        tracked_agents: nearest other agents observed.
+        tracked_parked_cars: nearest parked cars observed.
+        view: where they are tracked, and free bays.
+        share: what is known of tracked agents.
+        global_information: observe, of the goal or of every tracked bay, how near the
+            nearest of all agents is, and the nearest that has it as goal.
+        own_car: observe the own size, axles and turning radius; needed where agents are
+            drawn from a fleet.
+        rings: circles that count objects.
+        rays: bearings along which the free way is observed.
+        lane: observe the lane the car is in, or the nearest.
+        encoding: tag of this config.
+    """
+
+    tracked_agents: int = 2
+    tracked_parked_cars: int = 2
+    view: ViewConfig = dataclasses.field(default_factory=ViewConfig)
+    share: ShareConfig = dataclasses.field(default_factory=ShareConfig)
+    global_information: bool = False
+    own_car: bool = False
+    rings: RingConfig = dataclasses.field(
+        default_factory=lambda: RingConfig((5.0, 6.2, 8.0))
+    )
+    rays: RayConfig = dataclasses.field(default_factory=RayConfig)
+    lane: bool = False
+    encoding: Literal["continuous"] = "continuous"
+
+    def __post_init__(self) -> None:
+        choose("encoding", self.encoding, Literal["continuous"])
+        at_least(self, 0, "tracked_agents", "tracked_parked_cars")
+
+
+@dataclasses.dataclass(frozen=True)
+class TannerObservation:
+    """The vector of Tanner 2022's PPO, `carpark_mj.observations.tanner`.
+
+    The defaults are those of tables C.9 and C.10: 11 numbers.
+
+    Attributes:
+        tracked_cars: nearest cars observed, agents and parked cars in one list
+            (n_track).
+        bay_parts: what is observed of the goal, or of every tracked bay.
+        view: where cars and free bays are tracked.
+        share: what is known of tracked agents.
+        global_information: as in `ContinuousObservation`.
+        rings: circles that count objects.
+        encoding: tag of this config.
+    """
+
+    tracked_cars: int = 1
+    bay_parts: tuple[BayPart, ...] = BAY_PARTS
+    view: ViewConfig = dataclasses.field(default_factory=ViewConfig)
+    share: ShareConfig = dataclasses.field(default_factory=ShareConfig)
+    global_information: bool = False
+    rings: RingConfig = dataclasses.field(
+        default_factory=lambda: RingConfig((11 * WORLD_UNIT,), cap=1)
+    )
+    encoding: Literal["tanner"] = "tanner"
+
+    def __post_init__(self) -> None:
+        choose("encoding", self.encoding, Literal["tanner"])
+        at_least(self, 0, "tracked_cars")
         for part in self.bay_parts:
             choose("bay part", part, BayPart)
         if len(set(self.bay_parts)) < len(self.bay_parts):
             raise ValueError(f"bay_parts must be different, not {self.bay_parts}")
-        if self.encoding == "continuous":
-            self._require_defaults("tracked_cars", "bay_parts")
-            return
-        if self.tracked_agents or self.tracked_parked_cars:
-            kind = "cars in one list" if self.encoding == "tanner" else "no cars"
-            raise ValueError(
-                f"encoding '{self.encoding}' tracks {kind}: tracked_agents and "
-                "tracked_parked_cars must be 0, not "
-                f"{self.tracked_agents} and {self.tracked_parked_cars}"
-            )
-        self._require_defaults("rays", "lane")
-        if self.encoding == "indices":
-            self._require_defaults("tracked_cars", "bay_parts", "global_information")
-
-    def _require_defaults(self, *names: str) -> None:
-        """Refuses settings that the encoding does not have."""
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if field.name in names and value != field.default:
-                raise ValueError(
-                    f"encoding '{self.encoding}' has no {field.name}: it must be "
-                    f"{field.default}, not {value}"
-                )
 
 
-# What the agents of the study's PPO see, tables C.9 and C.10: 11 numbers.
-TANNER_OBSERVATION = ObservationConfig(
-    tracked_agents=0,
-    tracked_parked_cars=0,
-    tracked_cars=1,
-    rings=(11 * WORLD_UNIT,),
-    ring_cap=1,
-    encoding="tanner",
-)
+@dataclasses.dataclass(frozen=True)
+class IndexObservation:
+    """Whole numbers for a table, as in the study's Q-learning on the grid.
+
+    See `carpark_mj.observations.indices`. Goals must be fixed.
+
+    Attributes:
+        rings: circles that count objects.
+        encoding: tag of this config.
+    """
+
+    rings: RingConfig = dataclasses.field(default_factory=RingConfig)
+    encoding: Literal["indices"] = "indices"
+
+    def __post_init__(self) -> None:
+        choose("encoding", self.encoding, Literal["indices"])
+
+
+Observation = ContinuousObservation | TannerObservation | IndexObservation
+
+# What the agents of the study's PPO observe.
+TANNER_OBSERVATION = TannerObservation()

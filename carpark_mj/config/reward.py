@@ -19,7 +19,7 @@ class RewardConfig:
         final_heading: taken from it, times the misalignment with the bay's axis either
             way round: 0 along it, 1 across it.
         crash: taken once when it crashes.
-        halt: taken once when its time is up.
+        timeout: taken once when it times out.
         time: taken over a whole episode of `max_steps`, a share each step.
         progress: per metre gained towards the goal.
         alignment: per radian of misalignment with the goal's axis removed, fading
@@ -43,7 +43,7 @@ class RewardConfig:
     final_speed: float = 0.0
     final_heading: float = 0.0
     crash: float = 2.5
-    halt: float = 0.0
+    timeout: float = 0.0
     time: float = 1.0
     progress: float = 0.2
     alignment: float = 0.5
@@ -55,7 +55,7 @@ class RewardConfig:
     wrong_way: float = 0.0
     closeness: float = 15.0
     closeness_range: float = 3.0
-    goals: GoalRewards = GoalRewards()
+    goals: GoalRewards = dataclasses.field(default_factory=GoalRewards)
 
     def __post_init__(self) -> None:
         names = [f.name for f in dataclasses.fields(self) if f.name != "goals"]

@@ -69,12 +69,12 @@ class RandomizationConfig:
         steering_lag: [s].
     """
 
-    mass: Distribution = Distribution()
-    cg_x: Distribution = Distribution()
-    cg_height: Distribution = Distribution()
-    friction: Distribution = Distribution()
-    tyre_stiffness: Distribution = Distribution()
-    brake_gain: Distribution = Distribution()
+    mass: Distribution = dataclasses.field(default_factory=Distribution)
+    cg_x: Distribution = dataclasses.field(default_factory=Distribution)
+    cg_height: Distribution = dataclasses.field(default_factory=Distribution)
+    friction: Distribution = dataclasses.field(default_factory=Distribution)
+    tyre_stiffness: Distribution = dataclasses.field(default_factory=Distribution)
+    brake_gain: Distribution = dataclasses.field(default_factory=Distribution)
     steering_offset: Distribution = _ABSOLUTE
     steering_lag: Distribution = _ABSOLUTE
 

@@ -28,7 +28,7 @@ def draw(distribution: Distribution, nominal: jax.Array, key: jax.Array) -> jax.
     return nominal * (1.0 + x) if distribution.relative else nominal + x
 
 
-def randomise(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> Vehicle:
+def randomize(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> Vehicle:
     """Draws one car about a nominal one.
 
     Args:
@@ -68,28 +68,23 @@ def randomise(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> 
     )
 
 
-def make_fleet(
-    config: RandomizationConfig, vehicle: Vehicle, count: int, key: jax.Array
+def randomize_all(
+    config: RandomizationConfig, vehicles: Vehicle, key: jax.Array
 ) -> Vehicle:
-    """Cars (count,) as they spawn; all nominal while nothing varies.
+    """Draws cars about nominal ones (count,), which they are while nothing varies.
 
     Args:
         config: what varies.
-        vehicle: the nominal car, or one each, (count,).
-        count: of cars.
+        vehicles: (count,) the nominal cars.
         key: consumed.
     """
-    alike = vehicle.mass.ndim == 0
     if not config.is_on:
-        if not alike:
-            return vehicle
-        return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), vehicle)
-    keys = jax.random.split(key, count)
-    draw_car = partial(randomise, config)
-    return jax.vmap(draw_car, in_axes=(None if alike else 0, 0))(vehicle, keys)
+        return vehicles
+    keys = jax.random.split(key, vehicles.mass.shape[0])
+    return jax.vmap(partial(randomize, config))(vehicles, keys)
 
 
-def check(config: RandomizationConfig, params: VehicleParameters) -> None:
+def check_randomization(config: RandomizationConfig, params: VehicleParameters) -> None:
     """Refuses distributions that could draw an impossible car.
 
     Raises:

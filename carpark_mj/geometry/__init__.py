@@ -14,6 +14,7 @@ from carpark_mj.geometry.boxes import (
     ray_disc_distance,
     swept_half_size,
 )
+from carpark_mj.geometry.nearest import nearest
 from carpark_mj.geometry.se2 import (
     axis_angle_error,
     rotate,
@@ -32,6 +33,7 @@ __all__ = [
     "box_distance",
     "box_inside",
     "boxes_overlap",
+    "nearest",
     "point_box_distance",
     "ray_box_distance",
     "ray_disc_distance",

@@ -13,14 +13,10 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import box_corners, box_disc_overlap, boxes_overlap
-from carpark_mj.types import Motion
-
 # Pairs above which the bounds pay, measured by `eval/broad_phase.py`.
 MANY_PAIRS = 500
 # What float32 may lose of a bound at coordinates of some hundred metres.
 MARGIN = 1e-3  # m
-HITS_CHUNK = 3  # pairs per agent tested at a time for overlap: few are near
 
 Carry = TypeVar("Carry")
 
@@ -122,88 +118,3 @@ def disc_gaps(point: jax.Array, centre: jax.Array, radius: jax.Array) -> jax.Arr
     x = point[:, :1] - centre[:, 0]
     y = point[:, 1:] - centre[:, 1]
     return jnp.sqrt(x * x + y * y) - radius
-
-
-def near_box_hits(
-    vehicle: Motion,
-    pose: jax.Array,
-    size: jax.Array,
-    mask: jax.Array,
-    kind: jax.Array,
-) -> jax.Array:
-    """Which kinds of boxes each agent overlapped at a traced instant.
-
-    Args:
-        vehicle: the agents (num_agents,).
-        pose: (n, 3) boxes that stand still.
-        size: (n, 2) [m].
-        mask: (n,) bool, boxes that count.
-        kind: (n,) int, 1 or 2.
-
-    Returns:
-        (num_agents, 3) bool: another agent, a box of kind 1, a box of kind 2.
-    """
-    trace = vehicle.trace_w
-    num_agents, num_traces, _ = trace.shape
-    still = jnp.broadcast_to(pose[:, None], (pose.shape[0], num_traces, 3))
-    traces = jnp.concatenate([trace, still])
-    sizes = jnp.concatenate([vehicle.size, size])
-    kinds = jnp.concatenate([jnp.zeros(num_agents, kind.dtype), kind])
-    others = ~jnp.eye(num_agents, dtype=bool)
-    counts = jnp.broadcast_to(mask, (num_agents, pose.shape[0]))
-    counts = jnp.concatenate([others, counts], axis=1)
-
-    stray = jnp.concatenate([strays(vehicle), jnp.zeros(pose.shape[0])])
-    bound = box_gaps(trace[:, -1, :2], traces[:, -1], sizes) - stray
-    bound = jnp.where(counts, bound, jnp.inf)
-    reach = reaches(vehicle)
-
-    def test(hit: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
-        own_size, other_size = vehicle.size[:, None, None], sizes[index][:, :, None]
-        overlap = boxes_overlap(trace[:, None], own_size, traces[index], other_size)
-        found = overlap.any(axis=-1) & valid
-        of_kind = kinds[index][..., None] == jnp.arange(3)
-        return hit | jnp.any(found[..., None] & of_kind, axis=1)
-
-    nothing = jnp.zeros((num_agents, 3), bool)
-    return visit_near(bound, lambda _: reach, test, nothing, HITS_CHUNK)
-
-
-def near_disc_hits(
-    vehicle: Motion, centre: jax.Array, radius: jax.Array, mask: jax.Array
-) -> jax.Array:
-    """Whether each agent (num_agents,) overlapped a disc at a traced instant.
-
-    Args:
-        vehicle: the agents (num_agents,).
-        centre: (n, 2) [m].
-        radius: (n,) [m].
-        mask: (n,) bool, discs that count.
-    """
-    trace = vehicle.trace_w
-    bound = disc_gaps(trace[:, -1, :2], centre, radius)
-    reach = reaches(vehicle)
-
-    def test(hit: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
-        own_size = vehicle.size[:, None, None]
-        where, size = centre[index][:, :, None], radius[index][:, :, None]
-        overlap = box_disc_overlap(trace[:, None], own_size, where, size)
-        return hit | jnp.any(overlap.any(axis=-1) & valid, axis=1)
-
-    nothing = jnp.zeros(trace.shape[0], bool)
-    bound = jnp.where(mask, bound, jnp.inf)
-    return visit_near(bound, lambda _: reach, test, nothing, HITS_CHUNK)
-
-
-def strays(vehicle: Motion) -> jax.Array:
-    """How far (num_agents,) [m] points of the agents' boxes are from where they end."""
-    # A rigid motion moves a corner farthest.
-    corners = box_corners(vehicle.trace_w, vehicle.size[:, None])
-    return jnp.linalg.norm(corners - corners[:, -1:], axis=-1).max(axis=(1, 2))
-
-
-def reaches(vehicle: Motion) -> jax.Array:
-    """Radii (num_agents,) [m] about where agents end that hold all of their traces."""
-    way = vehicle.trace_w[..., :2] - vehicle.trace_w[:, -1:, :2]
-    way = jnp.linalg.norm(way, axis=-1).max(axis=1)
-    return jnp.linalg.norm(vehicle.size, axis=-1) / 2 + way + MARGIN

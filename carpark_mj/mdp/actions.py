@@ -1,16 +1,15 @@
-"""What becomes of actions that are out of range: neutralised, or refused.
+"""Actions: what they consist of, and how invalid ones are sanitized.
 
-Jitted code cannot raise, so `ParkingEnv.step` neutralises and counts them; code that
-takes actions from outside JAX refuses them with `check_actions`.
+Jitted code cannot raise, so what is NaN or out of range is replaced and counted.
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from numpy.typing import ArrayLike
+
+from carpark_mj.config import EnvConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,75 +42,86 @@ class ActionSpec:
         return jnp.array([0] * self.continuous + indices, self.dtype)
 
 
-def neutralise(action: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Makes actions harmless.
+class Action(NamedTuple):
+    """A sanitized action of agents (...).
 
-    Args:
-        action: (..., k), any numbers.
-
-    Returns:
-        Actions (..., k) in [-1, 1], NaN replaced by 0 and the rest clipped, and
-        (...) bool, whether anything had to be changed.
+    Attributes:
+        controls: (..., 2) steer and pedal in [-1, 1]; on the grid int32 indices of an
+            acceleration and a turn.
+        goal_choice: (...) int32 0 = explore, k = head for the k-th tracked bay; None
+            while goals are fixed.
+        invalid: (...) bool, whether anything had to be replaced.
     """
-    invalid = ~(jnp.abs(action) <= 1.0)
-    harmless = jnp.where(jnp.isnan(action), 0.0, jnp.clip(action, -1.0, 1.0))
-    return harmless, jnp.any(invalid, axis=-1)
+
+    controls: jax.Array
+    goal_choice: jax.Array | None
+    invalid: jax.Array
 
 
-def neutralise_choices(
-    choice: jax.Array, choices: tuple[int, ...]
-) -> tuple[jax.Array, jax.Array]:
-    """Makes indices of choices harmless.
-
-    Args:
-        choice: (..., k), any numbers.
-        choices: how many there are to choose from in each of the k branches.
-
-    Returns:
-        Indices (..., k) int32, the middle one for NaN and the nearest for others that
-        are none, and (...) bool, whether anything had to be changed.
-    """
-    most = jnp.array(choices, jnp.float32) - 1
-    value = choice.astype(jnp.float32)
-    nearest = jnp.clip(jnp.round(value), 0, most)
-    harmless = jnp.where(jnp.isnan(value), most // 2, nearest)
-    return harmless.astype(jnp.int32), jnp.any(harmless != value, axis=-1)
+def action_spec(config: EnvConfig) -> ActionSpec:
+    """What an action consists of: two controls and, with dynamic goals, a choice."""
+    goals = config.goals
+    choice = (1 + goals.num_tracked_bays,) if goals.dynamic else ()
+    if config.physics == "grid":
+        return ActionSpec(0, (*config.grid.choices, *choice))
+    return ActionSpec(2, choice)
 
 
-def harmless(
+def parse(config: EnvConfig, action: jax.Array) -> Action:
+    """Sanitizes actions (..., size) and takes them apart."""
+    numbers, indices, invalid = sanitize_action(action_spec(config), action)
+    controls = numbers
+    if config.physics == "grid":
+        controls, indices = indices[..., :2], indices[..., 2:]
+    choice = indices[..., 0] if config.goals.dynamic else None
+    return Action(controls, choice, invalid)
+
+
+def sanitize_action(
     spec: ActionSpec, action: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Takes actions (..., spec.size) apart and makes them harmless.
+    """Replaces what is NaN or out of range in actions (..., spec.size).
 
     Returns:
         The numbers (..., spec.continuous) and the indices (..., choices) int32, see
-        `neutralise` and `neutralise_choices`, and (...) bool, whether any was changed.
+        `sanitize_numbers` and `sanitize_indices`, and (...) bool, whether any was
+        replaced.
     """
-    numbers, invalid = neutralise(action[..., : spec.continuous])
+    numbers, invalid = sanitize_numbers(action[..., : spec.continuous])
     indices = action[..., spec.continuous :].astype(jnp.int32)
     if spec.choices:
-        indices, wrong = neutralise_choices(
-            action[..., spec.continuous :], spec.choices
-        )
+        indices, wrong = sanitize_indices(action[..., spec.continuous :], spec.choices)
         invalid = invalid | wrong
     return numbers, indices, invalid
 
 
-def check_actions(action: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Actions from outside as a float32 array, refused if not in [-1, 1].
+def sanitize_numbers(numbers: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Brings numbers (..., k) into [-1, 1].
+
+    Returns:
+        Numbers (..., k), NaN replaced by 0 and the rest clipped, and (...) bool,
+        whether any was replaced.
+    """
+    invalid = ~(jnp.abs(numbers) <= 1.0)
+    sanitized = jnp.where(jnp.isnan(numbers), 0.0, jnp.clip(numbers, -1.0, 1.0))
+    return sanitized, jnp.any(invalid, axis=-1)
+
+
+def sanitize_indices(
+    indices: jax.Array, choices: tuple[int, ...]
+) -> tuple[jax.Array, jax.Array]:
+    """Brings indices (..., k) into the ranges of their branches.
 
     Args:
-        action: numbers.
-        shape: what its shape must be.
+        indices: any numbers.
+        choices: how many there are to choose from in each of the k branches.
 
-    Raises:
-        ValueError: wrong shape, NaN, or a number outside [-1, 1].
+    Returns:
+        Indices (..., k) int32, the middle one for NaN and the nearest for others that
+        are none, and (...) bool, whether any was replaced.
     """
-    array = np.asarray(action, np.float32)
-    if array.shape != shape:
-        raise ValueError(f"action must have the shape {shape}, not {array.shape}")
-    wrong = ~(np.abs(array) <= 1.0)
-    if wrong.any():
-        index = tuple(int(i) for i in np.argwhere(wrong)[0])
-        raise ValueError(f"action{list(index)} must lie in [-1, 1], not {array[index]}")
-    return array
+    most = jnp.array(choices, jnp.float32) - 1
+    value = indices.astype(jnp.float32)
+    nearest = jnp.clip(jnp.round(value), 0, most)
+    sanitized = jnp.where(jnp.isnan(value), most // 2, nearest)
+    return sanitized.astype(jnp.int32), jnp.any(sanitized != value, axis=-1)

@@ -1,156 +1,161 @@
 """Goals that agents choose themselves: explore, or head for a bay they track.
 
-An agent whose goal is the number of bays, `layout.num_bays`, is exploring. A step
-begins with everybody's choice, made from what was observed last; what an agent can
-choose depends on nobody else, so that choosing in turn or at once is the same. It ends
-with goals that are lost: because somebody else has parked there, or, once agents have
-looked round again, because the bay is no longer among those they track.
+A step begins with everybody's choice, made from what was observed last; what an agent
+can choose depends on nobody else, so that choosing in turn or at once is the same. It
+ends with goals that are lost: because another agent has parked there, or, once tracked
+bays are updated, because the bay is no longer among them.
 """
+
+import dataclasses
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
-from carpark_mj.layouts.types import Layout
-
-
-@struct.dataclass
-class GoalEvents:
-    """What became of each agent's goal in a step; all (num_agents,) bool.
-
-    Exactly one of the first five, which the agent chose, holds for one that is active.
-    The last two exclude each other and come after the choice.
-
-    Attributes:
-        continue_explore: had no goal and took none.
-        stop_explore: took a goal.
-        continue_goal: kept its goal.
-        change_goal: took another goal.
-        stop_goal: gave its goal up.
-        lost_untracked: lost its goal, which is no longer among the tracked bays.
-        lost_taken: lost its goal, where somebody else has parked.
-    """
-
-    continue_explore: jax.Array
-    stop_explore: jax.Array
-    continue_goal: jax.Array
-    change_goal: jax.Array
-    stop_goal: jax.Array
-    lost_untracked: jax.Array
-    lost_taken: jax.Array
-
-    @property
-    def exploring(self) -> jax.Array:
-        """(num_agents,) has no goal during the step."""
-        return self.continue_explore | self.stop_goal
+from carpark_mj.config import EnvConfig
+from carpark_mj.mdp.bays import bay_fits
+from carpark_mj.mdp.giving_way import find_contexts
+from carpark_mj.mdp.spawning.exploring import first_goals, place_exploring
+from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
+from carpark_mj.mdp.spawning.poses import random_pose, spawn_keys
+from carpark_mj.mdp.tracked_bays import target_pose, update_tracked_bays
+from carpark_mj.observations.tracking import in_view, tracks
+from carpark_mj.types import NO_BAY, Events, GoalEvents, State
 
 
-# Tallies of an episode, by what became of the goal in its steps; see `GoalEvents`.
-GOAL_COUNTS = (
-    "explored_steps",
-    "towards_space_steps",
-    "stop_explore",
-    "change_goal",
-    "stop_goal",
-    "lost_untracked",
-    "lost_taken",
-)
+class ChosenGoals:
+    """Goals behind the `Goals` interface that agents choose at every step."""
 
+    def __init__(self, config: EnvConfig) -> None:
+        """Takes the rules."""
+        self._config = config
 
-def goal_counts(events: GoalEvents, nearer: jax.Array) -> dict[str, jax.Array]:
-    """A step (num_agents,) as numbers to be added up, by the names of `GOAL_COUNTS`.
+    def first_pose(
+        self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
+    ) -> jax.Array:
+        """Random: there is no goal to start close to, or on the way to."""
+        around = surroundings(inputs, placing, agent)
+        around = dataclasses.replace(around, others=~placing.waiting)
+        spawn = self._config.spawn
+        return random_pose(spawn, inputs.layout, around, spawn_keys(key))
 
-    `nearer` (num_agents,) bool says whom the step led nearer to a tracked bay.
-    """
-    exploring = events.exploring
-    counts = {"explored_steps": exploring, "towards_space_steps": exploring & nearer}
-    counts |= {name: getattr(events, name) for name in GOAL_COUNTS[2:]}
-    return {name: count.astype(jnp.float32) for name, count in counts.items()}
+    def place(
+        self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
+    ) -> Placing:
+        """Sends the agent exploring, from a pose that may be close to a bay."""
+        goal = placing.goal.at[agent].set(NO_BAY)
+        placing = dataclasses.replace(placing, goal=goal)
+        spawn_key, _ = jax.random.split(key)  # the second part is not used
+        return place_exploring(self._config.spawn, inputs, placing, agent, spawn_key)
+
+    def init_tracked_bays(self) -> jax.Array:
+        """Empty slots (num_agents, num_tracked_bays) int32."""
+        shape = (self._config.num_agents, self._config.goals.num_tracked_bays)
+        return jnp.full(shape, NO_BAY, jnp.int32)
+
+    def track(self, state: State) -> State:
+        """Updates tracked bays; goals that are no longer among them are lost."""
+        state = update_tracked_bays(state, self._usable_bays(state))
+        assert state.tracked_bays is not None
+        lost = state.active & untracked(state.goal, state.tracked_bays)
+        goal = jnp.where(lost, NO_BAY, state.goal)
+        return dataclasses.replace(state, goal=goal)
+
+    def choose(self, state: State, choice: jax.Array | None) -> State:
+        """Goals of the agents that have not finished, by their choices."""
+        assert choice is not None and state.tracked_bays is not None
+        chosen = choose_goals(state.goal, state.tracked_bays, choice)
+        goal = jnp.where(state.active, chosen, state.goal)
+        return dataclasses.replace(state, goal=goal)
+
+    def target_pose(self, state: State) -> jax.Array:
+        """Poses (num_agents, 3) of goals, or of the nearest bay tracked."""
+        tracked, xy = state.tracked_bays, state.motion.xy
+        assert tracked is not None
+        return target_pose(state.layout, state.goal, tracked, xy)[0]
+
+    def update(
+        self, before: State, after: State, events: Events
+    ) -> tuple[State, GoalEvents]:
+        """Goals are lost, and tracked bays updated, at the end of a step."""
+        taken = taken_by_others(after.goal, events.parked) & ~events.done
+        # Where finished agents stay, those that have parked stand in their bays.
+        respawn = self._config.episode.respawn
+        leaves = events.done if respawn else events.done & ~events.parked
+        goal = jnp.where(taken | leaves, NO_BAY, after.goal)
+        state = dataclasses.replace(after, goal=goal)
+        tracking = self.track(state)
+        lost = state.goal != tracking.goal
+        return tracking, self._name_events(before, after.goal, taken, lost)
+
+    def _name_events(
+        self, before: State, chosen: jax.Array, taken: jax.Array, lost: jax.Array
+    ) -> GoalEvents:
+        """Names what became of goals; nothing for agents that had finished."""
+        old, active = before.goal, before.active
+        had, has = active & (old != NO_BAY), active & (chosen != NO_BAY)
+        return GoalEvents(
+            continue_explore=active & ~had & ~has,
+            stop_explore=~had & has,
+            continue_goal=had & has & (old == chosen),
+            change_goal=had & has & (old != chosen),
+            stop_goal=had & ~has,
+            lost_untracked=lost,
+            lost_taken=taken,
+            contexts=find_contexts(before, chosen, tracks(self._config, before)),
+        )
+
+    def begin(
+        self, state: State, placing: Placing, begun: jax.Array, key: jax.Array | None
+    ) -> State:
+        """Agents that begin track bays from where they stand, and may have a goal."""
+        assert state.tracked_bays is not None
+        tracked = jnp.where(begun[:, None], NO_BAY, state.tracked_bays)
+        state = self.track(dataclasses.replace(state, tracked_bays=tracked))
+        if key is None:
+            return state
+        assert state.tracked_bays is not None
+        goal = first_goals(placing, state.tracked_bays, state.goal, begun, key)
+        return dataclasses.replace(state, goal=goal)
+
+    def _usable_bays(self, state: State) -> jax.Array | None:
+        """Bays (num_agents, bays) that agents can track as goals; None = all."""
+        layout, config = state.layout, self._config
+        size = state.physics.vehicle.size
+        usable = bay_fits(config, layout, size, state.parked_cars.size).agents
+        view = config.observation.view
+        if not view.is_limited:
+            return usable
+        seen = in_view(view, state.motion.pose_w, layout.bay_pose[:, :2])
+        return seen if usable is None else seen & usable
 
 
 def choose_goals(
-    goal: jax.Array, spaces: jax.Array, choice: jax.Array, exploring: int
+    goal: jax.Array, tracked_bays: jax.Array, choice: jax.Array
 ) -> jax.Array:
     """Applies the agents' choices.
 
     Args:
         goal: (num_agents,) int32 goals so far.
-        spaces: (num_agents, num_spaces) int32 the bays they track.
+        tracked_bays: (num_agents, num_tracked_bays) int32.
         choice: (num_agents,) int, 0 = explore, k = the bay in slot k - 1; an empty
             slot, and any other number, keeps the goal.
-        exploring: the goal of one that has none, the number of bays.
 
     Returns:
         (num_agents,) int32 goals.
     """
-    number = jnp.arange(1, spaces.shape[1] + 1)
-    here = (choice[:, None] == number) & (spaces < exploring)
-    chosen = jnp.min(jnp.where(here, spaces, exploring), axis=1)
+    number = jnp.arange(1, tracked_bays.shape[1] + 1)
+    here = (choice[:, None] == number) & (tracked_bays != NO_BAY)
+    chosen = jnp.min(jnp.where(here, tracked_bays, NO_BAY), axis=1)
     chosen = jnp.where(here.any(axis=1), chosen, goal)
-    return jnp.where(choice == 0, exploring, chosen).astype(jnp.int32)
-
-
-def lose_goals(
-    goal: jax.Array, lost: jax.Array, exploring: int
-) -> tuple[jax.Array, jax.Array]:
-    """Sends agents exploring that have lost their goals.
-
-    Args:
-        goal: (num_agents,) int32.
-        lost: (num_agents,) bool; says nothing of agents that are exploring.
-        exploring: see `choose_goals`.
-
-    Returns:
-        Goals (num_agents,), and (num_agents,) bool, who has lost one.
-    """
-    lost = lost & (goal < exploring)
-    return jnp.where(lost, exploring, goal), lost
+    return jnp.where(choice == 0, NO_BAY, chosen).astype(jnp.int32)
 
 
 def taken_by_others(goal: jax.Array, parked: jax.Array) -> jax.Array:
-    """Whose goal is a bay where somebody else has `parked` in this step; bool."""
+    """Whose goal is a bay where another agent has `parked` in this step; bool."""
     same = (goal[:, None] == goal) & ~jnp.eye(goal.shape[0], dtype=bool)
     return (same & parked).any(axis=1) & ~parked
 
 
-def goal_events(
-    before: jax.Array,
-    chosen: jax.Array,
-    lost_untracked: jax.Array,
-    lost_taken: jax.Array,
-    active: jax.Array,
-    exploring: int,
-) -> GoalEvents:
-    """Names what became of goals (num_agents,); nothing for finished agents."""
-    had, has = active & (before < exploring), active & (chosen < exploring)
-    return GoalEvents(
-        continue_explore=active & ~had & ~has,
-        stop_explore=~had & has,
-        continue_goal=had & has & (before == chosen),
-        change_goal=had & has & (before != chosen),
-        stop_goal=had & ~has,
-        lost_untracked=lost_untracked,
-        lost_taken=lost_taken,
-    )
-
-
-def aims(
-    layout: Layout, goal: jax.Array, spaces: jax.Array, xy: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """What each agent is after: its goal, or the nearest bay it tracks.
-
-    Args:
-        layout: the lot.
-        goal: (num_agents,) int32.
-        spaces: (num_agents, num_spaces) int32.
-        xy: (num_agents, 2) centres of the agents [m].
-
-    Returns:
-        Poses (num_agents, 3), and (num_agents,) bool, whether there is any such bay.
-    """
-    rows = jnp.minimum(spaces, layout.num_bays - 1)
-    gap = jnp.linalg.norm(layout.bay_pose[rows, :2] - xy[:, None], axis=-1)
-    rank = jnp.argmin(jnp.where(spaces < layout.num_bays, gap, jnp.inf), axis=1)
-    near = jnp.take_along_axis(spaces, rank[:, None], axis=1)[:, 0]
-    bay = jnp.where(goal < layout.num_bays, goal, near)
-    return layout.bay_pose[jnp.minimum(bay, layout.num_bays - 1)], bay < layout.num_bays
+def untracked(goal: jax.Array, tracked_bays: jax.Array) -> jax.Array:
+    """Whose goal (num_agents,) is not among the bays it tracks; bool."""
+    return (goal != NO_BAY) & ~(tracked_bays == goal[:, None]).any(axis=1)

@@ -28,17 +28,11 @@ the study: each meets the new goals of those before it and the old ones of those
 it (`goals_in_turn`). Cars move together once all have chosen.
 """
 
-from typing import get_args
-
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import ContextName, GivingWayConfig
-
-CONTEXTS: tuple[ContextName, ...] = get_args(ContextName)
-# What is counted: steps in each context, and those in which the agent gave way.
-COUNTS = tuple(f"{what}_{name}" for what in ("met", "gave_way") for name in CONTEXTS)
-Contexts = dict[ContextName, jax.Array]
+from carpark_mj.config import ContextName
+from carpark_mj.types import NO_BAY, State
 
 
 def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
@@ -56,35 +50,28 @@ def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
 
 
 def find_contexts(
-    pose_w: jax.Array,
-    goal: jax.Array,
-    met_goal: jax.Array,
-    bay_pose: jax.Array,
-    tracked: jax.Array,
-    active: jax.Array,
-) -> Contexts:
+    before: State, chosen: jax.Array, tracked: jax.Array
+) -> dict[ContextName, jax.Array]:
     """In which contexts each agent is, see the table above.
 
+    Agents that have finished give no way, and nobody gives way to them.
+
     Args:
-        pose_w: (num_agents, 3) at the start of the step.
-        goal: (num_agents,) own goals at the start of the step; the number of bays
-            while exploring, when an agent is in no context.
-        met_goal: (num_agents, num_agents) goals of the others, see `goals_in_turn`.
-        bay_pose: (num_bays, 3).
+        before: at the start of the step, goals not chosen yet.
+        chosen: (num_agents,) int32 goals chosen.
         tracked: (num_agents, num_agents) bool, [i, j] whether agent i tracks agent j.
-        active: (num_agents,) bool; agents that have finished give no way, and nobody
-            gives way to them.
 
     Returns:
-        (num_agents,) bool by context.
+        (num_agents,) bool by context; an agent that was exploring is in none.
     """
-    num_agents, num_bays = goal.shape[0], bay_pose.shape[0]
-    aim = bay_pose[jnp.minimum(goal, num_bays - 1), :2]
-    distance = jnp.linalg.norm(pose_w[:, :2] - aim[:, None], axis=-1)
+    goal, active = before.goal, before.active
+    met_goal = goals_in_turn(goal, chosen)
+    aim = before.layout.bay_pose[jnp.minimum(goal, before.layout.num_bays - 1), :2]
+    distance = jnp.linalg.norm(before.motion.xy - aim[:, None], axis=-1)
     better = distance < jnp.diagonal(distance)[:, None]
     # One's own distance is not less than itself, but compilers may round twice.
-    better = better & ~jnp.eye(num_agents, dtype=bool) & active & active[:, None]
-    better = better & (goal < num_bays)[:, None]
+    own = jnp.eye(goal.shape[0], dtype=bool)
+    better = better & ~own & active & active[:, None] & (goal != NO_BAY)[:, None]
     same = met_goal == goal[:, None]
 
     def some(condition: jax.Array) -> jax.Array:
@@ -105,46 +92,3 @@ def find_contexts(
         "only_untracked_any": global_any & ~local_any,
         "global_same_not_local_any": global_same & ~local_any,
     }
-
-
-def enforce(
-    config: GivingWayConfig,
-    contexts: Contexts,
-    kept: jax.Array,
-    terms: dict[str, jax.Array],
-) -> dict[str, jax.Array]:
-    """Pays agents that keep a bad goal `bad_goal` instead of `continue_goal`.
-
-    Args:
-        config: the scheme, which names the enforced context.
-        contexts: of the step.
-        kept: (num_agents,) bool, who has a goal and kept it in the step.
-        terms: the reward (num_agents,) by term, `goal_rewards.dynamic_terms`.
-
-    Returns:
-        The terms with `bad_goal` among them, if a context is enforced.
-    """
-    if config.context is None:
-        return terms
-    bad = contexts[config.context] & kept
-    return terms | {
-        "continue_goal": jnp.where(bad, 0.0, terms["continue_goal"]),
-        "bad_goal": jnp.where(bad, config.bad_goal, 0.0).astype(jnp.float32),
-    }
-
-
-def count(contexts: Contexts, let_go: jax.Array) -> dict[str, jax.Array]:
-    """A step as numbers to be added up over steps, agents and episodes.
-
-    Args:
-        contexts: of the step.
-        let_go: (num_agents,) bool, who chose another goal or to explore; goals that
-            are lost are not let go of.
-
-    Returns:
-        (num_agents,) float32 by the names of `COUNTS`: `met_<context>`, 1 in the
-        context, and `gave_way_<context>`, 1 if the goal was let go of besides.
-    """
-    met = {f"met_{name}": contexts[name] for name in CONTEXTS}
-    gave_way = {f"gave_way_{name}": contexts[name] & let_go for name in CONTEXTS}
-    return {name: x.astype(jnp.float32) for name, x in (met | gave_way).items()}

@@ -1,15 +1,14 @@
-"""Reward terms that dynamic goals add or change; see `GoalRewards` for the weights."""
+"""Reward terms that goals chosen by agents add or change; weights in `GoalRewards`."""
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import RewardConfig
-from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.chosen_goals import GoalEvents, aims
-from carpark_mj.mdp.rewards import goal_potential
-from carpark_mj.types import Motion
+from carpark_mj.config import EnvConfig
+from carpark_mj.mdp.progress import goal_potential
+from carpark_mj.mdp.tracked_bays import target_pose
+from carpark_mj.types import NO_BAY, GoalEvents, Transition
 
-TERMS = (
+GOAL_TERMS = (
     "continue_explore",
     "stop_explore",
     "continue_goal",
@@ -20,14 +19,49 @@ TERMS = (
 )
 
 
-def dynamic_progress(
-    config: RewardConfig,
-    layout: Layout,
-    spaces: jax.Array,
-    goals: tuple[jax.Array, jax.Array],
-    before: Motion,
-    after: Motion,
-) -> jax.Array:
+def goal_terms(
+    config: EnvConfig,
+    transition: Transition,
+    goals: GoalEvents,
+    terms: dict[str, jax.Array],
+) -> dict[str, jax.Array]:
+    """All terms of a step with chosen goals.
+
+    Agents that keep a bad goal, one that the giving-way scheme in force asks them to
+    let go of, earn `bad_goal` instead of `continue_goal`.
+
+    Args:
+        config: weights and the giving-way scheme.
+        transition: the step.
+        goals: what became of the goals.
+        terms: (num_agents,) those of driving, towards the goals chosen in the step.
+
+    Returns:
+        Named terms (num_agents,), weights and signs applied.
+    """
+    pay, scheme = config.reward.goals, config.giving_way
+    kept = pay.continue_goal * goals.continue_goal
+    terms = terms | {
+        "progress": chosen_progress(config, transition),
+        "approach": jnp.where(goals.exploring, 0.0, terms["approach"]),
+        "continue_explore": pay.continue_explore * goals.continue_explore,
+        "stop_explore": pay.stop_explore * goals.stop_explore,
+        "continue_goal": kept,
+        "change_goal": pay.change_goal * goals.change_goal,
+        "stop_goal": pay.stop * goals.stop_goal,
+        "lost_goal": pay.lost * goals.lost_untracked,
+        "taken_goal": pay.taken_goal * goals.lost_taken,
+    }
+    if scheme.context is None:
+        return terms
+    bad = goals.contexts[scheme.context] & goals.continue_goal
+    return terms | {
+        "continue_goal": jnp.where(bad, 0.0, kept),
+        "bad_goal": jnp.where(bad, scheme.bad_goal, 0.0),
+    }
+
+
+def chosen_progress(config: EnvConfig, transition: Transition) -> jax.Array:
     """Progress (num_agents,) when goals change: no closed loop pays, nor any switch.
 
     Progress is that towards the goal chosen in the step. An agent that explores earns
@@ -36,62 +70,18 @@ def dynamic_progress(
     one, for ever. To take a farther goal costs the way thrown away, a nearer one pays
     nothing. So all terms of a loop that ends where and with what it began add up to
     the sum of potential differences, which is 0, less something.
-
-    Args:
-        config: weights.
-        layout: the lot.
-        spaces: (num_agents, num_spaces) bays tracked at the start of the step.
-        goals: (num_agents,) at its start, and as chosen in it.
-        before: the agents (num_agents,) at its start.
-        after: at its end.
     """
-    xy = before.pose_w[:, :2]
-    old, _ = aims(layout, goals[0], spaces, xy)
-    new, any_bay = aims(layout, goals[1], spaces, xy)
-    exploring = goals[1] == layout.num_bays
+    before, layout = transition.before, transition.before.layout
+    tracked, weights = before.tracked_bays, config.reward
+    assert tracked is not None
+    pose, after_pose = before.motion.pose_w, transition.after.motion.pose_w
+    old, _ = target_pose(layout, before.goal, tracked, pose[:, :2])
+    new, any_bay = target_pose(layout, transition.goal, tracked, pose[:, :2])
+    exploring = transition.goal == NO_BAY
     # Of an explorer's nearest bay at the end: another may have become that.
-    end = jnp.where(
-        exploring[:, None], aims(layout, goals[1], spaces, after.pose_w[:, :2])[0], new
-    )
-    start = goal_potential(config, before.pose_w, new)
-    moved = goal_potential(config, after.pose_w, end) - start
+    end = jnp.where(exploring[:, None], transition.target_pose, new)
+    start = goal_potential(weights, pose, new)
+    moved = goal_potential(weights, after_pose, end) - start
     moved = jnp.where(exploring, jnp.minimum(moved, 0.0), moved)
-    switched = start - goal_potential(config, before.pose_w, old)
+    switched = start - goal_potential(weights, pose, old)
     return jnp.where(any_bay, moved + jnp.minimum(switched, 0.0), 0.0)
-
-
-def dynamic_terms(
-    config: RewardConfig,
-    terms: dict[str, jax.Array],
-    progress: jax.Array,
-    goals: GoalEvents,
-    diverged: jax.Array,
-) -> dict[str, jax.Array]:
-    """The reward of one step with dynamic goals, term by term.
-
-    Args:
-        config: weights.
-        terms: those of `rewards.reward_terms`, towards the goal chosen in the step.
-        progress: (num_agents,) see `dynamic_progress`.
-        goals: what became of the goals.
-        diverged: (num_agents,) bool, whose terms are all 0.
-
-    Returns:
-        Named terms (num_agents,), weights and signs applied.
-    """
-    pay = config.goals
-    terms = terms | {
-        "progress": progress,
-        "approach": jnp.where(goals.exploring, 0.0, terms["approach"]),
-        "continue_explore": pay.continue_explore * goals.continue_explore,
-        "stop_explore": pay.stop_explore * goals.stop_explore,
-        "continue_goal": pay.continue_goal * goals.continue_goal,
-        "change_goal": pay.change_goal * goals.change_goal,
-        "stop_goal": pay.stop * goals.stop_goal,
-        "lost_goal": pay.lost * goals.lost_untracked,
-        "taken_goal": pay.taken_goal * goals.lost_taken,
-    }
-    return {
-        name: jnp.where(diverged, 0.0, term).astype(jnp.float32)
-        for name, term in terms.items()
-    }

@@ -1,28 +1,25 @@
-"""Which car fits where: in bays, in the bay it stands in, at a start pose."""
+"""Parked cars: where they stand in their bays, and which makes room for an agent.
+
+Where an agent has parked a parked car takes its place, so that the number of parked
+cars, and of free bays, stays what it was (Tanner 2022, section 3.2.1).
+"""
+
+import dataclasses
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import ParkedRule
-from carpark_mj.geometry import box_disc_overlap, boxes_overlap, to_world
+from carpark_mj.config import EnvConfig
+from carpark_mj.geometry import to_world
 from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.bays import fits
+from carpark_mj.observations.tracking import tracks_parked_cars
+from carpark_mj.types import NO_BAY, Events, ParkedCars, State
 
-# Least room beyond the car, along and across, that makes a bay a goal [m]: under
-# `strict` the footprint must end within the lines, which takes some room to steer; the
-# other rules judge the centre, so that a car need only not be larger than its bay.
-SLACK: dict[ParkedRule, float] = {"strict": 0.1, "precise": 0.0, "tanner": 0.0}
+_Relocation = tuple[jax.Array, jax.Array, jax.Array]  # bays, tracked, agents waiting
 
-AWAY = 1e4  # m; parked cars that are absent stand so far out, one behind the other
+AWAY = 1e4  # m; absent parked cars stand so far out, one behind the other
 _QUEUE = 20.0  # m between them
-
-
-def fits(bay_size: jax.Array, car_size: jax.Array, slack: float = 0.0) -> jax.Array:
-    """Whether cars (..., 2) fit into bays (bays, 2), with room to spare [m].
-
-    Returns:
-        (..., bays) bool.
-    """
-    return jnp.all(car_size[..., None, :] + slack <= bay_size, axis=-1)
 
 
 def stand_in_bay(
@@ -64,54 +61,74 @@ def stand_in_bay(
     return to_world(bay_pose, jnp.concatenate([xy, yaw[..., None]], axis=-1))
 
 
-def parked_poses(
-    layout: Layout,
-    parked_bay: jax.Array,
-    parked_size: jax.Array,
-    offset: jax.Array | None,
-) -> jax.Array:
-    """Poses (num_parked_cars, 3) of parked cars, `AWAY` of those that are absent.
-
-    Args:
-        layout: the lot.
-        parked_bay: (num_parked_cars,) bays, see `goals.Occupancy`.
-        parked_size: (num_parked_cars, 2) [m].
-        offset: (num_parked_cars, 3) see `stand_in_bay`; None = all in the middle.
-    """
-    pose = layout.bay_pose[parked_bay]
-    if offset is not None:
-        pose = stand_in_bay(pose, layout.bay_size[parked_bay], parked_size, offset)
-    place = AWAY + _QUEUE * jnp.arange(parked_bay.shape[0], dtype=pose.dtype)
+def poses_in_bays(layout: Layout, cars: ParkedCars) -> jax.Array:
+    """Poses (num_parked_cars, 3) of parked cars in their bays; `AWAY` if absent."""
+    pose = layout.bay_pose[cars.bay]
+    if cars.offset is not None:
+        size = layout.bay_size[cars.bay]
+        pose = stand_in_bay(pose, size, cars.size, cars.offset)
+    place = AWAY + _QUEUE * jnp.arange(cars.bay.shape[0], dtype=pose.dtype)
     zero = jnp.zeros_like(place)
     away = jnp.stack([place, zero, zero], axis=-1)
-    return jnp.where((parked_bay < layout.num_bays)[:, None], pose, away)
+    return jnp.where(cars.present[:, None], pose, away)
 
 
-def touches(
-    layout: Layout,
-    pose: jax.Array,
-    size: jax.Array,
-    parked_pose: jax.Array,
-    parked_size: jax.Array,
-) -> jax.Array:
-    """Whether one car at poses (n, 3) would touch a wall, a disc or a parked car.
+def in_bays(layout: Layout, cars: ParkedCars, bay: jax.Array) -> ParkedCars:
+    """The parked cars put into other bays (num_parked_cars,) int32.
+
+    A car that keeps its bay keeps its pose, in which it may have been pushed.
+    """
+    moved = dataclasses.replace(cars, bay=bay)
+    pose = poses_in_bays(layout, moved)
+    pose = jnp.where((bay != cars.bay)[:, None], pose, cars.pose_w)
+    return dataclasses.replace(moved, pose_w=pose)
+
+
+def relocate_parked_cars(
+    config: EnvConfig, state: State, events: Events, key: jax.Array
+) -> ParkedCars:
+    """Moves a parked car into every bay where an agent has just parked.
+
+    The car farthest from all agents moves, so that no agent sees it go; or, by
+    `SpawnConfig.evolution`, a random one that no agent tracks, and any if they track
+    them all. Of cars that differ in size only those move that fit into the bay.
 
     Args:
-        layout: the lot.
-        pose: (n, 3) of the footprint's centre.
-        size: (2,) [m].
-        parked_pose: (num_parked_cars, 3).
-        parked_size: (num_parked_cars, 2) [m].
-
-    Returns:
-        (n,) bool.
+        config: the rule, and how many parked cars an agent tracks.
+        state: at the end of the step, before new episodes begin.
+        events: of the step.
+        key: consumed.
     """
-    own = pose[:, None]
-    walls = boxes_overlap(own, size, layout.wall_pose, layout.wall_size)
-    discs = box_disc_overlap(own, size, layout.disc_centre, layout.disc_radius)
-    parked = boxes_overlap(own, size, parked_pose, parked_size)
-    return (
-        (walls & layout.wall_mask).any(1)
-        | (discs & layout.disc_mask).any(1)
-        | parked.any(1)
+    cars, layout, rule = state.parked_cars, state.layout, config.spawn.evolution
+    if cars.bay.shape[0] == 0:
+        return cars
+    # All of one size fit where one of them stands.
+    parked_fits = fits(layout.bay_size, cars.size) if config.varies else None
+    tracked = jnp.zeros(cars.bay.shape, bool)
+    if rule == "random":
+        tracked = tracks_parked_cars(config, state).any(axis=0)
+
+    def move(carry: _Relocation) -> _Relocation:
+        bay, tracked, waiting = carry
+        agent = jnp.argmax(waiting)
+        goal = state.goal[agent]
+        if rule == "random":
+            agent_key = jax.random.fold_in(key, agent)
+            score = jax.random.uniform(agent_key, bay.shape)
+            score = score + jnp.where(tracked, 0.0, 1.0)
+        else:
+            gap = layout.bay_pose[bay, None, :2] - state.motion.xy
+            score = jnp.linalg.norm(gap, axis=-1).min(axis=-1)
+        moves = jnp.ones((), bool)
+        if parked_fits is not None:
+            able = parked_fits[:, goal] & (bay != NO_BAY)
+            score, moves = jnp.where(able, score, -1.0), able.any()
+        car = jnp.argmax(score)
+        bay = jnp.where(moves, bay.at[car].set(goal), bay)
+        return bay, tracked.at[car].set(True), waiting.at[agent].set(False)
+
+    # A loop over those who have parked only: in most steps nobody has.
+    bay, *_ = jax.lax.while_loop(
+        lambda carry: carry[2].any(), move, (cars.bay, tracked, events.parked)
     )
+    return in_bays(layout, cars, bay)

@@ -1,13 +1,34 @@
-"""Progress of a step: whether a car came nearer to a place, and which way it drove."""
+"""Progress of a step: a potential, whether it led nearer, and which way cars drove."""
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import WORLD_UNIT
+from carpark_mj.config import WORLD_UNIT, RewardConfig
+from carpark_mj.geometry import axis_angle_error
 from carpark_mj.types import Motion
 
 NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of Tanner's finer grid: rounding
 MOVING = 0.05  # m/s, slower cars have no direction of travel
+
+
+def goal_potential(
+    weights: RewardConfig, pose_w: jax.Array, goal_pose: jax.Array
+) -> jax.Array:
+    """Potential (...) of a pose: minus the weighted way still to go.
+
+    Progress terms are differences of this (undiscounted), so that no closed loop pays.
+    The misalignment with the bay's axis, either way round, counts more the nearer the
+    goal is.
+
+    Args:
+        weights: of distance and misalignment.
+        pose_w: (..., 3).
+        goal_pose: (..., 3).
+    """
+    distance = jnp.linalg.norm(pose_w[..., :2] - goal_pose[..., :2], axis=-1)
+    misalignment = axis_angle_error(pose_w[..., 2] - goal_pose[..., 2])
+    fading = jnp.exp(-distance / weights.alignment_range)
+    return -(weights.progress * distance + weights.alignment * misalignment * fading)
 
 
 def is_nearer(

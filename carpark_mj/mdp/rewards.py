@@ -1,28 +1,30 @@
 """Reward terms by name; weights are data (`RewardConfig`).
 
 Terms that are "sums" are paid a share each step so that a whole episode of
-`max_steps` adds up to the weight, as in Tanner 2022. Of his program's terms those
-are left out that none of his experiments uses.
+`max_steps` adds up to the weight, as in Tanner 2022.
 """
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, RewardConfig
-from carpark_mj.geometry import axis_angle_error, box_distance
-from carpark_mj.geometry.broad_phase import box_gaps, is_crowded, least_near
-from carpark_mj.types import Events, Motion
+from carpark_mj.config import EnvConfig
+from carpark_mj.geometry import axis_angle_error
+from carpark_mj.layouts.lanes import has_lanes
+from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.clearance import agent_clearance
+from carpark_mj.mdp.goal_rewards import GOAL_TERMS, goal_terms
+from carpark_mj.mdp.progress import goal_potential, is_nearer
+from carpark_mj.types import Transition
 
 TERMS = (
     "park",
     "final_speed",
     "final_heading",
     "crash",
-    "halt",
+    "timeout",
     "time",
     "progress",
     "approach",
@@ -30,12 +32,43 @@ TERMS = (
     "closeness",
     "reverse",
 )
-NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of his finer grid: less is rounding
 
 
-@struct.dataclass
-class Effort:
-    """What cars did in a step, as shares of the most they can do; both (num_agents,).
+def term_names(config: EnvConfig, layout: Layout) -> tuple[str, ...]:
+    """Names of the terms that `reward_terms` pays in a lot, in its order."""
+    names = TERMS
+    if has_lanes(layout):
+        names += ("wrong_way",)
+    if config.goals.dynamic:
+        names += GOAL_TERMS
+    if config.giving_way.context is not None:
+        names += ("bad_goal",)
+    return names
+
+
+def reward_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Array]:
+    """The reward of a step, term by term.
+
+    Args:
+        config: weights, the limits that sums refer to, and the giving-way scheme.
+        transition: the step.
+
+    Returns:
+        (num_agents,) float32 by the names of `term_names`, weights and signs applied;
+        0 for agents that had finished before, or whose physics diverged.
+    """
+    terms = _drive_terms(config, transition)
+    if transition.goal_events is not None:
+        terms = goal_terms(config, transition, transition.goal_events, terms)
+    pays = transition.before.active & ~transition.events.diverged
+    return {
+        name: jnp.where(pays, term, 0.0).astype(jnp.float32)
+        for name, term in terms.items()
+    }
+
+
+class Effort(NamedTuple):
+    """What cars did in a step, as shares of the most they can do; (num_agents,) each.
 
     Attributes:
         turn: change of steering; on the grid, where none is, of heading.
@@ -46,15 +79,9 @@ class Effort:
     speed: jax.Array
 
 
-def effort(config: EnvConfig, before: Motion, after: Motion, vehicle: Any) -> Effort:
-    """How hard agents (num_agents,) steered in a step, and how fast they are.
-
-    Args:
-        config: physics and its limits.
-        before: the agents at the start of the step.
-        after: at its end.
-        vehicle: their `carpark_mj.vehicle.Vehicle`, whose limits hold off the grid.
-    """
+def effort(config: EnvConfig, transition: Transition) -> Effort:
+    """How hard agents steered in a step, and how fast they are."""
+    before, after = transition.before.motion, transition.after.motion
     ctrl_dt = config.sim.ctrl_dt
     if config.physics == "grid":
         grid = config.grid
@@ -63,112 +90,38 @@ def effort(config: EnvConfig, before: Motion, after: Motion, vehicle: Any) -> Ef
         level = grid.speed_step * grid.point_size / ctrl_dt
         top = level * max(grid.max_forward, grid.max_reverse)
     else:
+        vehicle = transition.before.physics.vehicle
         turn = jnp.abs(after.steering - before.steering)
         most = vehicle.steering_rate * ctrl_dt
         top = jnp.maximum(vehicle.max_speed, vehicle.max_reverse_speed)
     return Effort(turn=turn / most, speed=jnp.abs(after.speed) / top)
 
 
-def term_names(lanes: bool = False) -> tuple[str, ...]:
-    """Names of the terms of `reward_terms`, in a lot with lanes or without."""
-    return (*TERMS, "wrong_way") if lanes else TERMS
-
-
-def goal_potential(
-    config: RewardConfig, pose_w: jax.Array, goal_pose: jax.Array
-) -> jax.Array:
-    """Potential (...) of a pose: minus the weighted way still to go.
-
-    Progress terms are differences of this (undiscounted), so that no closed loop pays.
-    The misalignment with the bay's axis, either way round, counts more the nearer the
-    goal is.
-    """
-    distance = jnp.linalg.norm(pose_w[..., :2] - goal_pose[..., :2], axis=-1)
-    misalignment = axis_angle_error(pose_w[..., 2] - goal_pose[..., 2])
-    fading = jnp.exp(-distance / config.alignment_range)
-    return -(config.progress * distance + config.alignment * misalignment * fading)
-
-
-def agent_clearance(vehicle: Motion) -> jax.Array:
-    """Gap (num_agents,) [m] from each agent to the nearest other; inf if alone."""
-    pose, size = vehicle.pose_w, vehicle.size
-    own = jnp.eye(pose.shape[0], dtype=bool)
-    if not is_crowded(*own.shape):
-        gap = box_distance(pose[:, None], size[:, None], pose, size)
-        return jnp.min(jnp.where(own, jnp.inf, gap), axis=1)
-
-    def find(index: jax.Array) -> jax.Array:
-        return box_distance(pose[:, None], size[:, None], pose[index], size[index])
-
-    reach = jnp.linalg.norm(size, axis=-1) / 2
-    bound = box_gaps(pose[:, :2], pose, size) - reach[:, None]
-    bound = jnp.where(own, jnp.inf, bound)
-    return least_near(bound, find, jnp.inf, chunk=2)
-
-
-def reward_terms(
-    config: RewardConfig,
-    before: Motion,
-    after: Motion,
-    goal_pose: jax.Array,
-    events: Events,
-    effort: Effort,
-    max_steps: int,
-    wrong_way: jax.Array | None = None,
-) -> dict[str, jax.Array]:
-    """The reward of one step, term by term.
-
-    Args:
-        config: weights.
-        before: the agents (num_agents,) at the start of the step.
-        after: at its end, before any respawn.
-        goal_pose: (num_agents, 3) goals held during the step.
-        events: of the step.
-        effort: of the step.
-        max_steps: episode length the sums refer to.
-        wrong_way: (num_agents,) bool, driving against the lanes; None without lanes.
-
-    Returns:
-        Named terms (num_agents,), weights and signs applied, in the order of
-        `term_names`; 0 for a diverged car.
-    """
-    share = 1.0 / max_steps
-    potential = goal_potential(config, after.pose_w, goal_pose) - goal_potential(
-        config, before.pose_w, goal_pose
+def _drive_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Array]:
+    weights, share = config.reward, 1.0 / config.episode.max_steps
+    before, after = transition.before.motion, transition.after.motion
+    events, target = transition.events, transition.target_pose
+    used = effort(config, transition)
+    progress = goal_potential(weights, after.pose_w, target) - goal_potential(
+        weights, before.pose_w, target
     )
-    approach = jnp.where(is_nearer(before, after, goal_pose), 1.0, -1.0)
-    too_close = jnp.maximum(1.0 - agent_clearance(after) / config.closeness_range, 0.0)
-    turn = effort.turn * effort.speed if config.smoothness_by_speed else effort.turn
-    across = axis_angle_error(after.pose_w[..., 2] - goal_pose[..., 2]) / (math.pi / 2)
+    nearer = is_nearer(before.xy, after.xy, target[:, :2])
+    gap = agent_clearance(after) / weights.closeness_range
+    turn = used.turn * used.speed if weights.smoothness_by_speed else used.turn
+    across = axis_angle_error(after.pose_w[..., 2] - target[..., 2]) / (math.pi / 2)
     terms = {
-        "park": config.park * events.parked,
-        "final_speed": -config.final_speed * events.parked * effort.speed,
-        "final_heading": -config.final_heading * events.parked * across,
-        "crash": -config.crash * events.crashed,
-        "halt": -config.halt * events.timed_out,
-        "time": jnp.full_like(potential, -config.time * share),
-        "progress": potential,
-        "approach": config.approach * share * approach,
-        "smoothness": -config.smoothness * share * turn,
-        "closeness": -config.closeness * share * too_close,
-        "reverse": -config.reverse * share * (after.speed < 0.0),
+        "park": weights.park * events.parked,
+        "final_speed": -weights.final_speed * events.parked * used.speed,
+        "final_heading": -weights.final_heading * events.parked * across,
+        "crash": -weights.crash * events.crashed,
+        "timeout": -weights.timeout * events.timed_out,
+        "time": jnp.full_like(progress, -weights.time * share),
+        "progress": progress,
+        "approach": weights.approach * share * jnp.where(nearer, 1.0, -1.0),
+        "smoothness": -weights.smoothness * share * turn,
+        "closeness": -weights.closeness * share * jnp.maximum(1.0 - gap, 0.0),
+        "reverse": -weights.reverse * share * (after.speed < 0.0),
     }
-    if wrong_way is not None:
-        terms["wrong_way"] = -config.wrong_way * share * wrong_way
-    return {
-        name: jnp.where(events.diverged, 0.0, term).astype(jnp.float32)
-        for name, term in terms.items()
-    }
-
-
-def is_nearer(before: Motion, after: Motion, goal_pose: jax.Array) -> jax.Array:
-    """Whether cars (...) came nearer to their goals (..., 3) by more than `NEARER`.
-
-    From the difference of the squared distances, (b - a)(b + a), which on the grid is
-    exact in float32: going round the goal at the same distance is not coming nearer.
-    """
-    b = before.pose_w[..., :2] - goal_pose[..., :2]
-    a = after.pose_w[..., :2] - goal_pose[..., :2]
-    gained = jnp.sum((b - a) * (b + a), axis=-1)
-    both = jnp.linalg.norm(b, axis=-1) + jnp.linalg.norm(a, axis=-1)
-    return gained > NEARER * both
+    if transition.wrong_way is not None:
+        terms["wrong_way"] = -weights.wrong_way * share * transition.wrong_way
+    return terms

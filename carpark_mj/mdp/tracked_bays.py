@@ -2,34 +2,45 @@
 
 A bay is free if it holds no parked car: bays that are other agents' goals, or that
 someone is driving through, count as well (Tanner 2022). An agent tracks the nearest. A
-bay stays in its slot for as long as it is among them, as in his text, not his program:
-"my second bay" means the same from step to step, whichever of the two is nearer.
+bay stays in its slot for as long as it is among them, as in the study's text: "my
+second bay" means the same from step to step, whichever of the two is nearer.
 """
+
+import dataclasses
 
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.geometry import nearest
 from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.localised import nearest
+from carpark_mj.mdp.bays import free_bays
+from carpark_mj.types import NO_BAY, State
 
 
-def free_bays(layout: Layout, taken: jax.Array) -> jax.Array:
-    """(bays,) bool, the bays of a lot without those `taken` (k,) by cars.
+def update_tracked_bays(state: State, usable: jax.Array | None) -> State:
+    """Agents track the free bays nearest to them.
 
-    The number of bays stands for none, see `goals.Occupancy`.
+    Agents that have finished keep their goals, and in these bays they stand.
+
+    Args:
+        state: of a lot with dynamic goals.
+        usable: (num_agents, bays) bool, bays that an agent can track; None = all.
     """
-    return layout.bay_mask.at[taken].set(False)
+    assert state.tracked_bays is not None
+    standing = jnp.where(state.active, NO_BAY, state.goal)
+    taken = jnp.concatenate([state.parked_cars.bay, standing])
+    free = free_bays(state.layout, taken)
+    if usable is not None:
+        free = free & usable
+    xy = state.motion.xy
+    tracked_bays = track_bays(state.layout, xy, free, state.tracked_bays)
+    return dataclasses.replace(state, tracked_bays=tracked_bays)
 
 
-def no_spaces(num_agents: int, num_spaces: int, num_bays: int) -> jax.Array:
-    """What agents (num_agents, num_spaces) track before they have looked round."""
-    return jnp.full((num_agents, num_spaces), num_bays, jnp.int32)
-
-
-def track_spaces(
-    layout: Layout, xy: jax.Array, free: jax.Array, tracked: jax.Array
+def track_bays(
+    layout: Layout, xy: jax.Array, free: jax.Array, tracked_bays: jax.Array
 ) -> jax.Array:
-    """Looks round for the nearest free bays.
+    """Finds the nearest free bays.
 
     Bays that are still among them keep their slots. The others leave, and newcomers
     fill the empty slots from the first on, the nearest first.
@@ -38,40 +49,42 @@ def track_spaces(
         layout: the lot.
         xy: (num_agents, 2) centres of the agents [m].
         free: (bays,) or (num_agents, bays) bool, what counts.
-        tracked: (num_agents, num_spaces) int32 the bays tracked so far, the number of
-            bays in empty slots.
+        tracked_bays: (num_agents, num_tracked_bays) int32 so far, `NO_BAY` in empty
+            slots.
 
     Returns:
-        (num_agents, num_spaces) int32, as `tracked`.
+        (num_agents, num_tracked_bays) int32, as `tracked_bays`.
     """
-    num_agents, num_spaces = tracked.shape
+    num_agents, num_slots = tracked_bays.shape
     free = jnp.broadcast_to(free, (num_agents, layout.num_bays))
-    bay, present = nearest(xy, layout.bay_pose[:, :2], free, num_spaces)
+    bay, present = nearest(xy, layout.bay_pose[:, :2], free, num_slots)
     bay, present = bay[:, None, :], present[:, None, :]  # (agents, slots, ranks)
-    same = (tracked[:, :, None] == bay) & present
+    same = (tracked_bays[:, :, None] == bay) & present
     empty = ~same.any(axis=2, keepdims=True)
     newcomer = present & ~same.any(axis=1, keepdims=True)
     # The k-th newcomer enters the k-th empty slot.
     turn = jnp.cumsum(empty, axis=1) == jnp.cumsum(newcomer, axis=2)
     here = same | (turn & empty & newcomer)
-    return jnp.min(jnp.where(here, bay, layout.num_bays), axis=2).astype(jnp.int32)
+    return jnp.min(jnp.where(here, bay, NO_BAY), axis=2).astype(jnp.int32)
 
 
-def nearer_to_any(
-    layout: Layout, spaces: jax.Array, before_xy: jax.Array, after_xy: jax.Array
-) -> jax.Array:
-    """Whether a step led nearer to any of the bays tracked at its start.
+def target_pose(
+    layout: Layout, goal: jax.Array, tracked_bays: jax.Array, xy: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Pose of each agent's goal or, while it explores, of the nearest bay it tracks.
 
     Args:
         layout: the lot.
-        spaces: (num_agents, num_spaces) int32 bays tracked.
-        before_xy: (num_agents, 2) centres at the start of the step [m].
-        after_xy: (num_agents, 2) at its end.
+        goal: (num_agents,) int32.
+        tracked_bays: (num_agents, num_tracked_bays) int32.
+        xy: (num_agents, 2) centres of the agents [m].
 
     Returns:
-        (num_agents,) bool.
+        Poses (num_agents, 3), and (num_agents,) bool, whether there is such a bay.
     """
-    bay_xy = layout.bay_pose[spaces, :2]
-    before = jnp.linalg.norm(bay_xy - before_xy[:, None], axis=-1)
-    after = jnp.linalg.norm(bay_xy - after_xy[:, None], axis=-1)
-    return ((after < before) & (spaces < layout.num_bays)).any(axis=1)
+    rows = jnp.minimum(tracked_bays, layout.num_bays - 1)
+    gap = jnp.linalg.norm(layout.bay_pose[rows, :2] - xy[:, None], axis=-1)
+    rank = jnp.argmin(jnp.where(tracked_bays != NO_BAY, gap, jnp.inf), axis=1)
+    near = jnp.take_along_axis(tracked_bays, rank[:, None], axis=1)[:, 0]
+    bay = jnp.where(goal != NO_BAY, goal, near)
+    return layout.bay_pose[jnp.minimum(bay, layout.num_bays - 1)], bay != NO_BAY

@@ -1,30 +1,62 @@
-"""What an agent knows of itself and its goal."""
+"""What an agent observes of itself and its goal."""
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import to_local
-from carpark_mj.observations.fields import FAR, NEAR
-from carpark_mj.types import Motion
+from carpark_mj.layouts.types import Layout
+from carpark_mj.observations.fields import FAR, LENGTH, NEAR, Field
+from carpark_mj.types import CarParameters, Motion
+
+MOTION_FIELDS = (
+    Field("speed", 1, -1.5, 1.5, "own signed speed [forward limit]"),
+    Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
+    Field("yaw_rate", 1, -2.0, 2.0, "own yaw rate [rad/s], left > 0"),
+)
+GOAL_FIELDS = (
+    Field("goal_position", 2, -4.0, 4.0, f"goal centre, body frame [{FAR:g} m]"),
+    Field("goal_near", 2, -1.0, 1.0, f"goal centre, body frame [{NEAR:g} m], clipped"),
+    Field("goal_heading", 2, -1.0, 1.0, "cos and sin of goal heading minus own"),
+    Field("goal_distance", 1, 0.0, 4.0, f"to the goal centre [{FAR:g} m]"),
+    Field("in_bay", 2, -1.0, 1.0, f"own centre, goal frame [{NEAR:g} m], clipped"),
+    Field(
+        "goal_size",
+        2,
+        0.0,
+        2.0,
+        f"length and width of the goal bay less own [{LENGTH:g} m]",
+    ),
+)
+CAR_FIELDS = (
+    Field("own_size", 2, 0.0, 2.0, f"own length and width [{LENGTH:g} m]"),
+    Field("own_wheelbase", 1, 0.0, 1.0, f"own wheelbase [{LENGTH:g} m]"),
+    Field("own_rear_axle", 1, 0.0, 1.0, f"from rear axle to own centre [{LENGTH:g} m]"),
+    Field(
+        "own_turning_radius", 1, 0.0, 2.0, f"of the rear axle, full lock [{LENGTH:g} m]"
+    ),
+)
 
 
-def own_motion(
-    vehicle: Motion, max_speed: jax.Array, max_steering: jax.Array
-) -> dict[str, jax.Array]:
-    """Own speed, steering and yaw rate of every agent (num_agents, 1)."""
+def own_motion(motion: Motion, vehicle: CarParameters) -> dict[str, jax.Array]:
+    """`MOTION_FIELDS` of every agent (num_agents, 1)."""
     return {
-        "speed": (vehicle.speed / max_speed)[..., None],
-        "steering": (vehicle.steering / max_steering)[..., None],
-        "yaw_rate": vehicle.yaw_rate[..., None],
+        "speed": (motion.speed / vehicle.max_speed)[..., None],
+        "steering": (motion.steering / vehicle.max_steering)[..., None],
+        "yaw_rate": motion.yaw_rate[..., None],
     }
 
 
-def own_goal(
-    vehicle: Motion, goal_pose: jax.Array, goal_size: jax.Array
-) -> dict[str, jax.Array]:
-    """The goal seen by every agent; `goal_pose` (num_agents, 3)."""
-    local = to_local(vehicle.pose_w, goal_pose)
-    inverse = to_local(goal_pose, vehicle.pose_w)
+def own_goal(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.Array]:
+    """`GOAL_FIELDS` of every agent (num_agents, k).
+
+    Args:
+        motion: the agents (num_agents,).
+        layout: the lot.
+        goal: (num_agents,) bays.
+    """
+    goal_pose, goal_size = layout.bay_pose[goal], layout.bay_size[goal]
+    local = to_local(motion.pose_w, goal_pose)
+    inverse = to_local(goal_pose, motion.pose_w)
     xy = local[..., :2]
     return {
         "goal_position": xy / FAR,
@@ -34,21 +66,16 @@ def own_goal(
         ),
         "goal_distance": jnp.linalg.norm(xy, axis=-1, keepdims=True) / FAR,
         "in_bay": jnp.clip(inverse[..., :2] / NEAR, -1.0, 1.0),
-        "goal_size": (goal_size - vehicle.size) / 5.0,
+        "goal_size": (goal_size - motion.size) / LENGTH,
     }
 
 
-def own_car(
-    vehicle: Motion,
-    wheelbase: jax.Array,
-    rear_axle: jax.Array,
-    max_steering: jax.Array,
-) -> dict[str, jax.Array]:
-    """What every agent drives; the other arguments (num_agents,) [m], [rad]."""
-    radius = wheelbase / jnp.tan(max_steering)
+def own_car(motion: Motion, vehicle: CarParameters) -> dict[str, jax.Array]:
+    """`CAR_FIELDS` of every agent (num_agents, k)."""
+    radius = vehicle.wheelbase / jnp.tan(vehicle.max_steering)
     return {
-        "own_size": vehicle.size / 5.0,
-        "own_wheelbase": wheelbase[..., None] / 5.0,
-        "own_rear_axle": rear_axle[..., None] / 5.0,
-        "own_turning_radius": radius[..., None] / 5.0,
+        "own_size": motion.size / LENGTH,
+        "own_wheelbase": vehicle.wheelbase[..., None] / LENGTH,
+        "own_rear_axle": vehicle.centre_offset[..., None] / LENGTH,
+        "own_turning_radius": radius[..., None] / LENGTH,
     }

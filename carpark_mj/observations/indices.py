@@ -2,59 +2,63 @@
 
 Own level of speed, counted from the fastest reverse; the bearing of the goal's centre,
 clockwise from the own heading, to the nearest of the grid's headings; and for every
-ring how many objects touch it, capped, now and `ring_history` steps before. The k-th
-ring has the k-th diameter: his program, by a slip, gave it the one before.
+ring how many objects touch it, capped, now and `RingConfig.history` steps before. The
+k-th ring has the k-th diameter: the reference implementation gives it the one before.
 """
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import GridConfig, ObservationConfig
+from carpark_mj.config import EnvConfig, GridConfig, IndexObservation
 from carpark_mj.geometry import to_local
-from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.fields import make_fields
-from carpark_mj.observations.rings import count_rings, ring_counts
+from carpark_mj.observations.fields import Field
+from carpark_mj.observations.rings import ring_counts, ring_fields
+from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tanner import bearing_index, speed_level
-from carpark_mj.types import Motion
+from carpark_mj.types import State
 
 
-def observe_indices(
-    config: ObservationConfig,
-    grid: GridConfig,
-    ctrl_dt: float,
-    layout: Layout,
-    vehicle: Motion,
-    goal: jax.Array,
-    parked_pose: jax.Array,
-    parked_size: jax.Array,
-    ring_history: jax.Array | None = None,
-) -> jax.Array:
-    """Observations of all agents of a lot.
+def index_fields(config: IndexObservation, grid: GridConfig) -> list[Field]:
+    """Lists the fields in order."""
+    return [
+        Field("level", 1, 0.0, grid.num_levels - 1, "own speed from fastest reverse"),
+        Field(
+            "bearing", 1, 0.0, grid.headings - 1, "of the goal, clockwise from ahead"
+        ),
+        *ring_fields(config.rings, config.rings.cap, "the circle about the car"),
+    ]
+
+
+def index_values(
+    config: IndexObservation, grid: GridConfig, ctrl_dt: float, state: State
+) -> dict[str, jax.Array]:
+    """Whole numbers (num_agents, 1) by the fields' names.
 
     Args:
         config: rings.
         grid: granularities.
         ctrl_dt: control period [s].
-        layout: the lot.
-        vehicle: the agents (num_agents,).
-        goal: (num_agents,) bay indices.
-        parked_pose: (num_parked_cars, 3).
-        parked_size: (num_parked_cars, 2) [m].
-        ring_history: see `rings.init_history`.
-
-    Returns:
-        (num_agents, observation_size) float32 whole numbers, the fields of
-        `make_fields`.
+        state: of the lot; goals are fixed.
     """
-    level = jnp.round(speed_level(grid, ctrl_dt, vehicle.speed)) + grid.max_reverse
-    bearing = bearing_index(grid, to_local(vehicle.pose_w, layout.bay_pose[goal]))
-    values = [level[:, None], bearing[:, None]]
-    if config.rings:
-        now = count_rings(config, layout, vehicle, parked_pose, parked_size)
-        values += ring_counts(config, now, ring_history).values()
-    return jnp.concatenate(values, axis=-1).astype(jnp.float32)
+    motion = observed(state)
+    level = jnp.round(speed_level(grid, ctrl_dt, motion.speed)) + grid.max_reverse
+    goal_pose = state.layout.bay_pose[state.goal]
+    bearing = bearing_index(grid, to_local(motion.pose_w, goal_pose))
+    values = {"level": level[:, None], "bearing": bearing[:, None]}
+    return values | ring_counts(config.rings, state)
 
 
-def cardinalities(config: ObservationConfig, grid: GridConfig) -> tuple[int, ...]:
-    """How many values each number of the observation can have."""
-    return tuple(int(field.high) + 1 for field in make_fields(config, grid))
+def cardinalities(config: EnvConfig) -> tuple[int, ...]:
+    """How many values each number of the observation can have.
+
+    Raises:
+        ValueError: the observation is not of whole numbers.
+    """
+    observation = config.observation
+    if not isinstance(observation, IndexObservation):
+        raise ValueError(
+            "a table needs observation.encoding 'indices', not "
+            f"{observation.encoding!r}"
+        )
+    fields = index_fields(observation, config.grid)
+    return tuple(int(field.high) + 1 for field in fields)

@@ -1,21 +1,32 @@
-"""What an agent knows of the lane it is in."""
+"""What an agent observes of the lane it is in."""
 
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.layouts.lanes import has_lanes, nearest_lane
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.lanes import has_lanes, nearest_lane
+from carpark_mj.observations.fields import Field
+
+LANE_FIELDS = (
+    Field("lane_present", 1, 0.0, 1.0, "1 if the lot has lanes; else all 0"),
+    Field("lane_heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
+    Field("lane_one_way", 1, 0.0, 1.0, "1 if only that direction is right"),
+)
 
 
 def own_lane(layout: Layout, own_pose: jax.Array) -> dict[str, jax.Array]:
-    """The nearest lane seen by every agent (num_agents, 3); zeros without lanes."""
+    """`LANE_FIELDS` of the lane nearest to every agent; zeros without lanes.
+
+    Args:
+        layout: the lot.
+        own_pose: (num_agents, 3).
+
+    Returns:
+        Values (num_agents, k).
+    """
     if not has_lanes(layout):
-        zero = jnp.zeros((own_pose.shape[0], 1))
-        return {
-            "lane_present": zero,
-            "lane_heading": jnp.concatenate([zero, zero], axis=-1),
-            "lane_one_way": zero,
-        }
+        count = own_pose.shape[0]
+        return {field.name: jnp.zeros((count, field.size)) for field in LANE_FIELDS}
     index, present = nearest_lane(layout, own_pose)
     yaw = layout.lane_pose[index, 2] - own_pose[:, 2]
     values = {

@@ -5,26 +5,24 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import (
-    ray_box_distance,
-    ray_disc_distance,
-    rotate,
-)
+from carpark_mj.config import RayConfig
+from carpark_mj.geometry import ray_box_distance, ray_disc_distance, rotate
 from carpark_mj.geometry.broad_phase import box_gaps, disc_gaps, is_crowded, visit_near
 from carpark_mj.layouts.types import Layout
+from carpark_mj.observations.fields import Field
+from carpark_mj.types import Motion, ParkedCars
 
 CHUNK = 8  # obstacles whose rays are worked out at a time in a crowded lot
 
 
+def ray_fields(config: RayConfig) -> list[Field]:
+    """The field `rays`, if there are any."""
+    meaning = f"free way along bearings from ahead to the left [{config.reach:g} m]"
+    return [Field("rays", config.count, 0.0, 1.0, meaning)] if config.count else []
+
+
 def cast_rays(
-    own_pose: jax.Array,
-    own_size: jax.Array,
-    parked_pose: jax.Array,
-    parked_size: jax.Array,
-    parked_mask: jax.Array,
-    layout: Layout,
-    count: int,
-    reach: float,
+    config: RayConfig, layout: Layout, motion: Motion, parked_cars: ParkedCars
 ) -> jax.Array:
     """Free way along the bearings (num_agents, count), divided by the reach.
 
@@ -35,16 +33,13 @@ def cast_rays(
     within reach. Exact, on boxes and discs alike.
 
     Args:
-        own_pose: (num_agents, 3).
-        own_size: (num_agents, 2) [m].
-        parked_pose: (num_parked_cars, 3).
-        parked_size: (num_parked_cars, 2) [m].
-        parked_mask: (num_parked_cars,) bool, cars that exist.
+        config: the rays.
         layout: the lot, for its walls and discs.
-        count: number of bearings.
-        reach: longest way seen [m].
+        motion: the agents (num_agents,).
+        parked_cars: (num_parked_cars,).
     """
-    num_agents = own_pose.shape[0]
+    own_pose, own_size = motion.pose_w, motion.size
+    num_agents, count, reach = own_pose.shape[0], config.count, config.reach
     bearing = jnp.arange(count) * (2 * jnp.pi / count)
     ahead = jnp.stack([jnp.cos(bearing), jnp.sin(bearing)], axis=-1)
     direction = rotate(ahead, own_pose[:, None, 2])[:, None]  # (agents, 1, count, 2)
@@ -59,9 +54,9 @@ def cast_rays(
             origin, direction, centre[..., None, :], radius[..., None]
         )
 
-    pose = jnp.concatenate([own_pose, parked_pose, layout.wall_pose])
-    size = jnp.concatenate([own_size, parked_size, layout.wall_size])
-    still = jnp.concatenate([parked_mask, layout.wall_mask])
+    pose = jnp.concatenate([own_pose, parked_cars.pose_w, layout.wall_pose])
+    size = jnp.concatenate([own_size, parked_cars.size, layout.wall_size])
+    still = jnp.concatenate([parked_cars.present, layout.wall_mask])
     still = jnp.broadcast_to(still, (num_agents, still.shape[0]))
     others = ~jnp.eye(num_agents, dtype=bool)
     counts = jnp.concatenate([others, still], axis=1)

@@ -1,69 +1,90 @@
 """Proximity rings: how many objects a circle about the car touches, now and before.
 
-Objects are whole walls, discs and, with `ObservationConfig.ring_cars`, parked cars and
-other agents.
+Objects are whole walls, discs and, with `RingConfig.cars`, parked cars and other
+agents.
 """
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import ObservationConfig
+from carpark_mj.config import EnvConfig, RingConfig
 from carpark_mj.geometry import point_box_distance
 from carpark_mj.geometry.broad_phase import disc_gaps
-from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.fields import ring_names
-from carpark_mj.types import Motion
+from carpark_mj.observations.fields import Field
+from carpark_mj.observations.sensors import observed
+from carpark_mj.types import State
 
 
-def count_rings(
-    config: ObservationConfig,
-    layout: Layout,
-    vehicle: Motion,
-    parked_pose: jax.Array,
-    parked_size: jax.Array,
-) -> jax.Array:
-    """Counts (num_agents, rings) int32, up to the cap.
-
-    Every object is looked at: nothing cheaper than this distance could rule it out.
+def ring_fields(config: RingConfig, high: float, where: str) -> list[Field]:
+    """The counts as agents observe them: now, then the past, the oldest first.
 
     Args:
         config: the rings.
-        layout: the lot.
-        vehicle: the agents (num_agents,), at the circles' centres.
-        parked_pose: (num_parked_cars, 3).
-        parked_size: (num_parked_cars, 2) [m].
+        high: largest value.
+        where: end of the fields' meaning, the circle and its unit.
     """
-    own_xy = vehicle.pose_w[:, :2]
+    objects = "walls and discs, cars too," if config.cars else "walls and discs"
+    meaning = f"{objects} within {where}, capped"
+    return [Field(name, 1, 0.0, high, meaning) for name in _names(config)]
+
+
+def count_rings(config: RingConfig, state: State) -> jax.Array:
+    """Counts (num_agents, rings) int32, up to the cap, where agents think they are.
+
+    Every object is looked at: nothing cheaper than this distance could rule it out.
+    """
+    layout, motion, parked_cars = state.layout, observed(state), state.parked_cars
+    own_xy = motion.pose_w[:, :2]
     gap = point_box_distance(own_xy[:, None], layout.wall_pose, layout.wall_size)
     gap = jnp.where(layout.wall_mask, gap, jnp.inf)
     if layout.disc_mask.shape[0]:
         discs = disc_gaps(own_xy, layout.disc_centre, layout.disc_radius)
         discs = jnp.where(layout.disc_mask, discs, jnp.inf)
         gap = jnp.concatenate([gap, discs], axis=1)
-    if config.ring_cars:
+    if config.cars:
         own = jnp.eye(own_xy.shape[0], dtype=bool)
-        agents = point_box_distance(own_xy[:, None], vehicle.pose_w, vehicle.size)
+        agents = point_box_distance(own_xy[:, None], motion.pose_w, motion.size)
         agents = jnp.where(own, jnp.inf, agents)
-        parked = point_box_distance(own_xy[:, None], parked_pose, parked_size)
+        parked = point_box_distance(
+            own_xy[:, None], parked_cars.pose_w, parked_cars.size
+        )
+        parked = jnp.where(parked_cars.present, parked, jnp.inf)
         gap = jnp.concatenate([gap, agents, parked], axis=1)
-    radii = jnp.array(config.rings, gap.dtype) / 2
+    radii = jnp.array(config.diameters, gap.dtype) / 2
     count = jnp.sum(gap[:, :, None] < radii, axis=1)
-    return jnp.minimum(count, config.ring_cap)
+    return jnp.minimum(count, config.cap)
 
 
-def init_history(config: ObservationConfig, num_agents: int) -> jax.Array | None:
-    """Past counts (num_agents, ring_history, rings) int32, oldest first: zeros.
+def ring_counts(config: RingConfig, state: State) -> dict[str, jax.Array]:
+    """Counts now and in the past by their fields' names, (num_agents, 1) each."""
+    if not config.diameters:
+        return {}
+    counts = count_rings(config, state)
+    if config.history:
+        assert state.ring_history is not None
+        past = state.ring_history.reshape(counts.shape[0], -1)
+        counts = jnp.concatenate([counts, past], axis=1)
+    return {name: counts[:, k : k + 1] for k, name in enumerate(_names(config))}
 
-    None if the past is not seen.
+
+def init_history(config: EnvConfig) -> jax.Array | None:
+    """Past counts (num_agents, history, rings) int32, oldest first: zeros.
+
+    None if the past is not observed.
     """
-    if not config.ring_history:
+    rings = config.observation.rings
+    if not rings.history:
         return None
-    return jnp.zeros((num_agents, config.ring_history, len(config.rings)), jnp.int32)
+    shape = (config.num_agents, rings.history, len(rings.diameters))
+    return jnp.zeros(shape, jnp.int32)
 
 
-def remember(history: jax.Array, count: jax.Array) -> jax.Array:
-    """The past after counts (num_agents, rings) have been seen."""
-    return jnp.concatenate([history[:, 1:], count[:, None].astype(jnp.int32)], axis=1)
+def update_history(config: EnvConfig, state: State) -> jax.Array | None:
+    """The past once the counts of the state belong to it; see `init_history`."""
+    if state.ring_history is None:
+        return None
+    counts = count_rings(config.observation.rings, state).astype(jnp.int32)
+    return jnp.concatenate([state.ring_history[:, 1:], counts[:, None]], axis=1)
 
 
 def forget(history: jax.Array | None, respawned: jax.Array) -> jax.Array | None:
@@ -73,17 +94,7 @@ def forget(history: jax.Array | None, respawned: jax.Array) -> jax.Array | None:
     return jnp.where(respawned[:, None, None], 0, history)
 
 
-def ring_counts(
-    config: ObservationConfig, now: jax.Array, history: jax.Array | None
-) -> dict[str, jax.Array]:
-    """Counts (num_agents, rings) and those remembered by name, (num_agents, 1) each.
-
-    A history of None is one without anything seen.
-    """
-    counts = now
-    if config.ring_history:
-        if history is None:
-            shape = (now.shape[0], config.ring_history * len(config.rings))
-            history = jnp.zeros(shape, now.dtype)
-        counts = jnp.concatenate([now, history.reshape(now.shape[0], -1)], axis=1)
-    return {name: counts[:, k : k + 1] for k, name in enumerate(ring_names(config))}
+def _names(config: RingConfig) -> list[str]:
+    now = [f"ring_{diameter:g}m" for diameter in config.diameters]
+    past = range(config.history, 0, -1)
+    return now + [f"{name}_ago_{ago}" for ago in past for name in now]

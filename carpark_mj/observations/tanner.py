@@ -1,42 +1,121 @@
 """The observation vector of Tanner 2022's PPO (arXiv 2206.13338, section 3.2).
 
 In order: own speed; the goal or, where agents choose it, every tracked bay; counts of
-the rings, and of `ring_history` steps before, the newest last; the tracked cars, agents
-and parked cars in one list, the nearest first; where agents choose it, the own goal.
-Every number is divided by how many values it can have, distances by the diagonal of his
-world; angles count clockwise, bearings are rounded to the headings of the grid. What
-there is not is -1. All of it works for physical cars too, whose speeds and headings are
-not rounded.
+the rings, and of `RingConfig.history` steps before, the newest last; the tracked cars,
+agents and parked cars in one list, the nearest first; where agents choose it, the own
+goal. Every number is divided by how many values it can have, distances by the diagonal
+of the study's world; angles count clockwise, bearings are rounded to the headings of
+the grid. What there is not is -1. All of it works for physical cars too, whose speeds
+and headings are not rounded.
 
-Where his text and his program disagree:
+Where the study's text and its reference implementation disagree:
 
 - goals: exploring and a goal that the observer does not track have values of their own,
-  0 and the last (text); both are -1 in the program.
+  0 and the last (text); both are -1 in the implementation.
 - a parked car's speed is that of a car that stands (text), not the number 0, which is
-  the fastest reverse. Its goal is -1, as in the program.
-- a tracked agent's goal is two numbers, bearing and distance as that agent sees them
-  (program); `share_goal_heading` adds the third of the text.
-- global information has the unit of the other distances (text); the program's is 16
-  times too small. Whoever heads for the bay counts, the observer too.
+  the fastest reverse. Its goal is -1, as in the implementation.
+- a tracked agent's goal is two numbers, bearing and distance as that agent observes
+  them (implementation); `ShareConfig.goal_headings` adds the third of the text.
+- global information has the unit of the other distances (text); the implementation's is
+  16 times too small. Whoever heads for the bay counts, the observer too.
 - ring k has diameter k (text), and its count is capped for walls too.
-- bays keep their places in the list while they are tracked (text): `State.spaces`; in
-  the program places follow the distances.
-- distances are not rounded (program).
+- bays keep their places in the list while they are tracked (text), see
+  `State.tracked_bays`; in the implementation places follow the distances.
+- distances are not rounded (implementation).
 """
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import WORLD_UNIT, GridConfig, ObservationConfig
+from carpark_mj.config import WORLD_UNIT, GridConfig, TannerObservation
+from carpark_mj.config.observation import BAY_PARTS
 from carpark_mj.geometry import to_local
-from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.fields import make_fields
-from carpark_mj.observations.rings import count_rings, ring_counts
-from carpark_mj.observations.spaces import goal_code, rivals
+from carpark_mj.observations.fields import Field, repeated, repeated_values
+from carpark_mj.observations.rings import ring_counts, ring_fields
+from carpark_mj.observations.sensors import observed
+from carpark_mj.observations.tracked_bays import goal_code, rivals
 from carpark_mj.observations.tracking import in_view, track_cars
-from carpark_mj.types import Motion
+from carpark_mj.types import NO_BAY, State
 
-DIAGONAL = 74 * 2**0.5 * WORLD_UNIT  # m, of his world of 74 x 74 world units
+DIAGONAL = 74 * 2**0.5 * WORLD_UNIT  # m, of the study's world of 74 x 74 world units
+
+# What there is to observe of a bay and of a car: highest value, -1 = no such.
+_PARTS = {
+    "heading": (1.0, "heading minus own, clockwise [360 deg]"),
+    "distance": (1.5, "to its centre [diagonal]"),
+    "bearing": (1.0, "of its centre, clockwise from ahead, rounded [360 deg]"),
+    "nearest_agent": (1.5, "from it to the nearest of all agents [diagonal]"),
+    "claim": (1.5, "from it to the nearest agent with this goal [diagonal]"),
+    "goal_heading": (1.0, "its goal's heading minus its own, clockwise [360 deg]"),
+    "goal_distance": (1.5, "from it to its goal [diagonal]"),
+    "goal_bearing": (1.0, "of its goal, clockwise from ahead of it [360 deg]"),
+    "goal": (1.0, "its goal [values]: 0 exploring, the own bays, one not tracked"),
+    "speed": (1.5, "its speed from fastest reverse [levels]"),
+}
+
+
+def tanner_fields(config: TannerObservation, num_tracked_bays: int) -> list[Field]:
+    """Lists the fields in order; `num_tracked_bays` is 0 while goals are fixed."""
+
+    def parts(names: list[str], prefix: str = "") -> list[Field]:
+        return [Field(prefix + name, 1, -1.0, *_PARTS[name]) for name in names]
+
+    # Cars with other limits than the grid's may leave its range of speeds by a little.
+    fields = [Field("speed", 1, -0.5, 1.5, "own speed from fastest reverse [levels]")]
+    if num_tracked_bays:
+        fields += repeated("bay", num_tracked_bays, parts(_bay_parts(config)))
+    else:
+        fields += parts(_bay_parts(config), "goal_")
+    circle = f"the circle about it [{config.rings.cap + 1}]"
+    fields += ring_fields(config.rings, 1.0, circle)
+    car = parts(_car_parts(config, num_tracked_bays > 0))
+    fields += repeated("car", config.tracked_cars, car)
+    if num_tracked_bays:
+        meaning = "own goal [values]: 0 exploring, then the own bays"
+        fields.append(Field("goal_choice", 1, 0.0, 1.0, meaning))
+    return fields
+
+
+def tanner_values(
+    config: TannerObservation, grid: GridConfig, ctrl_dt: float, state: State
+) -> dict[str, jax.Array]:
+    """Values (num_agents, 1) of the fields by name.
+
+    Args:
+        config: what is observed.
+        grid: granularities.
+        ctrl_dt: control period [s].
+        state: of the lot.
+    """
+    layout, goal, motion = state.layout, state.goal, observed(state)
+    level = speed_level(grid, ctrl_dt, motion.speed) + grid.max_reverse
+    values = {"speed": (level / grid.num_levels)[:, None]}
+
+    tracked, bays = state.tracked_bays, goal[:, None]
+    if tracked is not None:
+        seen = in_view(config.view, motion.pose_w, layout.bay_pose[tracked, :2])
+        bays = jnp.where(seen, tracked, NO_BAY)
+        own = goal_code(goal[:, None], tracked)
+        values["goal_choice"] = own / (tracked.shape[1] + 1)
+    parts = _describe(grid, motion.pose_w[:, None], layout.bay_pose[bays])
+    nearest, claim = rivals(layout, motion.xy, goal, bays)
+    parts["nearest_agent"] = nearest / DIAGONAL
+    parts["claim"] = jnp.where(jnp.isinf(claim), -1.0, claim / DIAGONAL)
+    described = {
+        name: jnp.where(bays != NO_BAY, parts[name], -1.0)[..., None]
+        for name in _bay_parts(config)
+    }
+    if tracked is not None:
+        values |= repeated_values("bay", described)
+    else:
+        values |= {f"goal_{name}": value[:, 0] for name, value in described.items()}
+
+    counts = ring_counts(config.rings, state)
+    values |= {name: count / (config.rings.cap + 1) for name, count in counts.items()}
+    if config.tracked_cars:
+        cars = _describe_cars(config, grid, state, level, bays)
+        values |= repeated_values("car", cars)
+    return values
 
 
 def speed_level(grid: GridConfig, ctrl_dt: float, speed: jax.Array) -> jax.Array:
@@ -54,90 +133,59 @@ def bearing_index(grid: GridConfig, local: jax.Array) -> jax.Array:
     return jnp.mod(jnp.round(clockwise * grid.headings / (2 * jnp.pi)), grid.headings)
 
 
-def observe_tanner(
-    config: ObservationConfig,
+def _bay_parts(config: TannerObservation) -> list[str]:
+    """What is observed of the goal or of a tracked bay, in order."""
+    parts = [part for part in BAY_PARTS if part in config.bay_parts]
+    return [*parts, "nearest_agent", "claim"] if config.global_information else parts
+
+
+def _car_parts(config: TannerObservation, dynamic: bool) -> list[str]:
+    """What is observed of a tracked car, in order."""
+    share, parts = config.share, ["distance", "bearing", "heading"]
+    if share.goals:
+        parts += ["goal"] if dynamic else ["goal_bearing", "goal_distance"]
+    if share.goal_headings:
+        parts.append("goal_heading")
+    return [*parts, "speed"] if share.speeds else parts
+
+
+def _describe_cars(
+    config: TannerObservation,
     grid: GridConfig,
-    ctrl_dt: float,
-    layout: Layout,
-    vehicle: Motion,
-    goal: jax.Array,
-    parked_pose: jax.Array,
-    parked_size: jax.Array,
-    parked_present: jax.Array | None = None,
-    spaces: jax.Array | None = None,
-    ring_history: jax.Array | None = None,
-) -> jax.Array:
-    """Observations of all agents of a lot.
+    state: State,
+    level: jax.Array,
+    bays: jax.Array,
+) -> dict[str, jax.Array]:
+    """Parts of the tracked cars, (num_agents, tracked_cars, 1) each.
 
     Args:
         config: what is observed.
         grid: granularities.
-        ctrl_dt: control period [s].
-        layout: the lot.
-        vehicle: the agents (num_agents,).
-        goal: (num_agents,) bay indices; `layout.num_bays` = exploring.
-        parked_pose: (num_parked_cars, 3).
-        parked_size: (num_parked_cars, 2) [m].
-        parked_present: (num_parked_cars,) bool, cars that exist; None = all.
-        spaces: (num_agents, num_spaces) bays tracked, `layout.num_bays` = none; None
+        state: of the lot.
+        level: (num_agents,) the agents' speeds from the fastest reverse [levels].
+        bays: (num_agents, count) the bays that the observers track and see; unused
             while goals are fixed.
-        ring_history: see `rings.init_history`.
-
-    Returns:
-        (num_agents, observation_size) float32, the fields of `make_fields`.
     """
-    num_agents, num_bays = goal.shape[0], layout.num_bays
-    num_spaces = 0 if spaces is None else spaces.shape[1]
-    pose, xy = vehicle.pose_w, vehicle.pose_w[:, :2]
-    parked = jnp.zeros(parked_pose.shape[0])
-    level = speed_level(grid, ctrl_dt, vehicle.speed) + grid.max_reverse
-    values = {"speed": level / grid.num_levels}
-
-    bays = goal[:, None]
-    if spaces is not None:
-        seen = in_view(config, pose, layout.bay_pose[spaces, :2])
-        bays = jnp.where(seen, spaces, num_bays)
-    parts = _describe(grid, pose[:, None], layout.bay_pose[bays])
-    parts["nearest_agent"], claim = rivals(layout, xy, goal, bays)
-    parts["nearest_agent"] = parts["nearest_agent"] / DIAGONAL
-    parts["claim"] = jnp.where(jnp.isinf(claim), -1.0, claim / DIAGONAL)
-    for k in range(bays.shape[1]):
-        name = f"space_{k}" if num_spaces else "goal"
-        for part, value in parts.items():
-            values[f"{name}_{part}"] = jnp.where(
-                bays[:, k] < num_bays, value[:, k], -1.0
-            )
-
-    if config.rings:
-        now = count_rings(config, layout, vehicle, parked_pose, parked_size)
-        counts = ring_counts(config, now, ring_history)
-        scale = config.ring_cap + 1
-        values |= {name: count[:, 0] / scale for name, count in counts.items()}
-
-    if config.tracked_cars:
-        index, present = track_cars(config, pose, parked_pose[:, :2], parked_present)
-        everybody = jnp.concatenate([pose, parked_pose])
-        cars = _describe(grid, pose[:, None], everybody[index])
-        level = jnp.concatenate([level, parked + grid.max_reverse])
-        cars["speed"] = level[index] / grid.num_levels
-        if spaces is None:
-            theirs = _describe(grid, pose, layout.bay_pose[goal])
-            for part, value in theirs.items():
-                cars[f"goal_{part}"] = jnp.concatenate([value, parked - 1.0])[index]
-        else:
-            nowhere = jnp.full(parked.shape, num_bays, goal.dtype)
-            code = goal_code(jnp.concatenate([goal, nowhere])[index], bays, num_bays)
-            known = code / (num_spaces + 2)
-            cars["goal"] = jnp.where(index < num_agents, known, -1.0)
-        for k in range(config.tracked_cars):
-            for part, value in cars.items():
-                values[f"car_{k}_{part}"] = jnp.where(present, value, -1.0)[:, k]
-    if spaces is not None:
-        own = goal_code(goal[:, None], spaces, num_bays)[:, 0]
-        values["goal_choice"] = own / (num_spaces + 1)
-
-    fields = make_fields(config, grid, num_spaces)
-    return jnp.stack([values[field.name] for field in fields], -1).astype(jnp.float32)
+    goal, parked_cars, pose = state.goal, state.parked_cars, observed(state).pose_w
+    index, present = track_cars(config, pose, parked_cars)
+    everybody = jnp.concatenate([pose, parked_cars.pose_w])
+    parts = _describe(grid, pose[:, None], everybody[index])
+    none = jnp.zeros(parked_cars.bay.shape[0])
+    level = jnp.concatenate([level, none + grid.max_reverse])
+    parts["speed"] = level[index] / grid.num_levels
+    if state.tracked_bays is None:
+        theirs = _describe(grid, pose, state.layout.bay_pose[goal])
+        for name, value in theirs.items():
+            parts[f"goal_{name}"] = jnp.concatenate([value, none - 1.0])[index]
+    else:
+        no_goal = jnp.full(none.shape, NO_BAY, goal.dtype)
+        code = goal_code(jnp.concatenate([goal, no_goal])[index], bays)
+        known = code / (bays.shape[1] + 2)
+        parts["goal"] = jnp.where(index < goal.shape[0], known, -1.0)
+    return {
+        name: jnp.where(present, parts[name], -1.0)[..., None]
+        for name in _car_parts(config, state.tracked_bays is not None)
+    }
 
 
 def _describe(

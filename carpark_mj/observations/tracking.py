@@ -3,16 +3,23 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import ObservationConfig
-from carpark_mj.geometry import rotate
-from carpark_mj.observations.localised import nearest
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    IndexObservation,
+    TannerObservation,
+    ViewConfig,
+)
+from carpark_mj.geometry import nearest, rotate
+from carpark_mj.observations.sensors import observed
+from carpark_mj.types import ParkedCars, State
 
 
-def in_view(config: ObservationConfig, own_pose: jax.Array, xy: jax.Array) -> jax.Array:
+def in_view(config: ViewConfig, own_pose: jax.Array, xy: jax.Array) -> jax.Array:
     """Whether points lie in the field of view and the tracking circle of every agent.
 
     Args:
-        config: `field_of_view` and `tracking_diameter`.
+        config: limits of the view.
         own_pose: (num_agents, 3) observers.
         xy: (n, 2) points, or (num_agents, n, 2) points of each agent's own.
 
@@ -21,9 +28,8 @@ def in_view(config: ObservationConfig, own_pose: jax.Array, xy: jax.Array) -> ja
     """
     offset = xy - own_pose[:, None, :2]
     seen = jnp.ones(offset.shape[:-1], bool)
-    if config.tracking_diameter is not None:
-        radius = config.tracking_diameter / 2
-        seen = seen & (jnp.linalg.norm(offset, axis=-1) <= radius)
+    if config.diameter is not None:
+        seen = seen & (jnp.linalg.norm(offset, axis=-1) <= config.diameter / 2)
     if config.field_of_view < 360.0:
         local = rotate(offset, -own_pose[:, None, 2])
         bearing = jnp.arctan2(local[..., 1], local[..., 0])
@@ -32,58 +38,88 @@ def in_view(config: ObservationConfig, own_pose: jax.Array, xy: jax.Array) -> ja
 
 
 def track_agents(
-    config: ObservationConfig, own_pose: jax.Array
+    config: ContinuousObservation, own_pose: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The nearest `tracked_agents` other agents, see `nearest`."""
+    """The nearest other agents.
+
+    Args:
+        config: how many, and the view.
+        own_pose: (num_agents, 3).
+
+    Returns:
+        Indices and presence (num_agents, tracked_agents), see `geometry.nearest`.
+    """
     xy = own_pose[:, :2]
-    mask = ~jnp.eye(xy.shape[0], dtype=bool) & in_view(config, own_pose, xy)
+    mask = ~jnp.eye(xy.shape[0], dtype=bool) & in_view(config.view, own_pose, xy)
     return nearest(xy, xy, mask, config.tracked_agents)
 
 
-def track_cars(
-    config: ObservationConfig,
-    own_pose: jax.Array,
-    parked_xy: jax.Array,
-    parked_present: jax.Array | None = None,
+def track_parked_cars(
+    config: ContinuousObservation, own_pose: jax.Array, parked_cars: ParkedCars
 ) -> tuple[jax.Array, jax.Array]:
-    """The nearest `tracked_cars` among the other agents and parked cars together.
+    """The nearest parked cars.
 
     Args:
-        config: what is tracked.
+        config: how many, and the view.
         own_pose: (num_agents, 3) observers.
-        parked_xy: (num_parked_cars, 2).
-        parked_present: (num_parked_cars,) bool, cars that exist; None = all.
+        parked_cars: (num_parked_cars,) of the lot.
 
     Returns:
-        Indices and presence (num_agents, tracked_cars), see `nearest`; indices count
-        the agents first, then the parked cars.
+        Indices and presence (num_agents, tracked_parked_cars), see `geometry.nearest`.
     """
-    if parked_present is None:
-        parked_present = jnp.ones(parked_xy.shape[0], bool)
+    xy = parked_cars.pose_w[:, :2]
+    mask = parked_cars.present & in_view(config.view, own_pose, xy)
+    return nearest(own_pose[:, :2], xy, mask, config.tracked_parked_cars)
+
+
+def track_cars(
+    config: TannerObservation, own_pose: jax.Array, parked_cars: ParkedCars
+) -> tuple[jax.Array, jax.Array]:
+    """The nearest among the other agents and parked cars together.
+
+    Args:
+        config: how many, and the view.
+        own_pose: (num_agents, 3) observers.
+        parked_cars: (num_parked_cars,) of the lot.
+
+    Returns:
+        Indices and presence (num_agents, tracked_cars), see `geometry.nearest`; indices
+        count the agents first, then the parked cars.
+    """
     own_xy, count = own_pose[:, :2], own_pose.shape[0]
     others = ~jnp.eye(count, dtype=bool)
-    parked = jnp.broadcast_to(parked_present, (count, parked_xy.shape[0]))
-    xy = jnp.concatenate([own_xy, parked_xy])
-    mask = jnp.concatenate([others, parked], axis=1) & in_view(config, own_pose, xy)
+    parked = jnp.broadcast_to(parked_cars.present, (count, *parked_cars.present.shape))
+    xy = jnp.concatenate([own_xy, parked_cars.pose_w[:, :2]])
+    mask = jnp.concatenate([others, parked], axis=1)
+    mask = mask & in_view(config.view, own_pose, xy)
     return nearest(own_xy, xy, mask, config.tracked_cars)
 
 
-def tracks(
-    config: ObservationConfig,
-    own_pose: jax.Array,
-    parked_xy: jax.Array,
-    parked_present: jax.Array | None = None,
-) -> jax.Array:
-    """Whether agents track each other; arguments as those of `track_cars`.
+def tracks(config: EnvConfig, state: State) -> jax.Array:
+    """Whether agents track each other, as far as their sensors tell.
 
     Returns:
         (num_agents, num_agents) bool, [i, j] whether i tracks j.
     """
-    if not (config.tracked_cars or config.tracked_agents):
-        return jnp.zeros((own_pose.shape[0],) * 2, bool)
-    if config.encoding == "tanner":
-        index, present = track_cars(config, own_pose, parked_xy, parked_present)
+    observation, pose = config.observation, observed(state).pose_w
+    agents = jnp.arange(pose.shape[0])
+    if isinstance(observation, TannerObservation) and observation.tracked_cars:
+        index, present = track_cars(observation, pose, state.parked_cars)
+    elif isinstance(observation, ContinuousObservation) and observation.tracked_agents:
+        index, present = track_agents(observation, pose)
     else:
-        index, present = track_agents(config, own_pose)
-    agents = jnp.arange(own_pose.shape[0])
+        return jnp.zeros((pose.shape[0],) * 2, bool)
     return jnp.any((index[..., None] == agents) & present[..., None], axis=1)
+
+
+def bays_in_view(config: EnvConfig, state: State) -> jax.Array | None:
+    """Bays that agents can track, by where they truly are.
+
+    Returns:
+        (num_agents, bays) bool; None if all are in view always.
+    """
+    observation = config.observation
+    if isinstance(observation, IndexObservation) or not observation.view.is_limited:
+        return None
+    bay_xy = state.layout.bay_pose[:, :2]
+    return in_view(observation.view, state.motion.pose_w, bay_xy)

@@ -14,8 +14,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import Layout, build, make_layout
 from carpark_mj.observations import make_fields
 from carpark_mj.physics.base import where_cars
-from carpark_mj.state import State, TimeStep
-from carpark_mj.types import Motion
+from carpark_mj.types import Motion, State, TimeStep
 from carpark_mj.vehicle import Vehicle
 
 CAR = (4.0, 2.0)  # m, a round footprint for hand-worked numbers
@@ -123,13 +122,11 @@ def overlap_oracle(
     return grown, grown == shrunk
 
 
-def fields_of(
-    observation: Any, config: Any, num_spaces: int = 0
-) -> dict[str, np.ndarray]:
+def fields_of(observation: Any, config: EnvConfig) -> dict[str, np.ndarray]:
     """An observation (..., size) cut into its named fields (..., k)."""
     observation = np.asarray(observation)
     named, start = {}, 0
-    for field in make_fields(config, None, num_spaces):
+    for field in make_fields(config):
         named[field.name] = observation[..., start : start + field.size]
         start += field.size
     assert start == observation.shape[-1]

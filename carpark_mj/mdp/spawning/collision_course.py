@@ -3,30 +3,44 @@
 Both would meet after equally long ways if they drove straight to their goals.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
 from carpark_mj.geometry import rotate
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.spawning.poses import BlockedAt, clearance, draw_heading, on_grid
+from carpark_mj.mdp.spawning.placing import Surroundings
+from carpark_mj.mdp.spawning.poses import draw_heading, on_grid
 
 ATTEMPTS = 10  # new goal, new other agent; then the start is random
 DRAWS = 11  # points where the two would meet, per attempt
 
 
+class Targets(NamedTuple):
+    """Agents that another can be set on a collision course with.
+
+    Attributes:
+        xy: (num_agents, 2) centres [m].
+        goal_xy: (num_agents, 2) centres of their goals [m].
+        mask: (num_agents,) bool, those that drive to a goal.
+    """
+
+    xy: jax.Array
+    goal_xy: jax.Array
+    mask: jax.Array
+
+
 def crash_pose(
     config: SpawnConfig,
     layout: Layout,
+    around: Surroundings,
     goal_xy: jax.Array,
-    other_xy: jax.Array,
-    other_goal_xy: jax.Array,
-    other_mask: jax.Array,
-    target_mask: jax.Array,
+    targets: Targets,
     key: jax.Array,
-    blocked: BlockedAt = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """One attempt to start an agent on a collision course; pure, static shapes.
+    """One attempt to start an agent on a collision course.
 
     The target is uniform among the agents that are `crash_distance` or more from their
     goals. The two would meet at a point of the target's straight way, uniform between
@@ -38,37 +52,33 @@ def crash_pose(
     Args:
         config: spawning rules.
         layout: the lot.
+        around: what to keep away from.
         goal_xy: (2,) centre of the agent's goal [m].
-        other_xy: (num_agents, 2) centres of the agents [m].
-        other_goal_xy: (num_agents, 2) centres of their goals [m].
-        other_mask: (num_agents,) bool, the agents to keep away from.
-        target_mask: (num_agents,) bool, those that drive to a goal.
+        targets: whom to collide with.
         key: consumed.
-        blocked: see `spawn_pose`.
 
     Returns:
         (3,) pose of the footprint's centre, and () bool whether the attempt succeeded;
         otherwise the pose means nothing.
     """
     target_key, way_key, yaw_key = jax.random.split(key, 3)
-    ways = jnp.linalg.norm(other_xy - other_goal_xy, axis=-1)
-    able = target_mask & (ways >= config.crash_distance)
+    ways = jnp.linalg.norm(targets.xy - targets.goal_xy, axis=-1)
+    able = targets.mask & (ways >= config.crash_distance)
     target = jax.random.categorical(target_key, jnp.where(able, 0.0, -jnp.inf))
-    way, end = ways[target], other_goal_xy[target]
+    way, end = ways[target], targets.goal_xy[target]
     longest = way - config.min_distance
     found = able.any() & (longest >= config.crash_distance)
 
     share = jax.random.uniform(way_key, (DRAWS,))
     rest = config.crash_distance + share * (longest - config.crash_distance)
-    meeting = end + rest[:, None] * _unit(other_xy[target] - end)
+    meeting = end + rest[:, None] * _unit(targets.xy[target] - end)
     start = meeting - (way - rest)[:, None] * _unit(goal_xy - meeting)
 
     start, region, inside = _into_region(config, layout, start)
     yaw = draw_heading(layout, region, yaw_key)
     pose = jnp.concatenate([start, yaw[:, None]], axis=-1)
-    good = inside & (clearance(start, other_xy, other_mask) > config.min_distance)
-    if blocked is not None:
-        good = good & ~blocked(pose)
+    good = inside & (around.distance(start) > config.min_distance)
+    good = good & ~around.touches(pose)
     return pose[jnp.argmax(good)], found & good.any()
 
 

@@ -1,9 +1,9 @@
 """Where an agent starts: at random in the spawn regions, or close to its goal.
 
-The third way to start is in `crash_spawn`.
+The third way to start is in `collision_course`.
 """
 
-from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,34 +11,52 @@ import jax.numpy as jnp
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.geometry import rotate, wrap_angle
 from carpark_mj.layouts.types import Layout
-
-# Says of poses (n, 3) whether a car would touch something there; None = nowhere.
-BlockedAt = Callable[[jax.Array], jax.Array] | None
+from carpark_mj.mdp.spawning.placing import Surroundings
 
 
-def is_close(config: SpawnConfig, key: jax.Array) -> jax.Array:
-    """Whether a spawn is to be close to a goal, (); the same key decides as spawns."""
-    return _kind_drawn(key) < config.close_ratio
+class SpawnKeys(NamedTuple):
+    """A key for each thing that is drawn for one start."""
+
+    region: jax.Array
+    point: jax.Array
+    walk: jax.Array
+    heading: jax.Array
+    kind: jax.Array
 
 
-def is_crash(config: SpawnConfig, key: jax.Array) -> jax.Array:
-    """Whether it is to be on a collision course, (); never both."""
-    drawn = _kind_drawn(key) - config.close_ratio
-    return (drawn >= 0.0) & (drawn < config.crash_ratio)
+class SpawnKind(NamedTuple):
+    """How a start is meant to be; random if it is neither. () bool each.
+
+    Attributes:
+        close: close to a goal.
+        crash: on course for a collision, or exploring with another agent's goal.
+    """
+
+    close: jax.Array
+    crash: jax.Array
 
 
-def _kind_drawn(key: jax.Array) -> jax.Array:
-    return jax.random.uniform(jax.random.split(key, 5)[4])
+def spawn_keys(key: jax.Array) -> SpawnKeys:
+    """Splits a key, which is consumed."""
+    return SpawnKeys(*jax.random.split(key, 5))
+
+
+def draw_kind(config: SpawnConfig, key: jax.Array) -> SpawnKind:
+    """Draws how a start is meant to be, never both; `key` decides and is consumed."""
+    drawn = jax.random.uniform(key)
+    rest = drawn - config.close_ratio
+    return SpawnKind(
+        close=drawn < config.close_ratio,
+        crash=(rest >= 0.0) & (rest < config.crash_ratio),
+    )
 
 
 def spawn_pose(
     config: SpawnConfig,
     layout: Layout,
+    around: Surroundings,
     goal_pose: jax.Array,
-    other_xy: jax.Array,
-    other_mask: jax.Array,
-    key: jax.Array,
-    blocked: BlockedAt = None,
+    keys: SpawnKeys,
 ) -> jax.Array:
     """Draws a start pose for one agent, random or close.
 
@@ -47,53 +65,60 @@ def spawn_pose(
     `close_distance` from the region's point nearest to the goal, or is random if other
     agents leave no room there. The first of `num_candidates` draws that keeps
     `min_distance` to every other agent is taken, else the draw farthest from them.
+    Draws where the car would touch something are taken only if there is no other.
 
     Args:
         config: spawning rules.
         layout: the lot.
+        around: what to keep away from.
         goal_pose: (3,) pose of the agent's goal.
-        other_xy: (num_agents, 2) centres of the agents [m].
-        other_mask: (num_agents,) bool, the agents to keep away from.
-        key: consumed.
-        blocked: says of poses (n, 3) whether the car would touch something there; such
-            draws are taken only if there is no other. None = nowhere, as is true of
-            cars no larger than the one the lot was drawn for.
+        keys: consumed, but for the one of the kind of start.
 
     Returns:
         (3,) pose of the footprint's centre.
     """
-    n = config.num_candidates
-    region_key, point_key, walk_key, yaw_key, _ = jax.random.split(key, 5)
-    area = jnp.where(layout.spawn_mask, jnp.prod(layout.spawn_size, axis=-1), 0.0)
-    region = jax.random.categorical(region_key, jnp.log(area), shape=(n,))
-    pose, size = layout.spawn_pose[region], layout.spawn_size[region]
-    # local = U(-size / 2, size / 2) in the region's frame; with a grid half a spacing
-    # more on each side: points on the edge count fully.
-    local = (jax.random.uniform(point_key, (n, 2)) - 0.5) * (size + config.grid)
-    random_xy = pose[:, :2] + rotate(on_grid(config, local, size), pose[:, 2])
-
-    close_xy, nearest = close_points(config, layout, goal_pose[:2], n, walk_key)
-
-    # Close to the goal only if somebody else is not: Tanner falls back likewise.
-    close = is_close(config, key)
-    gap = clearance(close_xy, other_xy, other_mask)
-    close = close & (gap > config.min_distance).any()
+    random_xy, random_region = _random_points(config, layout, keys)
+    count = config.num_candidates
+    close_xy, nearest = close_points(config, layout, goal_pose[:2], count, keys.walk)
+    # Close to the goal only if somebody else is not: so does the study.
+    free = (around.distance(close_xy) > config.min_distance).any()
+    close = draw_kind(config, keys.kind).close & free
     xy = jnp.where(close, close_xy, random_xy)
-    region = jnp.where(close, nearest, region)
-    yaw = draw_heading(layout, region, yaw_key)
-    gap = clearance(xy, other_xy, other_mask)
-    if blocked is not None:
-        pose = jnp.concatenate([xy, yaw[:, None]], axis=-1)
-        gap = jnp.where(blocked(pose), -1.0, gap)
+    region = jnp.where(close, nearest, random_region)
+    yaw = draw_heading(layout, region, keys.heading)
+    pose = jnp.concatenate([xy, yaw[:, None]], axis=-1)
+    return _best(config, around, pose)
+
+
+def random_pose(
+    config: SpawnConfig, layout: Layout, around: Surroundings, keys: SpawnKeys
+) -> jax.Array:
+    """Draws a start pose (3,) at random; see `spawn_pose`."""
+    xy, region = _random_points(config, layout, keys)
+    yaw = draw_heading(layout, region, keys.heading)
+    return _best(config, around, jnp.concatenate([xy, yaw[:, None]], axis=-1))
+
+
+def _random_points(
+    config: SpawnConfig, layout: Layout, keys: SpawnKeys
+) -> tuple[jax.Array, jax.Array]:
+    """Points (num_candidates, 2) uniform over the spawn regions, and which region."""
+    count = config.num_candidates
+    area = jnp.where(layout.spawn_mask, jnp.prod(layout.spawn_size, axis=-1), 0.0)
+    region = jax.random.categorical(keys.region, jnp.log(area), shape=(count,))
+    pose, size = layout.spawn_pose[region], layout.spawn_size[region]
+    # local = U(-size / 2, size / 2) in the region's frame; with a spacing half of it
+    # more on each side: points on the edge count fully.
+    local = jax.random.uniform(keys.point, (count, 2)) - 0.5
+    local = on_grid(config, local * (size + config.spacing), size)
+    return pose[:, :2] + rotate(local, pose[:, 2]), region
+
+
+def _best(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
+    """The first of poses (n, 3) that keeps its distance, else the farthest."""
+    gap = jnp.where(around.touches(pose), -1.0, around.distance(pose[:, :2]))
     keeps = gap > config.min_distance
-    best = jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(gap))
-    return jnp.concatenate([xy[best], yaw[best][None]])
-
-
-def clearance(xy: jax.Array, other_xy: jax.Array, other_mask: jax.Array) -> jax.Array:
-    """Distance (n,) of points (n, 2) to the nearest of others (m, 2) under a mask."""
-    gap = jnp.linalg.norm(xy[:, None] - other_xy, axis=-1)
-    return jnp.where(other_mask, gap, jnp.inf).min(axis=-1)
+    return pose[jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(gap))]
 
 
 def draw_heading(layout: Layout, region: jax.Array, key: jax.Array) -> jax.Array:
@@ -105,21 +130,21 @@ def draw_heading(layout: Layout, region: jax.Array, key: jax.Array) -> jax.Array
 
 
 def on_grid(config: SpawnConfig, local: jax.Array, size: jax.Array) -> jax.Array:
-    """Moves points (..., 2) to the nearest grid points of their regions, if on a grid.
+    """Moves points (..., 2) to the nearest grid points of their regions, if spaced.
 
     Args:
-        config: whose `grid` it is.
+        config: whose `spacing` it is.
         local: in the regions' frames [m].
         size: (..., 2) of the regions [m].
     """
-    if not config.grid:
+    if not config.spacing:
         return local
     edge = _edge(config, size)
-    return jnp.clip(jnp.round(local / config.grid), -edge, edge) * config.grid
+    return jnp.clip(jnp.round(local / config.spacing), -edge, edge) * config.spacing
 
 
 def _edge(config: SpawnConfig, size: jax.Array) -> jax.Array:
-    return jnp.floor(0.5 * size / config.grid + 1e-4)
+    return jnp.floor(0.5 * size / config.spacing + 1e-4)
 
 
 def close_points(
@@ -127,8 +152,8 @@ def close_points(
 ) -> tuple[jax.Array, jax.Array]:
     """Points (n, 2) near the goal within the spawn region closest to it, and which.
 
-    Without a grid each is one straight step from the region's point nearest to the
-    goal, its direction and length uniform, clipped to the region. On a grid it is the
+    Without a spacing each is one straight step from the region's point nearest to the
+    goal, its direction and length uniform, clipped to the region. With one it is the
     study's walk: fewer than `close_distance` unit steps along the region's axes, their
     number uniform, those out of the region drawn anew. So the study's starts lie nearer
     to the goal: of ten units' walk a root mean square of 2.1, of the step 5.8.
@@ -139,7 +164,7 @@ def close_points(
     gap = jnp.linalg.norm(local - nearest, axis=-1)
     region = jnp.argmin(jnp.where(layout.spawn_mask, gap, jnp.inf))
     pose, size = layout.spawn_pose[region], layout.spawn_size[region]
-    if config.grid:
+    if config.spacing:
         point = _walk(config, nearest[region], size, n, key)
     else:
         angle_key, reach_key = jax.random.split(key)
@@ -154,8 +179,8 @@ def _walk(
     config: SpawnConfig, start: jax.Array, size: jax.Array, n: int, key: jax.Array
 ) -> jax.Array:
     """Ends (n, 2) of random walks in a region's frame, on its grid points."""
-    stride = max(1, round(WORLD_UNIT / config.grid))  # grid points per unit step
-    most = max(1, round(config.close_distance / (stride * config.grid)))
+    stride = max(1, round(WORLD_UNIT / config.spacing))  # grid points per unit step
+    most = max(1, round(config.close_distance / (stride * config.spacing)))
     edge = _edge(config, size)
     steps = stride * jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     length_key, step_key = jax.random.split(key)
@@ -170,7 +195,7 @@ def _walk(
         end = jnp.take_along_axis(ends, way[:, None, None], axis=1)[:, 0]
         return jnp.where(moves[:, None], end, point), None
 
-    first = jnp.broadcast_to(on_grid(config, start, size) / config.grid, (n, 2))
+    first = jnp.broadcast_to(on_grid(config, start, size) / config.spacing, (n, 2))
     draws = jnp.arange(most - 1), jax.random.split(step_key, most - 1)
     end, _ = jax.lax.scan(step, jnp.round(first), draws)
-    return end * config.grid
+    return end * config.spacing

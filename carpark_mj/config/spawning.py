@@ -1,4 +1,4 @@
-"""Starts and ends of episodes."""
+"""Starts of episodes."""
 
 import dataclasses
 from typing import Literal
@@ -6,7 +6,6 @@ from typing import Literal
 from carpark_mj.config.checks import at_least, choose, ratio
 
 EvolutionRule = Literal["furthest", "random"]
-ParkedRule = Literal["tanner", "strict", "precise"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,8 +23,8 @@ class SpawnConfig:
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
             taken, or the one farthest from the other agents if none does.
-        grid: spacing [m] of the points on which starts lie, about the middle of a
-            spawn region and up to its edges; 0 = anywhere.
+        spacing: of the grid on which starts lie [m], about the middle of a spawn region
+            and up to its edges; 0 = anywhere.
         evolution: which parked car moves into a bay where an agent has parked: the one
             `furthest` from all agents, or a `random` one that no agent tracks.
     """
@@ -36,7 +35,7 @@ class SpawnConfig:
     crash_distance: float = 7.38
     min_distance: float = 7.38
     num_candidates: int = 16
-    grid: float = 0.0
+    spacing: float = 0.0
     evolution: EvolutionRule = "furthest"
 
     def __post_init__(self) -> None:
@@ -46,31 +45,7 @@ class SpawnConfig:
                 "close_ratio + crash_ratio must be at most 1, not "
                 f"{self.close_ratio} + {self.crash_ratio}"
             )
-        distances = ("close_distance", "crash_distance", "min_distance", "grid")
+        distances = ("close_distance", "crash_distance", "min_distance", "spacing")
         at_least(self, 0.0, *distances)
         at_least(self, 1, "num_candidates")
         choose("evolution", self.evolution, EvolutionRule)
-
-
-@dataclasses.dataclass(frozen=True)
-class EpisodeConfig:
-    """When an agent's episode ends.
-
-    Attributes:
-        parked_rule: what "parked" means. `tanner`: centre within 1.001 world units
-            (0.563 m) of the bay's in x and y, at any speed and heading. `strict`:
-            footprint within the bay's lines, heading within 5 deg of the bay's axis
-            either way round, below 0.2 m/s. `precise`: centre within 0.2 m, heading
-            within 3 deg, below 0.05 m/s.
-        max_steps: control steps until an episode is cut off (truncated).
-        respawn: an agent whose episode ends starts a new one at once; otherwise it
-            stays where it is, on the brake, until the lot is reset.
-    """
-
-    parked_rule: ParkedRule = "strict"
-    max_steps: int = 200
-    respawn: bool = True
-
-    def __post_init__(self) -> None:
-        choose("parked_rule", self.parked_rule, ParkedRule)
-        at_least(self, 1, "max_steps")

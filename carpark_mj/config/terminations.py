@@ -1,0 +1,77 @@
+"""Ends of episodes: what "parked" means, and when an episode is cut off."""
+
+import dataclasses
+import math
+from typing import Literal
+
+from carpark_mj.config.checks import at_least, choose
+from carpark_mj.config.grid import WORLD_UNIT
+
+ParkedRule = Literal["tanner", "strict", "precise"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ParkedLimits:
+    """When a car counts as parked in its goal; all limits must hold, None = any.
+
+    Attributes:
+        offset: largest distance of centres along either axis of the bay [m].
+        distance: largest distance of centres [m].
+        inside_lines: the footprint must be within the bay's lines.
+        heading: largest angle to the bay's axis, either way round [rad].
+        speed: highest speed [m/s].
+        before_crash: an agent that parks in a step cannot crash in it.
+        slack: least room beyond the car, along and across, that makes a bay a goal for
+            a car of a fleet [m]. To end within the lines takes some room to steer.
+        source: of the limits.
+    """
+
+    offset: float | None = None
+    distance: float | None = None
+    inside_lines: bool = False
+    heading: float | None = None
+    speed: float | None = None
+    before_crash: bool = False
+    slack: float = 0.0
+    source: str = ""
+
+
+PARKED_RULES: dict[ParkedRule, ParkedLimits] = {
+    "tanner": ParkedLimits(
+        offset=1.001 * WORLD_UNIT,
+        before_crash=True,
+        source="reference implementation of Tanner 2022",
+    ),
+    "strict": ParkedLimits(
+        inside_lines=True, heading=math.radians(5.0), speed=0.2, slack=0.1
+    ),
+    "precise": ParkedLimits(
+        distance=0.2,
+        heading=math.radians(3.0),
+        speed=0.05,
+        source="ParkBench's 0.2 m and 3 deg",
+    ),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class EpisodeConfig:
+    """When an agent's episode ends.
+
+    Attributes:
+        parked_rule: what "parked" means, by name, see `PARKED_RULES`.
+        max_steps: control steps until an episode is cut off (truncated).
+        respawn: an agent whose episode ends starts a new one at once; otherwise it
+            stays where it is, on the brake, until the lot is reset.
+        final_observation: `TimeStep` carries what agents saw at the end of a step,
+            before any respawn; off-policy learners need it.
+    """
+
+    parked_rule: ParkedRule = "strict"
+    max_steps: int = 200
+    respawn: bool = True
+    final_observation: bool = False
+
+    def __post_init__(self) -> None:
+        choose("parked_rule", self.parked_rule, ParkedRule)
+        at_least(self, 1, "max_steps")

@@ -1,0 +1,168 @@
+"""Fixed goals: the environment draws one for each episode (Tanner 2022).
+
+Goals are distinct, and no agent's goal holds a parked car once it has been drawn.
+"""
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.mdp.bays import marked
+from carpark_mj.mdp.spawning.collision_course import ATTEMPTS, Targets, crash_pose
+from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
+from carpark_mj.mdp.spawning.poses import draw_kind, spawn_keys, spawn_pose
+from carpark_mj.types import Events, State
+
+
+class FixedGoals:
+    """Goals behind the `Goals` interface that last as long as an episode."""
+
+    def __init__(self, config: EnvConfig) -> None:
+        """Takes the rules of spawning."""
+        self._config = config.spawn
+
+    def first_pose(
+        self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
+    ) -> jax.Array:
+        """Random, close to the given goal or on a collision course."""
+        config, layout = self._config, inputs.layout
+        around = surroundings(inputs, placing, agent)
+        around = dataclasses.replace(around, others=~placing.waiting)
+        goal_pose = layout.bay_pose[placing.goal]
+        keys = spawn_keys(key)
+        pose = spawn_pose(config, layout, around, goal_pose[agent], keys)
+        if not config.crash_ratio:
+            return pose
+        # The goal is given here, so that an attempt draws another target only.
+        targets = Targets(placing.xy, goal_pose[:, :2], ~placing.waiting)
+        own_xy = goal_pose[agent, :2]
+        attempt_keys = jax.random.fold_in(key, ATTEMPTS)
+        tried, good = jax.vmap(
+            lambda key: crash_pose(config, layout, around, own_xy, targets, key)
+        )(jax.random.split(attempt_keys, ATTEMPTS))
+        crash = draw_kind(config, keys.kind).crash & good.any()
+        return jnp.where(crash, tried[jnp.argmax(good)], pose)
+
+    def place(
+        self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
+    ) -> Placing:
+        """A new goal, and a start pose that may be close to it.
+
+        An agent that starts on a collision course gets the goal that made it possible.
+        """
+        config, layout = self._config, inputs.layout
+        # The third part is not used.
+        goal_key, spawn_key, _, crash_key = jax.random.split(key, 4)
+        drawn = self.new_goal(inputs, placing, agent, goal_key)
+        keys = spawn_keys(spawn_key)
+        around = surroundings(inputs, drawn, agent)
+        goal_pose = layout.bay_pose[drawn.goal[agent]]
+        drawn = drawn.at(agent, spawn_pose(config, layout, around, goal_pose, keys))
+        if not config.crash_ratio:
+            return drawn
+
+        def attempt(key: jax.Array) -> tuple[Placing, jax.Array]:
+            goal_key, pose_key = jax.random.split(key)
+            drawn = self.new_goal(inputs, placing, agent, goal_key)
+            around = surroundings(inputs, drawn, agent)
+            goal_xy = layout.bay_pose[drawn.goal, :2]
+            targets = Targets(placing.xy, goal_xy, ~placing.waiting)
+            pose, good = crash_pose(
+                config, layout, around, goal_xy[agent], targets, pose_key
+            )
+            return drawn.at(agent, pose), good
+
+        tried, good = jax.vmap(attempt)(jax.random.split(crash_key, ATTEMPTS))
+        crash = draw_kind(config, keys.kind).crash & good.any()
+        return jax.tree.map(
+            lambda new, old: jnp.where(crash, new[jnp.argmax(good)], old), tried, drawn
+        )
+
+    def new_goal(
+        self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
+    ) -> Placing:
+        """Draws a new goal for one agent.
+
+        Uniform over the bays that are no agent's goal, those with a parked car
+        included. A parked car there makes way: to the agent's old goal if that is empty
+        and farther than `min_distance` from every other agent, otherwise to a random
+        bay like that. If there is none, the goal is drawn among the bays without parked
+        cars. With no bay to choose the agent keeps its goal, and nothing moves.
+
+        Args:
+            inputs: the lot and who fits where.
+            placing: before the draw.
+            agent: () int32 index.
+            key: consumed.
+        """
+        layout, fits = inputs.layout, inputs.fits
+        goal_key, refuge_key = jax.random.split(key)
+        rows = jnp.arange(layout.num_bays)
+        old = placing.goal[agent]
+        is_goal = marked(layout, placing.goal)
+        has_car = marked(layout, placing.parked_bay)
+        other = jnp.arange(placing.goal.shape[0]) != agent
+        gap = jnp.linalg.norm(layout.bay_pose[:, None, :2] - placing.xy, axis=-1)
+        gap = jnp.where(other, gap, jnp.inf).min(axis=-1)
+
+        candidate = layout.bay_mask & ~is_goal
+        others_goal = (is_goal & (rows != old)) | ~layout.bay_mask
+        refuge = ~others_goal & ~has_car & (gap > self._config.min_distance)
+        # A refuge must not be the new goal itself, which has a car, so it never is.
+        can_move = refuge.any()
+        if fits.parked_cars is not None:
+            able = (fits.parked_cars & refuge).any(axis=1)
+            can_move = jnp.zeros(layout.num_bays, bool)
+            can_move = can_move.at[placing.parked_bay].set(able, mode="drop")
+        candidate = candidate & (can_move | ~has_car)
+        if fits.agents is not None:
+            candidate = candidate & fits.agents[agent]
+        found = candidate.any()
+        score = jax.random.uniform(goal_key, (layout.num_bays,))
+        goal = jnp.argmax(jnp.where(candidate, score, -1.0)).astype(jnp.int32)
+        score = jax.random.uniform(refuge_key, (layout.num_bays,))
+        score = jnp.where(rows == old, 2.0, score)
+        evicted = placing.parked_bay == goal
+        if fits.parked_cars is not None:
+            refuge = refuge & (fits.parked_cars & evicted[:, None]).any(axis=0)
+        shelter = jnp.argmax(jnp.where(refuge, score, -1.0)).astype(jnp.int32)
+        drawn = dataclasses.replace(
+            placing,
+            goal=placing.goal.at[agent].set(goal),
+            parked_bay=jnp.where(evicted, shelter, placing.parked_bay),
+        )
+        drawn = jax.tree.map(partial(jnp.where, found), drawn, placing)
+        return dataclasses.replace(drawn, found=drawn.found.at[agent].set(found))
+
+    def init_tracked_bays(self) -> None:
+        """Agents track no bays."""
+
+    def track(self, state: State) -> State:
+        """Nothing is tracked."""
+        return state
+
+    def choose(self, state: State, choice: jax.Array | None) -> State:
+        """Goals stay as they are."""
+        del choice
+        return state
+
+    def target_pose(self, state: State) -> jax.Array:
+        """Poses (num_agents, 3) of the goals."""
+        return state.layout.bay_pose[state.goal]
+
+    def update(
+        self, before: State, after: State, events: Events
+    ) -> tuple[State, None]:
+        """Goals stay as they are."""
+        del before, events
+        return after, None
+
+    def begin(
+        self, state: State, placing: Placing, begun: jax.Array, key: jax.Array | None
+    ) -> State:
+        """Everything is decided when agents are placed."""
+        del placing, begun, key
+        return state

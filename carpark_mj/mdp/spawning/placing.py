@@ -1,0 +1,205 @@
+"""Agents that begin an episode are placed one after the other, so that they stay apart.
+
+The loop is the same whoever decides the goals; see `carpark_mj.mdp.goals`.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.geometry import box_disc_overlap, boxes_overlap
+from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.bays import BayFits
+from carpark_mj.mdp.parked_cars import in_bays
+from carpark_mj.types import NO_BAY, ParkedCars
+
+
+@struct.dataclass
+class SpawnInputs:
+    """What stays the same while the agents of a step are placed.
+
+    Attributes:
+        layout: the lot.
+        parked_cars: where they stood before the first is placed.
+        size: (num_agents, 2) footprints of the cars drawn for agents that begin [m];
+            None if all agents drive cars of one kind, which spawn regions have room
+            for.
+        old_size: (num_agents, 2) footprints of the cars they drove before [m]; None
+            likewise.
+        fits: who fits into which bay.
+    """
+
+    layout: Layout
+    parked_cars: ParkedCars
+    size: jax.Array | None
+    old_size: jax.Array | None
+    fits: BayFits
+
+
+@struct.dataclass
+class Placing:
+    """Agents while they are placed.
+
+    Attributes:
+        goal: (num_agents,) int32, see `State.goal`.
+        parked_bay: (num_parked_cars,) int32, see `ParkedCars.bay`.
+        pose_w: (num_agents, 3).
+        waiting: (num_agents,) bool, who has yet to be placed.
+        close_bay: (num_agents,) int32 free bay next to which an exploring agent starts,
+            else `NO_BAY`.
+        conflict: (num_agents,) bool, an exploring agent is to take another agent's goal
+            if it can.
+        found: (num_agents,) bool, the agent drives the car drawn for it; without a bay
+            that this fits into it keeps its goal and its car.
+    """
+
+    goal: jax.Array
+    parked_bay: jax.Array
+    pose_w: jax.Array
+    waiting: jax.Array
+    close_bay: jax.Array
+    conflict: jax.Array
+    found: jax.Array
+
+    @property
+    def xy(self) -> jax.Array:
+        """(num_agents, 2) centres [m]."""
+        return self.pose_w[:, :2]
+
+    def at(self, agent: jax.Array, pose_w: jax.Array) -> "Placing":
+        """With an agent () at another pose (3,)."""
+        return dataclasses.replace(self, pose_w=self.pose_w.at[agent].set(pose_w))
+
+
+@struct.dataclass
+class Surroundings:
+    """What a start pose of one agent keeps away from.
+
+    Attributes:
+        xy: (num_agents, 2) centres of the agents [m].
+        others: (num_agents,) bool, the agents to keep away from.
+        layout: whose walls and discs must not be touched.
+        size: (2,) footprint of the agent's car [m]; None if it fits wherever it can
+            spawn.
+        parked_pose: (num_parked_cars, 3) parked cars that must not be touched.
+        parked_size: (num_parked_cars, 2) [m].
+    """
+
+    xy: jax.Array
+    others: jax.Array
+    layout: Layout
+    size: jax.Array | None
+    parked_pose: jax.Array
+    parked_size: jax.Array
+
+    def distance(self, xy: jax.Array) -> jax.Array:
+        """Distance (n,) [m] of points (n, 2) to the nearest other agent's centre."""
+        gap = jnp.linalg.norm(xy[:, None] - self.xy, axis=-1)
+        return jnp.where(self.others, gap, jnp.inf).min(axis=-1)
+
+    def touches(self, pose: jax.Array) -> jax.Array:
+        """(n,) bool, whether the car at poses (n, 3) would touch what does not move."""
+        if self.size is None:
+            return jnp.zeros(pose.shape[:1], bool)
+        layout, own = self.layout, pose[:, None]
+        walls = boxes_overlap(own, self.size, layout.wall_pose, layout.wall_size)
+        discs = box_disc_overlap(
+            own, self.size, layout.disc_centre, layout.disc_radius
+        )
+        parked = boxes_overlap(own, self.size, self.parked_pose, self.parked_size)
+        return (
+            (walls & layout.wall_mask).any(1)
+            | (discs & layout.disc_mask).any(1)
+            | parked.any(1)
+        )
+
+
+def surroundings(
+    inputs: SpawnInputs, placing: Placing, agent: jax.Array
+) -> Surroundings:
+    """What the start pose of an agent () keeps away from: all the others.
+
+    Args:
+        inputs: the lot.
+        placing: goals and parked cars as they will be.
+        agent: () int32 index.
+    """
+    size, parked = None, inputs.parked_cars
+    if inputs.size is not None and inputs.old_size is not None:
+        found = placing.found[agent]
+        size = jnp.where(found, inputs.size[agent], inputs.old_size[agent])
+        parked = in_bays(inputs.layout, parked, placing.parked_bay)
+    return Surroundings(
+        xy=placing.xy,
+        others=jnp.arange(placing.goal.shape[0]) != agent,
+        layout=inputs.layout,
+        size=size,
+        parked_pose=parked.pose_w,
+        parked_size=parked.size,
+    )
+
+
+def start_placing(
+    goal: jax.Array, parked_bay: jax.Array, pose_w: jax.Array, waiting: jax.Array
+) -> Placing:
+    """Agents before any is placed; arguments as in `Placing`."""
+    return Placing(
+        goal=goal,
+        parked_bay=parked_bay,
+        pose_w=pose_w,
+        waiting=waiting,
+        close_bay=jnp.full(goal.shape, NO_BAY, jnp.int32),
+        conflict=jnp.zeros(goal.shape, bool),
+        found=jnp.ones(goal.shape, bool),
+    )
+
+
+Place = Callable[[SpawnInputs, Placing, jax.Array, jax.Array], Placing]
+FirstPose = Callable[[SpawnInputs, Placing, jax.Array, jax.Array], jax.Array]
+
+
+def place_all(
+    first_pose: FirstPose, inputs: SpawnInputs, placing: Placing, key: jax.Array
+) -> Placing:
+    """Places all agents of a lot that begins, in the order of their numbers.
+
+    Args:
+        first_pose: `Goals.first_pose`.
+        inputs: the lot.
+        placing: all are waiting, with the goals they begin with.
+        key: consumed.
+    """
+
+    def one(placing: Placing, agent: jax.Array) -> tuple[Placing, None]:
+        agent_key = jax.random.fold_in(key, agent)
+        placing = placing.at(agent, first_pose(inputs, placing, agent, agent_key))
+        waiting = placing.waiting.at[agent].set(False)
+        return dataclasses.replace(placing, waiting=waiting), None
+
+    agents = jnp.arange(placing.goal.shape[0])
+    return jax.lax.scan(one, placing, agents)[0]
+
+
+def place_waiting(
+    place: Place, inputs: SpawnInputs, placing: Placing, key: jax.Array
+) -> Placing:
+    """Places the waiting agents while the others drive on.
+
+    Args:
+        place: `Goals.place`.
+        inputs: the lot.
+        placing: before.
+        key: consumed.
+    """
+
+    def one(placing: Placing) -> Placing:
+        agent = jnp.argmax(placing.waiting)
+        placing = place(inputs, placing, agent, jax.random.fold_in(key, agent))
+        waiting = placing.waiting.at[agent].set(False)
+        return dataclasses.replace(placing, waiting=waiting)
+
+    # A loop over those who wait only: most steps end nobody's episode.
+    return jax.lax.while_loop(lambda placing: placing.waiting.any(), one, placing)

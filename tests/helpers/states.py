@@ -1,0 +1,105 @@
+"""States of a lot by hand, without an environment."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.layouts import Layout
+from carpark_mj.types import NO_BAY, EpisodeStats, Motion, ParkedCars, State
+
+
+@struct.dataclass
+class HandCar:
+    """Parameters of cars (num_agents,); see `carpark_mj.types.CarParameters`."""
+
+    size: jax.Array
+    wheelbase: jax.Array
+    centre_offset: jax.Array
+    max_speed: jax.Array
+    max_reverse_speed: jax.Array
+    max_steering: jax.Array
+    steering_rate: jax.Array
+
+
+@struct.dataclass
+class HandPhysics:
+    """A physics state that holds nothing but the cars' parameters."""
+
+    vehicle: HandCar
+
+
+def hand_cars(motion: Motion, **parameters: Any) -> HandCar:
+    """Parameters of the cars of a motion; scalars hold for all of them."""
+    values = {
+        "wheelbase": 2.5,
+        "centre_offset": 1.25,
+        "max_speed": 3.0,
+        "max_reverse_speed": 2.0,
+        "max_steering": 0.6,
+        "steering_rate": 0.5,
+    } | parameters
+    lead = motion.yaw_rate.shape
+    full = {
+        name: jnp.broadcast_to(jnp.asarray(value, jnp.float32), lead)
+        for name, value in values.items()
+    }
+    return HandCar(size=motion.size, **full)
+
+
+def parked_at(pose: Any = (), size: Any = (4.0, 2.0), present: Any = True) -> ParkedCars:
+    """Parked cars at poses (num_parked_cars, 3), in the first bays of the lot."""
+    pose = jnp.asarray(pose, jnp.float32).reshape(-1, 3)
+    bay = jnp.arange(pose.shape[0], dtype=jnp.int32)
+    return ParkedCars(
+        bay=jnp.where(jnp.asarray(present), bay, NO_BAY),
+        pose_w=pose,
+        size=jnp.broadcast_to(jnp.asarray(size, jnp.float32), (pose.shape[0], 2)),
+    )
+
+
+def parked_in(layout: Layout, bay: Any, size: Any = (4.0, 2.0)) -> ParkedCars:
+    """Parked cars in the middle of bays (num_parked_cars,) of a lot."""
+    bay = jnp.asarray(bay, jnp.int32)
+    return parked_at(layout.bay_pose[bay], size).replace(bay=bay)
+
+
+def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State:
+    """A state by hand: nobody parked, goals fixed, true sensors, at the first step.
+
+    Args:
+        layout: the lot.
+        motion: the agents (num_agents,).
+        goal: (num_agents,) bays, or one for all.
+        changes: other attributes of the state; `tracked_bays` may be a list.
+    """
+    lead = motion.yaw_rate.shape
+    if changes.get("tracked_bays") is not None:
+        changes["tracked_bays"] = jnp.asarray(changes["tracked_bays"], jnp.int32)
+    zero = jnp.zeros(lead, jnp.float32)
+    stats = EpisodeStats(
+        episode_return=zero,
+        length=zero,
+        path=zero,
+        gear_changes=zero,
+        direction=zero,
+        invalid_actions=zero,
+        wrong_way=None,
+        tallies={},
+    )
+    state = State(
+        physics=HandPhysics(hand_cars(motion)),
+        motion=motion,
+        layout=layout,
+        goal=jnp.broadcast_to(jnp.asarray(goal, jnp.int32), lead),
+        tracked_bays=None,
+        parked_cars=parked_at(),
+        ring_history=None,
+        step=jnp.zeros(lead, jnp.int32),
+        active=jnp.ones(lead, bool),
+        stats=stats,
+        sensors=None,
+        key=jax.random.key(0),
+    )
+    return state.replace(**changes)
