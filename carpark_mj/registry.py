@@ -12,7 +12,7 @@ where both are silent, the choice is:
 - leaving the world counts as a crash: the outer walls are hit before.
 - an agent that parks frees the parked car farthest from all agents (text), not a random
   one (program); `SpawnConfig.evolution` has both.
-- the goal of an agent is lost when its bay is no longer among the num_spaces nearest,
+- the goal of an agent is lost when its bay is no longer among the num_tracked_bays nearest,
   not the n_track nearest (text); that pays what giving it up pays (program, silent in
   the text), a goal that somebody else has parked in pays nothing (program).
 - tracked bays keep their slots (text), where the program numbers them by distance.
@@ -26,7 +26,6 @@ where both are silent, the choice is:
 import dataclasses
 
 from carpark_mj.config import (
-    TANNER_OBSERVATION,
     WORLD_UNIT,
     EnvConfig,
     EpisodeConfig,
@@ -36,6 +35,7 @@ from carpark_mj.config import (
     RewardConfig,
     RingConfig,
     SpawnConfig,
+    TannerObservation,
     reward_preset,
 )
 
@@ -59,7 +59,7 @@ TANNER_QLEARNING = EnvConfig(
         close_ratio=0.0,
         min_distance=9 * WORLD_UNIT,
         num_candidates=16,
-        grid=WORLD_UNIT,
+        spacing=WORLD_UNIT,
     ),
     episode=EpisodeConfig(parked_rule="tanner", max_steps=85),
     reward=RewardConfig(
@@ -99,11 +99,11 @@ TANNER_FIXED = EnvConfig(
         crash_ratio=0.2,
         crash_distance=13.125 * WORLD_UNIT,
         min_distance=13.125 * WORLD_UNIT,
-        grid=GridConfig().point_size,
+        spacing=GridConfig().point_size,
     ),
     episode=EpisodeConfig(parked_rule="tanner", max_steps=200),
     reward=reward_preset("tanner"),
-    observation=TANNER_OBSERVATION,
+    observation=TannerObservation(),
 )
 
 # Table C.10, on top of C.9; the weights of goals are the defaults of `GoalRewards`.

@@ -5,13 +5,16 @@ Units are SI and radians; poses are (x [m], y [m], yaw [rad]) of a footprint's c
 Floats are float32.
 """
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import jax
 from flax import struct
 
 from carpark_mj.config import ContextName
 from carpark_mj.layouts.types import Layout
+
+if TYPE_CHECKING:  # it loads MuJoCo, which the task does without
+    from carpark_mj.vehicle.vehicle import Vehicle
 
 # Index of no bay, whatever the layout: as a goal the agent is exploring, as the bay of
 # a parked car the car is absent, in a list of tracked bays the slot is empty. Reading
@@ -95,11 +98,11 @@ class CarParameters(Protocol):
 
 
 class PhysicsState(Protocol):
-    """State of any physics back end, as far as the task reads it."""
+    """State of a physics back end, a pytree of which the task reads the parameters."""
 
     @property
-    def vehicle(self) -> CarParameters:
-        """Parameters of the agents' cars (num_agents,)."""
+    def vehicle(self) -> "Vehicle":
+        """Parameters of the agents' cars (..., num_agents)."""
         ...
 
 

@@ -1,31 +1,35 @@
-"""Measures the physics: car-substeps per second of both tyre models, side by side.
+"""Measures what users feel: steps, training, physics, compilation and memory.
 
-python eval/benchmark.py
-python eval/benchmark.py --batches 8192 65536
+python eval/benchmark.py                                   # this checkout
+python eval/benchmark.py --what env --batches 512 4096
+python eval/benchmark.py --against main~1 --out benchmark.csv
 
-Each model runs at the longest substep at which it passes the physics report: 10 ms on
-brush tyres, 4 ms on contact wheels in MJX. Prints a markdown table, whose rows name
-the device; compare only figures of one run. A GPU needs no flag: JAX takes it.
+`env` counts agent steps of the whole environment under random actions, `ppo` those of
+training end to end, `physics` substeps of cars alone on both tyre models, each at the
+longest substep at which it passes the physics report. Every measurement has a process
+of its own, in which nothing is compiled yet. With `--against` two checkouts take
+turns, and the ratio of this one's numbers to the other's is printed: that of the best
+rounds, and the range over the rounds. Compare only figures of one run.
 """
 
+import contextlib
 import dataclasses
-import os
+import signal
 import sys
-import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import get_args
 
-import jax
-import jax.numpy as jnp
 import tyro
+from benchmarking.checkouts import Checkout, here, other_checkout
+from benchmarking.records import Clock, Job, What
+from benchmarking.report import Row, markdown, write_csv
+from benchmarking.run import WorkerError, run_job
 
 from carpark_mj.cli.common import USER_ERRORS, one_line
-from carpark_mj.config import CONTACT_SIM_DT, SimConfig
-from carpark_mj.physics import ContactPhysics, MjxPhysics
-from carpark_mj.vehicle import make_vehicle, preset
+from carpark_mj.config import EnvConfig
 
-SIMS = {
-    "brush": SimConfig(),
-    "contact": SimConfig(sim_dt=CONTACT_SIM_DT, tyres="contact"),
-}
+TYRES = ("brush", "contact")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,103 +37,119 @@ class BenchmarkConfig:
     """Settings of `python eval/benchmark.py`.
 
     Attributes:
-        batches: cars simulated at once.
-        steps: control steps of 0.2 s per timing.
-        repeats: timings, of which the best counts.
-        vehicle: preset.
+        what: is measured.
+        against: another checkout to take turns with: its folder, or a commit, branch
+            or tag of this repository; empty = none.
+        batches: lots simulated at once; for `physics`, cars.
+        layouts: of `env`, by name.
+        num_agents: in each lot of `env`.
+        num_parked_cars: likewise.
+        preset: of `ppo`, whose number of lots is that of the batch; `auto` asks JAX
+            for a GPU.
+        steps: control steps of 0.2 s per timing of `env` and `physics`; `ppo` times
+            updates.
+        timings: in each process, of which the best counts.
+        clock: `wall`, or `cpu`: seconds of all threads of the process, to compare
+            checkouts on a CPU that has other work to do.
+        repeats: rounds, in each of which everything is measured once.
+        out: CSV file of all measurements, written after each; empty = none.
     """
 
-    batches: tuple[int, ...] = (128, 512)
-    steps: int = 10
+    what: tuple[What, ...] = get_args(What)
+    against: str = ""
+    batches: tuple[int, ...] = (128,)
+    layouts: tuple[str, ...] = ("tanner",)
+    num_agents: int = EnvConfig.num_agents
+    num_parked_cars: int = EnvConfig.num_parked_cars
+    preset: str = "auto"
+    steps: int = 20
+    timings: int = 10
+    clock: Clock = "wall"
     repeats: int = 3
-    vehicle: str = "compact"
+    out: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "repeats"):
+        for name in ("steps", "timings", "repeats", "num_agents"):
             if getattr(self, name) < 1:
                 raise ValueError(
                     f"{name} must be at least 1, not {getattr(self, name)}"
                 )
         if not self.batches or min(self.batches) < 1:
             raise ValueError(f"batches must be positive, not {self.batches}")
+        for name in ("what", "layouts"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} must name at least one")
+
+    def jobs(self) -> list[Job]:
+        """What each round measures."""
+        variants = {"env": self.layouts, "ppo": (self.preset,), "physics": TYRES}
+        return [
+            Job(
+                what,
+                variant,
+                lots,
+                self.num_agents,
+                self.num_parked_cars,
+                self.steps,
+                self.timings,
+                self.clock,
+            )
+            for what in self.what
+            for variant in variants[what]
+            for lots in self.batches
+        ]
 
 
-def measure(config: BenchmarkConfig, tyres: str, batch: int) -> tuple[float, float]:
-    """Car-substeps per second, and seconds of compilation."""
-    sim = SIMS[tyres]
-    physics = (ContactPhysics if tyres == "contact" else MjxPhysics)(sim)
-    vehicle = make_vehicle(preset(config.vehicle))
-    fleet = jax.tree.map(lambda x: jnp.broadcast_to(x, (batch, *x.shape)), vehicle)
-    key = jax.random.key(0)
-    controls = jax.random.uniform(key, (config.steps, batch, 2), minval=-1.0)
-    state = physics.init(jnp.zeros((batch, 3)), fleet)
-    run = jax.jit(
-        lambda s: jax.lax.scan(lambda s, c: (physics.step(s, c), None), s, controls)[0]
-    )
-    begun = time.perf_counter()
-    compiled = run.lower(state).compile()
-    compiling = time.perf_counter() - begun
-    jax.block_until_ready(compiled(state))
-    best = float("inf")
-    for _ in range(config.repeats):
-        begun = time.perf_counter()
-        jax.block_until_ready(compiled(state))
-        best = min(best, time.perf_counter() - begun)
-    return batch * config.steps * sim.num_substeps / best, compiling
-
-
-COLUMNS = (
-    "device",
-    "vehicle",
-    "tyres",
-    "cars",
-    "substep",
-    "car-substeps/s",
-    "x real time",
-    "compile",
-)
-
-
-def main(config: BenchmarkConfig) -> list[list[str]]:
-    """Measures and prints a markdown table, row by row; returns the rows.
+def measure(config: BenchmarkConfig, measured: Sequence[Checkout]) -> list[Row]:
+    """Measures all jobs in all checkouts, which take turns, over some rounds.
 
     Raises:
-        ValueError: unknown vehicle.
+        ValueError: impossible settings.
+        WorkerError: a process failed.
+        OSError: the CSV cannot be written.
     """
-    preset(config.vehicle)  # before anything is compiled
-    print("| " + " | ".join(COLUMNS) + " |")
-    print("|" + "---|" * 3 + "---:|" * (len(COLUMNS) - 3), flush=True)
-    rows = []
-    for tyres, sim in SIMS.items():
-        for batch in config.batches:
-            rate, compiling = measure(config, tyres, batch)
-            rows.append(
-                [
-                    device_name(),
-                    config.vehicle,
-                    tyres,
-                    f"{batch:,}",
-                    f"{1e3 * sim.sim_dt:g} ms",
-                    f"{rate:,.0f}",
-                    f"{rate * sim.sim_dt:,.0f}",
-                    f"{compiling:.0f} s",
-                ]
-            )
-            print("| " + " | ".join(rows[-1]) + " |", flush=True)
+    rows: list[Row] = []
+    if config.out:  # refuses an impossible path before anything is measured
+        write_csv(Path(config.out), rows)
+    for number in range(1, config.repeats + 1):
+        for job in config.jobs():
+            for checkout in measured:
+                result = run_job(job, checkout)
+                rows.append(Row(job, checkout, number, result))
+                if config.out:
+                    write_csv(Path(config.out), rows)
+                print(
+                    f"round {number} of {config.repeats}, {checkout.name}: "
+                    f"{result.what} {result.layout}, {job.lots:,} lots: "
+                    f"{result.rate:,.0f} {result.unit}, "
+                    f"compiled in {result.compile_s:.1f} s",
+                    file=sys.stderr,
+                )
     return rows
 
 
-def device_name() -> str:
-    """What JAX computes on: the GPU's name, or the number of CPU cores."""
-    device = jax.devices()[0]
-    if device.platform == "cpu":
-        return f"{os.cpu_count()} CPU cores"
-    return device.device_kind
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    try:
+        config = tyro.cli(BenchmarkConfig, args=arguments, description=__doc__)
+        with contextlib.ExitStack() as stack:
+            measured = [here()]
+            if config.against:
+                measured.append(stack.enter_context(other_checkout(config.against)))
+            print(markdown(measure(config, measured)))
+    except USER_ERRORS as error:
+        print(f"benchmark: {one_line(error)}", file=sys.stderr)
+        return 2
+    except WorkerError as error:
+        print(f"benchmark: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("benchmark: stopped", file=sys.stderr)
+        return 130
+    return 0
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(BenchmarkConfig, description=__doc__))
-    except USER_ERRORS as error:
-        print(f"benchmark: {one_line(error)}", file=sys.stderr)
-        sys.exit(2)
+    # Stopped or interrupted, it removes the checkout it made.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    sys.exit(main())

@@ -12,12 +12,12 @@ figures of one run.
 
 import dataclasses
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import tyro
+from benchmarking.timing import best_time
 from rich.console import Console
 from rich.table import Table
 
@@ -70,15 +70,12 @@ class BroadPhaseConfig:
             )
 
 
-def best_time(config: BroadPhaseConfig, function: Callable[..., Any], *args: Any):
-    """Seconds of the fastest call after the first, which compiles."""
+def milliseconds(
+    config: BroadPhaseConfig, function: Callable[..., Any], *args: Any
+) -> float:
+    """Of the fastest call after the first, which compiles."""
     jax.block_until_ready(function(*args))
-    best = float("inf")
-    for _ in range(config.repeats):
-        begun = time.perf_counter()
-        jax.block_until_ready(function(*args))
-        best = min(best, time.perf_counter() - begun)
-    return best
+    return 1e3 * best_time(lambda: function(*args), config.repeats)
 
 
 def measure(config: BroadPhaseConfig, env: ParkingEnv) -> dict[str, float]:
@@ -106,10 +103,10 @@ def measure(config: BroadPhaseConfig, env: ParkingEnv) -> dict[str, float]:
     state = drive(jax.jit(jax.vmap(env.reset))(keys)[0])
     observe = jax.jit(jax.vmap(env._observe))  # pyright: ignore[reportPrivateUsage]
     return {
-        "collisions": 1e3 * best_time(config, jax.jit(jax.vmap(hits)), state),
-        "observations": 1e3 * best_time(config, observe, state),
-        "safety": 1e3 * best_time(config, jax.jit(jax.vmap(safety)), state),
-        "whole step": 1e3 * best_time(config, drive, state) / config.steps,
+        "collisions": milliseconds(config, jax.jit(jax.vmap(hits)), state),
+        "observations": milliseconds(config, observe, state),
+        "safety": milliseconds(config, jax.jit(jax.vmap(safety)), state),
+        "whole step": milliseconds(config, drive, state) / config.steps,
     }
 
 

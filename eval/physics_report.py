@@ -17,12 +17,21 @@ import tyro
 
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.vehicle import PRESETS, VehicleParameters, preset
-from physics import agreed, braking, energy, handling, numerics, plots, statics, turning
-from physics.contact import ContactTestbed
-from physics.contact_engines import contact_engines
-from physics.suspension import suspension
-from physics.table import Row, Study, markdown, write_csv
-from physics.testbed import BrushTestbed, Testbed
+from vehicle_suite import (
+    agreed,
+    braking,
+    energy,
+    handling,
+    numerics,
+    plots,
+    statics,
+    turning,
+)
+from vehicle_suite.contact import ContactTestbed
+from vehicle_suite.contact_engines import contact_engines
+from vehicle_suite.suspension import suspension
+from vehicle_suite.table import Row, Study, markdown, write_csv
+from vehicle_suite.testbed import BrushTestbed, Testbed
 
 Tyres = Literal["brush", "contact"]
 Manoeuvre = Callable[[Testbed, str, VehicleParameters, bool], Study]
@@ -61,9 +70,9 @@ INTRODUCTION = """# Vehicle physics: measured against formulas
 Written by `{command}`; do not edit.
 
 Every expected value follows from the preset's parameters by the formula in its row
-(`eval/physics/formulas.py`, `steady_turn.py`, `step_response.py`). The test driver sets
-wheel angles and wheel torques directly: neither pedal nor rate limit stands between a
-manoeuvre and the car.
+(`formulas.py`, `steady_turn.py` and `step_response.py` in `eval/vehicle_suite`). The
+test driver sets wheel angles and wheel torques directly: neither pedal nor rate limit
+stands between a manoeuvre and the car.
 
 - *brush*: MJX in float32 at 10 ms with the tyres that training uses.
 - *contact*: C MuJoCo in float64 at 2 ms with the contact wheels of exported scenes.

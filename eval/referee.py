@@ -16,11 +16,11 @@ import numpy as np
 import tyro
 
 from carpark_mj.policy.checkpoints import write_atomically
-from physics import commonroad, formulas
-from physics.commonroad import Inputs
-from physics.runs import Run
-from physics.testbed import BrushTestbed
-from physics.tracks import Track
+from vehicle_suite import commonroad, formulas
+from vehicle_suite.commonroad import Inputs
+from vehicle_suite.runs import Run
+from vehicle_suite.testbed import BrushTestbed
+from vehicle_suite.tracks import Track
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 from carpark_mj.config import REWARDS, ObservationConfig
 from carpark_mj.layouts import SQUARES
 from carpark_mj.observations import markdown_table
-from physics.table import readme_table
+from vehicle_suite.table import readme_table
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 

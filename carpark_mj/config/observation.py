@@ -199,4 +199,3 @@ class IndexObservation:
 Observation = ContinuousObservation | TannerObservation | IndexObservation
 
 # What the agents of the study's PPO observe.
-TANNER_OBSERVATION = TannerObservation()

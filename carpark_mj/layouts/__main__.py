@@ -24,6 +24,7 @@ from carpark_mj.layouts import (
     generate,
     layout_config,
 )
+from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.plot import contact_sheet
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
@@ -87,7 +88,7 @@ def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
     car: DesignCar = getattr(config, "car", DesignCar())
     found = []
     for number, drawn in enumerate(draw(config, num_keys, seed)):
-        problems = drawn.is_well_formed(car.size)
+        problems = describe_faults(drawn, car.size)
         bays = int(drawn.bay_mask.sum())
         if bays < config.min_bays:
             problems.append(f"{bays} bays, {config.min_bays} were promised")

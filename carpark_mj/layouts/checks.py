@@ -1,7 +1,7 @@
 """What makes a layout sound, and the words for what is wrong with one.
 
 `find_faults` is pure and runs for thousands of layouts at once under `jax.vmap`;
-`problems` puts the faults of one layout into sentences.
+`describe_faults` puts those of one layout into sentences.
 """
 
 import jax
@@ -83,14 +83,23 @@ def _discs_meet(box: _Rows, disc: _Rows) -> jax.Array:
     return hit & box[2][:, None] & disc[2]
 
 
-def problems(layout: Layout, car_size: tuple[float, float] | None = None) -> list[str]:
-    """What is wrong with one layout (no batch dimension), a sentence each.
+def describe_faults(
+    layout: Layout, car_size: tuple[float, float] | None = None
+) -> list[str]:
+    """What is wrong with one layout, a sentence each; runs on the host.
 
     A sound layout has fitting shapes and dtypes, finite numbers and positive sizes, at
     least one bay and one spawn region; its bays lie within the extent, hold the car
     and overlap neither each other nor walls, discs or lanes; no wall or disc stands in
     a lane; and a car that spawns anywhere in a spawn region, at any heading it allows,
     touches no wall, disc or bay.
+
+    Args:
+        layout: no batch dimension.
+        car_size: length and width of the largest car [m]; the design car's if None.
+
+    Returns:
+        Empty when the layout is sound.
     """
     found = _malformed(layout)
     if found:

@@ -20,10 +20,10 @@ from json import scanner
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from carpark_mj.layouts import build
+from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 
 FORMAT = "carpark_mj layout 1"
@@ -41,37 +41,6 @@ _DEFAULTS: dict[str, Any] = {"one_way": True, "spread": build.LANE_SPREAD}
 _POSITIVE = ("size", "radius", "extent")
 FARTHEST = 1e4  # m; float32 resolves a millimetre there
 _NEEDED = ("format", "bays", "spawns", "extent")
-
-
-def to_json(layout: Layout) -> str:
-    """One layout (no batch dimension) as text, without padding; numbers are exact."""
-    layout = jax.device_get(layout)
-    data: dict[str, Any] = {"format": FORMAT}
-    for name, schema in _SCHEMA.items():
-        kind = name[:-1]
-        data[name] = [
-            {
-                part: _plain(getattr(layout, f"{kind}_{part}")[row], form)
-                for part, form in schema.items()
-            }
-            for row in np.flatnonzero(getattr(layout, f"{kind}_mask"))
-        ]
-    data["extent"] = _plain(layout.extent, 2)
-    lines = [f" {json.dumps(name)}: {_rows(value)}" for name, value in data.items()]
-    return "{\n" + ",\n".join(lines) + "\n}\n"
-
-
-def _plain(value: Any, form: Any) -> Any:
-    if isinstance(form, int):
-        return np.asarray(value).tolist()
-    return bool(value) if form is bool else form(int(value)).name.lower()
-
-
-def _rows(value: Any) -> str:
-    """A list of objects with one object a line, other values on one line."""
-    if not (isinstance(value, list) and value and isinstance(value[0], dict)):
-        return json.dumps(value)
-    return "[\n  " + ",\n  ".join(json.dumps(row) for row in value) + "\n ]"
 
 
 def read_json(path: Path) -> Layout:
@@ -93,8 +62,8 @@ def read_json(path: Path) -> Layout:
         raise ValueError(f"{path}: brackets are nested too deeply") from None
     except _RowError as error:
         raise ValueError(f"{path}, line {error.line}: {error}") from None
-    if problems := layout.is_well_formed():
-        raise ValueError(f"{path} is no sound layout: {'; '.join(problems)}")
+    if faults := describe_faults(layout):
+        raise ValueError(f"{path} is no sound layout: {'; '.join(faults)}")
     return layout
 
 

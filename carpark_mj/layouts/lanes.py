@@ -1,4 +1,4 @@
-"""Lanes: which one a car is in."""
+"""Where lanes are: the distance of cars to them, and the lane of each car."""
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +12,20 @@ def has_lanes(layout: Layout) -> bool:
     return layout.lane_mask.shape[-1] > 0
 
 
-def lane_gaps(layout: Layout, pose_w: jax.Array) -> jax.Array:
-    """Distances (num_agents, lanes) [m] of the centres of poses (num_agents, 3).
+def lane_distance(layout: Layout, pose_w: jax.Array) -> jax.Array:
+    """Distance of each car's centre to each lane.
 
-    0 inside a lane, inf for padding.
+    Args:
+        layout: the lot.
+        pose_w: (num_agents, 3) poses.
+
+    Returns:
+        (num_agents, lanes) [m]; 0 inside, inf for padding.
     """
-    gap = point_box_distance(pose_w[:, None, :2], layout.lane_pose, layout.lane_size)
-    return jnp.where(layout.lane_mask, gap, jnp.inf)
+    distance = point_box_distance(
+        pose_w[:, None, :2], layout.lane_pose, layout.lane_size
+    )
+    return jnp.where(layout.lane_mask, distance, jnp.inf)
 
 
 def nearest_lane(layout: Layout, pose_w: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -33,8 +40,8 @@ def nearest_lane(layout: Layout, pose_w: jax.Array) -> tuple[jax.Array, jax.Arra
     Returns:
         (num_agents,) int index and (num_agents,) bool, whether the lot has a lane.
     """
-    gap = lane_gaps(layout, pose_w)
-    nearest = gap <= jnp.min(gap, axis=1, keepdims=True)
+    distance = lane_distance(layout, pose_w)
+    nearest = distance <= jnp.min(distance, axis=1, keepdims=True)
     alike = jnp.cos(pose_w[:, None, 2] - layout.lane_pose[:, 2])
     index = jnp.argmax(jnp.where(nearest, alike, -jnp.inf), axis=1)
     return index, jnp.broadcast_to(layout.lane_mask.any(), index.shape)

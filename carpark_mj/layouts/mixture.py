@@ -7,16 +7,12 @@ lots of different families, and other keys need no other program.
 import dataclasses
 import math
 
-import jax
-import jax.numpy as jnp
-
 from carpark_mj.config import LayoutConfig
 from carpark_mj.layouts.angled import AngledConfig
 from carpark_mj.layouts.square import COMPACT
 from carpark_mj.layouts.street import StreetConfig
 from carpark_mj.layouts.street_parallel import StreetParallelConfig
 from carpark_mj.layouts.turning import Entry
-from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,24 +66,3 @@ class MixtureConfig(LayoutConfig):
         """Those of all members; not known if those of one are not."""
         entries = [member.entries for member in self.members]
         return sum(entries, ()) if all(entries) else ()
-
-
-def draw_mixture(config: MixtureConfig, key: jax.Array) -> Layout:
-    """Draws a family, then a lot of it."""
-    weights = jnp.array(config.weights or (1.0,) * len(config.members), jnp.float32)
-    pick_key, lot_key = jax.random.split(key)
-    pick = jax.random.categorical(pick_key, jnp.log(weights))
-    return draw_member(config, pick, lot_key)
-
-
-def draw_member(config: MixtureConfig, member: jax.Array, key: jax.Array) -> Layout:
-    """Draws a lot of one member, () int32, padded like all lots of the mixture."""
-    from carpark_mj.layouts.registry import generate  # which lists this module too
-
-    def branch(member: LayoutConfig):
-        return lambda key: generate(member, key)
-
-    branches = [branch(member) for member in config.members]
-    maxima = layout_maxima(jax.eval_shape(make, key) for make in branches)
-    padded = [lambda key, make=make: pad_layout(make(key), maxima) for make in branches]
-    return jax.lax.switch(member, padded, key)

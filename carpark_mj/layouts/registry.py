@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, get_args
 
 import jax
+import jax.numpy as jnp
 
 from carpark_mj.config import LAYOUT_FILES, LayoutConfig, LayoutName
 from carpark_mj.layouts.angled import AngledConfig, angled
@@ -12,11 +13,11 @@ from carpark_mj.layouts.from_file import FromFileConfig, from_file
 from carpark_mj.layouts.garage_row import GarageRowConfig, garage_row
 from carpark_mj.layouts.lot import lot
 from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.layouts.mixture import MixtureConfig, draw_member, draw_mixture
+from carpark_mj.layouts.mixture import MixtureConfig
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
 from carpark_mj.layouts.street import StreetConfig, street
 from carpark_mj.layouts.street_parallel import StreetParallelConfig, street_parallel
-from carpark_mj.layouts.types import Layout
+from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
 
 
 class Family(NamedTuple):
@@ -29,6 +30,26 @@ class Family(NamedTuple):
 
     config: type[LayoutConfig]
     generate: Callable[[Any, jax.Array], Layout]
+
+
+def draw_mixture(config: MixtureConfig, key: jax.Array) -> Layout:
+    """Draws a family, then a lot of it."""
+    weights = jnp.array(config.weights or (1.0,) * len(config.members), jnp.float32)
+    pick_key, lot_key = jax.random.split(key)
+    pick = jax.random.categorical(pick_key, jnp.log(weights))
+    return draw_member(config, pick, lot_key)
+
+
+def draw_member(config: MixtureConfig, member: jax.Array, key: jax.Array) -> Layout:
+    """Draws a lot of one member, () int32, padded like all lots of the mixture."""
+
+    def branch(member: LayoutConfig):
+        return lambda key: generate(member, key)
+
+    branches = [branch(member) for member in config.members]
+    maxima = layout_maxima(jax.eval_shape(make, key) for make in branches)
+    padded = [lambda key, make=make: pad_layout(make(key), maxima) for make in branches]
+    return jax.lax.switch(member, padded, key)
 
 
 FAMILIES: dict[str, Family] = {

@@ -96,20 +96,6 @@ class Layout:
         """Bays, padding included."""
         return self.bay_mask.shape[-1]
 
-    def is_well_formed(self, car_size: tuple[float, float] | None = None) -> list[str]:
-        """Checks one layout (no batch dimension) on the host.
-
-        Args:
-            car_size: length and width of the largest car [m]; the design car's if None.
-
-        Returns:
-            What is wrong, a sentence each; empty when the layout is sound. See
-            `carpark_mj.layouts.checks`.
-        """
-        from carpark_mj.layouts.checks import problems  # it knows this type
-
-        return problems(self, car_size)
-
 
 # Kinds of rows: the first part of a field's name.
 ROWS = ("bay", "wall", "disc", "lane", "spawn")

@@ -18,7 +18,7 @@ from carpark_mj.mdp.spawning.exploring import first_goals, place_exploring
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
 from carpark_mj.mdp.spawning.poses import random_pose, spawn_keys
 from carpark_mj.mdp.tracked_bays import target_pose, update_tracked_bays
-from carpark_mj.observations.tracking import in_view, tracks
+from carpark_mj.observations.tracking import bays_in_view, tracks
 from carpark_mj.types import NO_BAY, Events, GoalEvents, State
 
 
@@ -122,10 +122,9 @@ class ChosenGoals:
         layout, config = state.layout, self._config
         size = state.physics.vehicle.size
         usable = bay_fits(config, layout, size, state.parked_cars.size).agents
-        view = config.observation.view
-        if not view.is_limited:
+        seen = bays_in_view(config, state)
+        if seen is None:
             return usable
-        seen = in_view(view, state.motion.pose_w, layout.bay_pose[:, :2])
         return seen if usable is None else seen & usable
 
 

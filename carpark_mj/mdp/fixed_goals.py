@@ -153,9 +153,7 @@ class FixedGoals:
         """Poses (num_agents, 3) of the goals."""
         return state.layout.bay_pose[state.goal]
 
-    def update(
-        self, before: State, after: State, events: Events
-    ) -> tuple[State, None]:
+    def update(self, before: State, after: State, events: Events) -> tuple[State, None]:
         """Goals stay as they are."""
         del before, events
         return after, None

@@ -112,6 +112,28 @@ def tracks(config: EnvConfig, state: State) -> jax.Array:
     return jnp.any((index[..., None] == agents) & present[..., None], axis=1)
 
 
+def tracks_parked_cars(config: EnvConfig, state: State) -> jax.Array:
+    """Whether agents track parked cars, as far as their sensors tell.
+
+    Returns:
+        (num_agents, num_parked_cars) bool.
+    """
+    observation, pose = config.observation, observed(state).pose_w
+    cars, shift = jnp.arange(state.parked_cars.bay.shape[0]), 0
+    if isinstance(observation, TannerObservation) and observation.tracked_cars:
+        index, present = track_cars(observation, pose, state.parked_cars)
+        shift = pose.shape[0]  # agents come first in that list
+    elif (
+        isinstance(observation, ContinuousObservation)
+        and observation.tracked_parked_cars
+    ):
+        index, present = track_parked_cars(observation, pose, state.parked_cars)
+    else:
+        return jnp.zeros((pose.shape[0], cars.shape[0]), bool)
+    same = index[..., None] == cars + shift
+    return jnp.any(same & present[..., None], axis=1)
+
+
 def bays_in_view(config: EnvConfig, state: State) -> jax.Array | None:
     """Bays that agents can track, by where they truly are.
 

@@ -1,22 +1,24 @@
-"""The interface between physics and task.
+"""The interface between physics and task, and what its back ends share.
 
-One car is one MuJoCo world: cars meet only in the task layer, which detects
-collisions with exact box tests. Every function takes any leading batch shape.
+Every function takes any leading batch shape, but `ScenePhysics.step`: see there.
 """
 
-from typing import Any, Protocol, TypeVar
+import abc
+from collections.abc import Callable
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SimConfig
-from carpark_mj.types import Motion
+from carpark_mj.types import Motion, PhysicsState
 from carpark_mj.vehicle.vehicle import Vehicle
 
-PhysicsState = TypeVar("PhysicsState")
+S = TypeVar("S", bound=PhysicsState)
+Tree = TypeVar("Tree")
 
 
-class Physics(Protocol[PhysicsState]):
+class Physics(Protocol[S]):
     """A physics back end.
 
     Attributes:
@@ -26,7 +28,7 @@ class Physics(Protocol[PhysicsState]):
 
     contacts: bool
 
-    def init(self, pose_w: jax.Array, vehicle: Vehicle) -> PhysicsState:
+    def init(self, pose_w: jax.Array, vehicle: Vehicle) -> S:
         """Cars at rest.
 
         Args:
@@ -35,7 +37,7 @@ class Physics(Protocol[PhysicsState]):
         """
         ...
 
-    def step(self, state: PhysicsState, controls: jax.Array) -> PhysicsState:
+    def step(self, state: S, controls: jax.Array) -> S:
         """Advances by one control step.
 
         Args:
@@ -46,39 +48,82 @@ class Physics(Protocol[PhysicsState]):
         ...
 
     def place(
-        self,
-        state: PhysicsState,
-        mask: jax.Array,
-        pose_w: jax.Array,
-        vehicle: Vehicle,
-    ) -> PhysicsState:
-        """Puts some cars elsewhere, at rest, and leaves the others alone.
+        self, state: S, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
+    ) -> S:
+        """Places some cars at new poses, at rest, and leaves the others alone.
 
         Args:
             state: current state.
             mask: (...) bool, which cars.
-            pose_w: (..., 3) poses of the footprints' centres.
-            vehicle: parameters (...) of the cars put there.
+            pose_w: (..., 3) poses of the footprints' centres [m, m, rad].
+            vehicle: parameters (...) of the cars placed.
         """
         ...
 
-    def set_parked_poses(
-        self, state: PhysicsState, parked_pose: jax.Array
-    ) -> PhysicsState:
-        """Tells where the parked cars stand: at the start, and when one has moved.
+    def set_parked_poses(self, state: S, parked_pose: jax.Array) -> S:
+        """Sets where the parked cars stand: at the start, and when one is relocated.
 
         Args:
             state: current state.
-            parked_pose: (num_parked_cars, 3) poses of their footprints' centres.
+            parked_pose: (..., num_parked_cars, 3) poses of their footprints' centres
+                [m, m, rad].
         """
         ...
 
-    def read(self, state: PhysicsState) -> Motion:
+    def parked_poses(self, state: S, intended: jax.Array) -> jax.Array:
+        """Where the parked cars stand now.
+
+        Args:
+            state: current state.
+            intended: (..., num_parked_cars, 3) poses where they were set.
+
+        Returns:
+            (..., num_parked_cars, 3) poses of their footprints' centres [m, m, rad]:
+            those intended, or those that contacts pushed the cars to.
+        """
+        ...
+
+    def read(self, state: S) -> Motion:
         """What the task may know of the state."""
         ...
 
 
-def where_cars(mask: jax.Array, new: Any, old: Any) -> Any:
+def erase_state(physics: Physics[S]) -> Physics[PhysicsState]:
+    """The back end for callers to whom all back ends are alike."""
+    return cast(Physics[PhysicsState], physics)
+
+
+class FactoredPhysics(abc.ABC, Generic[S]):
+    """Base of back ends in which every car has a world of its own.
+
+    Cars meet only in the task layer, which detects collisions with exact box tests;
+    parked cars stay where they were set.
+    """
+
+    contacts = False
+
+    @abc.abstractmethod
+    def init(self, pose_w: jax.Array, vehicle: Vehicle) -> S:
+        """Cars at rest; see `Physics.init`."""
+
+    def place(
+        self, state: S, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
+    ) -> S:
+        """Places some cars at new poses, at rest; see `Physics.place`."""
+        return where_cars(mask, self.init(pose_w, vehicle), state)
+
+    def set_parked_poses(self, state: S, parked_pose: jax.Array) -> S:
+        """Returns the state: parked cars have no part in it."""
+        del parked_pose
+        return state
+
+    def parked_poses(self, state: S, intended: jax.Array) -> jax.Array:
+        """Returns the intended poses: nothing pushes a parked car."""
+        del state
+        return intended
+
+
+def where_cars(mask: jax.Array, new: Tree, old: Tree) -> Tree:
     """Takes cars from the tree `new` where `mask` (...) is true, else from `old`."""
 
     def select(a: jax.Array, b: jax.Array) -> jax.Array:
@@ -87,17 +132,68 @@ def where_cars(mask: jax.Array, new: Any, old: Any) -> Any:
     return jax.tree.map(select, new, old)
 
 
+class _Flagged(Protocol):
+    @property
+    def finite(self) -> jax.Array: ...
+
+
+Cars = TypeVar("Cars", bound=_Flagged)
+
+
+def contain_non_finite(moved: Any, stepped: Cars, at_rest: Cars) -> Cars:
+    """Replaces cars with a non-finite number, so that they harm no other.
+
+    Args:
+        moved: tree of arrays (..., *) that the step computed.
+        stepped: cars (...) after the step, `finite` all true.
+        at_rest: cars (...) where they stood before it, `finite` all false.
+    """
+    lead = stepped.finite.ndim
+    checks = [
+        jnp.all(jnp.isfinite(x), axis=tuple(range(lead, x.ndim)))
+        for x in jax.tree.leaves(moved)
+    ]
+    return where_cars(jnp.stack(checks).all(axis=0), stepped, at_rest)
+
+
+def run_substeps(
+    sim: SimConfig,
+    substep: Callable[[Tree], Tree],
+    carry: Tree,
+    pose: Callable[[Tree], jax.Array],
+) -> tuple[Tree, jax.Array]:
+    """Runs the substeps of one control step.
+
+    Args:
+        sim: time steps.
+        substep: advances the carry by one substep.
+        carry: what the substeps change.
+        pose: poses of the carry.
+
+    Returns:
+        The carry at the end, and the poses (num_traces, ...) at `num_traces` equally
+        spaced instants, the last at the end.
+    """
+    stride = sim.num_substeps // sim.num_traces
+
+    def stretch(carry: Tree, _: None) -> tuple[Tree, jax.Array]:
+        carry, _ = jax.lax.scan(lambda c, _: (substep(c), None), carry, length=stride)
+        return carry, pose(carry)
+
+    return jax.lax.scan(stretch, carry, length=sim.num_traces)
+
+
 def require_plain_ground(sim: SimConfig, name: str) -> None:
-    """Refuses what a kinematic back end cannot feel.
+    """Checks that nothing is configured that a kinematic back end cannot model.
 
     Raises:
         ValueError: a slope, a slippery surface or contact tyres.
     """
-    felt = {"grade_x": 0.0, "grade_y": 0.0, "surface": "dry", "tyres": "brush"}
-    for setting, plain in felt.items():
+    plain = {"grade_x": 0.0, "grade_y": 0.0, "surface": "dry", "tyres": "brush"}
+    for setting, default in plain.items():
         value = getattr(sim, setting)
-        if value != plain:
+        if value != default:
             raise ValueError(
                 f"{name} physics has no tyres and no ground: {setting} must stay "
-                f"{plain!r}, not {value!r}"
+                f"{default!r}, not {value!r}"
             )

@@ -12,7 +12,6 @@ and steering and pedal act as in `vehicle.drive`, so that a policy drives both c
 """
 
 import dataclasses
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +19,18 @@ from flax import struct
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import rotate, wrap_angle
-from carpark_mj.physics.base import require_plain_ground, where_cars
+from carpark_mj.physics.base import (
+    FactoredPhysics,
+    contain_non_finite,
+    require_plain_ground,
+    run_substeps,
+)
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.vehicle import Vehicle
+
+_Carry = tuple[jax.Array, jax.Array, drive.Actuators]  # pose_w, speed, actuators
 
 
 @struct.dataclass
@@ -93,10 +99,8 @@ def accelerate(
     return jnp.sign(driven) * jnp.maximum(jnp.abs(driven) - brake / lever * dt, 0.0)
 
 
-class BicyclePhysics:
+class BicyclePhysics(FactoredPhysics[BicycleState]):
     """The kinematic bicycle behind the `Physics` interface."""
-
-    contacts = False
 
     def __init__(self, sim: SimConfig) -> None:
         """Takes the time steps.
@@ -135,24 +139,6 @@ class BicyclePhysics:
         with jax.named_scope("physics"):
             return function(state, controls)
 
-    @full_float32
-    def place(
-        self,
-        state: BicycleState,
-        mask: jax.Array,
-        pose_w: jax.Array,
-        vehicle: Vehicle,
-    ) -> BicycleState:
-        """Puts some cars elsewhere, at rest; see `Physics.place`."""
-        return where_cars(mask, self.init(pose_w, vehicle), state)
-
-    def set_parked_poses(
-        self, state: BicycleState, parked_pose: jax.Array
-    ) -> BicycleState:
-        """Nothing: cars live alone; see `Physics.set_parked_poses`."""
-        del parked_pose
-        return state
-
     def read(self, state: BicycleState) -> Motion:
         """What the task may know; see `Physics.read`."""
         slip = slip_angle(state.actuators.steering + state.vehicle.steering_offset)
@@ -171,7 +157,7 @@ class BicyclePhysics:
     def _step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
         vehicle, dt = state.vehicle, self.sim.sim_dt
 
-        def substep(carry, _):
+        def substep(carry: _Carry) -> _Carry:
             pose, speed, actuators = carry
             steering = drive.steer_towards(vehicle, actuators.steering, controls[0], dt)
             angle = steering + vehicle.steering_offset
@@ -180,19 +166,15 @@ class BicyclePhysics:
             torque = drive.approach(actuators.drive, torque, vehicle.drive_lag, dt)
             faster = accelerate(vehicle, speed, torque, brake, dt)
             pose = advance(pose, (speed + faster) / 2, angle, vehicle.wheelbase, dt)
-            return (pose, faster, drive.Actuators(steering, torque)), None
+            return pose, faster, drive.Actuators(steering, torque)
 
-        def stretch(carry, _):
-            stride = self.sim.num_substeps // self.sim.num_traces
-            carry, _ = jax.lax.scan(substep, carry, None, length=stride)
-            return carry, _shift(carry[0], _ahead(vehicle))
-
-        carry = (state.pose_w, state.speed, state.actuators)
-        (pose, speed, actuators), trace = jax.lax.scan(
-            stretch, carry, None, length=self.sim.num_traces
+        carry, trace = run_substeps(
+            self.sim,
+            substep,
+            (state.pose_w, state.speed, state.actuators),
+            lambda carry: _shift(carry[0], _ahead(vehicle)),
         )
-        leaves = jax.tree.leaves((pose, speed, actuators, trace))
-        finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]).all()
+        pose, speed, actuators = carry
         stepped = dataclasses.replace(
             state,
             pose_w=pose,
@@ -201,13 +183,13 @@ class BicyclePhysics:
             trace_w=trace,
             finite=jnp.ones((), bool),
         )
-        stay = dataclasses.replace(
+        at_rest = dataclasses.replace(
             state,
             speed=jnp.zeros_like(state.speed),
             trace_w=jnp.broadcast_to(state.trace_w[-1], state.trace_w.shape),
             finite=jnp.zeros((), bool),
         )
-        return jax.tree.map(partial(jnp.where, finite), stepped, stay)
+        return contain_non_finite((carry, trace), stepped, at_rest)
 
 
 def _ahead(vehicle: Vehicle) -> jax.Array:

@@ -5,6 +5,7 @@ Pure functions of `qpos` and `qvel`, whoever integrates them: MJX, C MuJoCo in t
 """
 
 import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,6 @@ import numpy as np
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
-from carpark_mj.physics.ground import Ground, ground_frames
 from carpark_mj.physics.tyres import TyreForces, TyreState, WheelMotion, tyre_forces
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS
@@ -48,16 +48,28 @@ class CarIndex:
         self.spin_qpos, self.spin_dof = model.jnt_qposadr[spin], model.jnt_dofadr[spin]
 
 
+class CarDynamics(NamedTuple):
+    """What a substep changes of one car.
+
+    Attributes:
+        qpos: (nq,) MuJoCo positions.
+        qvel: (nv,) MuJoCo velocities.
+        tyres: bristle deflections.
+        actuators: what steering and drive have reached.
+    """
+
+    qpos: jax.Array
+    qvel: jax.Array
+    tyres: TyreState
+    actuators: drive.Actuators
+
+
 def substep_forces(
     index: CarIndex,
     vehicle: Vehicle,
-    qpos: jax.Array,
-    qvel: jax.Array,
-    tyres: TyreState,
-    actuators: drive.Actuators,
+    car: CarDynamics,
     controls: jax.Array,
     dt: float,
-    ground: Ground | None = None,
 ) -> tuple[jax.Array, jax.Array, TyreState, drive.Actuators]:
     """What one car's driver, servos and tyres apply over one substep.
 
@@ -65,27 +77,22 @@ def substep_forces(
 
     Args:
         index: addresses of the car in `qpos` and `qvel`.
-        vehicle: the car.
-        qpos: (nq,) positions.
-        qvel: (nv,) velocities.
-        tyres: bristles.
-        actuators: what steering and drive have reached.
+        vehicle: its parameters.
+        car: at the start of the substep.
         controls: (2,) steer and pedal in [-1, 1].
         dt: substep [s].
-        ground: the ground; None is the plane z = 0.
 
     Returns:
-        `qfrc_applied` (nv,), servo targets `ctrl` (2,) [rad], the new bristles and the
-        new actuators.
+        `qfrc_applied` (nv,), servo targets `ctrl` (2,) [rad], and bristles and
+        actuators at the end of the substep.
     """
+    qpos, qvel, tyres, actuators = car
     rotation = rotation_matrix(qpos[index.root_qpos + 3 : index.root_qpos + 7])
     speed = rotation[:, 0] @ qvel[index.root_dof : index.root_dof + 3]
-    actuators, ctrl, torque_drive, torque_brake = drive.actuate(
+    actuators, ctrl, torques = drive.actuate(
         vehicle, actuators, controls, speed, qvel[index.spin_dof], dt
     )
-    qfrc, _, tyres = apply_torques(
-        index, vehicle, qpos, qvel, tyres, torque_drive, torque_brake, dt, ground
-    )
+    qfrc, _, tyres = apply_torques(index, vehicle, qpos, qvel, tyres, torques, dt)
     return qfrc, ctrl, tyres, actuators
 
 
@@ -95,102 +102,65 @@ def apply_torques(
     qpos: jax.Array,
     qvel: jax.Array,
     tyres: TyreState,
-    torque_drive: jax.Array,
-    torque_brake: jax.Array,
+    torques: drive.WheelTorques,
     dt: float | jax.Array,
-    ground: Ground | None = None,
 ) -> tuple[jax.Array, TyreForces, TyreState]:
     """What the tyres apply to one car over one substep, its wheel torques given.
 
+    The ground is the plane z = 0; a slope is tilted gravity (`gravity_vector`).
+
     Args:
         index: addresses of the car in `qpos` and `qvel`.
-        vehicle: the car.
+        vehicle: its parameters.
         qpos: (nq,) positions.
         qvel: (nv,) velocities.
-        tyres: bristles.
-        torque_drive: (4,) drive torque [N m], forwards positive.
-        torque_brake: (4,) brake torque [N m], >= 0.
+        tyres: bristles at the start of the substep.
+        torques: of drive and brakes.
         dt: substep [s].
-        ground: the ground; None is the plane z = 0.
 
     Returns:
-        `qfrc_applied` (nv,), the tyre forces in it, and the new bristles.
+        `qfrc_applied` (nv,), the tyre forces in it, and the bristles at the end.
     """
     rotation = rotation_matrix(qpos[index.root_qpos + 3 : index.root_qpos + 7])
-    linear_b = rotation.T @ qvel[index.root_dof : index.root_dof + 3]
-    angular_b = qvel[index.root_dof + 3 : index.root_dof + 6]
-    contact, height, frame = _contacts(index, vehicle, qpos, rotation, ground)
-    motion = _wheel_motion(
-        index, qpos, qvel, rotation, linear_b, angular_b, contact, height, frame
-    )
-    forces, tyres = tyre_forces(vehicle, motion, tyres, torque_drive, torque_brake, dt)
-    force_w = _rotate(frame, forces.force_w)
-    force_b = force_w @ rotation
+    motion, contact = _wheel_motion(index, vehicle, qpos, qvel, rotation)
+    forces, tyres = tyre_forces(vehicle, motion, tyres, torques, dt)
+    force_b = forces.force_w @ rotation
     moment_b = jnp.sum(jnp.cross(contact, force_b), axis=0)
     moment_b = moment_b + jnp.array([0.0, 0.0, 1.0]) * jnp.sum(forces.aligning)
     qfrc = jnp.zeros_like(qvel)
-    qfrc = qfrc.at[index.root_dof : index.root_dof + 3].set(jnp.sum(force_w, axis=0))
+    force_w = jnp.sum(forces.force_w, axis=0)
+    qfrc = qfrc.at[index.root_dof : index.root_dof + 3].set(force_w)
     qfrc = qfrc.at[index.root_dof + 3 : index.root_dof + 6].set(moment_b)
     qfrc = qfrc.at[index.steer_dof].set(forces.aligning[:2])
     qfrc = qfrc.at[index.spin_dof].set(forces.spin)
     return qfrc, forces, tyres
 
 
-def _contacts(
+def _wheel_motion(
     index: CarIndex,
     vehicle: Vehicle,
     qpos: jax.Array,
-    rotation: jax.Array,
-    ground: Ground | None,
-) -> tuple[jax.Array, jax.Array, jax.Array | None]:
-    """Where the tyres meet the ground.
-
-    Returns:
-        Contact points (4, 3) in the body frame [m], on the ground: a leaning car does
-        not take them with it, or its centre of gravity would stand too high above them
-        and it would tip over too early. How far (4,) the undeflected wheels reach above
-        the ground [m]. The ground's frames (4, 3, 3), None for the plane.
-    """
-    undeflected = jnp.pad(vehicle.hub, ((0, 0), (0, 1)))
-    height = qpos[index.root_qpos + 2] + undeflected @ rotation[2]
-    if ground is None:
-        return undeflected - height[:, None] * rotation[2], height, None
-    origin = qpos[index.root_qpos : index.root_qpos + 2]
-    ground_height, normal = ground(origin + undeflected @ rotation[:2].T)
-    height = (height - ground_height) * normal[:, 2]
-    contact = undeflected - (height[:, None] * normal) @ rotation
-    return contact, height, ground_frames(normal)
-
-
-def _wheel_motion(
-    index: CarIndex,
-    qpos: jax.Array,
     qvel: jax.Array,
     rotation: jax.Array,
-    linear_b: jax.Array,
-    angular_b: jax.Array,
-    contact: jax.Array,
-    height: jax.Array,
-    frame: jax.Array | None,
-) -> WheelMotion:
-    """Kinematics of the wheels in the ground's frames."""
+) -> tuple[WheelMotion, jax.Array]:
+    """Kinematics of the wheels, and their contact points; see `_contacts`."""
+    linear_b = rotation.T @ qvel[index.root_dof : index.root_dof + 3]
+    angular_b = qvel[index.root_dof + 3 : index.root_dof + 6]
+    contact, height = _contacts(index, vehicle, qpos, rotation)
     # Velocities are those of the contact patch, where the forces act, so that tyre
     # forces do exactly the work their deflections and losses account for.
     velocity_w = (linear_b + jnp.cross(angular_b, contact)) @ rotation.T
     forward_w = rotation[:, 0]
-    if frame is not None:
-        velocity_w = _rotate(frame.swapaxes(1, 2), velocity_w)
-        forward_w = _rotate(frame.swapaxes(1, 2), forward_w)
     steer = jnp.pad(qpos[index.steer_qpos], (0, 2))
     steer_rate = jnp.pad(qvel[index.steer_dof], (0, 2))
-    heading = forward_w[..., :2]
+    heading = forward_w[:2]
     heading = heading / jnp.sqrt(jnp.sum(heading**2, axis=-1, keepdims=True))
     cos, sin = jnp.cos(steer), jnp.sin(steer)
-    along_x = heading[..., 0] * cos - heading[..., 1] * sin
-    along_y = heading[..., 1] * cos + heading[..., 0] * sin
+    along_x = heading[0] * cos - heading[1] * sin
+    along_y = heading[1] * cos + heading[0] * sin
     forward = velocity_w[:, 0] * along_x + velocity_w[:, 1] * along_y
     left = velocity_w[:, 1] * along_x - velocity_w[:, 0] * along_y
-    return WheelMotion(
+    motion = WheelMotion(
         heading_w=jnp.stack([along_x, along_y], axis=-1),
         velocity=jnp.stack([forward, left], axis=-1),
         yaw_rate=angular_b[2] + steer_rate,
@@ -198,13 +168,23 @@ def _wheel_motion(
         sink=-height,
         sink_rate=-velocity_w[:, 2],
     )
+    return motion, contact
 
 
-def _rotate(frame: jax.Array | None, vector: jax.Array) -> jax.Array:
-    """Vectors (4, 3), or one (3,), by rotations (4, 3, 3); None turns nothing."""
-    if frame is None:
-        return vector
-    return jnp.sum(frame * vector[..., None, :], axis=-1)
+def _contacts(
+    index: CarIndex, vehicle: Vehicle, qpos: jax.Array, rotation: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Where the tyres meet the ground.
+
+    Returns:
+        Contact points (4, 3) in the body frame [m], on the ground: they do not lean
+        with the car, or its centre of gravity would stand too high above them and it
+        would tip over too early. How far (4,) the undeflected wheels are above the
+        ground [m].
+    """
+    undeflected = jnp.pad(vehicle.hub, ((0, 0), (0, 1)))
+    height = qpos[index.root_qpos + 2] + undeflected @ rotation[2]
+    return undeflected - height[:, None] * rotation[2], height
 
 
 def rotation_matrix(quat: jax.Array) -> jax.Array:

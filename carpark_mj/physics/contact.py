@@ -10,15 +10,18 @@ elliptic cone, impratio 1, 20 Newton iterations with 50 line-search steps, subst
 at most 4 ms. The ground is a plane; a slope is tilted gravity.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.car import CarIndex, gravity_vector, rotation_matrix
+from carpark_mj.physics.car import (
+    CarDynamics,
+    CarIndex,
+    gravity_vector,
+    rotation_matrix,
+)
 from carpark_mj.physics.mjx import MjxPhysics, mjx  # pyright: ignore[reportAttributeAccessIssue]
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.contact_wheels import add_contact_wheels, set_contact_options
@@ -112,20 +115,24 @@ class ContactPhysics(MjxPhysics):
         return contact_car_model(COMPACT, sim)
 
     def _substep(
-        self, model: mjx.Model, vehicle: Vehicle, controls: jax.Array, carry: Any
-    ) -> Any:
-        qpos, qvel, tyres, actuators = carry
+        self,
+        model: mjx.Model,
+        vehicle: Vehicle,
+        controls: jax.Array,
+        car: CarDynamics,
+    ) -> CarDynamics:
+        qpos, qvel, tyres, actuators = car
         spin_dof = self.index.spin_dof
         speed = rotation_matrix(qpos[3:7])[:, 0] @ qvel[:3]
-        actuators, ctrl, torque, brake = drive.actuate(
+        actuators, ctrl, torques = drive.actuate(
             vehicle, actuators, controls, speed, qvel[spin_dof], self.sim.sim_dt
         )
-        model = with_wheels(model, self.index, self._wheels, vehicle, brake)
+        model = with_wheels(model, self.index, self._wheels, vehicle, torques.brake)
         data = self._data.replace(
             qpos=qpos,
             qvel=qvel,
-            qfrc_applied=jnp.zeros_like(qvel).at[spin_dof].set(torque),
+            qfrc_applied=jnp.zeros_like(qvel).at[spin_dof].set(torques.drive),
             ctrl=ctrl,
         )
         data = mjx.step(model, data)
-        return data.qpos, data.qvel, tyres, actuators
+        return CarDynamics(data.qpos, data.qvel, tyres, actuators)

@@ -16,7 +16,7 @@ import numpy as np
 from flax import struct
 
 from carpark_mj.config import GridConfig, SimConfig
-from carpark_mj.physics.base import require_plain_ground, where_cars
+from carpark_mj.physics.base import FactoredPhysics, require_plain_ground
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.vehicle import Vehicle
 
@@ -40,14 +40,12 @@ class GridState:
     vehicle: Vehicle
 
 
-class GridPhysics:
+class GridPhysics(FactoredPhysics[GridState]):
     """Grid dynamics behind the `Physics` interface; controls are indices.
 
     `step` takes (..., 2) int32: an acceleration and a turn out of `GridConfig.choices`,
     index 0 being the hardest braking (or reversing) and the sharpest left turn.
     """
-
-    contacts = False
 
     def __init__(self, grid: GridConfig, sim: SimConfig) -> None:
         """Tabulates the moves.
@@ -98,17 +96,6 @@ class GridPhysics:
         return dataclasses.replace(
             state, point=point, level=level, heading=heading, turn=turn
         )
-
-    def place(
-        self, state: GridState, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
-    ) -> GridState:
-        """Puts some cars elsewhere, at rest; see `Physics.place`."""
-        return where_cars(mask, self.init(pose_w, vehicle), state)
-
-    def set_parked_poses(self, state: GridState, parked_pose: jax.Array) -> GridState:
-        """Nothing: cars live alone; see `Physics.set_parked_poses`."""
-        del parked_pose
-        return state
 
     def read(self, state: GridState) -> Motion:
         """Metres and radians; the speed is the level's, before rounding to points."""

@@ -2,7 +2,7 @@
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import Layout
-from carpark_mj.physics.base import Physics
+from carpark_mj.physics.base import Physics, PhysicsState, erase_state
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.contact import ContactPhysics
 from carpark_mj.physics.grid import GridPhysics
@@ -13,7 +13,7 @@ from carpark_mj.vehicle import VehicleParameters
 
 def make_physics(
     config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
-) -> Physics:
+) -> Physics[PhysicsState]:
     """Builds the back end of an environment.
 
     Args:
@@ -26,11 +26,11 @@ def make_physics(
     """
     contact = config.sim.tyres == "contact"
     if config.physics == "grid":
-        return GridPhysics(config.grid, config.sim)
+        return erase_state(GridPhysics(config.grid, config.sim))
     if config.physics == "bicycle":
-        return BicyclePhysics(config.sim)
+        return erase_state(BicyclePhysics(config.sim))
     if config.physics == "mjx":
-        return (ContactPhysics if contact else MjxPhysics)(config.sim)
+        return erase_state((ContactPhysics if contact else MjxPhysics)(config.sim))
     if contact:
         raise ValueError("scene physics has brush tyres only, not contact")
     if layout is None:
@@ -42,6 +42,8 @@ def make_physics(
             "scene physics has cars of one kind and size only, no fleet and no "
             "jitter.scale: use mjx"
         )
-    return ScenePhysics(
-        config.sim, layout, vehicle, config.num_agents, config.num_parked_cars
+    return erase_state(
+        ScenePhysics(
+            config.sim, layout, vehicle, config.num_agents, config.num_parked_cars
+        )
     )

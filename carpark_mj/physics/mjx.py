@@ -8,8 +8,6 @@ joint limits and contacts the model has no constraint row, and MJX skips its sol
 import contextlib
 import dataclasses
 import io
-from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,19 +16,20 @@ from flax import struct
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
-from carpark_mj.physics.base import where_cars
+from carpark_mj.physics.base import (
+    FactoredPhysics,
+    contain_non_finite,
+    run_substeps,
+)
 from carpark_mj.physics.car import (
+    CarDynamics,
     CarIndex,
     centre_pose,
     gravity_vector,
     rotation_matrix,
     substep_forces,
 )
-from carpark_mj.physics.ground import Ground, upright
-from carpark_mj.physics.tyres import (
-    TyreState,
-    init_tyres,
-)
+from carpark_mj.physics.tyres import TyreState, init_tyres
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
@@ -67,29 +66,12 @@ class CarState:
     finite: jax.Array
 
 
-class MjxPhysics:
+class MjxPhysics(FactoredPhysics[CarState]):
     """MJX with brush tyres behind the `Physics` interface."""
 
-    contacts = False
-
-    def __init__(self, sim: SimConfig, ground: Ground | None = None) -> None:
-        """Compiles the car model.
-
-        Args:
-            sim: time steps, slope and surface.
-            ground: heights and normals instead of the configured slope, which must be
-                zero then; `ground.plane` is one. None is a plane, and cheaper.
-
-        Raises:
-            ValueError: both a ground and a slope.
-        """
-        if ground is not None and (sim.grade_x or sim.grade_y):
-            raise ValueError(
-                f"give either a ground or grades, not both ({sim.grade_x}, "
-                f"{sim.grade_y})"
-            )
+    def __init__(self, sim: SimConfig) -> None:
+        """Compiles the car model for the given time steps, slope and surface."""
         self.sim = sim
-        self.ground = ground
         model = self._compile(sim)
         self._nv = 16 if sim.suspension else 12
         if model.nv != self._nv or model.njnt != self._nv - 5:
@@ -117,18 +99,6 @@ class MjxPhysics:
         with jax.named_scope("physics"):
             return _batched(self._step, controls.ndim - 1)(state, controls)
 
-    @full_float32
-    def place(
-        self, state: CarState, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
-    ) -> CarState:
-        """Puts some cars elsewhere, at rest; see `Physics.place`."""
-        return where_cars(mask, self.init(pose_w, vehicle), state)
-
-    def set_parked_poses(self, state: CarState, parked_pose: jax.Array) -> CarState:
-        """Nothing: cars live alone; see `Physics.set_parked_poses`."""
-        del parked_pose
-        return state
-
     def read(self, state: CarState) -> Motion:
         """Reads the motion out of fresh `qpos` and `qvel`; see `Physics.read`."""
         return _batched(self._read, state.finite.ndim)(state)
@@ -141,12 +111,8 @@ class MjxPhysics:
         y = pose_w[1] - vehicle.centre_offset * jnp.sin(yaw)
         zero = jnp.zeros((), dtype)
         quat = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
-        z = zero
-        if self.ground is not None:
-            height, normal = self.ground(jnp.stack([x, y])[None])
-            z, quat = height[0], upright(normal[0], yaw)
         qpos = jnp.concatenate(
-            [jnp.stack([x, y, z]), quat, jnp.zeros(self._nv - 6, dtype)]
+            [jnp.stack([x, y, zero]), quat, jnp.zeros(self._nv - 6, dtype)]
         )
         pose = jnp.stack([pose_w[0], pose_w[1], wrap_angle(yaw)])
         return CarState(
@@ -170,58 +136,34 @@ class MjxPhysics:
             }
         )
 
-        def substep(carry, _):
-            return self._substep(model, vehicle, controls, carry), None
+        def substep(car: CarDynamics) -> CarDynamics:
+            return self._substep(model, vehicle, controls, car)
 
-        def stretch(carry, _):
-            stride = self.sim.num_substeps // self.sim.num_traces
-            carry, _ = jax.lax.scan(substep, carry, None, length=stride)
-            return carry, centre_pose(carry[0], vehicle)
-
-        carry = (state.qpos, state.qvel, state.tyres, state.actuators)
-        (qpos, qvel, tyres, actuators), trace = jax.lax.scan(
-            stretch, carry, None, length=self.sim.num_traces
+        car, trace = run_substeps(
+            self.sim,
+            substep,
+            CarDynamics(state.qpos, state.qvel, state.tyres, state.actuators),
+            lambda car: centre_pose(car.qpos, vehicle),
         )
-        leaves = jax.tree.leaves((qpos, qvel, tyres, actuators, trace))
-        finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]).all()
-        stay = jnp.tile(centre_pose(state.qpos, vehicle), (self.sim.num_traces, 1))
-        fallback = dataclasses.replace(
-            state,
-            qvel=jnp.zeros_like(state.qvel),
-            trace_w=stay,
-            finite=jnp.zeros((), bool),
-        )
-        stepped = dataclasses.replace(
-            state,
-            qpos=qpos,
-            qvel=qvel,
-            tyres=tyres,
-            actuators=actuators,
-            trace_w=trace,
-            finite=jnp.ones((), bool),
-        )
-        return jax.tree.map(partial(jnp.where, finite), stepped, fallback)
+        return contain_cars(state, car, trace)
 
     def _substep(
-        self, model: mjx.Model, vehicle: Vehicle, controls: jax.Array, carry: Any
-    ) -> Any:
-        """One substep of one car: (qpos, qvel, tyres, actuators) before and after."""
-        qpos, qvel, tyres, actuators = carry
+        self,
+        model: mjx.Model,
+        vehicle: Vehicle,
+        controls: jax.Array,
+        car: CarDynamics,
+    ) -> CarDynamics:
+        """Advances one car by one substep."""
         with jax.named_scope("tyres"):
             qfrc, ctrl, tyres, actuators = substep_forces(
-                self.index,
-                vehicle,
-                qpos,
-                qvel,
-                tyres,
-                actuators,
-                controls,
-                self.sim.sim_dt,
-                self.ground,
+                self.index, vehicle, car, controls, self.sim.sim_dt
             )
-        data = self._data.replace(qpos=qpos, qvel=qvel, qfrc_applied=qfrc, ctrl=ctrl)
+        data = self._data.replace(
+            qpos=car.qpos, qvel=car.qvel, qfrc_applied=qfrc, ctrl=ctrl
+        )
         data = mjx.step(model, data)
-        return data.qpos, data.qvel, tyres, actuators
+        return CarDynamics(data.qpos, data.qvel, tyres, actuators)
 
     def _read(self, state: CarState) -> Motion:
         rotation = rotation_matrix(state.qpos[3:7])
@@ -235,6 +177,27 @@ class MjxPhysics:
             trace_w=state.trace_w,
             finite=state.finite,
         )
+
+
+def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarState:
+    """Cars (...) after a step; those with a non-finite number are put back, at rest.
+
+    Args:
+        before: the cars before the step.
+        car: what the step computed.
+        trace_w: (..., k, 3) poses within the step.
+    """
+    pose = _batched(centre_pose, before.finite.ndim)(before.qpos, before.vehicle)
+    at_rest = dataclasses.replace(
+        before,
+        qvel=jnp.zeros_like(before.qvel),
+        trace_w=jnp.broadcast_to(pose[..., None, :], before.trace_w.shape),
+        finite=jnp.zeros_like(before.finite),
+    )
+    stepped = dataclasses.replace(
+        before, **car._asdict(), trace_w=trace_w, finite=jnp.ones_like(before.finite)
+    )
+    return contain_non_finite((car, trace_w), stepped, at_rest)
 
 
 def _batched(function, num_dims: int):

@@ -19,19 +19,21 @@ from flax import struct
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.layouts.types import Layout
-from carpark_mj.physics.base import where_cars
-from carpark_mj.physics.car import centre_pose, substep_forces
-from carpark_mj.physics.lot_model import LotModel
-from carpark_mj.physics.mjx import CarState, MjxPhysics
+from carpark_mj.physics.base import run_substeps
+from carpark_mj.physics.car import CarDynamics, centre_pose, substep_forces
+from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars
+from carpark_mj.physics.scene_model import Masses, Moving, SceneModel
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.surfaces import on_surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
-MOVED = (
-    1e-3  # m or rad, by which `set_parked_poses` knows a parked car stands elsewhere
-)
+MOVED = 1e-3  # m or rad; a parked car set further than that away is placed anew
+
+
+# Agents' cars, parked_qpos, parked_qvel, touched.
+_Carry = tuple[CarDynamics, jax.Array, jax.Array, jax.Array]
 
 
 @struct.dataclass
@@ -40,14 +42,14 @@ class SceneState:
 
     Attributes:
         cars: the agents' cars, (num_agents,).
-        parked_told: (num_parked_cars, 3) footprint poses last given to `set_parked_poses`.
+        parked_set: (num_parked_cars, 3) footprint poses, as last set.
         parked_qpos: (num_parked_cars, 3) rear axles' centres: x, y [m], yaw [rad].
         parked_qvel: (num_parked_cars, 3) their rates.
         touched: (num_agents, 3) bool, see `Motion.touched`.
     """
 
     cars: CarState
-    parked_told: jax.Array
+    parked_set: jax.Array
     parked_qpos: jax.Array
     parked_qvel: jax.Array
     touched: jax.Array
@@ -85,7 +87,7 @@ class ScenePhysics:
         self._num_agents = num_agents
         self._num_parked_cars = num_parked_cars
         self._centre_offset = params.centre_offset
-        self.lot = LotModel(sim, layout, params, num_agents, num_parked_cars)
+        self.scene = SceneModel(sim, layout, params, num_agents, num_parked_cars)
 
     @full_float32
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SceneState:
@@ -95,7 +97,7 @@ class ScenePhysics:
         return SceneState(
             cars=self._single.init(pose_w, vehicle),
             # Nowhere, so that the first `set_parked_poses` moves them all.
-            parked_told=jnp.full_like(parked, jnp.inf),
+            parked_set=jnp.full_like(parked, jnp.inf),
             parked_qpos=parked,
             parked_qvel=parked,
             touched=jnp.zeros((*pose_w.shape[:-1], 3), bool),
@@ -113,8 +115,8 @@ class ScenePhysics:
 
     @full_float32
     def set_parked_poses(self, state: SceneState, parked_pose: jax.Array) -> SceneState:
-        """Puts parked cars told to stand elsewhere there; see `Physics.set_parked_poses`."""
-        moved = jnp.abs(parked_pose - state.parked_told).max(-1, keepdims=True) > MOVED
+        """Places parked cars whose pose changed; see `Physics.set_parked_poses`."""
+        moved = jnp.abs(parked_pose - state.parked_set).max(-1, keepdims=True) > MOVED
         x, y, yaw = (parked_pose[..., k] for k in range(3))
         rear = jnp.stack(
             [
@@ -126,13 +128,14 @@ class ScenePhysics:
         )
         return dataclasses.replace(
             state,
-            parked_told=parked_pose,
+            parked_set=parked_pose,
             parked_qpos=jnp.where(moved, rear, state.parked_qpos),
             parked_qvel=jnp.where(moved, 0.0, state.parked_qvel),
         )
 
-    def parked_pose(self, state: SceneState) -> jax.Array:
-        """Footprint poses (num_parked_cars, 3) of the parked cars, pushed or not."""
+    def parked_poses(self, state: SceneState, intended: jax.Array) -> jax.Array:
+        """Poses (..., num_parked_cars, 3) of the footprints, pushed or not."""
+        del intended
         x, y, yaw = (state.parked_qpos[..., k] for k in range(3))
         return jnp.stack(
             [
@@ -145,8 +148,8 @@ class ScenePhysics:
 
     def read(self, state: SceneState) -> Motion:
         """Reads the motion and what was touched; see `Physics.read`."""
-        vehicle = self._single.read(state.cars)
-        return dataclasses.replace(vehicle, touched=state.touched)
+        motion = self._single.read(state.cars)
+        return dataclasses.replace(motion, touched=state.touched)
 
     @full_float32
     def step(self, state: SceneState, controls: jax.Array) -> SceneState:
@@ -157,81 +160,46 @@ class ScenePhysics:
     def _step(self, state: SceneState, controls: jax.Array) -> SceneState:
         cars = state.cars
         vehicle = on_surface(state.vehicle, self.sim.surface)
-        masses = (vehicle.body_mass, vehicle.body_inertia, vehicle.body_ipos)
+        masses = Masses(vehicle.body_mass, vehicle.body_inertia, vehicle.body_ipos)
         forces = jax.vmap(
             partial(substep_forces, self._single.index, dt=self.sim.sim_dt)
         )
 
-        def substep(carry, _):
-            qpos, qvel, tyres, actuators, parked_qpos, parked_qvel, touched = carry
-            qfrc, ctrl, tyres, actuators = forces(
-                vehicle, qpos, qvel, tyres, actuators, controls
-            )
-            moving = (qpos, qvel, parked_qpos, parked_qvel)
+        def substep(carry: _Carry) -> _Carry:
+            car, parked_qpos, parked_qvel, touched = carry
+            qfrc, ctrl, tyres, actuators = forces(vehicle, car, controls)
+            moving = Moving(car.qpos, car.qvel, parked_qpos, parked_qvel)
             shapes = jax.tree.map(
-                lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), moving
+                lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (moving, touched)
             )
-            *moving, hit = jax.pure_callback(
-                self.lot.advance,
-                (*shapes, jax.ShapeDtypeStruct(touched.shape, touched.dtype)),
-                *moving,
-                qfrc,
-                ctrl,
-                *masses,
+            moving, hit = jax.pure_callback(
+                self.scene.advance,
+                shapes,
+                *(moving, qfrc, ctrl, masses),
                 vmap_method="broadcast_all",
             )
             qpos, qvel, parked_qpos, parked_qvel = moving
-            carry = (qpos, qvel, tyres, actuators, parked_qpos, parked_qvel)
-            return (*carry, touched | hit), None
+            car = CarDynamics(qpos, qvel, tyres, actuators)
+            return car, parked_qpos, parked_qvel, touched | hit
 
-        def stretch(carry, _):
-            stride = self.sim.num_substeps // self.sim.num_traces
-            carry, _ = jax.lax.scan(substep, carry, None, length=stride)
-            return carry, jax.vmap(centre_pose)(carry[0], vehicle)
-
-        carry = (
-            cars.qpos,
-            cars.qvel,
-            cars.tyres,
-            cars.actuators,
-            state.parked_qpos,
-            state.parked_qvel,
-            jnp.zeros_like(state.touched),
+        carry, trace = run_substeps(
+            self.sim,
+            substep,
+            (
+                CarDynamics(cars.qpos, cars.qvel, cars.tyres, cars.actuators),
+                state.parked_qpos,
+                state.parked_qvel,
+                jnp.zeros_like(state.touched),
+            ),
+            lambda carry: jax.vmap(centre_pose)(carry[0].qpos, vehicle),
         )
-        carry, trace = jax.lax.scan(stretch, carry, None, length=self.sim.num_traces)
-        qpos, qvel, tyres, actuators, parked_qpos, parked_qvel, touched = carry
-        stepped = dataclasses.replace(
-            cars,
-            qpos=qpos,
-            qvel=qvel,
-            tyres=tyres,
-            actuators=actuators,
-            trace_w=jnp.moveaxis(trace, 0, 1),
-            finite=jnp.ones_like(cars.finite),
-        )
+        car, parked_qpos, parked_qvel, touched = carry
         return SceneState(
-            cars=self._contain(cars, stepped),
-            parked_told=state.parked_told,
+            cars=contain_cars(cars, car, jnp.moveaxis(trace, 0, 1)),
+            parked_set=state.parked_set,
             parked_qpos=jnp.where(
                 jnp.isfinite(parked_qpos), parked_qpos, state.parked_qpos
             ),
             parked_qvel=jnp.where(jnp.isfinite(parked_qvel), parked_qvel, 0.0),
             touched=touched,
         )
-
-    def _contain(self, before: CarState, after: CarState) -> CarState:
-        """Puts cars with a non-finite number back to where they were, flagged."""
-        leaves = jax.tree.leaves(
-            (after.qpos, after.qvel, after.tyres, after.actuators, after.trace_w)
-        )
-        finite = jnp.stack(
-            [jnp.isfinite(x).reshape(self._num_agents, -1).all(axis=1) for x in leaves]
-        ).all(axis=0)
-        here = jax.vmap(centre_pose)(before.qpos, before.vehicle)
-        fallback = dataclasses.replace(
-            before,
-            qvel=jnp.zeros_like(before.qvel),
-            trace_w=jnp.broadcast_to(here[:, None], before.trace_w.shape),
-            finite=jnp.zeros_like(finite),
-        )
-        return where_cars(finite, after, fallback)

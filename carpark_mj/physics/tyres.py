@@ -28,6 +28,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.vehicle.drive import WheelTorques
 from carpark_mj.vehicle.vehicle import Vehicle
 
 _SLIDING = 3.0  # s at which the whole contact patch slides
@@ -97,8 +98,7 @@ def tyre_forces(
     vehicle: Vehicle,
     motion: WheelMotion,
     state: TyreState,
-    drive: jax.Array,
-    brake: jax.Array,
+    torques: WheelTorques,
     dt: float | jax.Array,
 ) -> tuple[TyreForces, TyreState]:
     """One substep of the four tyres of one car.
@@ -107,14 +107,13 @@ def tyre_forces(
         vehicle: the car.
         motion: wheel kinematics at the start of the substep.
         state: bristles at the start of the substep.
-        drive: (4,) drive torque [N m], forwards positive.
-        brake: (4,) brake torque [N m], >= 0.
+        torques: of drive and brakes.
         dt: substep [s].
 
     Returns:
         Forces over the substep and the bristles at its end.
     """
-    tyres = vehicle.tyres
+    tyres, (drive, brake) = vehicle.tyres, torques
     radius, inertia = vehicle.wheel_radius, vehicle.wheel_inertia
     load = jnp.maximum(
         tyres.static_load

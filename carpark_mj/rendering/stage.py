@@ -45,9 +45,8 @@ class Stage:
             layout,
             params,
             num_agents,
-            num_parked_cars,
+            self._parked_cars,
             agent_kinds=self._kinds,
-            parked_cars=self._parked_cars,
         ).compile()
         self.data = mujoco.MjData(self.model)
         self._parked = [

@@ -26,10 +26,9 @@ def build_scene(
     layout: Layout,
     params: VehicleParameters,
     num_agents: int,
-    num_parked_cars: int,
+    parked_cars: Sequence[VehicleParameters],
     contact_wheels: bool = False,
     agent_kinds: Sequence[VehicleParameters] = (),
-    parked_cars: Sequence[VehicleParameters] = (),
     suspension: bool = False,
 ) -> mujoco.MjSpec:
     """Builds the scene of one lot, all cars at the origin.
@@ -38,15 +37,15 @@ def build_scene(
 
     Args:
         layout: one layout (no batch dimension).
-        params: the vehicle of all cars.
+        params: the vehicle of the agents' cars.
         num_agents: cars `agent0/car`... with free joints.
-        num_parked_cars: cars `parked0`... with joints `parked0/x`, `/y` and `/yaw`.
+        parked_cars: vehicles of the cars `parked0`..., one each, with joints
+            `parked0/x`, `/y` and `/yaw`.
         contact_wheels: tyres that touch the ground and the controls `agentK/steer`,
             `/drive` and `/brake`. Without them a car has steering servos only, and
             its tyres are forces that the physics applies.
         agent_kinds: several cars for each agent, of which a picture shows one, instead
             of `params`; the names of the second begin with `agentK/kind1/`...
-        parked_cars: vehicles of the parked cars, one each, instead of `params`.
         suspension: springs between the contact wheels and the cars.
 
     Returns:
@@ -66,7 +65,7 @@ def build_scene(
     add_bay_numbers(spec, layout)
     parts.add_walls(spec, layout)
     parts.add_discs(spec, layout)
-    parts.add_parked_cars(spec, tuple(parked_cars) or (params,) * num_parked_cars)
+    parts.add_parked_cars(spec, parked_cars)
     for k, kind in enumerate(tuple(agent_kinds) or (params,)):
         parts.add_agents(
             spec,

@@ -56,7 +56,7 @@ def drivable_scene(
         layout,
         params,
         len(agent_pose),
-        len(parked_pose),
+        (params,) * len(parked_pose),
         contact_wheels=True,
         suspension=suspension,
     )

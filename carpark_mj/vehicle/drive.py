@@ -8,6 +8,8 @@ the car on the brake. Steering and drive may follow with a first-order lag. All
 functions are for one car; `jax.vmap` them for more.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -31,6 +33,18 @@ class Actuators:
 
     steering: jax.Array
     drive: jax.Array
+
+
+class WheelTorques(NamedTuple):
+    """Torques (4,) [N m] of a car's wheels.
+
+    Attributes:
+        drive: forwards positive.
+        brake: >= 0, against whatever way the wheel turns.
+    """
+
+    drive: jax.Array
+    brake: jax.Array
 
 
 def init_actuators(dtype: jnp.dtype | None = None) -> Actuators:
@@ -118,7 +132,7 @@ def actuate(
     speed: jax.Array,
     spin: jax.Array,
     dt: float,
-) -> tuple[Actuators, jax.Array, jax.Array, jax.Array]:
+) -> tuple[Actuators, jax.Array, WheelTorques]:
     """One substep from controls to wheels.
 
     Args:
@@ -130,8 +144,8 @@ def actuate(
         dt: substep [s].
 
     Returns:
-        The actuators at its end, the front wheels' target angles (2,) [rad], and drive
-        and brake torque (4,) [N m] of the wheels.
+        The actuators at its end, the front wheels' target angles (2,) [rad], and the
+        torques of the wheels.
     """
     steering = steer_towards(vehicle, actuators.steering, controls[0], dt)
     angles = ackermann(vehicle, steering + vehicle.steering_offset)
@@ -139,7 +153,8 @@ def actuate(
     drive, brake = demanded_torques(vehicle, controls[1], speed, wheel_speed)
     drive = approach(actuators.drive, drive, vehicle.drive_lag, dt)
     reached = Actuators(steering=steering, drive=drive)
-    return reached, angles, drive * vehicle.drive_share, brake * vehicle.brake_share
+    torques = WheelTorques(drive * vehicle.drive_share, brake * vehicle.brake_share)
+    return reached, angles, torques
 
 
 def stopping_action(speed: jax.Array) -> jax.Array:

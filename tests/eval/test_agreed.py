@@ -3,8 +3,8 @@
 import csv
 from pathlib import Path
 
-from physics import agreed
-from physics.table import Row
+from vehicle_suite import agreed
+from vehicle_suite.table import Row
 
 DOCS = Path(__file__).parents[2] / "docs" / "physics"
 

@@ -9,7 +9,7 @@ import pytest
 
 import physics_report
 from carpark_mj.vehicle import COMPACT
-from physics import (
+from vehicle_suite import (
     braking,
     energy,
     formulas,
@@ -19,12 +19,12 @@ from physics import (
     steady_turn,
     turning,
 )
-from physics.contact import ContactTestbed
-from physics.runs import Run, ramp, step
-from physics.step_response import step_response
-from physics.table import Row, Study, markdown, relative, write_csv
-from physics.testbed import BrushTestbed
-from physics.tracks import circle_radius, crossing
+from vehicle_suite.contact import ContactTestbed
+from vehicle_suite.runs import Run, ramp, step
+from vehicle_suite.step_response import step_response
+from vehicle_suite.table import Row, Study, markdown, relative, write_csv
+from vehicle_suite.testbed import BrushTestbed
+from vehicle_suite.tracks import circle_radius, crossing
 
 # Round numbers for sums by hand.
 PLAIN = dataclasses.replace(
@@ -108,9 +108,9 @@ def test_the_understeer_gradient_by_hand():
 
 def test_the_brush_curve_by_hand():
     # s = 1.5: s - s^2/3 + s^3/27 = 0.875.
-    assert steady_turn.brush_force(1500.0, 1000.0) == pytest.approx(875.0)
-    assert steady_turn.brush_force(-1500.0, 1000.0) == pytest.approx(-875.0)
-    assert steady_turn.brush_force(9000.0, 1000.0) == pytest.approx(1000.0)
+    assert 1.5 * steady_turn.brush_shape(1500.0, 1000.0) == pytest.approx(0.875)
+    assert -1.5 * steady_turn.brush_shape(-1500.0, 1000.0) == pytest.approx(-0.875)
+    assert 9.0 * steady_turn.brush_shape(9000.0, 1000.0) == pytest.approx(1.0)
     assert steady_turn.brush_slip(875.0, 5000.0, 1000.0) == pytest.approx(0.3)
 
 

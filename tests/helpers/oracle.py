@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.car import CarIndex, gravity_vector, substep_forces
+from carpark_mj.physics.car import CarDynamics, CarIndex, gravity_vector, substep_forces
 from carpark_mj.physics.tyres import init_tyres
 from carpark_mj.vehicle.drive import init_actuators
 from carpark_mj.vehicle.mjcf import car_model
@@ -42,20 +42,20 @@ class CCar:
         vehicle, index = make_vehicle(params), CarIndex(self.model)
 
         @jax.jit
-        def forces(qpos, qvel, tyres, actuators, controls):
-            return substep_forces(
-                index, vehicle, qpos, qvel, tyres, actuators, controls, sim.sim_dt
-            )
+        def forces(car, controls):
+            return substep_forces(index, vehicle, car, controls, sim.sim_dt)
 
         self._forces = forces
 
     def step(self, steer: float, pedal: float) -> np.ndarray:
         """Advances by one `sim_dt`; returns the footprint's pose (3,)."""
         qfrc, ctrl, self.tyres, self.actuators = self._forces(
-            jnp.array(self.data.qpos),
-            jnp.array(self.data.qvel),
-            self.tyres,
-            self.actuators,
+            CarDynamics(
+                jnp.array(self.data.qpos),
+                jnp.array(self.data.qvel),
+                self.tyres,
+                self.actuators,
+            ),
             jnp.array([steer, pedal], dtype=jnp.result_type(float)),
         )
         self.data.qfrc_applied[:] = qfrc

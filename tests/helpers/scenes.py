@@ -13,7 +13,7 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import Layout, build, make_layout
 from carpark_mj.observations import make_fields
-from carpark_mj.physics.base import where_cars
+from carpark_mj.physics.base import FactoredPhysics
 from carpark_mj.types import Motion, State, TimeStep
 from carpark_mj.vehicle import Vehicle
 
@@ -152,14 +152,12 @@ class SlideState:
     vehicle: Vehicle
 
 
-class SlidePhysics:
+class SlidePhysics(FactoredPhysics[SlideState]):
     """A stand-in back end for hand-worked steps: turn on the spot, then slide ahead.
 
     `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a car whose
     speed is NaN diverges.
     """
-
-    contacts = False
 
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SlideState:
         zero = jnp.zeros(pose_w.shape[:-1], jnp.float32)
@@ -189,12 +187,6 @@ class SlidePhysics:
             trace_w=trace,
             finite=finite,
         )
-
-    def place(self, state, mask, pose_w, vehicle) -> SlideState:
-        return where_cars(mask, self.init(pose_w, vehicle), state)
-
-    def set_parked_poses(self, state: SlideState, parked_pose: jax.Array) -> SlideState:
-        return state
 
     def read(self, state: SlideState) -> Motion:
         return Motion(

@@ -48,7 +48,9 @@ def hand_cars(motion: Motion, **parameters: Any) -> HandCar:
     return HandCar(size=motion.size, **full)
 
 
-def parked_at(pose: Any = (), size: Any = (4.0, 2.0), present: Any = True) -> ParkedCars:
+def parked_at(
+    pose: Any = (), size: Any = (4.0, 2.0), present: Any = True
+) -> ParkedCars:
     """Parked cars at poses (num_parked_cars, 3), in the first bays of the lot."""
     pose = jnp.asarray(pose, jnp.float32).reshape(-1, 3)
     bay = jnp.arange(pose.shape[0], dtype=jnp.int32)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import referee
-from physics import commonroad
+from vehicle_suite import commonroad
 
 
 @pytest.fixture(scope="module")

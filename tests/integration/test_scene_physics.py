@@ -100,7 +100,7 @@ def configurations():
     pose = rng.uniform((-half, -half, -np.pi), (half, half, np.pi), (count, AGENTS, 3))
     tilt = rng.uniform(-0.02, 0.02, (count, AGENTS, 2))  # pitch and roll [rad]
     bays = np.argsort(rng.random((count, LAYOUT.num_bays)))[:, :PARKED]
-    data = mujoco.MjData(physics.lot.model)
+    data = mujoco.MjData(physics.scene.model)
     touched = np.zeros((count, AGENTS, 3), bool)
     bay_pose = np.asarray(LAYOUT.bay_pose, float)
     offset = COMPACT.centre_offset
@@ -123,13 +123,13 @@ def configurations():
             q[:3] = *axles[agent], 0.0
             q[3:] = quat
         parked = bay_pose[bays[k]]
-        data.qpos[physics.lot.qpos_address[AGENTS * 13 :]] = np.column_stack(
+        data.qpos[physics.scene.qpos_address[AGENTS * 13 :]] = np.column_stack(
             [rear(parked), parked[:, 2]]
         ).ravel()
-        mujoco.mj_kinematics(physics.lot.model, data)
-        mujoco.mj_comPos(physics.lot.model, data)
-        mujoco.mj_collision(physics.lot.model, data)
-        physics.lot.find_touches(data, touched[k])
+        mujoco.mj_kinematics(physics.scene.model, data)
+        mujoco.mj_comPos(physics.scene.model, data)
+        mujoco.mj_collision(physics.scene.model, data)
+        physics.scene.find_touches(data, touched[k])
     return pose.astype(np.float32), bays, touched
 
 
@@ -244,21 +244,20 @@ def test_an_agent_that_finishes_stays_in_the_way_and_is_pushed():
 
 
 def test_a_moved_parked_car_is_put_there_and_a_pushed_one_stays_pushed():
-    physics = scene()
+    physics, intended = scene(), LAYOUT.bay_pose[:PARKED]
     vehicle = jax.tree.map(lambda x: x[0], fleet(1))
     state = physics.init(starts(np.random.default_rng(0), 1)[0], vehicle)
-    state = physics.set_parked_poses(state, LAYOUT.bay_pose[:PARKED])
+    state = physics.set_parked_poses(state, intended)
     np.testing.assert_allclose(
-        physics.parked_pose(state), LAYOUT.bay_pose[:PARKED], atol=1e-5
+        physics.parked_poses(state, intended), intended, atol=1e-5
     )
     pushed = state.replace(parked_qpos=state.parked_qpos.at[2, 0].add(0.3))
-    again = physics.set_parked_poses(pushed, LAYOUT.bay_pose[:PARKED])
-    assert float(again.parked_qpos[2, 0] - state.parked_qpos[2, 0]) == pytest.approx(
-        0.3, abs=1e-5
-    )
-    told = LAYOUT.bay_pose[:PARKED].at[2].set(LAYOUT.bay_pose[30])
+    again = physics.set_parked_poses(pushed, intended)
+    pose = physics.parked_poses(again, intended)
+    assert float(pose[2, 0] - intended[2, 0]) == pytest.approx(0.3, abs=1e-5)
+    told = intended.at[2].set(LAYOUT.bay_pose[30])
     moved = physics.set_parked_poses(again, told)
-    np.testing.assert_allclose(physics.parked_pose(moved), told, atol=1e-5)
+    np.testing.assert_allclose(physics.parked_poses(moved, told), told, atol=1e-5)
 
 
 def test_a_non_finite_car_is_contained_and_flagged():

@@ -29,6 +29,7 @@ from carpark_mj.layouts import (
     pad_layout,
 )
 from carpark_mj.layouts.__main__ import SHOWN, main, run_scene
+from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.garage_row import draw_tight_bay
 from carpark_mj.mdp.spawning.poses import spawn_pose
 from carpark_mj.vehicle import COMPACT
@@ -97,7 +98,7 @@ def test_bays_lanes_and_solids_do_not_overlap(name):
 def test_every_lot_is_well_formed_and_holds_the_bays_promised(name):
     config = layout_config(SHOWN[name])
     for layout in lots(name):
-        assert layout.is_well_formed(CAR.size) == []
+        assert describe_faults(layout, CAR.size) == []
         assert layout.bay_mask.sum() >= config.min_bays
     fewest = drawn(name).bay_mask.sum(axis=1).min()
     assert fewest == config.min_bays  # 60 keys meet the smallest lots

@@ -22,7 +22,8 @@ from carpark_mj.config import EnvConfig, EpisodeConfig, ObservationConfig, Rewar
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.rollout import summarise
 from carpark_mj.layouts import build, make_layout
-from carpark_mj.mdp.lanes import has_lanes, is_wrong_way, nearest_lane
+from carpark_mj.layouts.lanes import has_lanes, nearest_lane
+from carpark_mj.mdp.lanes import is_wrong_way
 
 is_wrong_way_jit, nearest_lane_jit = jax.jit(is_wrong_way), jax.jit(nearest_lane)
 EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2

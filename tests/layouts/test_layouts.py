@@ -17,6 +17,7 @@ from carpark_mj.layouts import (
     pad_layout,
     square,
 )
+from carpark_mj.layouts.checks import describe_faults
 
 WU = 0.5625  # m per world unit of Tanner's scene
 NAMES = sorted(SQUARES)
@@ -25,7 +26,7 @@ EXACT = 1e-5  # m; float32 at 25 m resolves 2e-6 m
 
 @pytest.mark.parametrize("name", NAMES)
 def test_named_layouts_are_well_formed(name):
-    assert make_layout(name).is_well_formed() == []
+    assert describe_faults(make_layout(name)) == []
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -136,14 +137,14 @@ def furnished(layout, disc=None, lane=None, lane_width=2.0):
 
 def test_a_disc_and_a_lane_out_of_the_way_are_sound():
     layout = make_layout("tanner")
-    assert furnished(layout, disc=(15.5, 15.5, 0.2)).is_well_formed() == []
-    assert furnished(layout, lane=10.0).is_well_formed() == []
+    assert describe_faults(furnished(layout, disc=(15.5, 15.5, 0.2))) == []
+    assert describe_faults(furnished(layout, lane=10.0)) == []
 
 
 def test_a_larger_car_needs_more_room():
     layout = make_layout("compact")
-    assert layout.is_well_formed((4.5, 1.8)) == []
-    problems = layout.is_well_formed((5.1, 1.8))
+    assert describe_faults(layout, (4.5, 1.8)) == []
+    problems = describe_faults(layout, (5.1, 1.8))
     assert problems[0].startswith("bays are smaller than the car: [0, 1, 2]")
 
 
@@ -214,8 +215,8 @@ def broken(name):
         ("kinds of floats", "bay_kind must be int32"),
     ],
 )
-def test_is_well_formed_names_each_kind_of_fault(fault, word):
-    problems = broken(fault).is_well_formed()
+def test_describe_faults_names_each_kind_of_fault(fault, word):
+    problems = describe_faults(broken(fault))
     assert any(re.search(word, problem) for problem in problems), problems
 
 
@@ -223,7 +224,7 @@ def test_is_well_formed_names_each_kind_of_fault(fault, word):
 def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
     layout = make_layout(name)
     padded = pad_layout(layout, Maxima(40, 11, 2, 4, 3))
-    assert padded.is_well_formed() == []
+    assert describe_faults(padded) == []
     assert padded.num_bays == 40
     assert padded.wall_mask.shape == (11,)
     assert padded.disc_radius.shape == (2,)
@@ -274,7 +275,7 @@ def test_impossible_square_lots_raise(change, word):
 def test_square_lots_of_other_sizes_are_well_formed():
     config = SquareConfig(bays_per_side=5, bay_width=2.7, bay_length=5.2)
     layout = square(config, jax.random.key(0))
-    assert layout.is_well_formed() == []
+    assert describe_faults(layout) == []
     assert layout.num_bays == 20
 
 

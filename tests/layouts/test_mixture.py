@@ -24,6 +24,7 @@ from carpark_mj.layouts import (
     member_shares,
     mixture,
 )
+from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.policy import runs
 
 MEMBERS = (
@@ -65,7 +66,7 @@ def test_every_lot_of_a_mixture_is_one_its_family_draws():
     batch, families = layouts(), member(layouts())
     for family in range(3):
         one = jax.tree.map(lambda x, f=family: x[families == f][0], batch)
-        assert one.is_well_formed() == []
+        assert describe_faults(one) == []
         own = jax.eval_shape(
             functools.partial(generate, MEMBERS[family]), jax.random.key(0)
         )

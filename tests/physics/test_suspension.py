@@ -16,8 +16,8 @@ from carpark_mj.physics.mjx import mjx  # pyright: ignore[reportAttributeAccessI
 from carpark_mj.scene.export import drivable_scene
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS
-from physics import formulas, suspension
-from physics.contact import contact_model
+from vehicle_suite import formulas, suspension
+from vehicle_suite.contact import contact_model
 
 DT = 0.002
 SPRUNG = SimConfig(sim_dt=0.004, tyres="contact", suspension=True)

@@ -12,6 +12,7 @@ from carpark_mj.physics.tyres import (
     tyre_forces,
 )
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+from carpark_mj.vehicle.drive import WheelTorques
 
 DT = 0.01
 RADIUS = COMPACT.wheel_radius
@@ -60,10 +61,10 @@ def random_motion(rng: np.random.Generator) -> tuple[WheelMotion, TyreState]:
     return motion, state
 
 
-def random_torques(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def random_torques(rng: np.random.Generator) -> WheelTorques:
     drive = rng.normal(0, 500, 4).astype(np.float32)
     brake = np.float32(rng.choice([0.0, 1.0]) * rng.exponential(1000, 4))
-    return drive, brake
+    return WheelTorques(drive, brake)
 
 
 def roll_to_steady_state(
@@ -77,7 +78,9 @@ def roll_to_steady_state(
             spin, state = carry
             motion = wheels(forward=speed, left=speed * np.tan(slip_angle))
             motion = motion.replace(spin=spin)
-            forces, state = tyre_forces(vehicle, motion, state, FREE, FREE, DT)
+            forces, state = tyre_forces(
+                vehicle, motion, state, WheelTorques(FREE, FREE), DT
+            )
             spin = spin + DT * forces.spin / vehicle.wheel_inertia
             return (spin, state), forces.force_w
 
@@ -87,7 +90,9 @@ def roll_to_steady_state(
 
 
 def test_a_relaxed_tyre_at_rest_feels_its_load_and_nothing_else(compact: Vehicle):
-    forces, state = advance(compact, wheels(), init_tyres(), FREE, FREE, DT)
+    forces, state = advance(
+        compact, wheels(), init_tyres(), WheelTorques(FREE, FREE), DT
+    )
     assert forces.force_w[:, :2].tolist() == np.zeros((4, 2)).tolist()
     assert forces.force_w[:, 2].tolist() == compact.tyres.static_load.tolist()
     assert forces.spin.tolist() == [0.0] * 4
@@ -102,7 +107,9 @@ def test_a_relaxed_tyre_opposes_sliding_in_any_direction(compact: Vehicle):
         motion = wheels(forward=forward, left=left)  # wheels that do not turn
         state = init_tyres()
         for _ in range(10):
-            forces, state = advance(compact, motion, state, FREE, LOCKED, DT)
+            forces, state = advance(
+                compact, motion, state, WheelTorques(FREE, LOCKED), DT
+            )
             force = np.asarray(forces.force_w)
             power = force[:, 0] * forward + force[:, 1] * left
             assert (power < 0).all()
@@ -112,7 +119,7 @@ def test_scrub_torque_opposes_the_twist_up_to_that_of_a_sliding_disc(compact: Ve
     state = init_tyres()
     for _ in range(50):
         motion = wheels(yaw_rate=0.4)
-        forces, state = advance(compact, motion, state, FREE, LOCKED, DT)
+        forces, state = advance(compact, motion, state, WheelTorques(FREE, LOCKED), DT)
         assert (np.asarray(forces.aligning) < 0).all()
     load = np.asarray(compact.tyres.static_load)
     disc = 2 / 3 * COMPACT.tyre.friction * load * COMPACT.tyre.patch_radius
@@ -124,7 +131,7 @@ def test_horizontal_force_never_exceeds_friction(compact: Vehicle):
     largest = 0.0
     for _ in range(1000):
         motion, state = random_motion(rng)
-        forces, _ = advance(compact, motion, state, *random_torques(rng), DT)
+        forces, _ = advance(compact, motion, state, random_torques(rng), DT)
         force = np.asarray(forces.force_w)
         horizontal = np.hypot(force[:, 0], force[:, 1])
         # A lifted wheel counts as loaded with 1 N, which keeps its slip finite.
@@ -140,7 +147,7 @@ def test_bristles_stay_within_the_deflection_of_a_sliding_patch(compact: Vehicle
     tyres = compact.tyres
     for _ in range(300):
         motion, state = random_motion(rng)
-        forces, state = advance(compact, motion, state, *random_torques(rng), DT)
+        forces, state = advance(compact, motion, state, random_torques(rng), DT)
         limit = COMPACT.tyre.friction * np.maximum(forces.force_w[:, 2], 1.0)
         stretch = np.hypot(
             tyres.longitudinal_stiffness * state.longitudinal,
@@ -153,7 +160,7 @@ def test_a_car_seen_in_the_mirror_has_mirrored_forces(compact: Vehicle):
     rng = np.random.default_rng(3)
     for _ in range(100):
         motion, state = random_motion(rng)
-        drive, brake = random_torques(rng)
+        torques = random_torques(rng)
         flip, swap = np.array([1, -1], np.float32), LEFT_TO_RIGHT
         mirrored_motion = WheelMotion(
             heading_w=motion.heading_w[swap] * flip,
@@ -168,9 +175,10 @@ def test_a_car_seen_in_the_mirror_has_mirrored_forces(compact: Vehicle):
             lateral=-state.lateral[swap],
             twist=-state.twist[swap],
         )
-        forces, after = advance(compact, motion, state, drive, brake, DT)
+        forces, after = advance(compact, motion, state, torques, DT)
+        mirrored = WheelTorques(*(torque[swap] for torque in torques))
         seen, seen_after = advance(
-            compact, mirrored_motion, mirrored_state, drive[swap], brake[swap], DT
+            compact, mirrored_motion, mirrored_state, mirrored, DT
         )
         # Identical arithmetic up to signs, measured 0; 1e-3 N is float32 rounding.
         expected = np.asarray(forces.force_w)[swap] * [1, -1, 1]
@@ -187,8 +195,8 @@ def test_forces_turn_with_the_heading_of_the_wheel(compact: Vehicle):
     motion, state = random_motion(np.random.default_rng(4))
     straight = motion.replace(heading_w=wheels().heading_w)
     turned = motion.replace(heading_w=wheels(angle=np.pi / 2).heading_w)
-    along, _ = advance(compact, straight, state, FREE, FREE, DT)
-    across, _ = advance(compact, turned, state, FREE, FREE, DT)
+    along, _ = advance(compact, straight, state, WheelTorques(FREE, FREE), DT)
+    across, _ = advance(compact, turned, state, WheelTorques(FREE, FREE), DT)
     x, y, z = np.asarray(along.force_w).T
     expected = np.stack([-y, x, z], -1)
     assert across.force_w == pytest.approx(expected, abs=2e-3)  # cos 90 deg = 4e-8
@@ -239,7 +247,9 @@ def test_a_locked_wheel_holds_up_to_the_friction_limit(
         def substep(carry, i):
             velocity, position, state = carry
             motion = wheels().replace(velocity=velocity)
-            forces, state = tyre_forces(compact, motion, state, FREE, LOCKED, DT)
+            forces, state = tyre_forces(
+                compact, motion, state, WheelTorques(FREE, LOCKED), DT
+            )
             # Applied slowly: a sudden pull swings to twice its static deflection.
             ramp = jnp.minimum(1.0, i / 400)
             force = (ramp * pull)[:, None] * direction + forces.force_w[:, :2]
@@ -283,7 +293,7 @@ def test_a_disturbed_wheel_spin_comes_to_rest_without_chatter(
     state, spins = init_tyres(), [spin]
     for _ in range(60):
         motion = wheels(forward=speed, spin=spin)
-        forces, state = advance(vehicle, motion, state, FREE, FREE, DT)
+        forces, state = advance(vehicle, motion, state, WheelTorques(FREE, FREE), DT)
         spin = spin + np.float32(DT) * np.asarray(forces.spin) / np.float32(inertia)
         spins.append(spin)
     jerk = np.abs(np.diff(spins, n=2, axis=0))

@@ -18,7 +18,7 @@ def layout(request):
 
 @pytest.fixture(scope="module")
 def model(layout):
-    return build_scene(layout, COMPACT, AGENTS, PARKED).compile()
+    return build_scene(layout, COMPACT, AGENTS, (COMPACT,) * PARKED).compile()
 
 
 def test_all_bodies_joints_cameras_and_lights_are_named(model):
@@ -83,7 +83,7 @@ def test_fixed_cameras_see_every_corner_of_the_lot(model, layout, camera):
 
 
 def test_the_scene_survives_a_round_trip_through_xml(layout):
-    spec = build_scene(layout, COMPACT, 1, 1)
+    spec = build_scene(layout, COMPACT, 1, (COMPACT,))
     model = spec.compile()
     again = mujoco.MjModel.from_xml_string(spec.to_xml())
     assert (again.nbody, again.ngeom, again.nq) == (

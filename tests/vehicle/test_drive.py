@@ -276,7 +276,7 @@ def test_drive_and_brake_reach_the_wheels_of_each_preset(params: VehicleParamete
     vehicle = make_vehicle(params)
     start = init_actuators(jnp.float32)
     controls = jnp.array([0.0, 1.0])
-    _, _, drive, brake = actuate(
+    _, _, (drive, brake) = actuate(
         vehicle, start, controls, jnp.zeros(()), jnp.zeros(4), 0.01
     )
     full = params.max_acceleration * params.mass * params.wheel_radius

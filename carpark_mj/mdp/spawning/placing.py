@@ -106,9 +106,7 @@ class Surroundings:
             return jnp.zeros(pose.shape[:1], bool)
         layout, own = self.layout, pose[:, None]
         walls = boxes_overlap(own, self.size, layout.wall_pose, layout.wall_size)
-        discs = box_disc_overlap(
-            own, self.size, layout.disc_centre, layout.disc_radius
-        )
+        discs = box_disc_overlap(own, self.size, layout.disc_centre, layout.disc_radius)
         parked = boxes_overlap(own, self.size, self.parked_pose, self.parked_size)
         return (
             (walls & layout.wall_mask).any(1)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics.runs import INDEX, Run
+from vehicle_suite.runs import INDEX, Run
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from carpark_mj.vehicle.parameters import VehicleParameters
-from physics import formulas
-from physics.runs import Run, ramp
-from physics.steady_turn import Turn, steady_turn
-from physics.table import Study, relative
-from physics.testbed import Testbed
-from physics.tracks import Track, circle_radius
+from vehicle_suite import formulas
+from vehicle_suite.runs import Run, ramp
+from vehicle_suite.steady_turn import Turn, steady_turn
+from vehicle_suite.table import Study, relative
+from vehicle_suite.testbed import Testbed
+from vehicle_suite.tracks import Track, circle_radius
 
 LOCKS = (0.3, 0.6, 0.85, 1.0)  # of full lock
 SPEEDS = (0.5, 1.0, 3.0, -1.0)  # m/s

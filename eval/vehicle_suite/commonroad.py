@@ -14,8 +14,8 @@ import numpy as np
 from scipy import integrate
 
 from carpark_mj.vehicle import COMPACT, VehicleParameters
-from physics.runs import Run
-from physics.tracks import Track
+from vehicle_suite.runs import Run
+from vehicle_suite.tracks import Track
 
 Inputs = Callable[[float], tuple[float, float]]  # steering angle [rad], m/s^2 asked
 

@@ -14,10 +14,10 @@ from carpark_mj.vehicle.contact_wheels import (
 )
 from carpark_mj.vehicle.mjcf import WHEELS, add_car
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics.formulas import front_wheel_angles
-from physics.runs import Run, gravity_of
-from physics.testbed import HOLD_LIMIT
-from physics.tracks import Track
+from vehicle_suite.formulas import front_wheel_angles
+from vehicle_suite.runs import Run, gravity_of
+from vehicle_suite.testbed import HOLD_LIMIT
+from vehicle_suite.tracks import Track
 
 
 def contact_model(

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics.formulas import axle_stiffness
+from vehicle_suite.formulas import axle_stiffness
 
 
 def step_response(

@@ -1,4 +1,4 @@
-"""One C MuJoCo model of a whole lot, stepped on the host for a batch of lots.
+"""The MuJoCo model of a whole scene, stepped on the host for a batch of scenes.
 
 The numpy side of `carpark_mj.physics.scene`: it knows where each car lies in `qpos`
 and which geoms belong to whom, and nothing of tyres or drivers.
@@ -8,9 +8,11 @@ import copy
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from jax.typing import ArrayLike
 
 from carpark_mj.config import SimConfig
 from carpark_mj.layouts.types import Layout
@@ -19,11 +21,40 @@ from carpark_mj.scene import build_scene
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 CAR_NQ, CAR_NV, CAR_BODIES = 13, 12, 7
-_MASSES = ("body_mass", "body_inertia", "body_ipos")
 AGENT, PARKED_CAR, WALL = range(3)  # columns of `Motion.touched`
 
 
-class LotModel:
+class Moving(NamedTuple):
+    """What a substep changes, of a batch of scenes with leading shape `(...)`.
+
+    Attributes:
+        qpos: (..., num_agents, 13) MuJoCo positions of the agents' cars.
+        qvel: (..., num_agents, 12) MuJoCo velocities.
+        parked_qpos: (..., num_parked_cars, 3) rear axles' centres: x, y [m], yaw [rad].
+        parked_qvel: (..., num_parked_cars, 3) their rates.
+    """
+
+    qpos: ArrayLike
+    qvel: ArrayLike
+    parked_qpos: ArrayLike
+    parked_qvel: ArrayLike
+
+
+class Masses(NamedTuple):
+    """Fields of the model of each agent's car alone, whose first body is the world.
+
+    Attributes:
+        body_mass: (..., num_agents, 8) [kg].
+        body_inertia: (..., num_agents, 8, 3) [kg m^2].
+        body_ipos: (..., num_agents, 8, 3) [m].
+    """
+
+    body_mass: ArrayLike
+    body_inertia: ArrayLike
+    body_ipos: ArrayLike
+
+
+class SceneModel:
     """The compiled scene of a lot with brush-tyre cars, hull contacts on.
 
     Attributes:
@@ -44,7 +75,7 @@ class LotModel:
         """Compiles the model; arguments as in `ScenePhysics`."""
         self._num_agents = num_agents
         self._num_parked_cars = num_parked_cars
-        spec = build_scene(layout, params, num_agents, num_parked_cars)
+        spec = build_scene(layout, params, num_agents, (params,) * num_parked_cars)
         spec.option.timestep = sim.sim_dt
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.gravity = gravity_vector(sim)
@@ -88,83 +119,54 @@ class LotModel:
         return np.concatenate([*cars, np.array(parked, int)])
 
     def advance(
-        self,
-        qpos: np.ndarray,
-        qvel: np.ndarray,
-        parked_qpos: np.ndarray,
-        parked_qvel: np.ndarray,
-        qfrc: np.ndarray,
-        ctrl: np.ndarray,
-        body_mass: np.ndarray,
-        body_inertia: np.ndarray,
-        body_ipos: np.ndarray,
-    ) -> tuple[np.ndarray, ...]:
-        """Steps a batch of lots by one substep; any leading shape `(...)`.
+        self, moving: Moving, qfrc: np.ndarray, ctrl: np.ndarray, masses: Masses
+    ) -> tuple[Moving, np.ndarray]:
+        """Steps a batch of scenes by one substep; any leading shape `(...)`.
 
         Args:
-            qpos: (..., num_agents, 13).
-            qvel: (..., num_agents, 12).
-            parked_qpos: (..., num_parked_cars, 3).
-            parked_qvel: (..., num_parked_cars, 3).
+            moving: positions and velocities.
             qfrc: (..., num_agents, 12) forces applied.
             ctrl: (..., num_agents, 2) steering servo targets [rad].
-            body_mass: (..., num_agents, 8) of the bodies of each car alone, the world
-                being the first; likewise the next two.
-            body_inertia: (..., num_agents, 8, 3).
-            body_ipos: (..., num_agents, 8, 3).
+            masses: of the agents' cars.
 
         Returns:
-            The first four after the substep, and what each agent touched
-            (..., num_agents, 3).
+            Positions and velocities after the substep, and what each agent touched
+            (..., num_agents, 3) bool.
         """
-        arrays = [
-            np.array(x)
-            for x in (
-                *(qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl),
-                *(body_mass, body_inertia, body_ipos),
-            )
-        ]
+        arrays = [np.array(x) for x in (*moving, qfrc, ctrl, *masses)]
         lead = arrays[0].shape[:-2]
         flat = [x.reshape(-1, *x.shape[len(lead) :]) for x in arrays]
-        lots = len(flat[0])
-        touched = np.zeros((lots, self._num_agents, 3), bool)
-        parts = min(lots, os.cpu_count() or 1)
-        chunks = np.array_split(np.arange(lots), parts)
-        list(self._workers.map(lambda c: self._advance_lots(c, flat, touched), chunks))
-        outputs = [
+        count = len(flat[0])
+        touched = np.zeros((count, self._num_agents, 3), bool)
+        parts = min(count, os.cpu_count() or 1)
+        chunks = np.array_split(np.arange(count), parts)
+        list(self._workers.map(lambda c: self._advance_some(c, flat, touched), chunks))
+        after = (
             x.reshape(old.shape) for x, old in zip(flat[:4], arrays[:4], strict=True)
-        ]
-        return (*outputs, touched.reshape(*lead, self._num_agents, 3))
+        )
+        return Moving(*after), touched.reshape(*lead, self._num_agents, 3)
 
-    def _advance_lots(
-        self, lots: np.ndarray, arrays: list[np.ndarray], touched: np.ndarray
+    def _advance_some(
+        self, scenes: np.ndarray, arrays: list[np.ndarray], touched: np.ndarray
     ) -> None:
-        """Steps some lots, writing the results into the arrays given."""
+        """Steps some scenes, writing the results into the arrays given."""
         qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl, *masses = arrays
-        if not hasattr(self._own, "model"):  # masses differ from lot to lot
+        if not hasattr(self._own, "model"):  # masses differ from scene to scene
             self._own.model = copy.copy(self.model)
             self._own.data = mujoco.MjData(self._own.model)
         model, data = self._own.model, self._own.data
-        for lot in lots:
-            data.qpos[self.qpos_address] = np.append(qpos[lot], parked_qpos[lot])
-            data.qvel[self.qvel_address] = np.append(qvel[lot], parked_qvel[lot])
-            data.qfrc_applied[self.qvel_address[: qfrc[lot].size]] = qfrc[lot].ravel()
-            data.ctrl[self._ctrl] = ctrl[lot]
+        for k in scenes:
+            data.qpos[self.qpos_address] = np.append(qpos[k], parked_qpos[k])
+            data.qvel[self.qvel_address] = np.append(qvel[k], parked_qvel[k])
+            data.qfrc_applied[self.qvel_address[: qfrc[k].size]] = qfrc[k].ravel()
+            data.ctrl[self._ctrl] = ctrl[k]
             data.qacc_warmstart[:] = 0.0  # the result depends on the state alone
-            for field, value in zip(_MASSES, masses, strict=True):
-                getattr(model, field)[self._bodies] = value[lot, :, 1:]
+            for field, value in zip(Masses._fields, masses, strict=True):
+                getattr(model, field)[self._bodies] = value[k, :, 1:]
             mujoco.mj_step(model, data)
-            cars = qpos[lot].size  # the agents' share, before the parked cars'
-            qpos[lot] = data.qpos[self.qpos_address[:cars]].reshape(qpos[lot].shape)
-            parked_qpos[lot] = data.qpos[self.qpos_address[cars:]].reshape(
-                parked_qpos[lot].shape
-            )
-            cars = qvel[lot].size
-            qvel[lot] = data.qvel[self.qvel_address[:cars]].reshape(qvel[lot].shape)
-            parked_qvel[lot] = data.qvel[self.qvel_address[cars:]].reshape(
-                parked_qvel[lot].shape
-            )
-            self.find_touches(data, touched[lot])
+            _read_back(data.qpos, self.qpos_address, qpos[k], parked_qpos[k])
+            _read_back(data.qvel, self.qvel_address, qvel[k], parked_qvel[k])
+            self.find_touches(data, touched[k])
 
     def find_touches(self, data: mujoco.MjData, touched: np.ndarray) -> None:
         """Marks in (num_agents, 3) whom agents touch by the contacts in `data`."""
@@ -174,6 +176,14 @@ class LotModel:
         for a, b in ((first, second), (second, first)):
             agents = self._kind[a] == AGENT
             touched[self._agent[a[agents]], self._kind[b[agents]]] = True
+
+
+def _read_back(
+    values: np.ndarray, address: np.ndarray, cars: np.ndarray, parked: np.ndarray
+) -> None:
+    """Copies the agents' share of `qpos` or `qvel` and the parked cars' into arrays."""
+    cars[:] = values[address[: cars.size]].reshape(cars.shape)
+    parked[:] = values[address[cars.size :]].reshape(parked.shape)
 
 
 def _classify_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

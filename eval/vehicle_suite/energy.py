@@ -3,12 +3,12 @@
 import numpy as np
 
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics import formulas
-from physics.runs import Run
-from physics.steady_turn import brush_slip
-from physics.table import Study
-from physics.testbed import Testbed
-from physics.tracks import Track
+from vehicle_suite import formulas
+from vehicle_suite.runs import Run
+from vehicle_suite.steady_turn import brush_slip
+from vehicle_suite.table import Study
+from vehicle_suite.testbed import Testbed
+from vehicle_suite.tracks import Track
 
 PULL = 0.15  # g, drive force over the weight
 FIRST, LAST = 2.0, 5.0  # s, between which the car neither pitches nor heaves

@@ -18,11 +18,11 @@ from carpark_mj.physics.mjx import mjx  # pyright: ignore[reportAttributeAccessI
 from carpark_mj.physics.tyres import init_tyres
 from carpark_mj.precision import full_float32
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
-from carpark_mj.vehicle.drive import ackermann
+from carpark_mj.vehicle.drive import WheelTorques, ackermann
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
-from physics.runs import INDEX, Run, gravity_of
-from physics.tracks import Track
+from vehicle_suite.runs import INDEX, Run, gravity_of
+from vehicle_suite.tracks import Track
 
 CHUNK = 100  # substeps of one call of the compiled program
 # A locked axle is an integral servo on its wheels' difference in speed.
@@ -134,7 +134,7 @@ def _program(x64: bool):
         ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
         drive = drive + locked * couple
         qfrc, forces, tyres = apply_torques(
-            INDEX, vehicle, qpos, qvel, tyres, drive, brake, dt
+            INDEX, vehicle, qpos, qvel, tyres, WheelTorques(drive, brake), dt
         )
         car = model.tree_replace(
             {

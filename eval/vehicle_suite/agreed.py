@@ -8,7 +8,7 @@ import dataclasses
 import re
 from collections.abc import Sequence
 
-from physics.table import Row
+from vehicle_suite.table import Row
 
 NO_REASON = "no reason given"
 

@@ -11,7 +11,7 @@ from scipy import optimize
 
 from carpark_mj.vehicle.mjcf import STEER_STIFFNESS
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics.formulas import (
+from vehicle_suite.formulas import (
     axle_loads,
     axle_stiffness,
     front_wheel_angles,
@@ -114,11 +114,6 @@ def brush_shape(linear: float, limit: float) -> float:
     s = max(abs(linear) / limit, 1e-12)
     capped = min(s, 3.0)
     return (1 - capped / 3 + capped**2 / 27) * capped / s
-
-
-def brush_force(linear: float, limit: float) -> float:
-    """Force [N] of the brush whose linear force would be C alpha or C_kappa s [N]."""
-    return linear * brush_shape(linear, limit)
 
 
 def brush_slip(force: float, stiffness: float, limit: float) -> float:

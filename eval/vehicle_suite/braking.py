@@ -6,11 +6,11 @@ import math
 import numpy as np
 
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics import formulas
-from physics.runs import LOCKING, Run
-from physics.table import Study, relative
-from physics.testbed import Testbed
-from physics.tracks import Track
+from vehicle_suite import formulas
+from vehicle_suite.runs import LOCKING, Run
+from vehicle_suite.table import Study, relative
+from vehicle_suite.testbed import Testbed
+from vehicle_suite.tracks import Track
 
 HEADINGS = (0.0, 30.0, 45.0, 90.0)  # degrees
 SERVICE = 0.3  # g, brake force over the weight

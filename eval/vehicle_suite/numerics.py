@@ -10,11 +10,12 @@ import numpy as np
 
 from carpark_mj.physics.car import apply_torques
 from carpark_mj.physics.tyres import init_tyres
+from carpark_mj.vehicle.drive import WheelTorques
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics.runs import INDEX, Run
-from physics.table import Study
-from physics.testbed import BrushTestbed, Testbed, controls, vehicle_of
+from vehicle_suite.runs import INDEX, Run
+from vehicle_suite.table import Study
+from vehicle_suite.testbed import BrushTestbed, Testbed, controls, vehicle_of
 
 STEPS = {"brush": (0.01, 0.005, 0.002, 0.001), "contact": (0.004, 0.002, 0.001)}  # s
 LONGEST = 0.01  # s, at which half a per cent of the path is allowed
@@ -133,5 +134,6 @@ def drive_in_c(run: Run, dt: float) -> np.ndarray:
 @jax.jit
 def _c_forces(vehicle, qpos, qvel, tyres, signal, dt):
     ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
-    qfrc, _, tyres = apply_torques(INDEX, vehicle, qpos, qvel, tyres, drive, brake, dt)
+    torques = WheelTorques(drive, brake)
+    qfrc, _, tyres = apply_torques(INDEX, vehicle, qpos, qvel, tyres, torques, dt)
     return ctrl, qfrc, tyres

@@ -7,14 +7,14 @@ import numpy as np
 
 from carpark_mj.vehicle.mjcf import WHEELS, chassis_inertial, hub_positions
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics import formulas
-from physics.braking import SERVICE, braked_motion
-from physics.contact import ContactTestbed, contact_model, rigid_joints
-from physics.runs import LOCKING, Run, ramp
-from physics.table import Study, relative
-from physics.testbed import Testbed
-from physics.tracks import Track, circle_radius
-from physics.turning import turn_run
+from vehicle_suite import formulas
+from vehicle_suite.braking import SERVICE, braked_motion
+from vehicle_suite.contact import ContactTestbed, contact_model, rigid_joints
+from vehicle_suite.runs import LOCKING, Run, ramp
+from vehicle_suite.table import Study, relative
+from vehicle_suite.testbed import Testbed
+from vehicle_suite.tracks import Track, circle_radius
+from vehicle_suite.turning import turn_run
 
 CORNERING = 0.2  # g
 BED = ContactTestbed(suspension=True)

@@ -5,13 +5,13 @@ import math
 import numpy as np
 
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics import formulas
-from physics.runs import Run, ramp, step
-from physics.steady_turn import steady_turn
-from physics.step_response import step_response
-from physics.table import Study, relative
-from physics.testbed import Testbed
-from physics.tracks import Track, crossing
+from vehicle_suite import formulas
+from vehicle_suite.runs import Run, ramp, step
+from vehicle_suite.steady_turn import steady_turn
+from vehicle_suite.step_response import step_response
+from vehicle_suite.table import Study, relative
+from vehicle_suite.testbed import Testbed
+from vehicle_suite.tracks import Track, crossing
 
 SPEED = 20.0  # m/s, of the understeer test
 ACCELERATIONS = np.arange(0.04, 0.201, 0.04) * GRAVITY  # m/s^2

@@ -6,10 +6,10 @@ import numpy as np
 
 from carpark_mj.vehicle.mjcf import STEER_STIFFNESS
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from physics import formulas
-from physics.runs import LOCKING, Run, ramp
-from physics.table import Study, relative
-from physics.testbed import Testbed
+from vehicle_suite import formulas
+from vehicle_suite.runs import LOCKING, Run, ramp
+from vehicle_suite.table import Study, relative
+from vehicle_suite.testbed import Testbed
 
 SLOPES = (0.05, 0.20, 0.30)  # rise over run
 FACING = (0.0, 45.0, 90.0, 180.0)  # degrees from uphill

@@ -15,11 +15,11 @@ from carpark_mj.physics.contact import WheelIndex, contact_car_model, with_wheel
 from carpark_mj.physics.mjx import mjx  # pyright: ignore[reportAttributeAccessIssue]
 from carpark_mj.precision import full_float32
 from carpark_mj.vehicle import COMPACT, Vehicle, VehicleParameters, make_vehicle
-from physics.contact import rigid_joints
-from physics.numerics import wander
-from physics.runs import Run
-from physics.table import Study
-from physics.testbed import Testbed, controls
+from vehicle_suite.contact import rigid_joints
+from vehicle_suite.numerics import wander
+from vehicle_suite.runs import Run
+from vehicle_suite.table import Study
+from vehicle_suite.testbed import Testbed, controls
 
 
 def contact_engines(

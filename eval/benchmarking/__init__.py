@@ -1,0 +1,1 @@
+"""What `eval/benchmark.py` consists of: jobs, the worker, checkouts, the report."""

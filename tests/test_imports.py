@@ -1,0 +1,52 @@
+"""No import circles: every module can be read after those it imports."""
+
+import ast
+import graphlib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def module_name(path: Path, root: Path) -> str:
+    parts = path.relative_to(root).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def import_graph(root: Path) -> dict[str, set[str]]:
+    """Modules of the package under `root` that each of them imports, anywhere in it."""
+    sources = {
+        module_name(path, root): path.read_text()
+        for path in (root / "carpark_mj").rglob("*.py")
+    }
+    graph: dict[str, set[str]] = {}
+    for name, source in sources.items():
+        found = set()
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{name}: relative import"
+                for alias in node.names:
+                    part = f"{node.module}.{alias.name}"
+                    found.add(part if part in sources else str(node.module))
+        graph[name] = found & set(sources)
+    return graph
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    graph = import_graph(ROOT)
+    assert len(graph) > 50
+    graphlib.TopologicalSorter(graph).prepare()  # its error names the circle
+
+
+@pytest.mark.parametrize("indent", ["", "def late():\n    "])
+def test_a_circle_is_found_even_if_one_import_waits_in_a_function(tmp_path, indent):
+    package = tmp_path / "carpark_mj"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "a.py").write_text("from carpark_mj import b\n")
+    (package / "b.py").write_text(f"{indent}from carpark_mj.a import something\n")
+    with pytest.raises(graphlib.CycleError):
+        graphlib.TopologicalSorter(import_graph(tmp_path)).prepare()
