@@ -17,18 +17,18 @@ from typing import Any
 
 import jax
 import tyro
-from benchmarking.timing import best_time
+from carpark_mj.mdp.metrics.clearance import clearances
+from carpark_mj.state import State
 from rich.console import Console
 from rich.table import Table
 
+from benchmarking.timing import best_time
 from carpark_mj.cli.common import USER_ERRORS, one_line
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.mdp.metrics.clearance import clearances
 from carpark_mj.mdp.metrics.collision_time import collision_times
 from carpark_mj.mdp.terminations import find_hits
-from carpark_mj.state import State
 
 SCENES = {
     "square": EnvConfig(num_agents=7, num_parked_cars=16),
