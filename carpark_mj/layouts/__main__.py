@@ -1,4 +1,4 @@
-"""Looks at layouts: pictures, checks of their plans, trial runs of their scenes.
+"""Plots layouts, checks them and test-runs their scenes.
 
 python -m carpark_mj.layouts --plot lots.png
 python -m carpark_mj.layouts --check 1000 --run 20
@@ -30,7 +30,7 @@ from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
 
 CHUNK = 250  # layouts drawn at once
-NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
+NUM_DRIVEN = 2  # cars driven in the test run of a scene
 
 _LEVELS: tuple[tuple[Orientation, Level], ...] = (
     ("perpendicular", "normal"),
@@ -40,7 +40,7 @@ _LEVELS: tuple[tuple[Orientation, Level], ...] = (
     ("parallel", "extreme"),
 )
 
-# Every family, and the variants of those that have some.
+# Every family, with its variants.
 SHOWN: dict[str, LayoutConfig | str] = {
     "tanner": "tanner",
     "compact": "compact",
@@ -83,7 +83,7 @@ def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layou
 
 
 def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """What is wrong with the lots of so many keys, a sentence each."""
+    """Faults of the lots of `num_keys` keys, a sentence each."""
     config = layout_config(layout)
     car: DesignCar = getattr(config, "car", DesignCar())
     found = []
@@ -97,7 +97,7 @@ def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
 
 
 def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """What MuJoCo warns of while the scenes of so many keys run, a sentence each."""
+    """MuJoCo's warnings while the scenes of `num_keys` keys run, a sentence each."""
     return [
         f"key {number}: {warning}"
         for number, drawn in enumerate(draw(layout, num_keys, seed))
@@ -106,7 +106,7 @@ def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
 
 
 def run_scene(layout: Layout) -> list[str]:
-    """What MuJoCo warns of while the scene of one lot runs for a second.
+    """MuJoCo's warnings while the scene of one lot runs for a second.
 
     Every bay holds a parked car; cars to drive stand in the first spawn regions.
     """
@@ -119,7 +119,7 @@ def run_scene(layout: Layout) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code, 1 if a layout is not sound."""
+    """Runs the command; returns the exit code, 1 if a layout is invalid."""
     parser = argparse.ArgumentParser(
         prog="python -m carpark_mj.layouts",
         description=__doc__,
@@ -129,14 +129,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "layouts", nargs="*", help="names or layout files; all families if none"
     )
     parser.add_argument("--plot", type=Path, help="write a picture, two lots of each")
-    parser.add_argument("--check", type=int, default=0, help="check so many keys each")
-    parser.add_argument("--run", type=int, default=0, help="run so many scenes each")
+    parser.add_argument(
+        "--check", type=int, default=0, help="number of keys to check for each"
+    )
+    parser.add_argument(
+        "--run", type=int, default=0, help="number of scenes to run for each"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     if not (options.plot or options.check > 0 or options.run > 0):
         parser.error("nothing to do: give --plot FILE, --check N or --run N (N > 0)")
     shown = {name: name for name in options.layouts} or SHOWN
-    sound = True
+    valid = True
     try:
         if options.plot:
             pictures = [
@@ -146,18 +150,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             ]
             print(f"wrote {contact_sheet(pictures, options.plot)}")
         for name, layout in shown.items():
-            for judge, number in ((check, options.check), (run, options.run)):
+            for function, number in ((check, options.check), (run, options.run)):
                 if number < 1:
                     continue
-                found = judge(layout, number, options.seed)
-                sound = sound and not found
-                what = "problems" if judge is check else "warnings"
+                found = function(layout, number, options.seed)
+                valid = valid and not found
+                what = "problems" if function is check else "warnings"
                 print(f"{name}: {number} keys, {len(found)} {what}", flush=True)
                 print("".join(f"  {problem}\n" for problem in found[:10]), end="")
     except USER_ERRORS as error:
         print(f"layouts: {one_line(error)}", file=sys.stderr)
         return 2
-    return 0 if sound else 1
+    return 0 if valid else 1
 
 
 if __name__ == "__main__":
