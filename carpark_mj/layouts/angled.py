@@ -16,7 +16,7 @@ from carpark_mj.layouts.types import Layout
 
 @dataclasses.dataclass(frozen=True)
 class AngledConfig(LayoutConfig):
-    """Ranges of a lot with angled bays; lengths [m]. A plain `lot`, seen as such.
+    """Ranges of a lot with angled bays; lengths [m].
 
     Attributes:
         num_aisles: range of the number of aisles; they alternate in direction.
@@ -48,7 +48,7 @@ class AngledConfig(LayoutConfig):
             raise ValueError(f"angle must lie within 30 to 75 deg, not {self.angle}")
 
     def as_lot(self) -> LotConfig:
-        """The same as a lot; raises ValueError if there is no such lot."""
+        """The same as a lot's config; raises ValueError if it is impossible."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         del fields["family"]
         return LotConfig(

@@ -49,8 +49,8 @@ class LotConfig(LayoutConfig):
         end_width: of the strip at the ends of the rows.
         pillar_every: bays between pillars, as in a parking deck; 0 = no pillars.
         num_entrances: one, or a second one at the far end.
-        boundary: what runs about the lot.
-        wall_thickness: of it.
+        boundary: what surrounds the lot.
+        wall_thickness: of the boundary.
         car: the car the lot is drawn for.
         family: fixed.
     """

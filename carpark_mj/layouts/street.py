@@ -1,7 +1,7 @@
 """A two-way street with perpendicular bays on both sides.
 
-Schematic (a) of Tanner 2022 (arXiv 2206.13338), which he describes but did not build:
-one lane each way, rows of bays along both, walls about everything.
+Schematic (a) of Tanner 2022 (arXiv 2206.13338), described there but not built: one lane
+each way, rows of bays along both, walls around everything.
 """
 
 import dataclasses
@@ -80,7 +80,7 @@ class StreetConfig(LayoutConfig):
 
 
 def require_aisle(aisle: Range, least: float) -> None:
-    """Refuses aisles in which the car cannot drive, spawn and turn into the bays.
+    """Checks that the car can drive, spawn and turn into the bays.
 
     Raises:
         ValueError: with the width needed.
