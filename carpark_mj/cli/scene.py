@@ -111,8 +111,8 @@ def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
     spec = drivable_scene(
         state.layout,
         env.vehicle,
-        np.asarray(state.vehicle.pose_w),
-        np.asarray(state.layout.bay_pose[state.occupancy.parked_bay]),
+        np.asarray(state.motion.pose_w),
+        np.asarray(state.parked_cars.pose_w),
         config.suspension,
     )
     return spec, np.asarray(state.layout.extent)

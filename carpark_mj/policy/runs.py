@@ -215,7 +215,7 @@ def init_normalizer(observation_size: int) -> Any:
 
 def _load_table(path: Path, header: dict[str, Any], env: EnvConfig) -> LoadedPolicy:
     """Loads the best of the tables of a Q-learning run; they are deterministic."""
-    sizes, choices = cardinalities(env.observation, env.grid), env.grid.choices
+    sizes, choices = cardinalities(env), env.grid.choices
     shape = (header["config"]["num_seeds"], math.prod(sizes), math.prod(choices))
     template = {"table": jax.ShapeDtypeStruct(shape, np.float32)}
     table = jnp.asarray(checkpoints.load(path, template)["table"][header["best"]])

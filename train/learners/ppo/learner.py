@@ -88,7 +88,7 @@ class Learner:
         """Sets up environment, networks, optimiser and mesh."""
         self.config = config
         self.env = BraxParking(ParkingEnv(config.env))
-        self.renews_lots = config.lot_life > 0 and self.env.env.lot.is_random
+        self.renews_lots = config.lot_life > 0 and self.env.env.layout_config.is_random
         self.networks = make_networks(
             config.networks, self.env.observation_size, self.env.env.action_spec
         )

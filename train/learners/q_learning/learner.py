@@ -73,13 +73,13 @@ class QLearner:
         # The same without new episodes: three times as fast, and mostly enough.
         still = dataclasses.replace(config.env.episode, respawn=False)
         self._still_env = ParkingEnv(dataclasses.replace(config.env, episode=still))
-        if config.env.observation.encoding != "indices" or self.env.choices is None:
+        if config.env.observation.encoding != "indices":
             raise ValueError(
                 "Q-learning needs env.observation.encoding 'indices', not "
                 f"{config.env.observation.encoding!r}"
             )
-        self.choices = self.env.choices
-        self.sizes = cardinalities(config.env.observation, config.env.grid)
+        self.choices = config.env.grid.choices
+        self.sizes = cardinalities(config.env)
         self.advance = jax.jit(self._advance)
 
     @property
