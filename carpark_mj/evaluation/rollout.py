@@ -66,7 +66,7 @@ def evaluate(
         raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
     if not env.config.episode.respawn:
         raise ValueError("evaluation needs episode.respawn = True")
-    shares = member_shares(env.lot)
+    shares = member_shares(env.layout_config)
     num_lots = min(num_lots, -(-num_episodes // env.num_agents))
     num_lots = max(num_lots, len(shares))
     member = allot(list(shares.values()), num_lots)
