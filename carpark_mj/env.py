@@ -336,7 +336,9 @@ class ParkingEnv:
     def _step_keys(self, key: jax.Array) -> "_StepKeys":
         key, vehicles, sensor_key = self._split(key)
         reading, sensors = jax.random.split(sensor_key)
-        key, spawn = jax.random.split(key)
+        spawn = key
+        if self.config.episode.respawn:
+            key, spawn = jax.random.split(key)
         n = self.num_agents  # agents take the parts 0 to n - 1
         return _StepKeys(
             next=key,

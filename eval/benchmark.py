@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import get_args
 
 import tyro
+
 from benchmarking.checkouts import Checkout, here, other_checkout
 from benchmarking.records import Clock, Job, What
 from benchmarking.report import Row, markdown, write_csv
 from benchmarking.run import WorkerError, run_job
-
 from carpark_mj.cli.common import USER_ERRORS, one_line
 from carpark_mj.config import EnvConfig
 

@@ -17,18 +17,19 @@ from typing import Any
 
 import jax
 import tyro
-from benchmarking.timing import best_time
 from rich.console import Console
 from rich.table import Table
 
+from benchmarking.timing import best_time
 from carpark_mj.cli.common import USER_ERRORS, one_line
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, RayConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.mdp.metrics.clearance import clearances
+from carpark_mj.mdp.clearance import clearances
+from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.metrics.collision_time import collision_times
-from carpark_mj.mdp.terminations import find_hits
-from carpark_mj.state import State
+from carpark_mj.observations import observe
+from carpark_mj.types import State
 
 SCENES = {
     "square": EnvConfig(num_agents=7, num_parked_cars=16),
@@ -85,14 +86,8 @@ def measure(config: BroadPhaseConfig, env: ParkingEnv) -> dict[str, float]:
     actions = jax.random.uniform(action_key, shape, minval=-1.0)
 
     def safety(state: State) -> Any:
-        lot, pose = state.layout, env.parked_pose(state)
-        parked = pose, state.parked_size, state.occupancy.parked_bay < lot.num_bays
-        near = clearances(lot, state.vehicle, *parked)
-        return near, collision_times(lot, state.vehicle, *parked)
-
-    def hits(state: State) -> tuple[jax.Array, ...]:
-        pose = env.parked_pose(state)
-        return find_hits(state.layout, state.vehicle, pose, state.parked_size)
+        where = state.layout, state.motion, state.parked_cars
+        return clearances(*where), collision_times(*where)
 
     @jax.jit
     def drive(state: State) -> State:
@@ -101,10 +96,10 @@ def measure(config: BroadPhaseConfig, env: ParkingEnv) -> dict[str, float]:
 
     keys = jax.random.split(reset_key, config.lots)
     state = drive(jax.jit(jax.vmap(env.reset))(keys)[0])
-    observe = jax.jit(jax.vmap(env._observe))  # pyright: ignore[reportPrivateUsage]
+    see = jax.jit(jax.vmap(lambda state: observe(env.config, state)))
     return {
-        "collisions": milliseconds(config, jax.jit(jax.vmap(hits)), state),
-        "observations": milliseconds(config, observe, state),
+        "collisions": milliseconds(config, jax.jit(jax.vmap(find_hits)), state),
+        "observations": milliseconds(config, see, state),
         "safety": milliseconds(config, jax.jit(jax.vmap(safety)), state),
         "whole step": milliseconds(config, drive, state) / config.steps,
     }
@@ -129,7 +124,9 @@ def main(config: BroadPhaseConfig) -> None:
     for name in config.scenes:
         env_config = SCENES[name]
         if config.rays:
-            seen = dataclasses.replace(env_config.observation, rays=config.rays)
+            seen = dataclasses.replace(
+                env_config.observation, rays=RayConfig(config.rays)
+            )
             env_config = dataclasses.replace(env_config, observation=seen)
         env = ParkingEnv(env_config)
         layout = jax.eval_shape(env.draw_layout, jax.random.key(0))

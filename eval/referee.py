@@ -1,4 +1,4 @@
-"""Drives our car beside the CommonRoad vehicle models; writes `referee.md` and a plot.
+"""Compares our car with the CommonRoad vehicle models; writes `referee.md` and a plot.
 
 python eval/referee.py
 python eval/referee.py --out runs/referee
@@ -36,12 +36,12 @@ class RefereeConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A manoeuvre driven by our car and by referees.
+    """A manoeuvre of our car and of the reference models.
 
     Attributes:
         name: of the manoeuvre.
         track: ours.
-        paths: the referees', by model.
+        paths: those of the reference models, by name.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Trial:
 
     @property
     def rear_axle(self) -> bool:
-        """Whether the referees' reference point is the rear axle."""
+        """Whether the models' reference point is the rear axle."""
         return "KS" in self.paths
 
 
@@ -177,7 +177,7 @@ def table(found: list[Trial]) -> str:
 
 
 def between(trial: Trial, first: str, second: str) -> float:
-    """Largest distance [m] of two referees from each other."""
+    """Largest distance [m] of two reference models from each other."""
     apart = trial.paths[first].position - trial.paths[second].position
     return float(np.linalg.norm(apart, axis=1).max())
 
@@ -227,7 +227,7 @@ def main(config: RefereeConfig) -> None:
     """Drives the trials and writes the page and the plot.
 
     Raises:
-        ImportError: the referee is not installed.
+        ImportError: the package of the reference models is not installed.
         OSError: the folder cannot be written.
     """
     jax.config.update("jax_platforms", "cpu")  # one car: no work for a GPU

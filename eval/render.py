@@ -9,233 +9,26 @@ python eval/render.py runs/cpu-0 --frame 12 --out frame.png
 python eval/render.py --gallery --out gallery.png
 """
 
-import dataclasses
 import sys
-import time
-from pathlib import Path
-from typing import Annotated, Literal
 
+from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.cli.flags import read_flags
 from carpark_mj.rendering.gl import choose_gl
 
-missing_gl = choose_gl()  # before MuJoCo is imported
 
-import tyro
-from PIL import Image
-from rich.progress import track
+def run() -> int:
+    """Runs the command; returns the exit code."""
+    choose_gl()  # before MuJoCo is imported
+    from carpark_mj.cli.render import RenderConfig, main
+    from carpark_mj.rendering.renderer import RenderingError
 
-from carpark_mj.cli.common import USER_ERRORS, keep_compiled_programs, one_line
-from carpark_mj.config import EnvConfig, PhysicsName
-from carpark_mj.env import ParkingEnv
-from carpark_mj.policy.checkpoints import CheckpointError, write_atomically
-from carpark_mj.rendering.gallery import (
-    FAMILIES,
-    cell_size,
-    contact_sheet,
-    draw_lots,
-)
-from carpark_mj.rendering.renderer import (
-    LotRenderer,
-    RenderingError,
-    Show,
-    camera_names,
-)
-from carpark_mj.rendering.rollout import record
-from carpark_mj.rendering.snapshot import frames_per_second, num_frames
-from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
-from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
-from evaluate import adapt, find_driver
-
-
-@dataclasses.dataclass(frozen=True)
-class RenderConfig:
-    """Settings of `python eval/render.py`.
-
-    Attributes:
-        run: run folder, checkpoint file, or `zero` or `random`.
-        environment: of `zero` and `random`, by name; see `carpark_mj.registry`.
-        out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
-            `frame.png` in the run folder, `gallery.png` here for the gallery.
-        camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
-            wheel, or `split:K`: topdown and chase:K side by side.
-        show: extras, with commas between: `tracked` links every agent to the cars it
-            tracks, `rings` draws the circles in which it counts walls.
-        seconds: length of the video [s].
-        fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
-        frame: write a still at this time [s] instead of a video.
-        gallery: write a contact sheet instead, `width` wide: two lots of every family,
-            from `overview`, with seeds from `seed` on. It needs no run.
-        width: of a frame [pixels], even.
-        height: of a frame [pixels], even.
-        seed: of the held-out lot.
-        num_agents: another number of agents than the run was trained with.
-        num_parked_cars: another number of parked cars.
-        layout: another lot than the run's: a name or a layout file.
-        physics: another back end than the run's: in `scene` crashed cars push each
-            other, spin and stop.
-        respawn: whether finished agents start anew; `false` tells one whole story.
-    """
-
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
-    environment: str = ""
-    out: str = ""
-    camera: str = "topdown"
-    show: str = ""
-    seconds: float = 20.0
-    fps: float = 10.0
-    frame: float | None = None
-    gallery: bool = False
-    width: int = 1280
-    height: int = 720
-    seed: int = 0
-    num_agents: int | None = None
-    num_parked_cars: int | None = None
-    layout: str | None = None
-    physics: PhysicsName | None = None
-    respawn: Literal["true", "false"] = "true"
-
-    def __post_init__(self) -> None:
-        if bool(self.run) == self.gallery:
-            raise ValueError(
-                "give a run folder, zero or random, or --gallery, "
-                f"not {'both' if self.run else 'none of them'}"
-            )
-        if not 0 < self.seconds <= 3600:
-            raise ValueError(f"seconds must lie in (0, 3600], not {self.seconds}")
-        if self.frame is not None and not 0 <= self.frame <= 3600:
-            raise ValueError(f"frame must lie in [0, 3600] s, not {self.frame}")
-        if not self.fps > 0:
-            raise ValueError(f"fps must be positive, not {self.fps}")
-        unknown = set(self.extras) - {"tracked", "rings"}
-        if unknown:
-            raise ValueError(
-                f"show takes tracked and rings, with a comma between, not "
-                f"{', '.join(sorted(unknown))!r}"
-            )
-        for name, limit in (("width", OFFSCREEN_WIDTH), ("height", OFFSCREEN_HEIGHT)):
-            value = getattr(self, name)
-            if not 2 <= value <= limit or value % 2:
-                raise ValueError(
-                    f"{name} must be even and within 2 to {limit}, not {value}"
-                )
-
-    @property
-    def extras(self) -> list[str]:
-        """The names in `show`."""
-        return [name.strip() for name in self.show.split(",") if name.strip()]
-
-
-def main(config: RenderConfig) -> Path:
-    """Drives, draws and writes; returns the file.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        RenderingError: no GL or no such camera.
-        ValueError: impossible settings.
-        OSError: the file cannot be written.
-    """
-    if config.gallery:
-        return _gallery(config)
-    driver = find_driver(config.run, config.environment)
-    folder = driver.folder
-    still = config.frame is not None
-    out = (
-        Path(config.out)
-        if config.out
-        else folder / ("frame.png" if still else "video.mp4")
+    return run_command(
+        "render",
+        lambda: main(read_flags(RenderConfig, description=__doc__)),
+        (RenderingError,),
     )
-    suffixes = (".png",) if still else (".mp4", ".gif")
-    if out.suffix not in suffixes:
-        raise ValueError(f"out must end in {' or '.join(suffixes)}, not {out.name!r}")
-    env_config = adapt(
-        driver.env,
-        num_agents=config.num_agents,
-        num_parked_cars=config.num_parked_cars,
-        layout=config.layout,
-        physics=config.physics,
-    )
-    episode = dataclasses.replace(env_config.episode, respawn=config.respawn == "true")
-    env_config = dataclasses.replace(env_config, episode=episode)
-    camera_names(config.camera, env_config.num_agents)  # refuse before the work
-    if missing_gl:
-        raise RenderingError(missing_gl)
-    out.parent.mkdir(parents=True, exist_ok=True)
-
-    env = ParkingEnv(env_config)
-    seconds = config.frame if config.frame is not None else config.seconds
-    num_steps = max(1, round(seconds / env_config.sim.ctrl_dt))
-    recording = record(env, driver.policy(env), num_steps, config.seed)
-    sizes = recording.parked_size
-    parked_cars = () if sizes is None else env.fleet.parked_vehicles(sizes)
-    renderer = LotRenderer(
-        recording.layout,
-        env.vehicle,
-        env_config.num_agents,
-        recording.parked_pose.shape[1],
-        config.camera,
-        (config.width, config.height),
-        _show(config, env_config),
-        env.fleet.agents,
-        parked_cars,
-    )
-    try:
-        if still:
-            picture = draw_frame(recording, renderer, num_frames(recording) - 1)
-            _write_png(out, Image.fromarray(picture))
-            print(f"wrote {out}: {seconds:g} s, camera {config.camera}")
-            return out
-        stride = frame_stride(recording, config.fps)
-        indices = range(stride - 1, num_frames(recording), stride)
-        begun = time.monotonic()
-        pictures = (
-            draw_frame(recording, renderer, index)
-            for index in track(indices, "rendering", transient=True)
-        )
-        count = write_video(out, pictures, frames_per_second(recording) / stride)
-        speed = count / (time.monotonic() - begun)
-    finally:
-        renderer.close()
-    print(
-        f"wrote {out}: {seconds:g} s, {count} frames at {speed:.1f} frames/s, "
-        f"camera {config.camera}"
-    )
-    return out
-
-
-def _show(config: RenderConfig, env: EnvConfig) -> Show:
-    tracked = "tracked" in config.extras
-    return Show(
-        tracked_agents=env.observation.tracked_agents if tracked else 0,
-        tracked_parked_cars=env.observation.tracked_parked_cars if tracked else 0,
-        rings=env.observation.rings if "rings" in config.extras else (),
-    )
-
-
-def _gallery(config: RenderConfig) -> Path:
-    out = Path(config.out or "gallery.png")
-    if out.suffix != ".png":
-        raise ValueError(f"a gallery ends in .png, not {out.name!r}")
-    if missing_gl:
-        raise RenderingError(missing_gl)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    size = cell_size(config.width)
-    cells = [
-        cell
-        for family in track(FAMILIES, "rendering", transient=True)
-        for cell in draw_lots(family, size, "overview", config.seed)
-    ]
-    _write_png(out, contact_sheet(cells))
-    print(f"wrote {out}: {len(cells)} lots")
-    return out
-
-
-def _write_png(path: Path, picture: Image.Image) -> None:
-    write_atomically(path, lambda temporary: picture.save(temporary, optimize=True))
 
 
 if __name__ == "__main__":
     keep_compiled_programs()
-    try:
-        main(tyro.cli(RenderConfig, description=__doc__))
-    except (CheckpointError, RenderingError, *USER_ERRORS) as error:
-        print(f"render: {one_line(error)}", file=sys.stderr)
-        sys.exit(2)
+    sys.exit(run())

@@ -1,12 +1,12 @@
-"""Soaks the physics: 10^7 car-steps of inputs nobody would drive.
+"""Soak test of the physics: 10^7 car-steps of extreme inputs.
 
 python eval/soak.py
 python eval/soak.py --car-steps 1000000 --first-case 5000000
 
 All presets, randomised far, on anything from ice to dry asphalt, under random,
-alternating, saturated and invalid inputs. Prints a table of the worst found; exit code
+alternating, saturated and invalid inputs. Prints a table of the worst cases; exit code
 1 if a car had a non-finite state, too much energy, or left the ground. A case is one
-car for one episode, and its number fixes everything about it.
+car for one episode, and its number determines everything about it.
 """
 
 import dataclasses
@@ -88,7 +88,7 @@ class Worst:
         broken: steps that produced a non-finite number.
         hop: of a tyre above the ground [m]; negative while its spring is loaded.
         energy: per mass [J/kg].
-        invalid: actions that were neutralised.
+        invalid: actions that had to be sanitized.
     """
 
     broken: jax.Array

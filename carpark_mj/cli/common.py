@@ -1,9 +1,14 @@
 """What all commands share: errors in one line, compiled programs kept on disk."""
 
 import os
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
-USER_ERRORS = (ValueError, OSError, OverflowError)
+USER_ERRORS = (ValueError, OSError, OverflowError, MemoryError)
+MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in memory
+MAX_SECONDS = 3600  # of a recording, which is held in memory
+INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
 
 
 def one_line(error: BaseException) -> str:
@@ -12,7 +17,46 @@ def one_line(error: BaseException) -> str:
         return f"cannot use {error.filename}: {error.strerror}"
     if isinstance(error, OverflowError):
         return f"a number is too large, the seed perhaps: {error}"
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+        reason = str(error).partition("\n")[0] or "allocation failed"
+        return f"not enough memory, choose smaller sizes: {reason}"
     return " ".join(str(error).split())
+
+
+def run_command(
+    program: str,
+    command: Callable[[], object],
+    errors: tuple[type[Exception], ...] = (),
+) -> int:
+    """Runs a command; what the user can mend ends it with one line on stderr.
+
+    Args:
+        program: name before the line.
+        command: what it returns is the exit code if it is an int; else that is 0.
+        errors: what else, beside `USER_ERRORS` and unreadable checkpoints, is the
+            user's to mend.
+
+    Returns:
+        The exit code, 2 for such errors.
+    """
+    from jax.errors import JaxRuntimeError
+
+    from carpark_mj.policy.checkpoints import CheckpointError
+
+    try:
+        code = command()
+    except (CheckpointError, *USER_ERRORS, *errors) as error:
+        print(f"{program}: {one_line(error)}", file=sys.stderr)
+    except JaxRuntimeError as error:
+        if "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        print(f"{program}: {one_line(error)}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    else:
+        return code if isinstance(code, int) else 0
+    return 2
 
 
 def keep_compiled_programs() -> None:

@@ -8,16 +8,16 @@ episodes together.
 import dataclasses
 from typing import Literal
 
-from carpark_mj.mdp.metrics.clearance import RANGE
+from carpark_mj.mdp.clearance import RANGE
 from carpark_mj.mdp.metrics.collision_time import HORIZON
 
 # How episodes add up.
 Pool = Literal["rate", "mean", "parked", "steps", "episodes", "least", "most"]
 POOLS: dict[Pool, str] = {
-    "rate": "share of the episodes",
+    "rate": "share of the episodes, its 95 % interval, and their count",
     "mean": "mean over episodes",
     "parked": "mean over parked episodes",
-    "steps": "sum over all steps of all episodes / number of these steps",
+    "steps": "sum over all steps of all episodes / number or metres of these steps",
     "episodes": "mean over the episodes that have such steps",
     "least": "median, 5 % quantile and minimum over episodes",
     "most": "median, 95 % quantile and maximum over episodes",
@@ -90,6 +90,14 @@ OUTCOME = (
     Metric("gear_changes", "", "changes of the direction of travel", "parked"),
     Metric("invalid_actions", "", "steps whose action is NaN or outside", "mean"),
     Metric("wrong_way", "m", "way driven against the lanes, if any", "mean"),
+    Metric(
+        "wrong_way_share",
+        "",
+        "share of the way driven against the lanes, if any",
+        "steps",
+        "",
+        ("wrong_way", "path"),
+    ),
     Metric("final_distance", "m", "from centre to the goal's centre", "parked"),
     Metric("final_heading", "rad", "to the goal's axis, either way round", "parked"),
     Metric("final_speed", "m/s", "absolute speed at the end", "parked", "ParkVelocity"),
@@ -124,18 +132,44 @@ SAFETY = (
     Metric("peak_jerk", "m/s³", "largest length of the jerk", "most"),
 )
 _GAVE_WAY = {
-    "local_same": ("tracked", "has the same goal", "GaveWayLocalSameGoal"),
-    "local_any": ("tracked", "has any goal", "GaveWayLocalAnyGoal"),
-    "global_same": ("anywhere", "has the same goal", "GaveWayGlobalSameGoal"),
-    "global_any": ("anywhere", "has any goal", "GaveWayGlobalAnyGoal"),
-    "untracked_same": ("untracked", "has the same goal", "GaveWayNonLocalSameGoal"),
-    "untracked_any": ("untracked", "has any goal", ""),
-    "untracked_other": ("untracked", "has another goal", "GaveWayNonLocalAnyGoal"),
-    "only_untracked_same": ("untracked, no tracked one,", "has the same goal", ""),
-    "only_untracked_any": ("untracked, no tracked one,", "has any goal", ""),
+    "local_same": (
+        "a tracked agent nearer to the goal has it too",
+        "GaveWayLocalSameGoal",
+    ),
+    "local_any": (
+        "a tracked agent is nearer to the goal",
+        "GaveWayLocalAnyGoal",
+    ),
+    "global_same": (
+        "an agent nearer to the goal has it too",
+        "GaveWayGlobalSameGoal",
+    ),
+    "global_any": (
+        "an agent is nearer to the goal",
+        "GaveWayGlobalAnyGoal",
+    ),
+    "untracked_same": (
+        "an untracked agent nearer to the goal has it too",
+        "GaveWayNonLocalSameGoal",
+    ),
+    "untracked_any": (
+        "an untracked agent is nearer to the goal",
+        "",
+    ),
+    "untracked_other": (
+        "an untracked agent nearer to the goal does not have it",
+        "GaveWayNonLocalAnyGoal",
+    ),
+    "only_untracked_same": (
+        "an untracked agent nearer to the goal has it too, and no tracked one does",
+        "",
+    ),
+    "only_untracked_any": (
+        "an untracked agent is nearer to the goal, and no tracked one is",
+        "",
+    ),
     "global_same_not_local_any": (
-        "anywhere, none tracked with any goal,",
-        "has the same goal",
+        "an agent nearer to the goal has it too, and no tracked agent is nearer",
         "",
     ),
 }
@@ -149,12 +183,12 @@ GOALS = (
         ("explored_steps", "length"),
     ),
     Metric(
-        "towards_space",
+        "towards_bay",
         "",
         "share of the steps without a goal that led nearer to any tracked bay",
         "episodes",
         "RatioMoveTowardsExploringPerEps",
-        ("towards_space_steps", "explored_steps"),
+        ("towards_bay_steps", "explored_steps"),
     ),
     Metric("stop_explore", "", "goals taken", "mean", "NumStopExplorePerEps"),
     Metric(
@@ -173,13 +207,12 @@ GOALS = (
         Metric(
             f"conformity_{name}",
             "",
-            f"of the steps in which an agent nearer to the goal, {where}, {what}: "
-            "share in which the goal was let go of",
+            f"of the steps in which {when}: share in which the goal was let go of",
             "steps",
             study,
             (f"gave_way_{name}", f"met_{name}"),
         )
-        for name, (where, what, study) in _GAVE_WAY.items()
+        for name, (when, study) in _GAVE_WAY.items()
     ),
 )
 METRICS = OUTCOME + DRIVING + SAFETY + GOALS

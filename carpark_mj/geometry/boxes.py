@@ -1,8 +1,8 @@
 """Oriented boxes and discs in the plane: overlap, distance, rays and contact times.
 
-A box is a pose (its centre and heading) with a size `(length, width)` [m], length along the heading. A
-disc is a centre `(x, y)` with a radius [m].
-Every function broadcasts over leading dimensions and is exact (no sampling).
+A box is a pose (its centre and heading) with a size `(length, width)` [m], length along
+the heading. A disc is a centre `(x, y)` with a radius [m]. Every function broadcasts
+over leading dimensions and is exact (no sampling).
 """
 
 import jax
@@ -117,7 +117,7 @@ def box_disc_overlap(
 def ray_box_distance(
     origin: jax.Array, direction: jax.Array, pose: jax.Array, size: jax.Array
 ) -> jax.Array:
-    """Way [m] along rays to boxes (..., 3), (..., 2): the slab test.
+    """Distance [m] along rays to boxes (..., 3), (..., 2): the slab test.
 
     Args:
         origin: (..., 2) starts of the rays [m].
@@ -143,7 +143,7 @@ def ray_box_distance(
 def ray_disc_distance(
     origin: jax.Array, direction: jax.Array, centre: jax.Array, radius: jax.Array
 ) -> jax.Array:
-    """Way [m] along rays to discs (..., 2), (...); as `ray_box_distance`."""
+    """Distance [m] along rays to discs (..., 2), (...); as `ray_box_distance`."""
     offset = centre - origin
     along = jnp.sum(direction * offset, axis=-1)
     aside = direction[..., 0] * offset[..., 1] - direction[..., 1] * offset[..., 0]
@@ -233,7 +233,7 @@ def box_disc_contact_time(
 
 
 def swept_half_size(size: jax.Array, spread: jax.Array) -> jax.Array:
-    """Half length and half width (..., 2) [m] that hold a box whose heading strays.
+    """Half length and half width (..., 2) [m] that enclose a box of varying heading.
 
     Args:
         size: (..., 2) length and width of the box [m].

@@ -16,7 +16,7 @@ from carpark_mj.layouts.types import Layout
 
 @dataclasses.dataclass(frozen=True)
 class AngledConfig(LayoutConfig):
-    """Ranges of a lot with angled bays; lengths [m]. A plain `lot`, seen as such.
+    """Ranges of a lot with angled bays; lengths [m].
 
     Attributes:
         num_aisles: range of the number of aisles; they alternate in direction.
@@ -39,7 +39,7 @@ class AngledConfig(LayoutConfig):
     bay_length: Range = standards.BAY_LENGTH
     extra_aisle: Range = (0.0, 0.6)
     cross_aisle: Range = standards.TWO_WAY_AISLE
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "angled"
 
     def __post_init__(self) -> None:
@@ -48,7 +48,7 @@ class AngledConfig(LayoutConfig):
             raise ValueError(f"angle must lie within 30 to 75 deg, not {self.angle}")
 
     def as_lot(self) -> LotConfig:
-        """The same as a lot; raises ValueError if there is no such lot."""
+        """The same as a lot's config; raises ValueError if it is impossible."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         del fields["family"]
         return LotConfig(

@@ -1,8 +1,8 @@
-"""Puts a layout together from groups of rows; what every generator ends with.
+"""Assembles a layout from groups of rows; the last step of every generator.
 
 A group is a dictionary of `Layout` fields with one leading dimension. Arguments
-broadcast against the poses, leading dimensions are flattened, and rows that do not
-count become zeros.
+broadcast against the poses, leading dimensions are flattened, and masked rows become
+zeros.
 """
 
 import math
@@ -17,7 +17,7 @@ from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 
 Group = dict[str, jax.Array]
 
-# Headings of cars spawning in a lane stray this far [rad]: nobody drives dead straight.
+# Largest deviation of a spawning car's heading from its lane's [rad].
 LANE_SPREAD = 0.1
 
 
@@ -110,15 +110,15 @@ def spawns(pose: Any, size: Any, spread: Any, mask: Any = True) -> Group:
 def spawns_in(car: DesignCar, pose: Any, size: Any, mask: Any = True) -> Group:
     """Spawn regions that keep a car within free rectangles (..., 3), (..., 2).
 
-    Headings stray `LANE_SPREAD` from the rectangles'.
+    Headings deviate from the rectangles' by at most `LANE_SPREAD`.
     """
     reach = swept_half_size(jnp.array(car.size), jnp.array(LANE_SPREAD))
     return spawns(pose, jnp.asarray(size) - 2 * reach, LANE_SPREAD, mask)
 
 
 def least_lane(car: DesignCar) -> float:
-    """Narrowest lane [m] in which a car can spawn, with 5 cm to play with."""
-    # `swept_half_size` of a small spread, on the host: configs ask while JAX may sleep.
+    """Narrowest lane [m] in which a car can spawn, with a margin of 5 cm."""
+    # `swept_half_size` of a small spread, without JAX: configs must not start it.
     reach = car.width * math.cos(LANE_SPREAD) + car.length * math.sin(LANE_SPREAD)
     return reach + 0.05
 
@@ -141,7 +141,7 @@ def two_lanes(pose: Any, size: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def boundary(half_x: Any, half_y: Any, thickness: float, kind: WallKind) -> Group:
-    """Four walls about a rectangle whose inner faces are at +-half_x and +-half_y."""
+    """Four walls around a rectangle whose inner faces are at +-half_x and +-half_y."""
     half_x, half_y = jnp.float32(half_x), jnp.float32(half_y)
     zero, off = jnp.zeros_like(half_x), thickness / 2
     poses = [

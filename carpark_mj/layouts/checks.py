@@ -1,4 +1,4 @@
-"""What makes a layout sound, and the words for what is wrong with one.
+"""Checks of layouts: what makes one valid, and messages about its faults.
 
 `find_faults` is pure and runs for thousands of layouts at once under `jax.vmap`;
 `describe_faults` puts those of one layout into sentences.
@@ -40,8 +40,8 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
         car_size: (2,) length and width of the largest car [m].
 
     Returns:
-        Bool arrays, True = fault, named by the words of the sentence about it; one
-        dimension per kind of row it concerns, none for the lot as a whole.
+        Bool arrays, True = fault, by the text of its message; one dimension per kind
+        of row it concerns, none for the lot as a whole.
     """
     bay = (layout.bay_pose, layout.bay_size - ROUNDING, layout.bay_mask)
     wall = (layout.wall_pose, layout.wall_size, layout.wall_mask)
@@ -86,9 +86,9 @@ def _discs_meet(box: _Rows, disc: _Rows) -> jax.Array:
 def describe_faults(
     layout: Layout, car_size: tuple[float, float] | None = None
 ) -> list[str]:
-    """What is wrong with one layout, a sentence each; runs on the host.
+    """Faults of one layout, a sentence each; runs on the host.
 
-    A sound layout has fitting shapes and dtypes, finite numbers and positive sizes, at
+    A valid layout has matching shapes and dtypes, finite numbers and positive sizes, at
     least one bay and one spawn region; its bays lie within the extent, hold the car
     and overlap neither each other nor walls, discs or lanes; no wall or disc stands in
     a lane; and a car that spawns anywhere in a spawn region, at any heading it allows,
@@ -99,7 +99,7 @@ def describe_faults(
         car_size: length and width of the largest car [m]; the design car's if None.
 
     Returns:
-        Empty when the layout is sound.
+        Empty if the layout is valid.
     """
     found = _malformed(layout)
     if found:

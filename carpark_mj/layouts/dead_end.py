@@ -53,7 +53,7 @@ class DeadEndConfig(LayoutConfig):
     approach: Range = (12.0, 18.0)
     end_length: Range = (0.5, 1.5)
     wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "dead_end"
 
     def __post_init__(self) -> None:

@@ -54,7 +54,7 @@ class GarageRowConfig(LayoutConfig):
     num_bays: IntRange = (4, 7)
     end_length: Range = (4.0, 6.0)
     wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "garage_row"
 
     def __post_init__(self) -> None:
@@ -85,7 +85,7 @@ def tight_entry(
 
 
 def require_room(orientation: Orientation, level: Level, car: DesignCar) -> None:
-    """Refuses a level whose aisle is too narrow for the car.
+    """Checks that the aisle of a level is wide enough for the car.
 
     Raises:
         ValueError: unknown names, or the width needed.
@@ -97,7 +97,7 @@ def require_room(orientation: Orientation, level: Level, car: DesignCar) -> None
 def draw_tight_bay(
     orientation: Orientation, level: Level, car: DesignCar, chance: jax.Array
 ) -> tuple[jax.Array, jax.Array, float]:
-    """Draws the size of the tight bays of a lot, spending chances (2,).
+    """Draws the size of the tight bays of a lot, from uniform numbers (2,).
 
     Returns:
         (2,) length and width, (2,) extent along and across the aisle [m], and the

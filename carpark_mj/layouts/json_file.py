@@ -8,11 +8,11 @@
      "spawns": [{"pose": ..., "size": ..., "spread": 0.1}],
      "extent": [half_x, half_y]}
 
-Metres and radians; what the fields mean is said in `Layout`. Kinds are `standard`,
+Metres and radians; `Layout` explains the fields. Kinds are `standard`,
 `accessible`, `family`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`. `bays`,
 `spawns` and `extent` are needed; `kind` is by default the first of its list, `one_way`
-true and `spread` 0.1. A file of another version is refused, whatever is wrong with one
-is told with its line, and so is a layout that is not sound (`layouts.checks`).
+true and `spread` 0.1. Files of another version and invalid layouts (`layouts.checks`)
+are refused; messages about a row name its line.
 """
 
 import json
@@ -47,7 +47,7 @@ def read_json(path: Path) -> Layout:
     """Reads a layout.
 
     Raises:
-        ValueError: no such file, or what is wrong with it and in which line.
+        ValueError: no such file, or a fault in it; the message names the line.
     """
     try:
         text = path.read_text()
@@ -63,7 +63,7 @@ def read_json(path: Path) -> Layout:
     except _RowError as error:
         raise ValueError(f"{path}, line {error.line}: {error}") from None
     if faults := describe_faults(layout):
-        raise ValueError(f"{path} is no sound layout: {'; '.join(faults)}")
+        raise ValueError(f"{path} is not a valid layout: {'; '.join(faults)}")
     return layout
 
 
@@ -74,7 +74,7 @@ class _RowError(ValueError):
 
 
 class _Decoder(json.JSONDecoder):
-    """Notes in every object the line on which it begins."""
+    """Records in every object the line on which it begins."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -86,7 +86,7 @@ class _Decoder(json.JSONDecoder):
             return {**value, _LINE: text.count("\n", 0, end) + 1}, after
 
         self.parse_object = located
-        # The scanner in C ignores `parse_object`; the one in Python heeds it.
+        # The scanner in C ignores `parse_object`; the one in Python calls it.
         self.scan_once = scanner.py_make_scanner(self)  # pyright: ignore
 
 

@@ -1,4 +1,4 @@
-"""Where lanes are: the distance of cars to them, and the lane of each car."""
+"""Distances of cars to lanes, and the lane of each car."""
 
 import jax
 import jax.numpy as jnp

@@ -2,7 +2,7 @@
 
 Rows of neighbouring aisles stand back to back. A cross aisle runs along both ends of
 the aisles, entrances lead into the cross aisles through the outer walls, and a gate
-closes each of them, so that nobody leaves the lot.
+closes each of them, so that no car leaves the lot.
 """
 
 import jax
@@ -35,11 +35,11 @@ from carpark_mj.layouts.standards import (
 )
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 
-ENTRANCE_LENGTH = 7.0  # m, from the outer wall to the gate: a car with room to spare
+ENTRANCE_LENGTH = 7.0  # m, from the outer wall to the gate: longer than a car
 ENTRANCE_WIDTH = 6.0  # m, two lanes
 PILLAR_GAP = 2 * (PILLAR_RADIUS + PILLAR_CLEARANCE)  # m between the bays beside it
 BOLLARD_INSET = 0.4  # m from the ends of a row's last strip
-SLACK = 1e-3  # m, so that bays that fit exactly do
+SLACK = 1e-3  # m, tolerance for bays that fit exactly
 
 
 @struct.dataclass
@@ -175,7 +175,7 @@ def _rows(config: LotConfig, plan: _Plan) -> list[Group]:
         centre = ahead(place(far - width - gap, gap), setback)
         groups.append(discs(centre, PILLAR_RADIUS, DiscKind.PILLAR, mask & pillar))
     if config.row_ends != "open":
-        # Wide bays leave a rest of their row to the strip, if it stays within the row.
+        # The strip fills what wide bays leave of their row, if it stays within the row.
         rest = jnp.minimum(plan.end + plan.row - last, plan.bay_width)
         strip = jnp.concatenate([jnp.broadcast_to(plan.end, rest.shape), rest], axis=-1)
         near = jnp.concatenate([jnp.broadcast_to(-plan.end, rest.shape), last], axis=-1)
@@ -221,13 +221,13 @@ def _lanes(config: LotConfig, plan: _Plan) -> list[Group]:
     size = jnp.broadcast_to(jnp.array([ENTRANCE_LENGTH, ENTRANCE_WIDTH]), (2, 2))
     pose, size = two_lanes(pose, size)
     groups.append(lanes(pose, size, mask=plan.entrance_mask[:, None]))
-    # Only on the way in: nobody starts at a closed gate and heads for it.
+    # Only on the way in: no car starts at a closed gate and heads for it.
     pose, size = pose[:, 0], size[:, 0]
     return [*groups, spawns_in(config.car, pose, size, plan.entrance_mask)]
 
 
 def _outer_walls(config: LotConfig, plan: _Plan) -> list[Group]:
-    """The walls about the lot with openings at the entrances, and what closes those."""
+    """Walls around the lot with openings at the entrances, and the gates in them."""
     thick = jnp.float32(config.wall_thickness)
     kind = WallKind.WALL if config.boundary == "wall" else WallKind.KERB
     half_x, half_y = plan.half[0], plan.half[1]

@@ -49,8 +49,8 @@ class LotConfig(LayoutConfig):
         end_width: of the strip at the ends of the rows.
         pillar_every: bays between pillars, as in a parking deck; 0 = no pillars.
         num_entrances: one, or a second one at the far end.
-        boundary: what runs about the lot.
-        wall_thickness: of it.
+        boundary: what surrounds the lot.
+        wall_thickness: of the boundary.
         car: the car the lot is drawn for.
         family: fixed.
     """
@@ -72,7 +72,7 @@ class LotConfig(LayoutConfig):
     num_entrances: IntRange = (1, 2)
     boundary: Boundary = "wall"
     wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "lot"
 
     def __post_init__(self) -> None:

@@ -1,7 +1,7 @@
 """A mixture: every key draws a family first, then one of its lots.
 
 All lots of a mixture are padded to the same numbers of rows, so that a batch may hold
-lots of different families, and other keys need no other program.
+lots of different families, and all keys share one compiled program.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Plans of layouts drawn with matplotlib, to look at."""
+"""Plans of layouts, drawn with matplotlib."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Ranges: what a generator's config leaves to chance, and how it is drawn."""
+"""Ranges of the random quantities of a generator's config, and draws from them."""
 
 import math
 from typing import Any
@@ -11,7 +11,7 @@ IntRange = tuple[int, int]  # both ends included
 
 
 def chances(key: jax.Array, count: int) -> jax.Array:
-    """(count,) float32 in [0, 1), to be spent on one draw each.
+    """(count,) float32 uniform in [0, 1), one for each draw.
 
     One call of the generator for a whole lot: each call costs compilation time.
     """
@@ -56,7 +56,7 @@ def require_ranges(config: Any, minimum: float, *names: str) -> None:
 
 
 def _is_whole(config: Any, name: str) -> bool:
-    """Whether the range was declared as one of whole numbers."""
+    """Whether the range is declared as one of whole numbers."""
     return config.__dataclass_fields__[name].type in (IntRange, "IntRange")
 
 

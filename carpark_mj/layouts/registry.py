@@ -1,4 +1,4 @@
-"""Families of lots by name, and the layouts that a name or a config stands for."""
+"""Families of lots by name, and the layouts of names and configs."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, get_args
@@ -71,8 +71,8 @@ def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
     """The config that a layout's name stands for; a config stands for itself.
 
     Args:
-        layout: a name, a layout file (.json or .csv), several of them with commas
-            between for their mixture, or a config.
+        layout: a name, a layout file (.json or .csv), several of them separated by
+            commas for their mixture, or a config.
 
     Raises:
         ValueError: unknown name, the message lists the known ones; or a bad file.
@@ -113,8 +113,8 @@ def generate_member(
 def member_shares(config: LayoutConfig) -> dict[str, float]:
     """The members of a mixture by name, with their shares of the lots.
 
-    A config that is no mixture is its own only member. Members are called after their
-    family, squares after their layout, and a second one of a name gets a number.
+    A config that is no mixture is its own only member. Members are named after their
+    family, squares after their layout; a repeated name gets a number.
     """
     if not isinstance(config, MixtureConfig):
         return {_name(config): 1.0}
@@ -133,7 +133,7 @@ def _name(config: LayoutConfig) -> str:
     return names[0] if names else config.family
 
 
-# Many small operations: one by one they would each be compiled.
+# Jitted: many small operations would each be compiled on their own.
 _compiled = jax.jit(generate, static_argnums=0)
 
 

@@ -1,7 +1,7 @@
 """The square free-for-all lot: four rows of bays around an open square.
 
 Schematic (c) of Tanner 2022 (arXiv 2206.13338): no lanes, blocks in the corners, outer
-walls. `tanner` has his proportions, `compact` real German bays.
+walls. `tanner` has the paper's proportions, `compact` real German bays.
 """
 
 import dataclasses
@@ -92,7 +92,7 @@ class SquareConfig(LayoutConfig):
 
 
 # Wall faces are those of Tanner's colliders: corner blocks 9 x 9 and outer walls at
-# 37.5 world units (his drawing has 10 x 10 and 37).
+# 37.5 world units (the paper's drawing has 10 x 10 and 37).
 TANNER = SquareConfig()
 # Bays of 2.50 m x 5.00 m: EAR 23 (Germany), the common perpendicular bay.
 COMPACT = SquareConfig(

@@ -1,7 +1,7 @@
 """A two-way street with perpendicular bays on both sides.
 
-Schematic (a) of Tanner 2022 (arXiv 2206.13338), which he describes but did not build:
-one lane each way, rows of bays along both, walls about everything.
+Schematic (a) of Tanner 2022 (arXiv 2206.13338), described there but not built: one lane
+each way, rows of bays along both, walls around everything.
 """
 
 import dataclasses
@@ -56,7 +56,7 @@ class StreetConfig(LayoutConfig):
     aisle_width: Range = standards.TWO_WAY_AISLE
     end_length: Range = (4.0, 7.0)
     wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "street"
 
     def __post_init__(self) -> None:
@@ -80,7 +80,7 @@ class StreetConfig(LayoutConfig):
 
 
 def require_aisle(aisle: Range, least: float) -> None:
-    """Refuses aisles in which the car cannot drive, spawn and turn into the bays.
+    """Checks that the car can drive, spawn and turn into the bays.
 
     Raises:
         ValueError: with the width needed.

@@ -44,7 +44,7 @@ class StreetParallelConfig(LayoutConfig):
     aisle_width: Range = standards.TWO_WAY_AISLE
     end_length: Range = (4.0, 7.0)
     wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "street_parallel"
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ A file is one flat vector, over one or several lines: start pose x0, y0, theta0,
 pose xf, yf, thetaf, the number of obstacles n, n vertex counts, then the vertices x, y
 of one obstacle after the other; metres and radians, poses of the rear axle's centre.
 
-What becomes of it: the goal is the only bay, a little larger than the car; the start is
+Conversion: the goal is the only bay, a little larger than the car; the start is
 a spawn region of 2 cm. A rectangle becomes one wall. Of any other polygon, convex or
 not, the edges become walls 2 cm thick on its inner side: from outside that is the
 polygon to within 2 cm, and no car gets inside without crossing an edge. There are no
@@ -47,7 +47,7 @@ def read_tpcap(path: Path, car: DesignCar = TPCAP_CAR) -> Layout:
         car: whose rear axle the poses are of, and which parks.
 
     Raises:
-        ValueError: no such file, or what is wrong with it and in which line.
+        ValueError: no such file, or a fault in it; the message names the line.
     """
     numbers, lines = _numbers(path)
     if len(numbers) < 7:
@@ -80,7 +80,7 @@ def read_tpcap(path: Path, car: DesignCar = TPCAP_CAR) -> Layout:
 
 
 class _BlockedError(ValueError):
-    """A car that cannot stand where it should."""
+    """A car at an impossible pose."""
 
     def __init__(self, first: int, what: str) -> None:
         super().__init__(f"a car at the {what} would stand in an obstacle")
@@ -152,7 +152,7 @@ def _case(
 
 
 def _boxes(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Centre poses and sizes of the walls that stand for a polygon (n, 2)."""
+    """Centre poses and sizes of the walls that represent a polygon (n, 2)."""
     ahead = np.roll(polygon, -1, axis=0) - polygon
     length = np.linalg.norm(ahead, axis=1)
     kept = length > 0  # a repeated vertex has no edge

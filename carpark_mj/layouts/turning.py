@@ -4,9 +4,9 @@ A car on full lock turns about a point on its rear axle's line, at R = L / tan(d
 from the axle's centre (Ackermann). Its inner side sweeps R - w/2; its outer rear and
 front corners sweep sqrt((R + w/2)^2 + r^2) and sqrt((R + w/2)^2 + f^2), with r and f
 the distances from the rear axle to the bumpers. An aisle is called too narrow if no
-single arc on full lock leads from it into a bay between two neighbours; more moves may
-still manage, but nobody would mark such bays. It is the construction behind the tables
-of aisle widths (E. Ricker, The Traffic Design of Parking Garages, 1957), worked out
+single arc on full lock leads from it into a bay between two neighbours; more moves
+may succeed, but such bays are not built in practice. This construction underlies the
+tables of aisle widths (E. Ricker, The Traffic Design of Parking Garages, 1957), derived
 here for oriented boxes. The parallel case is the reverse S-curve of S. Blackburn, The
 Geometry of Perfect Parking, 2009.
 """

@@ -22,7 +22,7 @@ class BayKind(enum.IntEnum):
 
 
 class WallKind(enum.IntEnum):
-    """What a solid box looks like; all of them are hit alike."""
+    """What a solid box looks like; all kinds collide alike."""
 
     WALL = 0
     KERB = 1
@@ -31,7 +31,7 @@ class WallKind(enum.IntEnum):
 
 
 class DiscKind(enum.IntEnum):
-    """What a solid disc looks like; all of them are hit alike."""
+    """What a solid disc looks like; all kinds collide alike."""
 
     PILLAR = 0
     BOLLARD = 1
@@ -43,8 +43,8 @@ class Layout:
 
     Attributes:
         bay_pose: (..., bays, 3) centre and heading of each bay [m, m, rad]; the
-            heading is that of a car parked in it as parked cars are: out into the
-            aisle, or along the street in a parallel bay.
+            heading is that of parked cars: out into the aisle, or along the street
+            in a parallel bay.
         bay_size: (..., bays, 2) length along the heading and width [m].
         bay_kind: (..., bays) int32, `BayKind`.
         bay_mask: (..., bays) bool.

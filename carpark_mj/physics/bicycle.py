@@ -40,7 +40,7 @@ class BicycleState:
     Attributes:
         pose_w: (..., 3) pose of the middle between the axles.
         speed: (...) of that point, forwards positive [m/s].
-        actuators: what steering and drive have reached.
+        actuators: state of steering and drive.
         vehicle: parameters.
         trace_w: (..., k, 3) footprint poses within the last control step.
         finite: (...) bool, see `Motion.finite`.
@@ -131,7 +131,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
     def step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
         """Advances by one control step; see `Physics.step`.
 
-        A car that came out non-finite is put back, at rest, and flagged.
+        A car with a non-finite number is put back, at rest, and flagged.
         """
         function = self._step
         for _ in range(controls.ndim - 1):

@@ -1,6 +1,6 @@
 """One car's forces: what driver, servos and tyres apply over a substep.
 
-Pure functions of `qpos` and `qvel`, whoever integrates them: MJX, C MuJoCo in the
+Pure functions of `qpos` and `qvel`, for any integrator: MJX, C MuJoCo in the
 `scene` back end, or the tests' oracle.
 """
 
@@ -55,7 +55,7 @@ class CarDynamics(NamedTuple):
         qpos: (nq,) MuJoCo positions.
         qvel: (nv,) MuJoCo velocities.
         tyres: bristle deflections.
-        actuators: what steering and drive have reached.
+        actuators: state of steering and drive.
     """
 
     qpos: jax.Array

@@ -5,7 +5,7 @@ torques through open differentials, brakes and rolling resistance as dry frictio
 the axles, changed while it runs. They have no bristles: `CarState.tyres` stays zero.
 `SimConfig.suspension` puts the car on springs.
 
-Settings that survive locked wheels in MJX, where fewer iterations throw the car:
+Solver settings for locked wheels in MJX; with fewer iterations the car jumps:
 elliptic cone, impratio 1, 20 Newton iterations with 50 line-search steps, substeps of
 at most 4 ms. The ground is a plane; a slope is tilted gravity.
 """

@@ -2,9 +2,9 @@
 
 Whole numbers inside: a point, a level of speed and a heading, which counts clockwise
 from +y as in the study. They become metres and radians only in `read`. A car moves by
-its new speed along its new heading, to the nearest point, and cannot turn standing
-still (that is in his program, not in his text). It slides through nothing and over
-everything: what it touches is the task's business, at the ends of steps only, as his.
+its new speed along its new heading, to the nearest point, and cannot turn at standstill
+(as in the reference implementation; the paper does not say so). Nothing stops it: the
+task detects collisions, at the ends of steps only, as in the reference implementation.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""The back end that a configuration names."""
+"""Builds the back end that a configuration names."""
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import Layout

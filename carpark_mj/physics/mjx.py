@@ -51,7 +51,7 @@ class CarState:
         qpos: (..., 13) MuJoCo positions of the 12-dof car; 17 with a suspension.
         qvel: (..., 12) MuJoCo velocities; 16 with a suspension.
         tyres: bristle deflections.
-        actuators: what steering and drive have reached.
+        actuators: state of steering and drive.
         vehicle: parameters.
         trace_w: (..., k, 3) footprint poses within the last control step.
         finite: (...) bool, see `Motion.finite`.

@@ -1,9 +1,9 @@
-"""The judge: the whole lot as one C MuJoCo model in which everything touches.
+"""One C MuJoCo world per lot, in which cars and walls collide.
 
 Agents' cars on brush tyres (the same code as `carpark_mj.physics.mjx`), parked cars
 that can be pushed, walls; all hulls collide. JAX computes the tyres of all cars, a
-host callback per substep steps the lots' models. It is slow and meant for checking the
-factored physics, for evaluation by contacts, and for filming crashes.
+host callback per substep steps the scenes. It is slow and meant for checking the
+factored physics, for evaluation by contacts, and for rendering crashes.
 
 Every car follows its own `Vehicle`, as in `mjx`, but for its wheelbase, track and hull,
 which are those of the parameters the model was built from.
@@ -106,7 +106,7 @@ class ScenePhysics:
     def place(
         self, state: SceneState, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
     ) -> SceneState:
-        """Puts some cars elsewhere, at rest; see `Physics.place`."""
+        """Places some cars at new poses, at rest; see `Physics.place`."""
         return dataclasses.replace(
             state,
             cars=self._single.place(state.cars, mask, pose_w, vehicle),

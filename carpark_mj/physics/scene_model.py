@@ -1,7 +1,7 @@
 """The MuJoCo model of a whole scene, stepped on the host for a batch of scenes.
 
-The numpy side of `carpark_mj.physics.scene`: it knows where each car lies in `qpos`
-and which geoms belong to whom, and nothing of tyres or drivers.
+The numpy side of `carpark_mj.physics.scene`: addresses of each car in `qpos` and owners
+of geoms. Tyres and drivers are not part of it.
 """
 
 import copy
@@ -169,7 +169,7 @@ class SceneModel:
             self.find_touches(data, touched[k])
 
     def find_touches(self, data: mujoco.MjData, touched: np.ndarray) -> None:
-        """Marks in (num_agents, 3) whom agents touch by the contacts in `data`."""
+        """Marks in (num_agents, 3) what agents touch, by the contacts in `data`."""
         if data.ncon == 0:
             return
         first, second = data.contact.geom.T

@@ -7,11 +7,14 @@ tensorboard/            the same as event files
 learning_curve.png, evaluation.{csv,json}, video.mp4   at the end
 """
 
+import csv
 import dataclasses
+import io
 import json
 import math
 import types
 import typing
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,33 +38,59 @@ from carpark_mj.policy.networks import (
 from carpark_mj.policy.q_table import make_table_policy
 
 KEPT_CHECKPOINTS = 2
+# Goes up whenever a field of a config is renamed, removed or means something else.
+CONFIG_VERSION = 2
 Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
 
 
 def from_dict(cls: Any, data: Any) -> Any:
     """Rebuilds a frozen dataclass from the dictionary `dataclasses.asdict` made.
 
+    Of a union of dataclasses it is the one whose tag, a field with a `Literal` of one
+    value, is the dictionary's.
+
     Raises:
         ValueError: unknown or missing names, or values the dataclass refuses.
     """
     if not isinstance(data, dict):
         raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
-    fields = {field.name: field for field in dataclasses.fields(cls)}
-    unknown = sorted(set(data) - set(fields))
+    hints = typing.get_type_hints(cls)
+    names = {field.name for field in dataclasses.fields(cls)}
+    unknown = sorted(set(data) - names)
     if unknown:
         raise ValueError(f"{cls.__name__} has no {unknown}")
+    return cls(
+        **{name: _value(name, hints[name], value) for name, value in data.items()}
+    )
+
+
+def _value(name: str, hint: Any, value: Any) -> Any:
+    """Rebuilds the value of a field from what JSON made of it."""
+    if dataclasses.is_dataclass(hint):
+        return from_dict(hint, value)
+    union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+    members = typing.get_args(hint) if union else ()
+    classes = [member for member in members if dataclasses.is_dataclass(member)]
+    if not classes or not isinstance(value, dict):
+        return _plain_value(value)
+    for cls in classes:
+        if all(value.get(tag) == only for tag, only in _tags(cls).items()):
+            return from_dict(cls, value)
+    raise ValueError(
+        f"{name} must be one of {[_tags(cls) for cls in classes]}, not "
+        f"{ {tag: value.get(tag) for cls in classes for tag in _tags(cls)} }"
+    )
+
+
+def _tags(cls: Any) -> dict[str, Any]:
+    """The fields of a dataclass that can have one value only, and that value."""
     hints = typing.get_type_hints(cls)
-    values = {}
-    for name, value in data.items():
-        hint = hints[name]
-        if isinstance(hint, types.UnionType):
-            hint = next((h for h in hint.__args__ if h is not type(None)), hint)
-        if dataclasses.is_dataclass(hint) and value is not None:
-            value = from_dict(hint, value)
-        else:
-            value = _plain_value(value)
-        values[name] = value
-    return cls(**values)
+    choices = {
+        field.name: typing.get_args(hints[field.name])
+        for field in dataclasses.fields(cls)
+        if typing.get_origin(hints[field.name]) is typing.Literal
+    }
+    return {name: values[0] for name, values in choices.items() if len(values) == 1}
 
 
 def _plain_value(value: Any) -> Any:
@@ -76,6 +105,28 @@ def _plain_value(value: Any) -> Any:
             )
         return from_dict(FAMILIES[family].config, value)
     return value
+
+
+def check_version(header: Mapping[str, Any], path: Path) -> None:
+    """Refuses the settings of a run that another version of the configs wrote.
+
+    Args:
+        header: of a checkpoint, or the contents of `config.json`.
+        path: of the file, for the message.
+
+    Raises:
+        CheckpointError: the versions differ.
+    """
+    version = header.get("config_version", 1)  # the first had no number
+    if version != CONFIG_VERSION:
+        folder = path.parent
+        run = folder.parent if folder.name == "checkpoints" else folder
+        age = "an older" if version == 1 else "another"
+        raise CheckpointError(
+            f"{run} was trained by {age} carpark_mj (config version {version}, this "
+            f"one reads {CONFIG_VERSION}): train it again, or use the version that "
+            "trained it"
+        )
 
 
 def checkpoint_files(folder: Path) -> list[Path]:
@@ -113,7 +164,7 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     folder = run / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"step_{step:012d}.npz"
-    checkpoints.save(path, tree, header)
+    checkpoints.save(path, tree, {"config_version": CONFIG_VERSION, **header})
     for old in checkpoint_files(run)[:-KEPT_CHECKPOINTS]:
         old.unlink(missing_ok=True)
     return path
@@ -123,6 +174,18 @@ def write_json(path: Path, data: Any) -> None:
     """Writes JSON atomically."""
     text = json.dumps(data, indent=2) + "\n"
     checkpoints.write_atomically(path, lambda temporary: temporary.write_text(text))
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Writes rows of the same columns atomically; without rows an empty file."""
+    text = io.StringIO(newline="")
+    if rows:
+        writer = csv.DictWriter(text, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    checkpoints.write_atomically(
+        path, lambda temporary: temporary.write_text(text.getvalue())
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,33 +213,32 @@ def init_normalizer(observation_size: int) -> Any:
     return jax.tree.map(jnp.asarray, state)
 
 
-def _load_table(path: Path, header: dict[str, Any], env: ParkingEnv) -> LoadedPolicy:
+def _load_table(path: Path, header: dict[str, Any], env: EnvConfig) -> LoadedPolicy:
     """Loads the best of the tables of a Q-learning run; they are deterministic."""
-    if env.choices is None:
-        raise ValueError("a table needs grid physics")
-    sizes = cardinalities(env.config.observation, env.config.grid)
-    shape = (header["config"]["num_seeds"], math.prod(sizes), math.prod(env.choices))
-    tree = checkpoints.load(path, {"table": np.zeros(shape, np.float32)})
-    table = jnp.asarray(tree["table"][header["best"]])
-    policy = make_table_policy(table, sizes, env.choices)
-    return LoadedPolicy(env.config, policy, int(header["env_steps"]), path)
+    sizes, choices = cardinalities(env), env.grid.choices
+    shape = (header["config"]["num_seeds"], math.prod(sizes), math.prod(choices))
+    template = {"table": jax.ShapeDtypeStruct(shape, np.float32)}
+    table = jnp.asarray(checkpoints.load(path, template)["table"][header["best"]])
+    policy = make_table_policy(table, sizes, choices)
+    return LoadedPolicy(env, policy, int(header["env_steps"]), path)
 
 
 def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
     """Loads the policy of a run folder or checkpoint file.
 
     Of Q-learning it is the table that returned most in the last episodes before the
-    checkpoint; it knows no chance, `deterministic` or not.
+    checkpoint; it is deterministic either way.
 
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.
     """
     path = latest_checkpoint(run)
     header = checkpoints.read_header(path)
+    check_version(header, path)
     try:
         env_config = from_dict(EnvConfig, header["config"]["env"])
         if header.get("algorithm") == Q_LEARNING:
-            return _load_table(path, header, ParkingEnv(env_config))
+            return _load_table(path, header, env_config)
         network_config = from_dict(NetworkConfig, header["config"]["networks"])
         env = ParkingEnv(env_config)
     except (KeyError, TypeError, ValueError) as error:

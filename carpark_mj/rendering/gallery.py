@@ -61,12 +61,12 @@ def draw_lots(
     reset = jax.jit(env.reset)
     for number in range(seed, seed + LOTS):
         state, _ = reset(evaluation_key(number))
-        parked_pose = np.asarray(env.parked_pose(state))
-        goal = np.asarray(state.occupancy.goal)
+        parked_pose = np.asarray(state.parked_cars.pose_w)
+        goal = np.asarray(state.goal)
         seen = Snapshot(
             seconds=0.0,
-            pose_w=np.asarray(state.vehicle.pose_w),
-            steering=np.asarray(state.vehicle.steering),
+            pose_w=np.asarray(state.motion.pose_w),
+            steering=np.asarray(state.motion.steering),
             goal_pose=np.asarray(state.layout.bay_pose)[goal],
             goal_size=np.asarray(state.layout.bay_size)[goal],
             parked_pose=parked_pose,

@@ -41,7 +41,7 @@ class LiveLot:
             config.num_agents,
             config.num_parked_cars,
             env.fleet.agents,
-            env.fleet.parked_vehicles(np.asarray(state.parked_size)),
+            env.fleet.parked_vehicles(np.asarray(state.parked_cars.size)),
         )
         traces = self._run_once()
         # One call of `step` is one traced pose.
@@ -53,11 +53,11 @@ class LiveLot:
         action, _ = self._policy(observation, key)
         after, timestep = self._env.step(state, action)
         seen = {
-            "pose_w": timestep.vehicle.trace_w.swapaxes(0, 1),
-            "steering": timestep.vehicle.steering,
-            "size": timestep.vehicle.size,
-            "parked_pose": self._env.parked_pose(state),
-            "goal": after.occupancy.goal,
+            "pose_w": timestep.motion.trace_w.swapaxes(0, 1),
+            "steering": timestep.motion.steering,
+            "size": timestep.motion.size,
+            "parked_pose": state.parked_cars.pose_w,
+            "goal": after.goal,
             **{name: getattr(timestep.events, name).sum() for name in OUTCOMES},
         }
         return (after, timestep.observation), seen
@@ -74,14 +74,14 @@ class LiveLot:
         self._seen = None
         self._ended = dict.fromkeys(OUTCOMES, 0)
         self.seconds = 0.0
-        self._aim(np.asarray(state.occupancy.goal))
-        vehicle = state.vehicle
+        self._aim(np.asarray(state.goal))
+        motion = state.motion
         self.stage.reset()
         self.stage.place(
-            np.asarray(vehicle.pose_w),
-            np.asarray(vehicle.steering),
-            np.asarray(self._env.parked_pose(state)),
-            np.asarray(vehicle.size),
+            np.asarray(motion.pose_w),
+            np.asarray(motion.steering),
+            np.asarray(state.parked_cars.pose_w),
+            np.asarray(motion.size),
         )
 
     def step(self) -> bool:

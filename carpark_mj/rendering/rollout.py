@@ -22,7 +22,7 @@ class Recording:
             pose at its end, before any respawn.
         steering: (t, agents) bicycle angles at the end of the steps [rad].
         speed: (t, agents) signed speeds at the end of the steps [m/s].
-        goal: (t, agents) bays aimed at during the steps; the number of bays for none.
+        goal: (t, agents) goals during the steps, `NO_BAY` of agents that explore.
         parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends;
             cars that the lot has not are left out.
         active: (t, agents) bool.
@@ -61,17 +61,17 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
         after, timestep = env.step(state, action)
         events = timestep.events
         frame = {
-            "pose_w": timestep.vehicle.trace_w.swapaxes(0, 1),
-            "steering": timestep.vehicle.steering,
-            "speed": timestep.vehicle.speed,
+            "pose_w": timestep.motion.trace_w.swapaxes(0, 1),
+            "steering": timestep.motion.steering,
+            "speed": timestep.motion.speed,
             "goal": timestep.goal,
-            "parked_pose": env.parked_pose(state),
+            "parked_pose": state.parked_cars.pose_w,
             "active": state.active,
             "parked": events.parked,
             "crashed": events.crashed,
             "timed_out": events.timed_out,
             "step": state.step + 1,
-            "size": timestep.vehicle.size,
+            "size": timestep.motion.size,
         }
         return (after, timestep.observation), frame
 
@@ -79,11 +79,11 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
     _, frames = run((state, observation), jax.random.split(act_key, num_steps))
     frames = {name: np.asarray(value) for name, value in frames.items()}
     # A lot keeps its parked cars: who is absent at the start never comes.
-    here = np.asarray(state.occupancy.parked_bay) < state.layout.num_bays
+    here = np.asarray(state.parked_cars.present)
     frames["parked_pose"] = frames["parked_pose"][:, here]
     return Recording(
         layout=state.layout,
         ctrl_dt=env.config.sim.ctrl_dt,
-        parked_size=np.asarray(state.parked_size)[here],
+        parked_size=np.asarray(state.parked_cars.size)[here],
         **frames,
     )

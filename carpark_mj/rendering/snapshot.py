@@ -5,9 +5,10 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.geometry import nearest
 from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.localised import nearest
 from carpark_mj.rendering.rollout import Recording
+from carpark_mj.types import NO_BAY
 
 FLASH_SECONDS = 0.8  # how long an ended episode flashes
 OUTCOMES = ("parked", "crashed", "timed_out")
@@ -105,7 +106,7 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
 
 def aimed_at(layout: Layout, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses (agents, 3) and sizes (agents, 2) of goals; NaN for agents that explore."""
-    has_goal = (goal < layout.num_bays)[:, None]
+    has_goal = (goal != NO_BAY)[:, None]
     bay = np.minimum(goal, layout.num_bays - 1)
     pose, size = np.asarray(layout.bay_pose)[bay], np.asarray(layout.bay_size)[bay]
     return np.where(has_goal, pose, np.nan), np.where(has_goal, size, np.nan)
@@ -120,7 +121,7 @@ def _state(recording: Recording, step: int, agent: int) -> str:
     speed = recording.speed[step, agent]
     moving = "drives" if speed > 0 else "reverses"
     state = "stands" if abs(speed) < STANDING else moving
-    exploring = recording.goal[step, agent] == recording.layout.num_bays
+    exploring = recording.goal[step, agent] == NO_BAY
     return f"{state}, explores" if exploring else state
 
 

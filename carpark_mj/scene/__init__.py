@@ -1,7 +1,7 @@
 """The MuJoCo scene of a lot, built with `MjSpec`.
 
 One builder serves three purposes: the renderer's pictures, the `scene` back end in
-which everything touches everything, and exported models that drive in the viewer.
+which all cars and walls collide, and exported models to drive in the viewer.
 """
 
 from collections.abc import Sequence

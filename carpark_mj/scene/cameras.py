@@ -1,4 +1,4 @@
-"""Cameras of a scene: two that show the whole lot, two that ride with every agent."""
+"""Cameras of a scene: two that show the whole lot, two on every agent's car."""
 
 import itertools
 import math

@@ -1,7 +1,7 @@
 """Puts a car's looks on its bodies: paint, glass, lights, wheels.
 
-Looks only; mass properties are the vehicle's. Cars of one shape share their meshes,
-which are written into the model, so an exported scene needs no files.
+Visual geoms only; mass properties are the vehicle's. Cars of one shape share their
+meshes, which are written into the model, so an exported scene needs no files.
 """
 
 import zlib
@@ -27,7 +27,7 @@ _SHAPE = (
     "wheel_radius",
     "tyre_width",
 )
-# Part: material, colour (None: the car's), whether it throws a shadow.
+# Part: material, colour (None: the car's), whether it casts a shadow.
 _PARTS = {
     "body": ("paint", None, True),
     "glass": ("glass", materials.GLASS, True),
@@ -63,7 +63,7 @@ def _add_looks(
     parts: tuple[str, ...],
     paint: materials.Colour = materials.RIM,
 ) -> None:
-    """Adds geoms that are only seen; a shape's first car brings its meshes."""
+    """Adds visual geoms; the first car of a shape adds its meshes, too."""
     shape = shape_name(params)
     if spec.mesh(f"{shape}/body") is None:
         for part, mesh in _meshes(params).items():

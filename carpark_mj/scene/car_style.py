@@ -1,7 +1,7 @@
 """Silhouettes of the vehicle presets, and which of them suits another car.
 
-Shares read off side views of the models in `vehicle.presets` by eye; they are looks and
-nothing else.
+Shares read off side views of the models in `vehicle.presets` by eye; they have no
+effect on the physics.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Scenes that leave the house: self-contained MJCF that drives in any MuJoCo viewer."""
+"""Exported scenes: self-contained MJCF for any MuJoCo viewer."""
 
 import math
 from pathlib import Path
@@ -16,7 +16,7 @@ from carpark_mj.vehicle.contact_wheels import (
 from carpark_mj.vehicle.mjcf import add_car
 from carpark_mj.vehicle.parameters import VehicleParameters
 
-SETTLING = 5.0  # s, after which a car that was put on the ground is at rest
+SETTLING = 5.0  # s, after which a car placed on the ground is at rest
 
 _GUIDE = """
   A car park with {agents} to drive, made by carpark_mj.
@@ -43,7 +43,7 @@ def drivable_scene(
     parked_pose: np.ndarray,
     suspension: bool = False,
 ) -> mujoco.MjSpec:
-    """Builds a scene on contact wheels with everything in its place, at rest.
+    """Builds a scene on contact wheels, all cars placed and at rest.
 
     Args:
         layout: the lot.
@@ -62,9 +62,9 @@ def drivable_scene(
     )
     height, pitch = rest_attitude(params, suspension)
     for k, pose in enumerate(agent_pose):
-        _put(spec.body(f"agent{k}/car"), params, pose, height, pitch)
+        _place(spec.body(f"agent{k}/car"), params, pose, height, pitch)
     for k, pose in enumerate(parked_pose):
-        _put(spec.body(f"parked{k}"), params, pose)
+        _place(spec.body(f"parked{k}"), params, pose)
     return spec
 
 
@@ -72,7 +72,7 @@ def try_out(spec: mujoco.MjSpec, seconds: float = 1.0) -> list[str]:
     """Compiles a drivable scene and drives it, every car on half throttle in a curve.
 
     Returns:
-        What MuJoCo warned of, by its names (`BADQACC`...), a sentence each.
+        MuJoCo's warnings by name (`BADQACC`...), a sentence each.
     """
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -108,7 +108,7 @@ def rest_attitude(
     return float(data.qpos[2]), 2.0 * math.atan2(y, w)
 
 
-def _put(
+def _place(
     body: mujoco.MjsBody,
     params: VehicleParameters,
     centre: np.ndarray,

@@ -1,4 +1,4 @@
-"""Closed meshes from rings of points, and how they get into a model."""
+"""Closed meshes from rings of points, and adding them to a model."""
 
 from collections.abc import Sequence
 from typing import cast
@@ -75,7 +75,7 @@ def block(low: Sequence[float], high: Sequence[float]) -> trimesh.Trimesh:
 
 
 def add_mesh(spec: mujoco.MjSpec, name: str, mesh: trimesh.Trimesh) -> None:
-    """Writes a mesh into a model, which then needs no file of it."""
+    """Adds a mesh to a model as data, without a file."""
     spec.add_mesh(
         name=name,
         uservert=np.asarray(mesh.vertices).ravel().tolist(),

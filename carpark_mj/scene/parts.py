@@ -75,7 +75,7 @@ def add_ground(spec: mujoco.MjSpec) -> None:
 
 
 def add_verge(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
-    """Grass around the lot, to be seen only."""
+    """Grass around the lot, visual only."""
     far = VERGE * float(np.max(extent))
     x, y = np.asarray(extent, float) + VERGE_GAP
     for name, centre, size in (
@@ -100,8 +100,8 @@ def add_verge(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
 def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Walls, kerbs, islands and gates as boxes `wall0`..., all of them solid.
 
-    Kerbs and islands are lower than a car's hull: what is seen is low, what is hit is
-    an invisible box above it.
+    Kerbs and islands are lower than a car's hull: the visible box is low, the one that
+    collides is invisible and taller.
     """
     for wall in np.flatnonzero(np.asarray(layout.wall_mask)):
         x, y, yaw = np.asarray(layout.wall_pose[wall], float)
@@ -160,7 +160,7 @@ def add_hull(body: mujoco.MjsBody, params: VehicleParameters, name: str) -> None
 
 
 def add_parked_cars(spec: mujoco.MjSpec, cars: Sequence[VehicleParameters]) -> None:
-    """Parked cars `parked0`... that slide on locked tyres when they are pushed.
+    """Parked cars `parked0`... that slide on locked tyres when pushed.
 
     Each moves in the plane only: two slides and a hinge, whose coordinates are the pose
     of its rear axle's centre, with the dry friction of four locked wheels. (Friction
@@ -190,7 +190,7 @@ def add_parked_cars(spec: mujoco.MjSpec, cars: Sequence[VehicleParameters]) -> N
 
 
 def car_prefix(agent: int, kind: int = 0) -> str:
-    """What the names of an agent's car begin with, or of the several it may show."""
+    """Prefix of the names of an agent's car, or of one of several to choose from."""
     return f"agent{agent}/kind{kind}/" if kind else f"agent{agent}/"
 
 

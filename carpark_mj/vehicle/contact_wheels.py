@@ -1,4 +1,4 @@
-"""The car on contact wheels with three controls: it drives in any MuJoCo.
+"""The car on contact wheels with three controls, for any MuJoCo.
 
 Tyres are spheres on explicit pairs with the ground (one contact point each, so no
 scrub couple), elliptic cone, torque through open differentials. The wheels roll
@@ -27,7 +27,7 @@ from carpark_mj.vehicle.mjcf import STEERED, WHEELS, per_wheel
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.suspension import SOLIMP as SUSPENDED_SOLIMP
 
-# Solver settings that survive locked wheels; fewer iterations throw the car.
+# Solver settings for locked wheels; with fewer iterations the car jumps.
 TIMESTEP = 0.002  # s
 IMPRATIO = 10.0
 ITERATIONS, LS_ITERATIONS = 100, 50
@@ -43,7 +43,7 @@ SOLIMP_FRICTION = (0.999, 0.999, 0.001)
 COLUMN_TORQUE = 2000.0  # N m, both front wheels
 COLUMN_STIFFNESS = 40_000.0  # N m/rad
 COLUMN_ARMATURE = 10.0  # kg m^2
-COLUMN_MASS, COLUMN_INERTIA = 1e-3, 1e-3  # kg, kg m^2: nothing beside the car's
+COLUMN_MASS, COLUMN_INERTIA = 1e-3, 1e-3  # kg, kg m^2: negligible beside the car's
 SOLREF_STEER = (0.004, 1.0)
 SOLIMP_STEER = (0.999, 0.999, 0.001)
 
@@ -96,7 +96,7 @@ def add_contact_wheels(
     ground: str,
     suspension: bool = False,
 ) -> None:
-    """Gives the wheels of a car tyres that touch the geom `ground`, a plane.
+    """Adds tyres to a car's wheels that collide with the geom `ground`, a plane.
 
     Args:
         spec: the model with the car of `mjcf.add_car` in it.
@@ -199,7 +199,7 @@ def _add_steering(spec: mujoco.MjSpec, params: VehicleParameters, prefix: str) -
 
 
 def _add_axle(spec: mujoco.MjSpec, name: str, prefix: str, shares: list[float]) -> str:
-    """A fixed tendon dealing torque in fixed shares, as open differentials do."""
+    """A fixed tendon that splits torque in fixed shares, as open differentials do."""
     tendon = spec.add_tendon(name=name)
     for wheel, share in zip(WHEELS, shares, strict=True):
         if share:

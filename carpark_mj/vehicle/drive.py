@@ -24,7 +24,7 @@ SPINNING = 0.5  # m/s of the driven wheels above the car's speed: they spin
 
 @struct.dataclass
 class Actuators:
-    """What steering and drive have reached; any leading batch shape.
+    """State of steering and drive; any leading batch shape.
 
     Attributes:
         steering: (...) bicycle angle [rad], left positive, without `steering_offset`.
@@ -40,7 +40,7 @@ class WheelTorques(NamedTuple):
 
     Attributes:
         drive: forwards positive.
-        brake: >= 0, against whatever way the wheel turns.
+        brake: >= 0, opposes the wheel's rotation.
     """
 
     drive: jax.Array
@@ -91,7 +91,7 @@ def demanded_torques(
     """Drive and brake torques that the pedal asks for.
 
     The drive gives at most `max_drive_torque` and `max_power`. The speed limiter goes
-    by the driven wheels once they spin, or on ice they would run away.
+    by the driven wheels once they spin, or their speed would diverge on ice.
 
     Args:
         vehicle: one car.
@@ -101,7 +101,7 @@ def demanded_torques(
 
     Returns:
         Drive torque () [N m] of all driven wheels, positive forwards, and brake torque
-        () [N m] of all wheels, >= 0, which opposes whatever way they turn.
+        () [N m] of all wheels, >= 0, which opposes their rotation.
     """
     pedal = jnp.clip(pedal, -1.0, 1.0)
     braking = (pedal * speed < 0.0) & (jnp.abs(speed) >= SWITCH_SPEED)

@@ -1,4 +1,4 @@
-"""Cars with another mass and centre of gravity: passengers, luggage, an empty tank."""
+"""Mass and centre of gravity of a loaded car: passengers, luggage, an empty tank."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from carpark_mj.vehicle.vehicle import Vehicle
 
 
 def with_mass(vehicle: Vehicle, mass: jax.Array, cg: jax.Array) -> Vehicle:
-    """One car whose chassis is heavier or lighter and lies elsewhere.
+    """One car whose chassis has another mass and centre of gravity.
 
     Wheels and knuckles stay as they are; the chassis' inertia about its own centre
     grows with its mass. Static tyre loads follow, so that the car rests at the same

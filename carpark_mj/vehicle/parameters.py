@@ -6,7 +6,7 @@ models (road-wheel steering rate, brake bias); [gi] Gillespie, Fundamentals of V
 Dynamics (tyre stiffness per load, friction); [sh] Sharp & Granger, steering torques at
 parking speed (contact patch); [est] our estimate.
 
-A car of one's own:
+A custom car:
 
 >>> from dataclasses import replace
 >>> from carpark_mj import ParkingEnv

@@ -1,4 +1,4 @@
-"""The cars that come by name, each number with its source.
+"""Vehicle presets, each number with its source.
 
 [press] manufacturer's data as quoted by motor1 and motor-car.net (Fiat), VW's press
 release and stuff.co.nz (Golf), Wikipedia (BMW), autoreviewers and

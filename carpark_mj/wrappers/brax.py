@@ -77,7 +77,7 @@ class BraxParking(Env):
     def step(self, state: BraxState, action: jax.Array) -> BraxState:
         """Steps all lots; `action` (num_lots * num_agents, size)."""
         lots: Any = state.pipeline_state
-        action = action.reshape(-1, self.env.num_agents, self.env.action_size)
+        action = action.reshape(-1, self.env.num_agents, self.action_size)
         lots, timestep = jax.vmap(self.env.step, in_axes=(0, 0, None))(
             lots, action, self._hitbox_scale
         )
@@ -105,7 +105,7 @@ class BraxParking(Env):
     @property
     def action_size(self) -> int:
         """Length of an agent's action."""
-        return self.env.action_size
+        return self.env.action_spec.size
 
     @property
     def backend(self) -> str:

@@ -1,4 +1,4 @@
-"""Tolerances agreed on before the cars were driven, and why rows are missing.
+"""Tolerances fixed before the measurements, and reasons for missing rows.
 
 The report sets them against the rows it measured: what a row allows is in the row
 alone, and so is its reason where that is more than agreed.
@@ -163,7 +163,7 @@ def tolerance_table(rows: Sequence[Row]) -> str:
 
 
 def unagreed_table(rows: Sequence[Row]) -> str:
-    """Rows that nobody agreed on a tolerance for, with the one they have."""
+    """Rows without an agreed tolerance, with the one they have."""
     lines = ["| rows | tyres | here, at most |", "|---|---|---|"]
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:

@@ -1,4 +1,4 @@
-"""The CommonRoad vehicle models as referees: their car in ours, their equations solved.
+"""The CommonRoad vehicle models as a reference: their car as ours, their solutions.
 
 Source: M. Althoff, G. Würsching, CommonRoad: Vehicle Models (2020); parameter set 2 is
 a BMW 320i, its tyres a Magic Formula fit from the ADAMS handbook. KS is the kinematic
@@ -22,7 +22,7 @@ Inputs = Callable[[float], tuple[float, float]]  # steering angle [rad], m/s^2 a
 
 @dataclasses.dataclass(frozen=True)
 class Path:
-    """Where a referee's car went, (n,) instants.
+    """Trajectory of a reference model's car, (n,) instants.
 
     Attributes:
         time: (n,) [s].
@@ -103,7 +103,7 @@ def our_car(ackermann: float = 0.0) -> VehicleParameters:
 def our_run(
     params: VehicleParameters, inputs: Inputs, duration: float, speed: float
 ) -> Run:
-    """The inputs of the referees as ours: m a at the wheels, driving or braking."""
+    """The reference models' inputs as ours: m a at the wheels, driving or braking."""
 
     def signal(pick: Callable[[float, float], float]):
         return lambda time: np.array([pick(*inputs(float(t))) for t in time])
@@ -119,7 +119,7 @@ def our_run(
 
 
 def solve(model: str, inputs: Inputs, duration: float, speed: float) -> Path:
-    """Drives a referee open loop.
+    """Simulates a reference model open loop.
 
     Args:
         model: `MB`, `STD` (about the centre of gravity) or `KS` (about the rear axle).
@@ -163,11 +163,11 @@ def solve(model: str, inputs: Inputs, duration: float, speed: float) -> Path:
 
 
 def apart(track: Track, path: Path, rear_axle: bool = False) -> tuple[np.ndarray, ...]:
-    """Distance [m] and yaw difference [rad] of our car from a referee's, (n,) each.
+    """Distance [m] and yaw difference [rad] of our car from the reference's, (n,) each.
 
     Args:
         track: ours, which starts with its rear axle in the origin.
-        path: the referee's, whose reference point starts in the origin.
+        path: the reference model's, whose reference point starts in the origin.
         rear_axle: compare rear axles, else centres of gravity.
     """
     ours = track.position if rear_axle else (track.cg - track.cg[0])[:, :2]

@@ -1,4 +1,4 @@
-"""Energy: what the drive puts in is found again as motion, rolling and slip losses."""
+"""Energy balance: the drive's work equals motion, rolling and slip losses."""
 
 import numpy as np
 

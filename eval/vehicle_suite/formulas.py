@@ -1,4 +1,4 @@
-"""What vehicle dynamics expects of a car, from its parameters alone.
+"""Expected values of vehicle dynamics, from a car's parameters alone.
 
 Sources: Gillespie, Fundamentals of Vehicle Dynamics (1992), ch. 1, 3 and 6; Pacejka,
 Tyre and Vehicle Dynamics (2012), ch. 1, 3 and 5. Signs: x forward, y left, turning

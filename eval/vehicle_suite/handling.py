@@ -85,7 +85,7 @@ def understeer(
 def rolling_turns(
     bed: Testbed, name: str, params: VehicleParameters, quick: bool
 ) -> Study:
-    """Fast turns on wheels that roll without slip: they go where they point."""
+    """Fast turns on wheels that roll without slip, in the direction they point."""
     study = Study(name, bed.tyres)
     commands = np.arctan(params.wheelbase * ACCELERATIONS / SPEED**2)
     speeds = STEP_SPEEDS[1:2] if quick else STEP_SPEEDS
@@ -198,7 +198,7 @@ def step_steer(
 def lateral_limit(
     bed: Testbed, name: str, params: VehicleParameters, quick: bool
 ) -> Study:
-    """Largest lateral acceleration of a coasting car whose steering winds on."""
+    """Largest lateral acceleration of a coasting car under increasing steering."""
     del quick
     study = Study(name, bed.tyres)
     run = Run(params, 6.0, speed=15.0, steering=ramp(0.3, 0.0, 6.0))

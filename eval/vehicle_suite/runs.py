@@ -1,4 +1,4 @@
-"""What a test driver does: runs.
+"""Runs: the inputs of a test driver.
 
 A run gives signals over time: steering angle, drive and brake force at the wheels, a
 speed to hold, the tilt of the ground. They act at once: no pedal, no rate limit and no

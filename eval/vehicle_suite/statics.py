@@ -1,4 +1,4 @@
-"""Standing: axle loads, hold on slopes, slip threshold, scrub torque."""
+"""Tests at standstill: axle loads, hold on slopes, slip threshold, scrub torque."""
 
 import math
 

@@ -23,7 +23,7 @@ BED = ContactTestbed(suspension=True)
 def suspension(
     bed: Testbed, name: str, params: VehicleParameters, quick: bool
 ) -> Study:
-    """What the optional suspension changes, and what it leaves alone."""
+    """What the optional suspension changes and what it does not."""
     del quick
     study = Study(name, bed.tyres)
     brake = SERVICE * params.mass * GRAVITY

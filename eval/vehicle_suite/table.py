@@ -99,7 +99,7 @@ class Curve:
 
 @dataclasses.dataclass
 class Study:
-    """What the manoeuvres of one car on one tyre model gave."""
+    """Results of the manoeuvres of one car on one tyre model."""
 
     preset: str
     tyres: str

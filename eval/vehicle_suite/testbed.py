@@ -1,4 +1,4 @@
-"""Test tracks: a `Testbed` drives runs and returns what the cars did.
+"""Test tracks: a `Testbed` drives runs and returns the cars' tracks.
 
 The brush testbed steps MJX with the shipped tyres, all cars of a batch at once. Time
 step, slope and car are data: one compiled program serves every run of a precision.
@@ -32,7 +32,7 @@ WIDTH = 16  # cars of one call; fewer are filled up
 
 
 class Testbed(Protocol):
-    """Something that can drive runs: a tyre model on an engine."""
+    """Drives runs: a tyre model on an engine."""
 
     @property
     def tyres(self) -> str:

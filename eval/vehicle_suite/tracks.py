@@ -1,4 +1,4 @@
-"""What a car did on a test track, and what is read out of it."""
+"""The recorded motion of a car on a test track, and quantities derived from it."""
 
 import dataclasses
 import math
@@ -15,10 +15,10 @@ from vehicle_suite.runs import INDEX, Run
 
 @dataclasses.dataclass(frozen=True)
 class Track:
-    """What a car did; row i is the state after i substeps, loads act during row i.
+    """A recorded run; row i is the state after i substeps, loads act during row i.
 
     Attributes:
-        run: what it was asked.
+        run: its inputs.
         dt: substep [s].
         qpos: (T + 1, 13) positions, rear axle at the root.
         qvel: (T + 1, 12) velocities.

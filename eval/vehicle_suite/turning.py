@@ -19,14 +19,14 @@ SPEEDS = (0.5, 1.0, 3.0, -1.0)  # m/s
 STEADY = 1.0  # s at the end of a run over which steady values are averaged
 
 # Share of the radius. Brush: measured up to 0.005 % at 1 m/s, 0.02 % at 3 m/s. Contact:
-# geometry knows no slip, and regularised friction slips with the speed.
+# geometry has no slip, and regularised friction slips with the speed.
 SHARES = {"brush": {1.0: 0.0005, 3.0: 0.001}, "contact": {1.0: 0.0005, 3.0: 0.0005}}
 
 
 def expected_turn(
     bed: Testbed, params: VehicleParameters, steering: float, speed: float
 ) -> Turn:
-    """What the tyre model should give: slip and scrub, or geometry alone."""
+    """Expected turn of the tyre model: slip and scrub, or geometry alone."""
     if bed.tyres == "brush":
         return steady_turn(params, steering, speed)
     radius = formulas.turning_radius(params, steering)

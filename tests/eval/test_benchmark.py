@@ -9,12 +9,12 @@ from pathlib import Path
 
 import jax
 import pytest
+
+import benchmark
 from benchmarking import checkouts, report, run, worker
 from benchmarking.checkouts import Checkout
 from benchmarking.records import Job, Measurement
 from benchmarking.report import Row
-
-import benchmark
 
 OURS = Checkout("here", Path("ours"), "1234567")
 THEIRS = Checkout("main~1", Path("theirs"), "89abcde")

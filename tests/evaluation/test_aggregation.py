@@ -1,31 +1,21 @@
-"""Episodes add up exactly, and every metric is defined in the catalogue."""
+"""Episodes add up exactly, under the names and in the units of the catalogue."""
 
-import csv
 import itertools
-import json
 import math
-import re
-from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics
 
-from carpark_mj.config import (
-    EnvConfig,
-    EpisodeConfig,
-    MetricsConfig,
-    ObservationConfig,
+from carpark_mj.evaluation.aggregation import (
+    HITS,
+    OUTCOMES,
+    complete_row,
+    pool,
+    summarise,
+    wilson_interval,
 )
-from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation import catalogue
-from carpark_mj.evaluation.aggregation import complete_row, pool, pool_all
-from carpark_mj.evaluation.catalogue import GOALS, METRICS, POOLS, START_STEPS
-from carpark_mj.evaluation.rollout import evaluate
-from carpark_mj.mdp.metrics.tallies import KINDS
+from carpark_mj.evaluation.catalogue import METRICS, START_STEPS
 
-PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
 BY_NAME = {metric.name: metric for metric in METRICS}
 
 
@@ -58,10 +48,10 @@ def random_episodes(count):
 
 def test_episodes_add_up_to_the_same_bits_whatever_their_order():
     rows = random_episodes(500)
-    together = pool_all(rows)
-    assert len(together) > 8
-    assert pool_all(rows[::-1]) == together
-    assert pool_all(sorted(rows, key=lambda row: row["length"])) == together
+    together = summarise(rows)
+    assert len(together) > 10
+    assert summarise(rows[::-1]) == together
+    assert summarise(sorted(rows, key=lambda row: row["length"])) == together
 
 
 def test_parts_of_two_batchings_add_up_to_the_whole():
@@ -119,100 +109,83 @@ def test_the_least_clearance_is_to_whatever_was_nearest():
     assert episode(**near)["min_clearance"] == 1
 
 
-def onwards(observation, key):
-    """Drives ahead, swerving at random."""
-    action = jax.random.uniform(key, (*observation.shape[:-1], 2), minval=-1.0)
-    return action.at[..., 1].set(0.8), {}
+def outcome_row(outcome, hit="", **numbers):
+    """An episode with its outcome and the numbers given."""
+    flags = {name: float(name in (outcome, hit)) for name in OUTCOMES + HITS}
+    return episode(**(flags | numbers))
 
 
-def evaluation(config):
-    env = ParkingEnv(
-        EnvConfig(
-            num_agents=3,
-            num_parked_cars=10,
-            episode=EpisodeConfig(max_steps=20),
-            observation=ObservationConfig(0, 0, rings=()),
-            metrics=config,
-        ),
-        SlidePhysics(),
-    )
-    return evaluate(env, onwards, num_episodes=90, seed=0, num_lots=3)
+def test_a_summary_is_what_a_hand_count_gives():
+    rows = [
+        outcome_row("parked", length=20.0, path=6.0, final_heading=0.1),
+        outcome_row("parked", length=10.0, path=2.0, final_heading=0.3),
+        outcome_row("crashed", "hit_wall", path=9.0, final_heading=1.0),
+        outcome_row("timed_out", length=200.0, path=9.0, final_heading=1.0),
+    ]
+    summary = summarise(rows)
+    assert summary["episodes"] == 4
+    low, high = wilson_interval(2, 4)
+    assert summary["parked"] == {"rate": 0.5, "low": low, "high": high, "count": 2}
+    assert summary["hit_wall"]["count"] == 1
+    assert summary["length"] == (20 + 10 + 10 + 200) / 4
+    # Of parked episodes, in the units of the catalogue: seconds, metres, radians.
+    assert summary["time_to_park"] == pytest.approx(0.2 * 15)
+    assert summary["path"] == 4.0
+    assert summary["final_heading"] == pytest.approx(0.2)
 
 
-@pytest.fixture(scope="module")
-def everything():
-    return evaluation(MetricsConfig(driving=True, safety=True))
+def test_a_summary_has_each_metric_once_and_by_the_catalogue_s_name():
+    rows = random_episodes(3)
+    names = [metric.name for metric in METRICS if metric.name in rows[0]]
+    assert list(summarise(rows)) == ["episodes", *names, "mean_returns"]
 
 
-def test_every_number_of_an_episode_is_in_the_catalogue(everything):
-    known = set(BY_NAME) | {"lot", "agent", "episode", "family"}
-    known |= {name for metric in METRICS for name in metric.ratio or ()}
-    # No lanes in this lot, and the goals are fixed.
-    absent = {"wrong_way"} | {metric.name for metric in GOALS}
-    absent |= {name for metric in GOALS for name in metric.ratio or ()} - {"length"}
-    for row in everything.episodes:
-        assert known - set(row) == absent
-        returns = {name for name in row if name.startswith("return_")}
-        assert set(row) - returns <= known
-    assert everything.summary["metrics"].keys() == set(BY_NAME) - absent
-    assert {metric.pool for metric in METRICS} == set(POOLS)
+def test_no_episodes_have_rates_that_could_be_anything():
+    summary = summarise([])
+    assert summary["episodes"] == 0
+    assert set(summary) == {"episodes", "mean_returns", *OUTCOMES, *HITS}
+    for name in OUTCOMES + HITS:
+        rate = summary[name]
+        assert math.isnan(rate.pop("rate"))
+        assert rate == {"low": 0.0, "high": 1.0, "count": 0.0}
 
 
-def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys):
-    import evaluate as command
-
-    table, data = command.write_evaluation(tmp_path, everything, {})
-    with table.open(newline="") as file:
-        rows = [
-            {name: float(x) for name, x in row.items() if name != "family"}
-            for row in csv.DictReader(file)
-        ]
-    stored = json.loads(data.read_text())["summary"]["metrics"]
-    assert json.dumps(pool_all(rows)) == json.dumps(stored)  # NaN like NaN
-    command.print_metrics(everything.summary["metrics"])
-    printed = capsys.readouterr().out
-    for name in ("nearest car", "min collision time agent", "worst 5 %"):
-        assert name in printed
+def test_the_share_of_the_wrong_way_weighs_episodes_by_the_way_driven():
+    rows = [episode(path=path) for path in (30.0, 10.0)]
+    assert "wrong_way_share" not in summarise(rows)
+    rows = [
+        episode(path=path, wrong_way=wrong)
+        for path, wrong in ((30.0, 3.0), (10.0, 5.0))
+    ]
+    assert [row["wrong_way_share"] for row in rows] == [0.1, 0.5]
+    assert summarise(rows)["wrong_way_share"] == pytest.approx(8 / 40)
+    still = [episode(path=0.0, wrong_way=0.0)]
+    assert math.isnan(summarise(still)["wrong_way_share"])
 
 
-def test_a_crash_is_a_clearance_of_zero_to_what_was_hit_and_nothing_else_is(
-    everything,
-):
-    rows = everything.episodes
-    for kind in KINDS:
-        zero = [row[f"min_clearance_{kind}"] == 0.0 for row in rows]
-        assert zero == [row[f"hit_{kind}"] == 1.0 for row in rows]
-        assert any(zero)
-    assert sum(row["crashed"] for row in rows) < len(rows)
+def test_returns_by_term_are_means_over_episodes():
+    rows = [episode(return_park=park, return_time=-1.0) for park in (4.0, 0.0)]
+    assert summarise(rows)["mean_returns"] == {"park": 2.0, "time": -1.0}
 
 
-def test_tallies_start_anew_with_every_episode(everything):
-    rows = everything.episodes
-    assert len({row["episode"] for row in rows}) == 10
-    for row in rows:
-        assert row["goal_steps"] == row["nearest_car_steps"] == row["length"]
-        # Always 0.8 of 2.5 m/s, 0.5 m a step.
-        assert row["speed"] == pytest.approx(2.0)
-        assert row["path"] == pytest.approx(0.4 * row["length"], rel=1e-4)
+def test_conformity_adds_steps_up_over_episodes_before_it_divides():
+    counts = [(8.0, 8.0), (1.0, 0.0), (0.0, 0.0)]
+    none = {"met_local_same": 0.0, "gave_way_local_same": 0.0}
+    rows = [
+        episode(met_global_any=met, gave_way_global_any=gave_way, **none)
+        for met, gave_way in counts
+    ]
+    summary = summarise(rows)
+    assert summary["conformity_global_any"] == 8 / 9
+    assert math.isnan(summary["conformity_local_same"])
+    assert not any(name.startswith("conformity") for name in summarise([episode()]))
 
 
-def test_measuring_leaves_the_episodes_as_they_are(everything):
-    plain = evaluation(MetricsConfig())
-    for row, more in zip(plain.episodes, everything.episodes, strict=True):
-        kept = {name: more[name] for name in row}
-        assert json.dumps(kept) == json.dumps(row)  # NaN like NaN
-    metrics = plain.summary["metrics"]
-    assert metrics["length"] == everything.summary["metrics"]["length"]
-    assert "speed" not in metrics
-
-
-@pytest.mark.parametrize("part", ["pools", "outcome", "driving", "safety", "goals"])
-def test_the_page_of_metrics_is_made_from_the_catalogue(part):
-    if part == "pools":
-        expected = "\n".join(f"- *{name}*: {text}" for name, text in POOLS.items())
-    else:
-        expected = catalogue.markdown_table(getattr(catalogue, part.upper()))
-    pattern = rf"<!-- {part} -->\n(.*?)\n?<!-- end of {part} -->"
-    found = re.search(pattern, PAGE.read_text(), re.DOTALL)
-    assert found, f"paste this between the markers:\n{expected}"
-    assert found[1].strip() == expected, f"paste this:\n{expected}"
+def test_wilson_intervals_match_published_values():
+    # 8 of 10 (Agresti & Coull 1998 and any calculator): 0.490, 0.943.
+    np.testing.assert_allclose(wilson_interval(8, 10), (0.4902, 0.9433), atol=1e-4)
+    low, high = wilson_interval(0, 20)
+    assert low == 0.0
+    assert high == pytest.approx(0.1611, abs=1e-4)  # z^2 / (n + z^2)
+    assert wilson_interval(20, 20)[1] == 1.0
+    assert wilson_interval(0, 0) == (0.0, 1.0)

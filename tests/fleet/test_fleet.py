@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from carpark_mj.mdp.spawning.respawn import first_poses, renew
 from helpers.scenes import SlidePhysics, check_occupancy, fields_of, placed
 
 from carpark_mj.config import (
@@ -27,7 +28,6 @@ from carpark_mj.layouts import build, mixture
 from carpark_mj.layouts.lot_config import LotConfig
 from carpark_mj.mdp.goals import Occupancy, evolve, new_goal
 from carpark_mj.mdp.parked_cars import AWAY, SLACK
-from carpark_mj.mdp.spawning.respawn import first_poses, renew
 from carpark_mj.observations import observation_size
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict

@@ -5,33 +5,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from helpers.states import state_of
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.metrics.goals import CONTEXTS
 from carpark_mj.mdp.rewards import term_names
-from carpark_mj.types import (
-    NO_BAY,
-    EpisodeStats,
-    Events,
-    GoalEvents,
-    Motion,
-    ParkedCars,
-    State,
-    Transition,
-)
-
-
-def parked_cars(pose: Any = (), size: Any = 2.0, present: Any = True) -> ParkedCars:
-    """Parked cars by hand, each in the bay of its own number."""
-    pose = jnp.asarray(pose, jnp.float32).reshape(-1, 3)
-    bay = jnp.arange(len(pose), dtype=jnp.int32)
-    return ParkedCars(
-        bay=jnp.where(jnp.asarray(present, bool), bay, NO_BAY),
-        pose_w=pose,
-        size=jnp.broadcast_to(jnp.asarray(size, jnp.float32), (len(pose), 2)),
-    )
+from carpark_mj.types import Events, GoalEvents, Motion, Transition
 
 
 def no_events(count: int, **true: Any) -> Events:
@@ -42,14 +23,15 @@ def no_events(count: int, **true: Any) -> Events:
 
 def no_goal_events(count: int, **true: Any) -> GoalEvents:
     """The same of goals; contexts are given by their names among the others."""
-    flags = {
-        name: jnp.asarray(true.pop(name, jnp.zeros(count)), bool)
-        for name in [f.name for f in dataclasses.fields(GoalEvents)] + [*CONTEXTS]
-        if name != "contexts"
-    }
-    assert not true
-    contexts: Any = {name: flags.pop(name) for name in CONTEXTS}
-    return GoalEvents(contexts=contexts, **flags)
+    names = {f.name for f in dataclasses.fields(GoalEvents)} - {"contexts"}
+    unknown = set(true) - names - set(CONTEXTS)
+    assert not unknown
+    given = {name: jnp.asarray(flag, bool) for name, flag in true.items()}
+    nobody = jnp.zeros(count, bool)
+    return GoalEvents(
+        contexts={name: given.get(name, nobody) for name in CONTEXTS},
+        **{name: given.get(name, nobody) for name in names},
+    )
 
 
 def no_terms(config: EnvConfig, layout: Layout) -> dict[str, jax.Array]:
@@ -63,10 +45,8 @@ def transition(
     layout: Layout,
     before: Motion,
     after: Motion,
-    stats: EpisodeStats | None = None,
-    parked: ParkedCars | None = None,
-    active: Any = True,
-    tracked_bays: Any = None,
+    of_state: dict[str, Any] | None = None,
+    goal: Any = 0,
     **more: Any,
 ) -> Transition:
     """A step of cars (num_agents,), in which nothing happens but what is given.
@@ -76,29 +56,15 @@ def transition(
         layout: the lot.
         before: the agents at the start.
         after: at the end.
-        stats: so far; those of new episodes if None.
-        parked: parked cars, none if None.
-        active: (num_agents,) bool.
-        tracked_bays: (num_agents, num_tracked_bays) at the start.
-        more: other attributes of the transition; the goal is bay 0 if not given.
+        of_state: attributes of the state before and after; statistics are those of new
+            episodes if not given.
+        goal: (num_agents,) bays held during the step.
+        more: other attributes of the transition.
     """
-    count = before.pose_w.shape[0]
+    count = before.yaw_rate.shape[0]
     assert count == config.num_agents
-    goal = jnp.asarray(more.pop("goal", 0), jnp.int32)
-    state = State(
-        physics=None,  # type: ignore
-        motion=before,
-        layout=layout,
-        goal=jnp.broadcast_to(goal, (count,)),
-        tracked_bays=None if tracked_bays is None else jnp.array(tracked_bays),
-        parked_cars=parked_cars() if parked is None else parked,
-        ring_history=None,
-        step=jnp.zeros(count, jnp.int32),
-        active=jnp.broadcast_to(jnp.asarray(active, bool), (count,)),
-        stats=metrics.init_stats(config, layout) if stats is None else stats,
-        sensors=None,
-        key=jax.random.key(0),
-    )
+    state = state_of(layout, before, goal, stats=metrics.init_stats(config, layout))
+    state = state.replace(**(of_state or {}))
     usual: dict[str, Any] = {
         "target_pose": layout.bay_pose[state.goal],
         "events": no_events(count),
@@ -106,9 +72,4 @@ def transition(
         "wrong_way": None,
         "invalid_action": jnp.zeros(count, bool),
     }
-    return Transition(
-        before=state,
-        after=state.replace(motion=after),
-        goal=state.goal,
-        **(usual | more),
-    )
+    return Transition(before=state, after=state.replace(motion=after), **(usual | more))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
+from carpark_mj.mdp.lanes import is_wrong_way
 from helpers.scenes import (
     SlidePhysics,
     cars,
@@ -23,7 +24,6 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.rollout import summarise
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.layouts.lanes import has_lanes, nearest_lane
-from carpark_mj.mdp.lanes import is_wrong_way
 
 is_wrong_way_jit, nearest_lane_jit = jax.jit(is_wrong_way), jax.jit(nearest_lane)
 EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2

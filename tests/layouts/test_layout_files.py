@@ -153,11 +153,11 @@ def test_text_that_is_no_json_names_the_line(tmp_path):
         FromFileConfig(path="lot.txt")
 
 
-def test_a_layout_that_is_not_sound_is_refused(tmp_path):
+def test_an_invalid_layout_is_refused(tmp_path):
     bay = HAND["bays"][0]
     path = written(tmp_path, changed(bays=[bay, bay]))
     with pytest.raises(
-        ValueError, match=r"no sound layout: bays overlap: \[\[0, 1\]\]"
+        ValueError, match=r"not a valid layout: bays overlap: \[\[0, 1\]\]"
     ):
         make_layout(str(path))
 

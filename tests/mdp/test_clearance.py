@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import shapely
 from helpers.scenes import cars, lot, moved, moved_cars, polygons
-from helpers.transitions import parked_cars
+from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry.broad_phase import is_crowded
 from carpark_mj.mdp import clearance
 from carpark_mj.mdp.clearance import KINDS, RANGE, agent_clearance, clearances
-from carpark_mj.mdp.terminations import find_hits
+from carpark_mj.mdp.collisions import find_hits
 
 LOTS, AGENTS, PARKED, WALLS, DISCS, TRACES = 60, 4, 5, 3, 4, 3
 TEMPLATE = lot(np.zeros((1, 3)), np.zeros((WALLS, 3)), discs=np.zeros((DISCS, 3)))
@@ -20,7 +20,7 @@ TEMPLATE = lot(np.zeros((1, 3)), np.zeros((WALLS, 3)), discs=np.zeros((DISCS, 3)
 @jax.jit
 @jax.vmap
 def run(layout, motion, parked):
-    hits = find_hits(layout, motion, parked.pose_w, parked.size)
+    hits = find_hits(state_of(layout, motion, 0, parked_cars=parked))
     return clearances(layout, motion, parked), hits
 
 
@@ -50,7 +50,7 @@ def scene():
         disc_radius=np.float32(rng.uniform(0.1, 1.5, (LOTS, DISCS))),
         disc_mask=rng.uniform(size=(LOTS, DISCS)) < 0.7,
     )
-    parked = jax.vmap(parked_cars)(
+    parked = jax.vmap(parked_at)(
         poses(PARKED), sizes(PARKED), rng.uniform(size=(LOTS, PARKED)) < 0.7
     )
     return layout, motion, parked
@@ -120,7 +120,7 @@ def test_nobody_near_costs_no_exact_test_and_counts_as_the_range(monkeypatch):
     for name in ("box_distance", "box_disc_distance"):
         monkeypatch.setattr(clearance, name, counted(getattr(clearance, name)))
     plan = lot([(0, 0, 0)], [(40, 0, 0)], discs=[(0, 40, 1)])
-    parked = parked_cars([(-40, 0, 0), (0, 0, 0)], 3.0, [True, False])
+    parked = parked_at([(-40, 0, 0), (0, 0, 0)], 3.0, [True, False])
     search = jax.jit(clearances)
     far = search(plan, cars([(0, 0, 0), (0, -40, 0)]), parked)
     jax.effects_barrier()
@@ -134,7 +134,7 @@ def test_nobody_near_costs_no_exact_test_and_counts_as_the_range(monkeypatch):
 
 def test_an_agent_alone_in_an_empty_lot_is_far_from_everything():
     plan, alone = lot([(0, 0, 0)]), cars([(0, 0, 0)])
-    gap = jax.jit(clearances)(plan, alone, parked_cars())
+    gap = jax.jit(clearances)(plan, alone, parked_at())
     assert tuple(gap) == KINDS
     assert all(value.tolist() == [RANGE] for value in gap.values())
     assert agent_clearance(alone).tolist() == [np.inf]

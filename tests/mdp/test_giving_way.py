@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from carpark_mj.mdp.searching import look_round
 from helpers.scenes import SlidePhysics, placed
 
 from carpark_mj.config import (
@@ -29,7 +30,6 @@ from carpark_mj.mdp.giving_way import (
     find_contexts,
     goals_in_turn,
 )
-from carpark_mj.mdp.searching import look_round
 from carpark_mj.observations.tracking import tracks
 from carpark_mj.registry import environment
 

@@ -6,8 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-import evaluate
-import ppo
+from carpark_mj.cli import evaluate
 from carpark_mj.config import WORLD_UNIT
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
@@ -15,8 +14,9 @@ from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.runs import load_policy
 from carpark_mj.registry import environment
 from carpark_mj.rendering.live import LiveLot
-from learner import Learner
-from presets import PRESETS
+from learners.ppo.learner import Learner
+from learners.ppo.presets import PRESETS
+from learners.ppo.train import save
 
 FIXED = environment("tanner-fixed")
 TINY = dataclasses.replace(
@@ -48,7 +48,7 @@ def trained(tmp_path_factory):
     state, first = update(state)
     state, second = update(state)
     assert update._cache_size() == 1  # no weak type recompiled it
-    ppo.save(folder, TINY, state)
+    save(folder, TINY, state)
     states = start, jax.device_get(state)
     return folder, states, [first, second], learner.networks
 

@@ -2,12 +2,16 @@
 
 import dataclasses
 import json
+from typing import Literal
 
+import numpy as np
 import pytest
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.policy import runs
-from presets import PRESETS, PPOConfig
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy.checkpoints import CheckpointError
+from learners.ppo.config import PPOConfig
+from learners.ppo.presets import PRESETS
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
@@ -33,3 +37,45 @@ def test_impossible_settings_are_refused_on_reading():
 def test_a_config_that_is_no_dictionary_is_refused():
     with pytest.raises(ValueError, match="EnvConfig needs a dictionary"):
         runs.from_dict(EnvConfig, [1])
+
+
+@dataclasses.dataclass(frozen=True)
+class Near:
+    reach: float = 1.0
+    kind: Literal["near"] = "near"
+
+
+@dataclasses.dataclass(frozen=True)
+class Far:
+    reach: float = 9.0
+    kind: Literal["far"] = "far"
+
+
+@dataclasses.dataclass(frozen=True)
+class Seeing:
+    eye: Near | Far = dataclasses.field(default_factory=Near)
+    other: Near | None = None
+
+
+@pytest.mark.parametrize("eye", [Near(3.0), Far(), Far(3.0)])
+def test_of_a_union_the_tag_chooses_the_class(eye):
+    for seeing in (Seeing(eye), Seeing(eye, Near(2.0))):
+        text = json.dumps(dataclasses.asdict(seeing))
+        assert runs.from_dict(Seeing, json.loads(text)) == seeing
+
+
+def test_a_tag_of_no_class_is_refused():
+    with pytest.raises(ValueError, match=r"eye must be one of .*near.*far.*blind"):
+        runs.from_dict(Seeing, {"eye": {"reach": 1.0, "kind": "blind"}})
+
+
+def test_a_checkpoint_of_an_older_version_is_refused_before_it_is_read(tmp_path):
+    header = {"config": {"env": {"gone": 1}}, "env_steps": 8}
+    path = runs.save_checkpoint(tmp_path / "x", {"a": np.zeros(1)}, header, 8)
+    for run in (tmp_path / "x", path):
+        with pytest.raises(CheckpointError, match="unusable config"):  # not its age
+            runs.load_policy(run)
+    checkpoints.save(path, {"a": np.zeros(1)}, header)
+    for run in (tmp_path / "x", path):
+        with pytest.raises(CheckpointError, match=r"x was trained by an older carpark"):
+            runs.load_policy(run)

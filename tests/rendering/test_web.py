@@ -15,11 +15,11 @@ import urllib.request
 import numpy as np
 import pytest
 
+from carpark_mj.cli.scene import SceneConfig, complete, main
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering import web
 from carpark_mj.rendering.live import LiveLot
-from carpark_mj.scene.__main__ import SceneConfig, complete, main
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 

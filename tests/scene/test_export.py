@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from carpark_mj.cli.scene import SceneConfig, main, make_scene
 from carpark_mj.scene import car_look
-from carpark_mj.scene.__main__ import SceneConfig, main, make_scene
 from carpark_mj.scene.export import try_out
 from carpark_mj.vehicle import COMPACT
 

@@ -20,8 +20,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.networks import MIN_STD, NetworkConfig, make_networks
 from carpark_mj.wrappers.brax import BraxParking
-from learner import AXIS, Learner, num_devices, schedule
-from presets import PRESETS
+from learners.ppo.learner import AXIS, Learner, num_devices, schedule
+from learners.ppo.presets import PRESETS
 
 TINY = dataclasses.replace(
     PRESETS["cpu"],

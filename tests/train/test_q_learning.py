@@ -9,13 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import evaluate
 import q_learning
+from carpark_mj.cli import evaluate
 from carpark_mj.policy.q_table import action_choices, make_table_policy, state_index
 from carpark_mj.policy.runs import checkpoint_files, load_policy
-from q_curve import rolling_mean
-from q_learner import QLearner, Training
-from q_presets import QLearningConfig
+from learners.q_learning import train
+from learners.q_learning.config import QLearningConfig
+from learners.q_learning.curve import rolling_mean
+from learners.q_learning.learner import QLearner, Training
+from learners.run_folder import LOCK, open_run
 
 SMALL = QLearningConfig(
     name="small", num_seeds=2, episodes=30, eval_episodes=10, window=10
@@ -92,9 +94,9 @@ def test_a_rolling_mean_by_hand():
 def run(learner, tmp_path_factory):
     """A small run from start to end, and the folder it wrote."""
     config = dataclasses.replace(SMALL, runs_dir=str(tmp_path_factory.mktemp("runs")))
-    folder = q_learning.open_run(config)
-    assert q_learning.train(config, learner, folder)
-    return folder, q_learning.load_or_init(learner, folder)
+    with open_run(config) as folder:
+        assert train.train(config, learner, folder)
+    return folder, train.load_or_init(learner, folder)
 
 
 def test_every_seed_makes_its_episodes_and_they_add_up(run):
@@ -117,7 +119,8 @@ def test_every_seed_makes_its_episodes_and_they_add_up(run):
 def test_a_run_leaves_whole_files(run):
     folder, _ = run
     names = {path.name for path in folder.iterdir()}
-    assert names == {"config.json", "checkpoints", "metrics.csv", "learning_curve.png"}
+    files = {"config.json", "checkpoints", "metrics.csv", "learning_curve.png"}
+    assert names == {LOCK, *files}
     rows = (folder / "metrics.csv").read_text().splitlines()
     assert rows[0].startswith("seed,episode,phase,episode_return,length,parked,crashed")
     assert len(rows) == 1 + 2 * 4
@@ -128,12 +131,12 @@ def test_a_run_leaves_whole_files(run):
 def test_a_run_cut_in_two_goes_on_exactly(learner, run, tmp_path):
     state = learner.init()
     straight = learner.advance(learner.advance(state)[0])[0]
-    half = q_learning.load_or_init(learner, tmp_path)
+    half = train.load_or_init(learner, tmp_path)
     half.training, ended = learner.advance(half.training)
     half.add(jax.device_get(ended))
     half.chunks = 1
-    q_learning.save(tmp_path, SMALL, half)
-    loaded = q_learning.load_or_init(learner, tmp_path)
+    train.save(tmp_path, SMALL, half)
+    loaded = train.load_or_init(learner, tmp_path)
     assert loaded.chunks == 1
     np.testing.assert_array_equal(loaded.counts, half.counts)
     resumed = learner.advance(loaded.training)[0]

@@ -13,8 +13,8 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.layouts import StreetConfig
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import NetworkConfig
-from learner import Learner, TrainingState, due_lots
-from presets import PRESETS
+from learners.ppo.learner import Learner, TrainingState, due_lots
+from learners.ppo.presets import PRESETS
 
 STREET = StreetConfig(bays_per_side=(3, 4))
 LOTS, AGENTS, UNROLL = 6, 2, 5

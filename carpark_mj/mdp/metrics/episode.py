@@ -7,8 +7,8 @@ import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.geometry import axis_angle_error
-from carpark_mj.layouts.types import Layout
 from carpark_mj.layouts.lanes import has_lanes
+from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.metrics.tallies import first_tallies, fold_tallies, measure
 from carpark_mj.mdp.progress import direction_of_travel
 from carpark_mj.types import EpisodeStats, Events, Motion, Transition

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from helpers.scenes import cars, lot, polygons
-from helpers.transitions import parked_cars
+from helpers.states import parked_at
 
 from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
 from carpark_mj.mdp.metrics.collision_time import HORIZON, collision_times
@@ -93,7 +93,7 @@ def times(*poses, speed=0.0, walls=(), discs=(), parked=()):
         for given in (poses, walls, discs, parked)
     )
     plan = lot([(0, 0, 0)], walls, discs=discs)
-    found = run(plan, cars(poses, speed=speed), parked_cars(parked, (4.0, 2.0)))
+    found = run(plan, cars(poses, speed=speed), parked_at(parked, (4.0, 2.0)))
     return {kind: float(time[0]) for kind, time in found.items()}
 
 
@@ -148,7 +148,7 @@ def test_the_search_among_many_finds_what_testing_all_pairs_finds():
         return jnp.asarray(pose, jnp.float32)
 
     walls = poses(others)
-    parked = parked_cars(poses(others), 2.0, jnp.arange(others) % 3 > 0)
+    parked = parked_at(poses(others), 2.0, jnp.arange(others) % 3 > 0)
     plan = lot([(0, 0, 0)], walls, discs=np.float32(rng.uniform(0.2, 1, (discs, 3))))
     plan = plan.replace(disc_centre=poses(discs)[:, :2])
     motion = cars(poses(agents), speed=rng.uniform(-3, 3, agents))

@@ -20,9 +20,10 @@ PLAN = lot([(0, 0, 0)])
 STANDING = cars([(0.0, 0.0, 0.0)])
 
 
-def step(config, stats, before, after, terms=(), **more):
+def step(config, stats, before, after, terms=(), active=True, **more):
     """Statistics with a step added, whose reward is nothing except the terms given."""
-    happened = transition(config, PLAN, before, after, stats, **more)
+    state = {"stats": stats, "active": jnp.asarray(active)}
+    happened = transition(config, PLAN, before, after, state, **more)
     return update_stats(config, happened, no_terms(config, PLAN) | dict(terms))
 
 
@@ -103,7 +104,7 @@ def test_lots_without_lanes_count_no_metres_against_them():
             plan,
             STANDING,
             cars([(2.0, 0, 0)]),
-            stats,
+            {"stats": stats},
             wrong_way=jnp.array([wrong]),
         )
         stats = update_stats(ONE, happened, no_terms(ONE, plan))

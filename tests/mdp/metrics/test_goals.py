@@ -31,12 +31,14 @@ def config(num_agents):
     return EnvConfig(num_agents=num_agents, goals=GoalConfig(dynamic=True))
 
 
-def step(xy, tracked_bays, **more):
+def step(xy, tracked_bays, goal_events=None, **of_state):
     """A step of agents from the origin to the given places."""
     after = cars([(x, y, 0.0) for x, y in xy])
     before = cars(np.zeros((len(xy), 3)))
+    if tracked_bays is not None:
+        of_state["tracked_bays"] = jnp.array(tracked_bays, jnp.int32)
     return transition(
-        config(len(xy)), PLAN, before, after, tracked_bays=tracked_bays, **more
+        config(len(xy)), PLAN, before, after, of_state, goal_events=goal_events
     )
 
 

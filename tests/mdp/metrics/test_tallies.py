@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, lot
-from helpers.transitions import no_terms, parked_cars, transition
+from helpers.states import parked_at
+from helpers.transitions import no_terms, transition
 
 from carpark_mj.config import EnvConfig, MetricsConfig, SimConfig
 from carpark_mj.mdp.clearance import RANGE
@@ -25,15 +26,19 @@ DT = SimConfig().ctrl_dt
 SAFETY, DRIVING = MetricsConfig(safety=True), MetricsConfig(driving=True)
 
 
-def tally(measured, states, target=(0.0, 0.0, 0.0), **more):
+def tally(measured, states, parked=None, goal=0):
     """Tallies of the first of the cars that pass through some states."""
-    count, plan = states[0].size.shape[0], lot([target])
+    count, plan = states[0].size.shape[0], lot([(0.0, 0.0, 0.0)])
     config = EnvConfig(num_agents=count, metrics=measured)
     terms = no_terms(config, plan)
 
     @jax.jit
     def step(stats, before, after):
-        happened = transition(config, plan, before, after, stats, **more)
+        state = {
+            "stats": stats,
+            "parked_cars": parked_at() if parked is None else parked,
+        }
+        happened = transition(config, plan, before, after, state, goal)
         return update_stats(config, happened, terms)
 
     stats = init_stats(config, plan)
@@ -127,12 +132,12 @@ def test_turning_at_constant_speed_is_acceleration_towards_the_centre():
 
 def test_the_least_clearance_and_time_are_those_of_the_worst_step():
     # Towards a parked car 4 m long at 20 m: gaps of 8, 6 and 9 m, at 1, 3 and -1 m/s.
-    parked = parked_cars([(20, 0, 0)], (4.0, 2.0))
+    parked = parked_at([(20, 0, 0)], (4.0, 2.0))
     states = [cars([(x, 0, 0)], speed=v) for x, v in ((8, 1), (8, 1), (10, 3), (7, -1))]
     found = tally(SAFETY, states, parked=parked)
     assert found["min_clearance_parked_car"] == pytest.approx(6.0, abs=1e-5)
     assert found["min_collision_time_parked_car"] == pytest.approx(2.0, abs=1e-5)
-    absent = parked_cars([(20, 0, 0)], (4.0, 2.0), present=False)
+    absent = parked_at([(20, 0, 0)], (4.0, 2.0), present=False)
     found = tally(SAFETY, states, parked=absent)
     assert found["min_clearance_parked_car"] == RANGE
     assert found["min_collision_time_parked_car"] == HORIZON
@@ -145,7 +150,7 @@ def test_driving_is_summed_up_as_by_hand():
         cars([(9.0, 0, 0)], speed=0.5, steering=-0.1, yaw_rate=0.3),
         cars([(8.5, 0, 0)], speed=0.25, steering=-0.1),
     ]
-    parked = parked_cars([(9, 3, 0), (9, 1, 0)], present=[True, False])
+    parked = parked_at([(9, 3, 0), (9, 1, 0)], present=[True, False])
     found = tally(DRIVING, states, parked=parked)
     assert found == pytest.approx(
         {
@@ -170,5 +175,5 @@ def test_steps_without_goal_or_other_car_do_not_count():
 
 def test_the_nearest_car_may_be_another_agent():
     states = [cars([(0, 0, 0), (3.0, 4.0, 0)])] * 2
-    found = tally(DRIVING, states, parked=parked_cars([(6.0, 0.0, 0.0)]))
+    found = tally(DRIVING, states, parked=parked_at([(6.0, 0.0, 0.0)]))
     assert found["nearest_car_sum"] == pytest.approx(5.0)

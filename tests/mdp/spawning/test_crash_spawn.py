@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from carpark_mj.mdp.spawning.respawn import first_poses, renew
 from helpers.scenes import check_occupancy, lot
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
@@ -18,7 +19,6 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.goals import init_occupancy, new_goal
 from carpark_mj.mdp.spawning.collision_course import crash_pose
 from carpark_mj.mdp.spawning.poses import is_close, is_crash, spawn_pose
-from carpark_mj.mdp.spawning.respawn import first_poses, renew
 
 CRASH = SpawnConfig(close_ratio=0.0, crash_ratio=1.0)
 GRID = dataclasses.replace(CRASH, grid=WORLD_UNIT / 16)

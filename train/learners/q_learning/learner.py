@@ -9,13 +9,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from carpark_mj.state import State
 from flax import struct
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.indices import cardinalities
 from carpark_mj.policy.q_table import action_choices, state_index
-from carpark_mj.state import State
-from q_presets import QLearningConfig
+from learners.memory import num_bytes
+from learners.q_learning.config import QLearningConfig
 
 CHUNK = 5000  # control steps between looks at the clock
 
@@ -72,13 +73,13 @@ class QLearner:
         # The same without new episodes: three times as fast, and mostly enough.
         still = dataclasses.replace(config.env.episode, respawn=False)
         self._still_env = ParkingEnv(dataclasses.replace(config.env, episode=still))
-        if config.env.observation.encoding != "indices" or self.env.choices is None:
+        if config.env.observation.encoding != "indices":
             raise ValueError(
                 "Q-learning needs env.observation.encoding 'indices', not "
                 f"{config.env.observation.encoding!r}"
             )
-        self.choices = self.env.choices
-        self.sizes = cardinalities(config.env.observation, config.env.grid)
+        self.choices = config.env.grid.choices
+        self.sizes = cardinalities(config.env)
         self.advance = jax.jit(self._advance)
 
     @property
@@ -90,6 +91,15 @@ class QLearner:
         for size in self.choices:
             actions *= size
         return states, actions
+
+    def least_memory(self) -> int:
+        """Bytes that training needs at least: state, episodes, a chunk."""
+        config = self.config
+        agents = config.num_lots * config.env.num_agents
+        steps = config.num_seeds * CHUNK * agents
+        episodes = config.num_seeds * config.total_episodes
+        # A return (4), a length (4) and an outcome (1), with `done` (1) in a chunk.
+        return num_bytes(jax.eval_shape(self.init)) + 9 * episodes + 10 * steps
 
     def init(self) -> Training:
         """All seeds at the start; tables are zero."""

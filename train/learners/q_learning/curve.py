@@ -1,14 +1,13 @@
 """The episodes of a Q-learning run: rolling means as a table and as a picture."""
 
-import csv
-import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from carpark_mj.policy.checkpoints import write_atomically
-from q_presets import QLearningConfig
+from carpark_mj.policy.runs import write_csv
+from learners.figure import NAME, two_panels
+from learners.q_learning.config import QLearningConfig
 
 OUTCOMES = ("parked", "crashed", "timed_out")
 POINTS = 1500  # of a curve in the picture
@@ -47,13 +46,8 @@ def write_metrics(
             for number, name in enumerate(OUTCOMES):
                 row[name] = float((outcome == number).mean())
             rows.append(row)
-    text = io.StringIO(newline="")
-    if rows:
-        writer = csv.DictWriter(text, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
     path = folder / "metrics.csv"
-    write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))
+    write_csv(path, rows)
     return path
 
 
@@ -61,45 +55,33 @@ def plot_returns(
     folder: Path, config: QLearningConfig, episodes: dict[str, np.ndarray]
 ) -> Path:
     """Draws rolling return and share parked of every seed to `learning_curve.png`."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (returns, shares) = plt.subplots(
-        2, 1, figsize=(8, 6), sharex=True, height_ratios=(3, 2), layout="constrained"
-    )
-    for seed in range(config.num_seeds):
-        outcome = episodes["outcome"][seed]
-        done = outcome >= 0
-        colour = f"C{seed % 10}"
-        for axes, values in (
-            (returns, episodes["episode_return"][seed][done]),
-            (shares, (outcome[done] == 0).astype(float)),
-        ):
-            mean = rolling_mean(values, config.window)
-            stride = max(1, len(mean) // POINTS)
-            at = np.arange(len(mean))[::stride] + min(config.window, len(values))
-            axes.plot(
-                at, mean[::stride], color=colour, linewidth=1.0, label=f"seed {seed}"
-            )
-    for axes in (returns, shares):
-        axes.axvline(config.episodes, color="black", linestyle="--", linewidth=1.0)
-        axes.grid(alpha=0.3)
-    returns.axvline(
-        np.nan, color="black", linestyle="--", linewidth=1.0, label="end of training"
-    )
-    returns.legend(loc="best", fontsize="small")
-    returns.set(ylabel="return")
-    returns.set_title(
+    title = (
         f"{config.preset}: means over {config.window} episodes "
         f"({config.episodes} training, {config.eval_episodes} evaluation)"
     )
-    shares.set(xlabel="episode", ylabel="share parked", ylim=(-0.02, 1.02))
-    path = folder / "learning_curve.png"
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=100))
-    plt.close(figure)
-    return path
+    with two_panels(folder, title, "episode") as (returns, shares):
+        for seed in range(config.num_seeds):
+            outcome = episodes["outcome"][seed]
+            done = outcome >= 0
+            for axes, values in (
+                (returns, episodes["episode_return"][seed][done]),
+                (shares, (outcome[done] == 0).astype(float)),
+            ):
+                mean = rolling_mean(values, config.window)
+                stride = max(1, len(mean) // POINTS)
+                at = np.arange(len(mean))[::stride] + min(config.window, len(values))
+                label = f"seed {seed}"
+                axes.plot(
+                    at, mean[::stride], f"C{seed % 10}", linewidth=1.0, label=label
+                )
+        for axes in (returns, shares):
+            axes.axvline(
+                config.episodes, color="black", linestyle="--", label="end of training"
+            )
+        returns.legend(loc="best", fontsize="small")
+        returns.set(ylabel="return")
+        shares.set(ylabel="share parked", ylim=(-0.02, 1.02))
+    return folder / NAME
 
 
 def summary(config: QLearningConfig, episodes: dict[str, np.ndarray]) -> list[str]:

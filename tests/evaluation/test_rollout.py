@@ -1,58 +1,17 @@
 """Evaluation: intervals, whole episodes, fixed quotas, the same result twice."""
 
 import collections
-import csv
-import json
 
 import jax
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import (
-    HITS,
-    OUTCOMES,
-    allot,
-    evaluate,
-    evaluation_key,
-    random_policy,
-    summarise,
-    wilson_interval,
-    zero_policy,
-)
-from carpark_mj.layouts import StreetConfig, mixture
+from carpark_mj.evaluation.aggregation import OUTCOMES, wilson_interval
+from carpark_mj.evaluation.rollout import allot, evaluate, evaluation_key
 from carpark_mj.mdp.actions import ActionSpec
-
-
-def test_wilson_intervals_match_published_values():
-    # 8 of 10 (Agresti & Coull 1998 and any calculator): 0.490, 0.943.
-    np.testing.assert_allclose(wilson_interval(8, 10), (0.4902, 0.9433), atol=1e-4)
-    low, high = wilson_interval(0, 20)
-    assert low == 0.0
-    assert high == pytest.approx(0.1611, abs=1e-4)  # z^2 / (n + z^2)
-    assert wilson_interval(20, 20)[1] == 1.0
-    assert wilson_interval(0, 0) == (0.0, 1.0)
-
-
-def test_a_summary_is_what_a_hand_count_gives():
-    def row(outcome, hit="", length=10.0):
-        flags = {name: float(name in (outcome, hit)) for name in OUTCOMES + HITS}
-        numbers = dict.fromkeys(
-            ("path", "gear_changes", "final_distance", "final_heading", "final_speed"),
-            2.0,
-        )
-        return {**flags, **numbers, "length": length, "episode_return": 1.0}
-
-    rows = [row("parked", length=20.0), row("parked"), row("crashed", "hit_wall")]
-    rows.append(row("timed_out", length=200.0))
-    summary = summarise(rows, ctrl_dt=0.2)
-    assert summary["episodes"] == 4
-    assert summary["parked"]["rate"] == 0.5
-    assert summary["hit_wall"]["count"] == 1
-    assert summary["parked_time"] == pytest.approx(3.0)  # mean of 20 and 10 steps
-    assert summary["parked_heading_error_deg"] == pytest.approx(np.degrees(2.0))
+from carpark_mj.policy.baselines import random_policy, zero_policy
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +50,7 @@ def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
         column = [row[f"return_{name}"] for row in result.episodes]
         assert mean == pytest.approx(np.mean(column))
     assert sum(by_term.values()) == pytest.approx(
-        result.summary["mean_return"], abs=1e-4
+        result.summary["episode_return"], abs=1e-4
     )
     crashes = sum(row["crashed"] for row in result.episodes)
     paid = sum(row["return_crash"] for row in result.episodes)
@@ -145,29 +104,12 @@ def test_members_of_a_mixture_get_their_shares_of_the_lots(shares, lots, counts)
     assert np.bincount(allot(shares, lots), minlength=len(shares)).tolist() == counts
 
 
-@pytest.fixture(scope="module")
-def mixed():
-    """Six episodes asked for, in a mixture of a square and streets."""
-    street = StreetConfig(bays_per_side=(3, 4))
-    env = ParkingEnv(
-        EnvConfig(
-            layout=mixture(["compact", street], [2, 1]),
-            num_agents=1,
-            num_parked_cars=1,
-            episode=EpisodeConfig(max_steps=5),
-        ),
-        SlidePhysics(),
-    )
-    return evaluate(env, random_policy(ActionSpec(2)), num_episodes=6, seed=3), env
-
-
 def test_families_are_summed_up_apart_and_add_up(mixed):
-    result, _ = mixed
-    of_lot = {row["lot"]: row["family"] for row in result.episodes}
+    of_lot = {row["lot"]: row["family"] for row in mixed.episodes}
     assert of_lot == dict(enumerate(["compact"] * 4 + ["street"] * 2))
-    assert list(result.families) == ["compact", "street"]
-    for name, summary in result.families.items():
-        rows = [row for row in result.episodes if row["family"] == name]
+    assert list(mixed.families) == ["compact", "street"]
+    for name, summary in mixed.families.items():
+        rows = [row for row in mixed.episodes if row["family"] == name]
         assert summary["episodes"] == len(rows)
         for outcome in OUTCOMES:
             rate = summary[outcome]
@@ -175,13 +117,14 @@ def test_families_are_summed_up_apart_and_add_up(mixed):
             expected = wilson_interval(rate["count"], len(rows))
             assert (rate["low"], rate["high"]) == expected
     for outcome in OUTCOMES:
-        total = sum(summary[outcome]["count"] for summary in result.families.values())
-        assert result.summary[outcome]["count"] == total
+        total = sum(summary[outcome]["count"] for summary in mixed.families.values())
+        assert mixed.summary[outcome]["count"] == total
 
 
-def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(mixed, monkeypatch):
-    result, env = mixed
-    asked = []
+def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(
+    mixed, mixture_env, monkeypatch
+):
+    env, asked = mixture_env, []
 
     def reset(key, split="train", member=None):
         asked.append(split)
@@ -189,45 +132,8 @@ def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(mixed, monke
 
     monkeypatch.setattr(env, "reset", reset)
     again = evaluate(env, random_policy(ActionSpec(2)), num_episodes=6, seed=3)
-    assert again.episodes == result.episodes
+    assert again.episodes == mixed.episodes
     assert asked == ["test"]
-
-
-def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
-    mixed, tmp_path, capsys
-):
-    import evaluate as command
-
-    result, _ = mixed
-    files = command.write_evaluation(tmp_path, result, {})
-    assert [path.name for path in files] == [
-        "evaluation.csv",
-        "evaluation.json",
-        "families.csv",
-    ]
-    with files[2].open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["family"] for row in rows] == ["compact", "street", "all"]
-    assert [int(row["episodes"]) for row in rows] == [4, 2, 6]
-    for row in rows:
-        rates = [float(row[f"{outcome}_rate"]) for outcome in OUTCOMES]
-        assert sum(rates) == pytest.approx(1.0)
-        assert float(row["parked_low"]) <= rates[0] <= float(row["parked_high"])
-    stored = json.loads(files[1].read_text())
-    assert stored["families"]["street"]["episodes"] == 2
-    command.print_families(result)
-    printed = capsys.readouterr().out
-    for name in ("compact", "street", "all"):
-        assert name in printed
-
-
-def test_a_single_lot_has_no_table_of_families(result, tmp_path):
-    import evaluate as command
-
-    files = command.write_evaluation(tmp_path, result, {})
-    assert len(files) == 2
-    assert "families" not in json.loads(files[1].read_text())
-    assert {row["family"] for row in result.episodes} == {"tanner"}
 
 
 def test_impossible_evaluations_are_refused(env):

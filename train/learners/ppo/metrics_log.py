@@ -1,21 +1,12 @@
-"""Where the numbers of a training run go: CSV, TensorBoard and a progress bar."""
+"""Where the numbers of a PPO run go: `metrics.csv` and TensorBoard."""
 
 import csv
-import io
 import math
 from pathlib import Path
 
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from tensorboardX import SummaryWriter
 
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.policy.runs import write_csv
 
 
 class MetricsLog:
@@ -32,12 +23,7 @@ class MetricsLog:
             row for row in _read_rows(folder) if float(row["update"]) <= resume_update
         ]
         self._columns = list(rows[0]) if rows else []
-        text = io.StringIO(newline="")
-        if rows:
-            writer = csv.DictWriter(text, self._columns)
-            writer.writeheader()
-            writer.writerows(rows)
-        write_atomically(self._path, lambda tmp: tmp.write_text(text.getvalue()))
+        write_csv(self._path, rows)
         self._file = self._path.open("a", newline="")
         last_step = int(rows[-1]["env_steps"]) if rows else 0
         self._board = SummaryWriter(
@@ -86,19 +72,3 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
         {name: float(value) for name, value in row.items()}
         for row in _read_rows(folder)
     ]
-
-
-def progress_bar() -> Progress:
-    """A bar over agent steps with rates; fill `task.fields` on update."""
-    return Progress(
-        TextColumn("[bold]PPO"),
-        BarColumn(bar_width=24),
-        TaskProgressColumn(),
-        TextColumn("{task.fields[steps]}"),
-        TextColumn("{task.fields[rate]:>7,.0f} steps/s"),
-        TextColumn("[green]parked {task.fields[parked]:5.1%}"),
-        TextColumn("[red]crashed {task.fields[crashed]:5.1%}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )

@@ -23,7 +23,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import MIN_STD, make_networks, make_policy
 from carpark_mj.policy.runs import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
-from presets import PPOConfig
+from learners.memory import num_bytes
+from learners.ppo.config import PPOConfig
 
 AXIS = "lots"
 
@@ -87,7 +88,7 @@ class Learner:
         """Sets up environment, networks, optimiser and mesh."""
         self.config = config
         self.env = BraxParking(ParkingEnv(config.env))
-        self.renews_lots = config.lot_life > 0 and self.env.env.lot.is_random
+        self.renews_lots = config.lot_life > 0 and self.env.env.layout_config.is_random
         self.networks = make_networks(
             config.networks, self.env.observation_size, self.env.env.action_spec
         )
@@ -131,6 +132,23 @@ class Learner:
             env=self.env.reset(jax.random.split(env_key, self.config.num_lots)),
         )
         return jax.tree.map(_strong, state)
+
+    def shapes(self) -> TrainingState:
+        """Shapes and dtypes of a training state."""
+        return jax.eval_shape(self.build)
+
+    def least_memory(self) -> int:
+        """Bytes that training needs at the least, on all devices together.
+
+        State, gradients, an unroll's observations before and after the steps, and the
+        activations of a minibatch.
+        """
+        config, state = self.config, self.shapes()
+        layers = (*config.networks.policy_layers, *config.networks.value_layers)
+        unroll = 2 * config.steps_per_update * self.env.observation_size
+        activations = config.steps_per_update // config.num_minibatches * sum(layers)
+        numbers = unroll + activations
+        return num_bytes((state, state.policy, state.value)) + 4 * numbers
 
     def place(self, state: TrainingState) -> TrainingState:
         """Lays a state out over the devices: lots sharded, the rest replicated."""

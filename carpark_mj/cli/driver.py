@@ -1,0 +1,68 @@
+"""Who drives in an evaluation or a video, and in which environment."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from carpark_mj.config import EnvConfig, ParkedRule
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.rollout import random_policy, zero_policy
+from carpark_mj.policy.networks import Policy
+from carpark_mj.policy.runs import load_policy
+from carpark_mj.registry import environment
+
+BASELINES = {"zero": zero_policy, "random": random_policy}
+
+
+@dataclasses.dataclass(frozen=True)
+class Driver:
+    """Who is to drive, and where.
+
+    Attributes:
+        env: the environment, of a run the one it was trained in.
+        folder: where files about it go.
+        policy: makes the acting function for an environment.
+    """
+
+    env: EnvConfig
+    folder: Path
+    policy: Callable[[ParkingEnv], Policy]
+
+
+def find_driver(name: str, named: str, deterministic: bool = True) -> Driver:
+    """Finds a baseline or the policy of a run.
+
+    Args:
+        name: `zero`, `random`, or a run folder or checkpoint file.
+        named: name of a baseline's environment; empty = the default one.
+        deterministic: take a distribution's mode instead of samples.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        ValueError: unknown environment, or one given for a run, which has its own.
+    """
+    if name in BASELINES:
+        env = environment(named) if named else EnvConfig()
+        make = BASELINES[name]
+        return Driver(env, Path("runs") / name, lambda env: make(env.action_spec))
+    if named:
+        raise ValueError(f"environment is for zero and random; {name} has its own")
+    loaded = load_policy(Path(name), deterministic)
+    folder = loaded.path.parent
+    folder = folder.parent if folder.name == "checkpoints" else folder
+    return Driver(loaded.env, folder, lambda env: loaded.policy)
+
+
+def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> EnvConfig:
+    """The environment with other settings, where they are not None."""
+    if rule is not None:
+        changes["episode"] = dataclasses.replace(env.episode, parked_rule=rule)
+    given = {name: value for name, value in changes.items() if value is not None}
+    physics = given.get("physics", env.physics)
+    if (physics == "grid") != (env.physics == "grid"):
+        raise ValueError(
+            f"a policy for {env.physics} physics cannot drive on {physics}: actions "
+            "are whole numbers on the grid and continuous elsewhere"
+        )
+    return dataclasses.replace(env, **given)

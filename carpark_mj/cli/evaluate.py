@@ -1,0 +1,99 @@
+"""What `python eval/evaluate.py` does: whole episodes on held-out seeds, reported."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from carpark_mj.cli.common import MAX_EPISODES
+from carpark_mj.cli.driver import adapt, find_driver
+from carpark_mj.config import MetricsConfig, ParkedRule, PhysicsName
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.report import print_report, write_evaluation
+from carpark_mj.evaluation.rollout import Evaluation, evaluate
+
+
+@dataclasses.dataclass(frozen=True)
+class EvaluateConfig:
+    """Settings of `python eval/evaluate.py`.
+
+    Attributes:
+        run: run folder or checkpoint file; or give `--policy`.
+        policy: `zero`, `random`, or a run folder or checkpoint file.
+        environment: of `zero` and `random`, by name, `tanner-fixed` for example; see
+            `carpark_mj.registry`.
+        episodes: whole episodes, rounded up to the same number per agent.
+        seed: of the held-out lots; training never uses these keys.
+        rule: judge by another parked rule than the run was trained under.
+        num_agents: another number of agents than the run was trained with.
+        layout: another lot than the run was trained in: a name or a layout file, or
+            several with commas between.
+        num_parked_cars: another number of parked cars.
+        physics: another back end: `scene` judges crashes by the contacts of one MuJoCo
+            world.
+        stochastic: sample actions instead of taking the distribution's mode.
+        out: folder of the CSV and JSON; default: the run folder, or `runs/NAME` for
+            a baseline.
+    """
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
+    policy: str = ""
+    environment: str = ""
+    episodes: int = 1024
+    seed: int = 0
+    rule: ParkedRule | None = None
+    num_agents: int | None = None
+    layout: str | None = None
+    num_parked_cars: int | None = None
+    physics: PhysicsName | None = None
+    stochastic: bool = False
+    out: str = ""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.episodes <= MAX_EPISODES:
+            raise ValueError(
+                f"episodes must be at least 1 and at most {MAX_EPISODES}, not "
+                f"{self.episodes}"
+            )
+
+
+def main(config: EvaluateConfig) -> Evaluation:
+    """Evaluates, prints the table and writes the files.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        ValueError: impossible settings.
+        OSError: the output folder cannot be written.
+    """
+    if bool(config.run) == bool(config.policy):
+        raise ValueError(
+            "give either a run folder or --policy zero|random|RUN, "
+            f"not {'both' if config.run else 'neither'}"
+        )
+    name = config.run or config.policy
+    driver = find_driver(name, config.environment, not config.stochastic)
+    folder = Path(config.out) if config.out else driver.folder
+    env_config = adapt(
+        driver.env,
+        rule=config.rule,
+        num_agents=config.num_agents,
+        num_parked_cars=config.num_parked_cars,
+        layout=config.layout,
+        physics=config.physics,
+        metrics=MetricsConfig(driving=True, safety=True),
+    )
+    env = ParkingEnv(env_config)
+    folder.mkdir(parents=True, exist_ok=True)  # unwritable? Say so before the work.
+    policy = driver.policy(env)
+    result = evaluate(env, policy, config.episodes, config.seed)
+    title = f"{name}: {env_config.num_agents} agents, {env_config.episode.parked_rule}"
+    title = (
+        f"{title} rule, {env_config.layout} lot, {env_config.physics} physics, "
+        f"seed {config.seed}"
+    )
+    print_report(result, title)
+    settings = {"policy": name, **dataclasses.asdict(config)}
+    written = write_evaluation(folder, result, settings)
+    print(f"wrote {', '.join(map(str, written))}")
+    return result

@@ -1,0 +1,126 @@
+"""Flags from frozen dataclasses, through tyro; a bad one is a sentence, not a box."""
+
+import contextlib
+import dataclasses
+import io
+import itertools
+import os
+import re
+import sys
+import textwrap
+import typing
+from collections.abc import Generator, Sequence
+from typing import Any, TypeVar
+
+import tyro
+
+Config = TypeVar("Config")
+
+# A union of dataclasses gives the flags of the member that is the default.
+_MARKERS = (tyro.conf.AvoidSubcommands,)
+
+
+def read_flags(
+    cls: type[Config],
+    arguments: Sequence[str] | None = None,
+    default: Config | None = None,
+    description: str | None = None,
+    short: Sequence[str] = (),
+    prog: str | None = None,
+) -> Config:
+    """Reads the flags of a dataclass.
+
+    Args:
+        cls: a field is a flag; its docstring says what `--help` prints.
+        arguments: of the command line; None = those of the program.
+        default: what flags that are not given leave as it is; None = `cls()`.
+        description: at the head of the help.
+        short: fields that `--help` lists, if not all; `--help-all` lists them all.
+        prog: how the program is called in the help; None = by its file.
+
+    Raises:
+        ValueError: an unknown flag or an impossible value.
+        SystemExit: after the help.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    options: dict[str, Any] = {"description": description, "prog": prog}
+    if "--help-all" in arguments:
+        arguments = ["--help"]
+    elif short and {"-h", "--help"} & {*arguments}:
+        _print_short_help(cls, default or cls(), short, options)
+    if default is not None:
+        options["default"] = default
+    if {"-h", "--help"} & {*arguments}:
+        return tyro.cli(cls, args=["--help"], config=_MARKERS, **options)
+    with _stderr_as_text() as box:
+        try:
+            return tyro.cli(cls, args=arguments, config=_MARKERS, **options)
+        except SystemExit:
+            if not box.getvalue():
+                raise
+    raise ValueError(_sentence(box.getvalue()))
+
+
+@contextlib.contextmanager
+def _stderr_as_text() -> Generator[io.StringIO]:
+    """Keeps what is written to stderr, in lines so wide that no word is broken."""
+    columns = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = "100000"
+    try:
+        with contextlib.redirect_stderr(io.StringIO()) as text:
+            yield text
+    finally:
+        del os.environ["COLUMNS"]
+        if columns is not None:
+            os.environ["COLUMNS"] = columns
+
+
+def _print_short_help(
+    cls: Any, default: Any, short: Sequence[str], options: dict[str, Any]
+) -> None:
+    """Prints the help of some fields, names the others, and exits."""
+    hints = typing.get_type_hints(cls, include_extras=True)
+    fields = dataclasses.fields(cls)
+    others = [field.name for field in fields if field.name not in short]
+    # A subclass, so that the docstrings of all fields are found.
+    part = dataclasses.make_dataclass(
+        cls.__name__,
+        [
+            (name, tyro.conf.Suppress[hints[name]], getattr(default, name))
+            for name in others
+        ],
+        bases=(cls,),
+        frozen=True,
+        namespace={"__doc__": cls.__doc__},
+    )
+    flags = [
+        f"--{name.replace('_', '-')}"
+        + (".*" if dataclasses.is_dataclass(getattr(default, name)) else "")
+        for name in others
+    ]
+    try:
+        tyro.cli(
+            part,
+            args=["--help"],
+            default=part(**{f.name: getattr(default, f.name) for f in fields}),
+            **options,
+        )
+    finally:
+        text = f"More settings, which --help-all explains: {', '.join(flags)}"
+        print("\n".join(textwrap.wrap(text, 80, break_on_hyphens=False)))
+
+
+def _sentence(box: str) -> str:
+    """What tyro says in a box on stderr, without frame, title and helptext."""
+    text = re.sub(r"\x1b\[[0-9;]*m", "", box)
+    lines = [line.strip("│ ") for line in text.splitlines()]
+    # Under the title: within the frame, or below a rule where there is no UTF-8.
+    start = 1 if lines[0].startswith("╭") else 2
+    message = itertools.takewhile(_is_text, lines[start:])
+    sentence = re.sub(r"^Error parsing (\w+: )?", "", " ".join(message))
+    meant = re.search(r"Perhaps you meant:\s*(--\S+)", "\n".join(lines))
+    return f"{sentence}; perhaps you meant {meant[1]}" if meant else sentence
+
+
+def _is_text(line: str) -> bool:
+    return re.fullmatch(r"[─╰╯-]*", line) is None

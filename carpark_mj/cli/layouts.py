@@ -1,0 +1,188 @@
+"""Looks at layouts: pictures, checks of their plans, trial runs of their scenes.
+
+python -m carpark_mj.layouts --plot lots.png
+python -m carpark_mj.layouts --check 1000 --run 20
+python -m carpark_mj.layouts street my_lot.json --check 1000
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import numpy as np
+import tyro
+
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.config import LayoutConfig
+from carpark_mj.config.checks import at_least
+from carpark_mj.layouts import (
+    AngledConfig,
+    DeadEndConfig,
+    DesignCar,
+    GarageRowConfig,
+    LotConfig,
+    generate,
+    layout_config,
+)
+from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.plot import contact_sheet
+from carpark_mj.layouts.standards import Level, Orientation
+from carpark_mj.layouts.types import Layout
+
+PROGRAM = "python -m carpark_mj.layouts"
+CHUNK = 250  # layouts drawn at once
+NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
+
+_LEVELS: tuple[tuple[Orientation, Level], ...] = (
+    ("perpendicular", "normal"),
+    ("perpendicular", "complex"),
+    ("parallel", "normal"),
+    ("parallel", "complex"),
+    ("parallel", "extreme"),
+)
+
+# Every family, and the variants of those that have some.
+SHOWN: dict[str, LayoutConfig | str] = {
+    "tanner": "tanner",
+    "compact": "compact",
+    "street": "street",
+    "street_parallel": "street_parallel",
+    "angled, nose-in": AngledConfig(),
+    "angled, back-in": AngledConfig(back_in=True, angle=(45.0, 60.0)),
+    "lot": "lot",
+    "lot, deck with pillars": LotConfig(
+        pillar_every=3, row_ends="bollards", num_aisles=(1, 3)
+    ),
+    "lot, angled": LotConfig(
+        angle=(50.0, 75.0), two_way=False, extra_aisle=(0.0, 0.6), boundary="kerb"
+    ),
+    "mixture": "mixture",
+    **{
+        f"{family}, {orientation}, {level}": config(
+            level=level, orientation=orientation
+        )
+        for family, config in (
+            ("garage_row", GarageRowConfig),
+            ("dead_end", DeadEndConfig),
+        )
+        for orientation, level in _LEVELS
+    },
+}
+
+
+def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layout]:
+    """Draws lots of one layout, as numpy arrays; keys are `fold_in(key(seed), k)`."""
+    config = layout_config(layout)
+    make = jax.jit(jax.vmap(lambda key: generate(config, key)))
+    fold = jax.vmap(jax.random.fold_in, (None, 0))
+    chunk = min(CHUNK, num_keys)
+    for first in range(0, num_keys, chunk):
+        numbers = first + jax.numpy.arange(chunk)
+        batch = jax.device_get(make(fold(jax.random.key(seed), numbers)))
+        for row in range(min(chunk, num_keys - first)):
+            yield jax.tree.map(lambda leaf, row=row: leaf[row], batch)
+
+
+def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
+    """What is wrong with the lots of so many keys, a sentence each."""
+    config = layout_config(layout)
+    car: DesignCar = getattr(config, "car", DesignCar())
+    found = []
+    for number, drawn in enumerate(draw(config, num_keys, seed)):
+        problems = describe_faults(drawn, car.size)
+        bays = int(drawn.bay_mask.sum())
+        if bays < config.min_bays:
+            problems.append(f"{bays} bays, {config.min_bays} were promised")
+        found += [f"key {number}: {problem}" for problem in problems]
+    return found
+
+
+def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
+    """What MuJoCo warns of while the scenes of so many keys run, a sentence each."""
+    return [
+        f"key {number}: {warning}"
+        for number, drawn in enumerate(draw(layout, num_keys, seed))
+        for warning in run_scene(drawn)
+    ]
+
+
+def run_scene(layout: Layout) -> list[str]:
+    """What MuJoCo warns of while the scene of one lot runs for a second.
+
+    Every bay holds a parked car; cars to drive stand in the first spawn regions.
+    """
+    from carpark_mj.scene.export import drivable_scene, try_out
+    from carpark_mj.vehicle import COMPACT
+
+    starts = np.asarray(layout.spawn_pose[layout.spawn_mask][:NUM_DRIVEN])
+    parked = np.asarray(layout.bay_pose[layout.bay_mask])
+    return try_out(drivable_scene(layout, COMPACT, starts, parked))
+
+
+@dataclasses.dataclass(frozen=True)
+class LayoutsConfig:
+    """Settings of `python -m carpark_mj.layouts`.
+
+    Attributes:
+        layouts: names or layout files; all families if none.
+        plot: picture to write, with two lots of each.
+        check: how many keys of each to check.
+        run: how many scenes of each to run.
+        seed: of the keys.
+    """
+
+    layouts: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT ...")
+    ] = ()
+    plot: str = ""
+    check: int = 0
+    run: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        at_least(self, 0, "check", "run")
+        if not (self.plot or self.check or self.run):
+            raise ValueError(
+                "nothing to do: give --plot FILE, --check N or --run N (N > 0)"
+            )
+
+
+def look(config: LayoutsConfig) -> bool:
+    """Draws, checks and runs; whether all is sound.
+
+    Raises:
+        ValueError: unknown layouts, or files that are none.
+        OSError: the picture cannot be written.
+    """
+    shown = {name: name for name in config.layouts} or SHOWN
+    if config.plot:
+        pictures = [
+            (name, drawn)
+            for name, layout in shown.items()
+            for drawn in draw(layout, 2, config.seed)
+        ]
+        print(f"wrote {contact_sheet(pictures, Path(config.plot))}")
+    sound = True
+    for name, layout in shown.items():
+        for judge, number in ((check, config.check), (run, config.run)):
+            if not number:
+                continue
+            found = judge(layout, number, config.seed)
+            sound = sound and not found
+            what = "problems" if judge is check else "warnings"
+            print(f"{name}: {number} keys, {len(found)} {what}", flush=True)
+            print("".join(f"  {problem}\n" for problem in found[:10]), end="")
+    return sound
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code, 1 if a layout is not sound."""
+
+    def command() -> int:
+        config = read_flags(LayoutsConfig, arguments, description=__doc__, prog=PROGRAM)
+        return 0 if look(config) else 1
+
+    return run_command("layouts", command)

@@ -1,0 +1,211 @@
+"""Writes a car park as MJCF that drives in the MuJoCo viewer, or opens it there.
+
+python -m carpark_mj.scene --layout square --out scene.xml
+python -m mujoco.viewer --mjcf=scene.xml
+python -m carpark_mj.scene --layout lot --seed 3 --view
+python -m carpark_mj.scene --layout lot --seed 3 --view web
+python -m carpark_mj.scene --policy runs/cpu-0 --view web
+python -m carpark_mj.scene --layout square --suspension --view
+"""
+
+import dataclasses
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import jax
+import mujoco
+import numpy as np
+
+from carpark_mj.cli.common import run_command
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import layout_config
+from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.policy.runs import load_policy
+from carpark_mj.rendering.live import LiveLot
+from carpark_mj.rendering.web import (
+    HOST,
+    PORT,
+    make_live_viewer,
+    make_viewer,
+    require_web,
+)
+from carpark_mj.scene.export import drivable_scene, scene_xml
+from carpark_mj.vehicle import preset
+
+PROGRAM = "python -m carpark_mj.scene"
+NO_DISPLAY = (
+    "no display to open a window on (DISPLAY and WAYLAND_DISPLAY are unset): use a "
+    "desktop session or `ssh -X`, or look at it in a browser with --view web, or write "
+    "a file with --out and open it elsewhere with `python -m mujoco.viewer "
+    "--mjcf=FILE`, or render off-screen with `python eval/render.py zero --frame 0`"
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneConfig:
+    """Settings of `python -m carpark_mj.scene`.
+
+    Attributes:
+        layout: name of a lot or a family (`square`, `street`, `lot`...), or a layout
+            file, as in `EnvConfig`; default `square`, or the policy's.
+        out: MJCF file to write; it needs no other file and no carpark_mj.
+        view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
+            a page on this machine for a browser.
+        policy: run folder or checkpoint whose policy drives; in the browser only.
+        num_agents: cars to drive; default 2, or as the policy was trained.
+        num_parked_cars: cars standing in bays; default 16, or as many as the bays of
+            a smaller lot allow, or as the policy was trained.
+        vehicle: preset of all cars; default `compact`, or the policy's.
+        suspension: springs between the wheels and the cars to drive.
+        seed: of what stands where.
+        port: of the page.
+    """
+
+    layout: str | None = None
+    out: str = ""
+    view: Literal["", "window", "web"] = ""
+    policy: str = ""
+    num_agents: int | None = None
+    num_parked_cars: int | None = None
+    vehicle: str | None = None
+    suspension: bool = False
+    seed: int = 0
+    port: int = PORT
+
+    def __post_init__(self) -> None:
+        if not self.out and not self.view:
+            raise ValueError("give --out FILE.xml to write the scene, --view, or both")
+        if self.policy and (self.view != "web" or self.out):
+            raise ValueError(
+                "a policy drives in the browser only: give --view web alone"
+            )
+        if self.out and Path(self.out).suffix != ".xml":
+            raise ValueError(f"out must end in .xml, not {self.out!r}")
+
+
+def env_config(config: SceneConfig, base: EnvConfig) -> EnvConfig:
+    """The environment with what the settings name in place of its own."""
+    given = {
+        name: getattr(config, name)
+        for name in ("layout", "vehicle", "num_agents", "num_parked_cars")
+        if getattr(config, name) is not None
+    }
+    return dataclasses.replace(base, **given)
+
+
+def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
+    """Draws a lot as an episode would start and builds its drivable scene.
+
+    Returns:
+        The scene and the lot's half widths (2,) [m].
+
+    Raises:
+        ValueError: unknown vehicle, or more cars than the lot holds.
+    """
+    env = ParkingEnv(env_config(config, default_env(config)))
+    state, _ = jax.jit(env.reset)(jax.random.key(config.seed))
+    spec = drivable_scene(
+        state.layout,
+        env.vehicle,
+        np.asarray(state.motion.pose_w),
+        np.asarray(state.parked_cars.pose_w),
+        config.suspension,
+    )
+    return spec, np.asarray(state.layout.extent)
+
+
+def default_env(config: SceneConfig) -> EnvConfig:
+    """Two agents, and sixteen parked cars or what a smaller lot leaves room for."""
+    base = EnvConfig(layout=config.layout or "square", num_parked_cars=0)
+    agents = config.num_agents or base.num_agents
+    room = layout_config(base.layout).min_bays - agents
+    return dataclasses.replace(base, num_parked_cars=max(0, min(16, room)))
+
+
+def show_policy(config: SceneConfig) -> None:
+    """Serves a lot in which a trained policy drives, until Ctrl-C.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        OSError: the browser view is not installed.
+    """
+    require_web()  # before the work
+    loaded = load_policy(Path(config.policy))
+    env = ParkingEnv(env_config(config, loaded.env))
+    viewer, server = make_live_viewer(
+        LiveLot(env, loaded.policy, config.seed), config.port
+    )
+    print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
+    viewer.run()
+
+
+def main(config: SceneConfig) -> None:
+    """Writes and shows.
+
+    Raises:
+        CheckpointError: the policy cannot be read.
+        ValueError: impossible settings.
+        OSError: the file cannot be written, or there is no display or browser view.
+    """
+    if config.policy:
+        show_policy(config)
+        return
+    display = sys.platform != "linux" or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+    blind = config.view == "window" and not display
+    if blind and not config.out:
+        raise OSError(NO_DISPLAY)
+    if config.view == "web":
+        require_web()
+    spec, extent = make_scene(config)
+    if config.out:
+        path = Path(config.out)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        vehicle = preset(env_config(config, default_env(config)).vehicle)
+        text = scene_xml(spec, vehicle, config.out)
+        write_atomically(path, lambda temporary: temporary.write_text(text))
+        print(f"wrote {path}; open it: python -m mujoco.viewer --mjcf={path}")
+    if blind:
+        raise OSError(NO_DISPLAY)
+    if config.view == "web":
+        model = spec.compile()
+        viewer, server = make_viewer(model, mujoco.MjData(model), extent, config.port)
+        print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
+        viewer.run()
+    elif config.view:
+        from mujoco import viewer as window
+
+        window.launch(spec.compile())
+
+
+def complete(arguments: Sequence[str]) -> list[str]:
+    """The command line with `--view` alone written out as `--view window`."""
+    followed = zip(arguments, [*arguments[1:], "--"], strict=False)
+    return [
+        word
+        for argument, after in followed
+        for word in (
+            (argument, "window")
+            if argument == "--view" and after.startswith("--")
+            else (argument,)
+        )
+    ]
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command("scene", lambda: _run(arguments))
+
+
+def _run(arguments: Sequence[str] | None) -> None:
+    try:
+        from carpark_mj.cli.flags import read_flags
+    except ImportError:
+        raise OSError("flags need tyro: pip install 'carpark_mj[eval]'") from None
+    words = complete(sys.argv[1:] if arguments is None else arguments)
+    main(read_flags(SceneConfig, words, description=__doc__, prog=PROGRAM))

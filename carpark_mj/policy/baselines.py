@@ -1,0 +1,35 @@
+"""Policies that look at nothing, to compare others with."""
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.policy.networks import Policy
+
+
+def zero_policy(action: ActionSpec) -> Policy:
+    """Takes the middle of every range: stands on the brake, or lets things be."""
+
+    def policy(observation: jax.Array, key: jax.Array):
+        del key
+        shape = (*observation.shape[:-1], action.size)
+        return jnp.broadcast_to(action.middle, shape), {}
+
+    return policy
+
+
+def random_policy(action: ActionSpec) -> Policy:
+    """Draws every number and every index of an action uniformly."""
+
+    def policy(observation: jax.Array, key: jax.Array):
+        lead, keys = observation.shape[:-1], (key, key)
+        if action.choices:
+            keys = jax.random.split(key)
+        shape = (*lead, action.continuous)
+        numbers = jax.random.uniform(keys[0], shape, minval=-1.0, maxval=1.0)
+        counts = jnp.array(action.choices, jnp.int32)
+        indices = jax.random.randint(keys[1], (*lead, len(counts)), 0, counts)
+        parts = [part.astype(action.dtype) for part in (numbers, indices)]
+        return jnp.concatenate(parts, axis=-1), {}
+
+    return policy

@@ -1,0 +1,128 @@
+"""Flags: a bad one is a sentence, and a union gives the flags of its default."""
+
+import dataclasses
+import io
+import math
+import re
+import sys
+from typing import Literal
+
+import pytest
+
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.layouts import LayoutsConfig
+from carpark_mj.cli.render import RenderConfig
+from carpark_mj.cli.scene import complete
+
+
+@dataclasses.dataclass(frozen=True)
+class Near:
+    reach: float = 1.0
+    kind: Literal["near"] = "near"
+
+
+@dataclasses.dataclass(frozen=True)
+class Far:
+    far_reach: float = 9.0
+    kind: Literal["far"] = "far"
+
+    def __post_init__(self) -> None:
+        if self.far_reach > 10:
+            raise ValueError(f"far_reach must be at most 10, not {self.far_reach}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Settings.
+
+    Attributes:
+        count: how many there are.
+        eye: what is seen.
+    """
+
+    count: int = 3
+    eye: Near | Far = dataclasses.field(default_factory=Near)
+
+
+def test_the_flags_of_a_union_are_those_of_the_default():
+    assert read_flags(Settings, ["--eye.reach", "2"]).eye == Near(2.0)
+    far = Settings(eye=Far())
+    assert read_flags(Settings, ["--eye.far-reach", "8"], far).eye == Far(8.0)
+    with pytest.raises(ValueError, match=r"Unrecognized options: --eye.reach"):
+        read_flags(Settings, ["--eye.reach", "2"], far)
+
+
+WIDE = "x" * 300
+INT = "--count: invalid literal for int() with base 10:"
+BAD = {
+    "value": (["--count", "a"], f"{INT} 'a'"),
+    "refused": (["--eye.far-reach", "11"], "far_reach must be at most 10, not 11.0"),
+    "choice": (["--eye.kind", "none"], "invalid choice 'none' for argument"),
+    "near miss": (
+        ["--counts", "3"],
+        "Unrecognized options: --counts, 3; perhaps you meant --count",
+    ),
+    "wide": (["--count", WIDE], f"{INT} '{WIDE}'"),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])  # of the frames tyro draws
+@pytest.mark.parametrize("case", sorted(BAD))
+def test_a_bad_flag_is_one_sentence(case, encoding, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))
+    arguments, message = BAD[case]
+    with pytest.raises(ValueError, match=re.escape(message)) as caught:
+        read_flags(Settings, arguments, Settings(eye=Far()))
+    told = str(caught.value)
+    assert told.startswith(message)
+    assert not re.search(r"[\n│╭─]|---|helptext", told)
+
+
+def test_a_short_help_lists_some_and_names_the_others(capsys):
+    with pytest.raises(SystemExit) as stop:
+        read_flags(Settings, ["-h"], short=("count",))
+    assert stop.value.code == 0
+    printed = capsys.readouterr().out
+    assert "how many there are" in printed
+    assert "which --help-all explains: --eye.*\n" in printed
+    assert "--eye.reach" not in printed
+    for arguments, short in ((["--help-all"], ("count",)), (["--help"], ())):
+        with pytest.raises(SystemExit):
+            read_flags(Settings, arguments, short=short)
+        assert "--eye.reach" in capsys.readouterr().out
+
+
+def test_what_the_user_can_mend_is_one_line_and_exit_code_2(capsys):
+    def fail(error):
+        raise error
+
+    for error, line in (
+        (ValueError("a\n b"), "name: a b\n"),
+        (MemoryError(), "name: not enough memory, choose smaller sizes"),
+        (FileNotFoundError(2, "No such file", "x"), "name: cannot use x: No such"),
+    ):
+        assert run_command("name", lambda error=error: fail(error)) == 2
+        told = capsys.readouterr().err
+        assert told.startswith(line)
+        assert told.count("\n") == 1
+    assert run_command("name", lambda: fail(KeyboardInterrupt())) == 130
+    assert run_command("name", lambda: None) == 0
+    assert run_command("name", lambda: 1) == 1
+    with pytest.raises(KeyError):  # an error of ours keeps its traceback
+        run_command("name", lambda: fail(KeyError("x")))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["seconds", "fps", "frame"])
+def test_no_setting_of_a_video_is_infinite_or_nan(name, value):
+    with pytest.raises(ValueError, match=rf"^{name} must .*not {value}$"):
+        RenderConfig(run="zero", **{name: value})
+
+
+def test_a_command_without_arguments_is_told_what_to_give(monkeypatch):
+    assert complete([]) == []
+    monkeypatch.setattr(sys, "argv", ["layouts"])
+    with pytest.raises(ValueError, match="nothing to do: give --plot FILE"):
+        read_flags(LayoutsConfig)

@@ -1,0 +1,92 @@
+"""The report: files that add up to what was found, and tables on the screen."""
+
+import csv
+import json
+
+import pytest
+
+from carpark_mj.evaluation.aggregation import OUTCOMES, summarise
+from carpark_mj.evaluation.report import (
+    print_families,
+    print_metrics,
+    print_table,
+    write_evaluation,
+)
+
+
+def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys):
+    table, data = write_evaluation(tmp_path, everything, {})
+    with table.open(newline="") as file:
+        rows = [
+            {name: float(x) for name, x in row.items() if name != "family"}
+            for row in csv.DictReader(file)
+        ]
+    stored = json.loads(data.read_text())["summary"]
+    assert json.dumps(summarise(rows)) == json.dumps(stored)  # NaN like NaN
+    print_metrics(everything.summary)
+    printed = capsys.readouterr().out
+    for name in ("nearest car", "min collision time agent", "worst 5 %"):
+        assert name in printed
+
+
+def test_the_first_table_tells_outcomes_and_how_parked_episodes_went(
+    everything, capsys
+):
+    rates = {
+        name: {"rate": 0.25, "low": 0.1, "high": 0.4, "count": 1} for name in OUTCOMES
+    }
+    driven = {
+        "time_to_park": 12.34,
+        "path": 17.26,
+        "gear_changes": 1.5,
+        "final_distance": 0.123,
+        "final_heading": 0.1,
+        "final_speed": 0.456,
+        "wrong_way_share": 0.037,
+    }
+    print_table(everything.summary | rates | driven, "a title")
+    printed = " ".join(capsys.readouterr().out.split())
+    for text in ("a title: 90 episodes", "25.0%", "10.0% … 40.0%", "timed out"):
+        assert text in printed
+    for text in (
+        "12.3 s",
+        "17.3 m",
+        "1.5 gear changes",
+        "0.12 m",
+        "5.7 deg",
+        "0.46 m/s",
+    ):
+        assert text in printed
+    assert "3.7% of the way driven against the lanes" in printed
+
+
+def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
+    mixed, tmp_path, capsys
+):
+    files = write_evaluation(tmp_path, mixed, {})
+    assert [path.name for path in files] == [
+        "evaluation.csv",
+        "evaluation.json",
+        "families.csv",
+    ]
+    with files[2].open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["family"] for row in rows] == ["compact", "street", "all"]
+    assert [int(row["episodes"]) for row in rows] == [4, 2, 6]
+    for row in rows:
+        rates = [float(row[f"{outcome}_rate"]) for outcome in OUTCOMES]
+        assert sum(rates) == pytest.approx(1.0)
+        assert float(row["parked_low"]) <= rates[0] <= float(row["parked_high"])
+    stored = json.loads(files[1].read_text())
+    assert stored["families"]["street"]["episodes"] == 2
+    print_families(mixed)
+    printed = capsys.readouterr().out
+    for name in ("compact", "street", "all"):
+        assert name in printed
+
+
+def test_a_single_lot_has_no_table_of_families(everything, tmp_path):
+    files = write_evaluation(tmp_path, everything, {})
+    assert len(files) == 2
+    assert "families" not in json.loads(files[1].read_text())
+    assert {row["family"] for row in everything.episodes} == {"tanner"}

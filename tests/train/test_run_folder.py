@@ -1,0 +1,105 @@
+"""Run folders: their names, their lock, and settings no run can have."""
+
+import dataclasses
+import json
+import math
+
+import pytest
+
+from carpark_mj.cli.evaluate import EvaluateConfig
+from carpark_mj.policy.checkpoints import CheckpointError
+from learners.memory import device_memory, require_memory
+from learners.ppo.config import PPOConfig
+from learners.q_learning.config import QLearningConfig
+from learners.run_folder import open_run
+from learners.settings import read_config
+
+TRAINERS = (PPOConfig, QLearningConfig)
+NAMES = ("../../x", "/tmp/x", "a/b", "a\\b", "..", ".", " ", "\t", "a\nb", "a\0b")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("cls", TRAINERS)
+def test_a_name_is_that_of_one_folder(cls, name):
+    with pytest.raises(ValueError, match="name must be the name of one folder"):
+        cls(name=name)
+    assert cls(name="a b.c-2").name == "a b.c-2"
+
+
+FLOATS = [
+    (cls, field.name)
+    for cls in TRAINERS
+    for field in dataclasses.fields(cls)
+    if isinstance(field.default, float)
+]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(("cls", "name"), FLOATS)
+def test_no_setting_of_a_trainer_is_infinite_or_nan(cls, name, value):
+    with pytest.raises(ValueError, match=rf"^{name} must .*, not {value}$"):
+        cls(**{name: value})
+
+
+@pytest.mark.parametrize("cls", TRAINERS)
+def test_a_seed_is_one_that_a_key_can_have(cls):
+    assert cls(seed=2**32 - 1).seed
+    for seed in (-1, 2**32):
+        with pytest.raises(ValueError, match=f"seed must lie in .*, not {seed}"):
+            cls(seed=seed)
+
+
+def test_what_follows_the_training_is_refused_before_it():
+    with pytest.raises(ValueError, match="eval_episodes must lie in"):
+        PPOConfig(eval_episodes=10**9)
+    with pytest.raises(ValueError, match="video_seconds must lie in"):
+        PPOConfig(video_seconds=1e6)
+    with pytest.raises(ValueError, match="episodes must be at least 1 and at most"):
+        EvaluateConfig(policy="zero", episodes=10**9)
+
+
+def test_a_folder_is_held_by_one_process_at_a_time(tmp_path):
+    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
+    with open_run(config) as folder:
+        resumed = dataclasses.replace(config, resume=str(folder))
+        with (
+            pytest.raises(ValueError, match=f"another process trains in {folder}"),
+            open_run(resumed),
+        ):
+            pass
+    with open_run(resumed) as again:  # given back
+        assert again == folder
+
+
+def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):
+    def opened(name=""):
+        config = PPOConfig(preset="cpu", name=name, runs_dir=str(tmp_path))
+        with open_run(config) as folder:
+            return folder.name
+
+    assert opened("mine") == "mine"
+    with pytest.raises(ValueError, match=r"mine exists.*--resume"):
+        opened("mine")
+    assert [opened() for _ in range(3)] == ["cpu-0", "cpu-0-2", "cpu-0-3"]
+
+
+def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_path):
+    config = PPOConfig(name="mine", runs_dir=str(tmp_path), clip=0.3)
+    with open_run(config) as folder:
+        assert read_config(PPOConfig, folder) == config
+    path = folder / "config.json"
+    described = json.loads(path.read_text())
+    del described["config_version"]
+    path.write_text(json.dumps(described))
+    with pytest.raises(CheckpointError, match=f"{folder} was trained by an older"):
+        read_config(PPOConfig, folder)
+    for damaged in ("{", "[]", "{}"):
+        path.write_text(damaged)
+        with pytest.raises(CheckpointError, match="is no config of a run"):
+            read_config(PPOConfig, folder)
+
+
+def test_sizes_beyond_the_memory_are_refused():
+    require_memory(device_memory())
+    with pytest.raises(ValueError, match=r"need .* GiB of memory at least"):
+        require_memory(device_memory() + 1)

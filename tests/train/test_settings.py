@@ -1,0 +1,74 @@
+"""Flags of the trainers: presets give defaults, wherever in the line they stand."""
+
+import dataclasses
+
+import pytest
+
+from carpark_mj.registry import TANNER_FIXED
+from learners.ppo.config import RUN_SETTINGS
+from learners.ppo.presets import PRESETS
+from learners.q_learning.presets import Q_PRESETS
+from learners.settings import read_settings
+
+
+def read(*arguments):
+    return read_settings(PRESETS["cpu"], PRESETS, arguments, None, RUN_SETTINGS)
+
+
+def test_a_preset_gives_the_defaults_and_flags_change_them():
+    assert read() == PRESETS["cpu"]
+    assert read("--preset", "auto") == PRESETS["cpu"]
+    changed = read("--seed", "3", "--preset=tanner-fixed", "--env.num-agents", "6")
+    expected = dataclasses.replace(
+        PRESETS["tanner-fixed"],
+        seed=3,
+        env=dataclasses.replace(TANNER_FIXED, num_agents=6),
+    )
+    assert changed == expected
+
+
+def test_settings_need_to_fit_the_named_preset_only():
+    # 128 lots x 7 agents divide by 28, the default's 64 x 2 do not.
+    assert read("--preset", "tanner-fixed", "--num-minibatches", "28").num_lots == 128
+    with pytest.raises(ValueError, match="128 must be a multiple of"):
+        read("--num-minibatches", "28")
+
+
+def test_other_trainers_have_their_own_presets():
+    default = Q_PRESETS["tanner-qlearning"]
+    name = "tanner-qlearning-rings"
+    arguments = (default, Q_PRESETS, ["--preset", name], None, ())
+    assert read_settings(*arguments) == Q_PRESETS[name]
+    with pytest.raises(ValueError, match=r"'cpu' .*tanner-qlearning-rings"):
+        read_settings(default, Q_PRESETS, ["--preset", "cpu"], None, ())
+
+
+def test_the_help_is_of_the_named_preset(capsys):
+    with pytest.raises(SystemExit) as stop:
+        read("--preset", "tanner-fixed-original", "--help")
+    assert stop.value.code == 0
+    assert "12800000" in capsys.readouterr().out
+
+
+def test_the_short_help_lists_the_run_and_names_the_rest(capsys):
+    for flag in ("--help", "-h"):
+        with pytest.raises(SystemExit) as stop:
+            read(flag)
+        assert stop.value.code == 0
+        printed = capsys.readouterr().out
+        assert printed.count("\n") < 70
+        for field in dataclasses.fields(PRESETS["cpu"]):
+            assert f"--{field.name.replace('_', '-')}" in printed
+        assert "where runs are kept" in printed
+        assert all(f"\n    {name} " in printed for name in PRESETS)
+        assert "--env.num-agents" not in printed
+
+
+def test_the_whole_help_lists_every_setting(capsys):
+    with pytest.raises(SystemExit) as stop:
+        read("--preset", "gpu", "--help-all")
+    assert stop.value.code == 0
+    printed = capsys.readouterr().out
+    for flag in ("--seed INT", "--clip FLOAT", "--env.num-agents INT"):
+        assert flag in printed
+    assert "(default: 512)" in printed  # the preset's

@@ -1,0 +1,1 @@
+"""PPO: settings, learner, training loop."""

@@ -1,0 +1,166 @@
+"""Settings of PPO training."""
+
+import dataclasses
+from typing import Literal
+
+from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
+from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import at_least, positive, ratio
+from carpark_mj.policy.networks import NetworkConfig
+from learners.run_folder import RunConfig
+
+PresetName = Literal[
+    "auto",
+    "cpu",
+    "gpu",
+    "cpu-mixture",
+    "gpu-mixture",
+    "fixed",
+    "dynamic",
+    "tanner-fixed",
+    "tanner-fixed-original",
+    "tanner-dynamic",
+]
+
+# What the short help lists.
+RUN_SETTINGS = (
+    "preset",
+    "name",
+    "runs_dir",
+    "resume",
+    "time_limit",
+    "seed",
+    "num_steps",
+    "num_lots",
+    "checkpoint_minutes",
+    "eval_episodes",
+    "video_seconds",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class PPOConfig(RunConfig):
+    """Settings of `python train/ppo.py`; every field is a flag.
+
+    The settings of `RunConfig` come first.
+
+    Attributes:
+        preset: settings the other flags start from; `auto` asks JAX for a GPU.
+        num_steps: agent steps in all.
+        num_lots: lots simulated at once.
+        lot_life: updates, at most, until a random lot gives way to another, a few lots
+            after every update; 0 = never. A lot that no key changes stays.
+        unroll_length: control steps between updates.
+        num_minibatches: per epoch.
+        num_epochs: passes over the data of an update.
+        learning_rate: of Adam at the start.
+        learning_rate_end: at the end; linear in between.
+        entropy_cost: weight of the entropy bonus at the start.
+        entropy_cost_end: at the end.
+        clip: PPO's clipping of the probability ratio at the start.
+        clip_end: at the end.
+        discount: per control step.
+        gae_lambda: of generalised advantage estimation.
+        max_grad_norm: gradient clipping.
+        averaged_updates: the policy that is evaluated is the exponential mean over
+            about so many updates; 1 = the last one.
+        hitbox_scale: what cars' lengths and widths count times when it comes to
+            crashes, at first: a margin to learn. Evaluations never scale.
+        hitbox_steps: agent steps until it is 1, in whole updates.
+        checkpoint_updates: if positive, updates between checkpoints instead.
+        eval_episodes: episodes of the evaluation at the end; 0 = none.
+        video_seconds: length of the video at the end [s]; 0 = none.
+        networks: sizes of actor and critic.
+        env: the environment.
+    """
+
+    preset: PresetName = "auto"
+    num_steps: int = 10_000_000
+    num_lots: int = 64
+    lot_life: int = 16
+    unroll_length: int = 64
+    num_minibatches: int = 16
+    num_epochs: int = 4
+    learning_rate: float = 1.5e-3
+    learning_rate_end: float = 2e-4
+    entropy_cost: float = 5e-3
+    entropy_cost_end: float = 1e-3
+    clip: float = 0.2
+    clip_end: float = 0.2
+    discount: float = 0.99
+    gae_lambda: float = 0.92
+    max_grad_norm: float = 1.0
+    averaged_updates: int = 32
+    hitbox_scale: float = 1.0
+    hitbox_steps: int = 0
+    checkpoint_updates: int = 0
+    eval_episodes: int = 1024
+    video_seconds: float = 20.0
+    networks: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
+    env: EnvConfig = dataclasses.field(default_factory=EnvConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(
+            self,
+            1,
+            "num_steps",
+            "num_lots",
+            "unroll_length",
+            "num_minibatches",
+            "num_epochs",
+            "averaged_updates",
+        )
+        positive(self, "learning_rate", "max_grad_norm", "clip", "hitbox_scale")
+        ratio(self, "discount", "gae_lambda")
+        at_least(
+            self,
+            0,
+            "lot_life",
+            "learning_rate_end",
+            "entropy_cost",
+            "entropy_cost_end",
+            "clip_end",
+            "checkpoint_updates",
+            "hitbox_steps",
+        )
+        # Refused now, not when the training is over.
+        for name, most in (
+            ("eval_episodes", MAX_EPISODES),
+            ("video_seconds", MAX_SECONDS),
+        ):
+            if not 0 <= getattr(self, name) <= most:
+                raise ValueError(
+                    f"{name} must lie in [0, {most}], not {getattr(self, name)}"
+                )
+        if self.hitbox_scale != 1.0 and not self.hitbox_steps:
+            raise ValueError(
+                f"hitbox_scale {self.hitbox_scale} needs hitbox_steps of at least 1, "
+                "not 0"
+            )
+        if self.hitbox_scale != 1.0 and self.env.physics == "scene":
+            raise ValueError(
+                f"hitbox_scale must be 1 in scene physics, where crashes are contacts, "
+                f"not {self.hitbox_scale}"
+            )
+        agents = self.num_lots * self.env.num_agents
+        if agents % self.num_minibatches:
+            raise ValueError(
+                f"num_lots x num_agents = {agents} must be a multiple of "
+                f"num_minibatches {self.num_minibatches}"
+            )
+
+    @property
+    def steps_per_update(self) -> int:
+        """Agent steps collected for one update."""
+        return self.num_lots * self.env.num_agents * self.unroll_length
+
+    @property
+    def hitbox_updates(self) -> int:
+        """Updates with scaled hitboxes."""
+        return -(-self.hitbox_steps // self.steps_per_update)
+
+    @property
+    def num_updates(self) -> int:
+        """Updates in all; the last may overshoot `num_steps`."""
+        return -(-self.num_steps // self.steps_per_update)

@@ -1,0 +1,77 @@
+"""Settings of tabular Q-learning."""
+
+import dataclasses
+from typing import Literal
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import at_least, ratio
+from carpark_mj.registry import TANNER_QLEARNING
+from learners.run_folder import RunConfig
+
+QLearningPreset = Literal["tanner-qlearning", "tanner-qlearning-rings"]
+
+# What the short help lists.
+RUN_SETTINGS = (
+    "preset",
+    "name",
+    "runs_dir",
+    "resume",
+    "time_limit",
+    "seed",
+    "num_seeds",
+    "num_lots",
+    "episodes",
+    "eval_episodes",
+    "checkpoint_minutes",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class QLearningConfig(RunConfig):
+    """Settings of `python train/q_learning.py`; every field is a flag.
+
+    The settings of `RunConfig` come first. The rates are those of Tanner 2022, section
+    5.1.1; names follow his table C.6.
+
+    Attributes:
+        preset: experiment the other flags start from: `tanner-qlearning`, figure 5.1,
+            or `tanner-qlearning-rings`, figure 5.2.
+        num_seeds: independent trainings side by side, each with its own table.
+        num_lots: lots that share a table; 1 is faithful to the study, more is faster.
+        episodes: training episodes of each seed, over which the rates fall.
+        eval_episodes: further episodes without random actions, still learning.
+        alpha: learning rate at the start.
+        alpha_min: at the end of the training episodes.
+        gamma: discount per control step.
+        epsilon: share of random actions at the start.
+        epsilon_min: at the end of the training episodes.
+        bootstrap_terminals: value what an agent sees when it has parked or crashed
+            as if it went on, as the study's program does; a slip.
+        window: episodes over which the plot and the table of metrics average.
+        env: the environment.
+    """
+
+    preset: QLearningPreset = "tanner-qlearning"
+    num_seeds: int = 5
+    num_lots: int = 1
+    episodes: int = 2000
+    eval_episodes: int = 1000
+    alpha: float = 0.1
+    alpha_min: float = 0.1
+    gamma: float = 0.9
+    epsilon: float = 0.3
+    epsilon_min: float = 0.001
+    bootstrap_terminals: bool = False
+    window: int = 500
+    env: EnvConfig = TANNER_QLEARNING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(self, 1, "num_seeds", "num_lots", "episodes", "window")
+        at_least(self, 0, "eval_episodes")
+        ratio(self, "alpha", "alpha_min", "gamma", "epsilon", "epsilon_min")
+
+    @property
+    def total_episodes(self) -> int:
+        """Of each seed, training and evaluation."""
+        return self.episodes + self.eval_episodes

@@ -1,0 +1,15 @@
+"""The Q-learning experiments of Tanner 2022."""
+
+from carpark_mj.registry import TANNER_QLEARNING_RINGS
+from learners.q_learning.config import QLearningConfig
+
+Q_PRESETS: dict[str, QLearningConfig] = {
+    "tanner-qlearning": QLearningConfig(),
+    "tanner-qlearning-rings": QLearningConfig(
+        preset="tanner-qlearning-rings",
+        episodes=300_000,
+        eval_episodes=150_000,
+        window=5000,
+        env=TANNER_QLEARNING_RINGS,
+    ),
+}

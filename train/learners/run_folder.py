@@ -1,0 +1,133 @@
+"""The folder of a run: its name, its lock, what is written into it first."""
+
+import contextlib
+import dataclasses
+import fcntl
+import platform
+from collections.abc import Generator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from carpark_mj.config.checks import at_least, positive
+from carpark_mj.policy import runs
+
+LOCK = ".lock"
+MAX_SEED = 2**32 - 1  # what a JAX key takes
+
+
+@dataclasses.dataclass(frozen=True)
+class RunConfig:
+    """Settings of every trainer.
+
+    Attributes:
+        preset: settings the other flags start from.
+        name: folder under `runs_dir`; empty = preset and seed.
+        runs_dir: where runs are kept.
+        resume: folder of a run to continue; its own settings hold.
+        time_limit: stop with a checkpoint after so many minutes; 0 = no limit.
+        seed: of everything.
+        checkpoint_minutes: time between checkpoints.
+    """
+
+    preset: str = ""
+    name: str = ""
+    runs_dir: str = "runs"
+    resume: str = ""
+    time_limit: float = 0.0
+    seed: int = 0
+    checkpoint_minutes: float = 1.0
+
+    def __post_init__(self) -> None:
+        at_least(self, 0, "time_limit")
+        positive(self, "checkpoint_minutes")
+        if not 0 <= self.seed <= MAX_SEED:
+            raise ValueError(f"seed must lie in [0, {MAX_SEED}], not {self.seed}")
+        if self.name and not _is_folder_name(self.name):
+            raise ValueError(
+                f"name must be the name of one folder in runs_dir, not {self.name!r}"
+            )
+        if not self.runs_dir.strip():
+            raise ValueError(f"runs_dir must name a folder, not {self.runs_dir!r}")
+
+
+def _is_folder_name(name: str) -> bool:
+    return (
+        bool(name.strip())
+        and name.isprintable()
+        and name not in (".", "..")
+        and not {"/", "\\"} & {*name}
+    )
+
+
+@contextlib.contextmanager
+def open_run(config: RunConfig) -> Generator[Path]:
+    """Holds the folder of a run, for this process alone.
+
+    It is a new one with `config.json`, or the one to resume.
+
+    Raises:
+        ValueError: the given name is taken, or another process trains in the folder.
+        OSError: the folder cannot be written.
+    """
+    folder = Path(config.resume) if config.resume else _new_folder(config)
+    with _lock(folder):
+        if not config.resume:
+            runs.write_json(folder / "config.json", describe(config))
+        yield folder
+
+
+def _new_folder(config: RunConfig) -> Path:
+    name = config.name or f"{config.preset}-{config.seed}"
+    folder = Path(config.runs_dir) / name
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while True:
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            if config.name:
+                raise ValueError(
+                    f"{folder} exists: choose another --name, or go on with "
+                    f"--resume {folder}"
+                ) from None
+            number += 1  # an unnamed run never touches an older one
+            folder = folder.with_name(f"{name}-{number}")
+        else:
+            return folder
+
+
+@contextlib.contextmanager
+def _lock(folder: Path) -> Generator[None]:
+    """Keeps other processes from training here; a killed process keeps nobody."""
+    with (folder / LOCK).open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(
+                f"another process trains in {folder}: stop it or wait for its end"
+            ) from None
+        yield
+
+
+def describe(config: RunConfig) -> dict[str, Any]:
+    """Everything needed to know what ran: settings, versions, device."""
+    packages = ("carpark_mj", "mujoco", "mujoco-mjx", "jax", "brax", "numpy")
+    return {
+        "config_version": runs.CONFIG_VERSION,
+        "config": dataclasses.asdict(config),
+        "versions": {name: _version(name) for name in packages},
+        "python": platform.python_version(),
+        "device": jax.devices()[0].device_kind,
+        "num_devices": jax.local_device_count(),
+        "matmul_precision": "highest in the environment, default in the networks",
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"

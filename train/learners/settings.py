@@ -1,0 +1,107 @@
+"""Settings of a trainer: a preset gives their defaults, a resumed run all of them."""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.config import EnvConfig
+from carpark_mj.policy import runs
+from carpark_mj.policy.checkpoints import CheckpointError
+from learners.run_folder import RunConfig
+
+RESUME_FLAGS = ("resume", "time_limit")  # what may differ when a run is resumed
+
+Config = TypeVar("Config", bound=RunConfig)
+
+
+def read_settings(
+    default: Config,
+    presets: Mapping[str, Config],
+    arguments: Sequence[str] | None,
+    description: str | None,
+    short: Sequence[str],
+) -> Config:
+    """Reads the flags of a trainer.
+
+    Args:
+        default: preset taken if the flag `preset` names none of the presets.
+        presets: by name.
+        arguments: of the command line; None = those of the program.
+        description: at the head of the help.
+        short: settings that the short help lists.
+
+    Raises:
+        ValueError: impossible settings.
+        CheckpointError: `--resume` names no run, or one of an older version.
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    # By itself first: settings that fit no other preset may fit the one named.
+    preset = presets.get(_named_preset(arguments), default)
+    text = f"{description or ''}\nPresets:\n{_preset_table(presets)}\n"
+    config = read_flags(type(default), arguments, preset, text, short)
+    if not config.resume:
+        return dataclasses.replace(config, preset=preset.preset)
+    changed = [
+        field.name
+        for field in dataclasses.fields(config)
+        if getattr(config, field.name) != getattr(preset, field.name)
+        and field.name not in RESUME_FLAGS
+    ]
+    if changed:
+        raise ValueError(
+            f"a resumed run keeps its own settings: drop {', '.join(changed)} "
+            f"(allowed with --resume: --time-limit)"
+        )
+    stored = read_config(type(default), Path(config.resume))
+    return dataclasses.replace(
+        stored, resume=config.resume, time_limit=config.time_limit
+    )
+
+
+def read_config(cls: type[Config], folder: Path) -> Config:
+    """Reads the settings a run was started with.
+
+    Raises:
+        CheckpointError: there is no such run, or another version wrote it.
+    """
+    path = folder / "config.json"
+    try:
+        described = json.loads(path.read_text())
+    except (FileNotFoundError, NotADirectoryError):
+        raise CheckpointError(f"no run at {folder} (no {path})") from None
+    except ValueError as error:
+        raise CheckpointError(f"{path} is no config of a run: {error}") from None
+    if not isinstance(described, dict) or "config" not in described:
+        raise CheckpointError(f"{path} is no config of a run")
+    runs.check_version(described, path)
+    try:
+        return runs.from_dict(cls, described["config"])
+    except (TypeError, ValueError) as error:
+        raise CheckpointError(f"{path} is no config of a run: {error}") from None
+
+
+def _named_preset(arguments: Sequence[str]) -> str:
+    name = ""
+    for word, after in zip(arguments, [*arguments[1:], ""], strict=False):
+        flag, equals, value = word.partition("=")
+        if flag == "--preset":
+            name = value if equals else after
+    return name
+
+
+def _preset_table(presets: Mapping[str, Any]) -> str:
+    """A line per preset that says what is trained."""
+    width = max(map(len, presets))
+    lines: list[str] = []
+    for name, config in presets.items():
+        env: EnvConfig = config.env
+        goals = "dynamic" if env.goals.dynamic else "fixed"
+        lines.append(
+            f"    {name:{width}}  {env.layout} lot, {env.num_agents} agents, "
+            f"{goals} goals, {env.physics} physics"
+        )
+    return "\n".join(lines)
