@@ -124,7 +124,7 @@ BAYS = lot([(10.0, 5.0, math.pi / 2), (-4.0, 0.0, 0.0), (2.0, 2.0, 0.0), (2.0, 9
 
 def test_a_hand_worked_scene():
     # Agent 0 at (2, 1) facing north: ahead is +y, left is -x.
-    vehicle = cars(
+    motion = cars(
         [(2.0, 1.0, math.pi / 2), (2.0, 5.0, math.pi), (-3.0, 1.0, 0.0)],
         speed=[1.5, -0.6, 3.0],
         steering=[-0.3, 0.0, 0.6],
@@ -132,7 +132,7 @@ def test_a_hand_worked_scene():
         size=[(4.0, 2.0), (5.0, 1.5), (4.0, 2.0)],
     )
     config = ContinuousObservation(rings=RingConfig())
-    named = observed(config, BAYS, vehicle, [0, 1, 2], [2, 3])
+    named = observed(config, BAYS, motion, [0, 1, 2], [2, 3])
     expected = {
         "speed": [0.5],
         "steering": [-0.5],
@@ -181,8 +181,8 @@ def test_a_hand_worked_scene():
 
 def test_close_to_the_goal_the_near_fields_tell_the_offset():
     # 0.9 m behind and 0.6 m right of bay 1, which faces east, and turned by 0.2 rad.
-    vehicle = cars([(-4.9, -0.6, 0.2)])
-    named = observed(CONFIGS[1], BAYS, vehicle, [1])
+    motion = cars([(-4.9, -0.6, 0.2)])
+    named = observed(CONFIGS[1], BAYS, motion, [1])
     np.testing.assert_allclose(named["in_bay"][0], [-0.3, -0.2], atol=1e-6)
     # The goal in the car's frame: turned back by 0.2 rad.
     ahead = 0.9 * math.cos(0.2) + 0.6 * math.sin(0.2)
@@ -202,10 +202,10 @@ def test_rings_count_the_walls_within_their_radius_up_to_the_cap():
     # Unit squares whose nearest faces are 1, 2, 2, 2 and 3 m from the origin.
     walls = [(1.5, 0, 0), (-2.5, 0, 0), (0, 2.5, 0), (0, -2.5, 0), (3.5, 0.0, 0.0)]
     layout = lot([(20.0, 0.0, 0.0)], walls)
-    vehicle = cars([(0.0, 0.0, 1.0), (100.0, 0.0, 0.0)])
+    motion = cars([(0.0, 0.0, 1.0), (100.0, 0.0, 0.0)])
     rings = RingConfig((1.9, 2.1, 3.9, 4.1, 6.1), cap=3)
     config = ContinuousObservation(0, 0, rings=rings)
-    named = observed(config, layout, vehicle, [0, 0])
+    named = observed(config, layout, motion, [0, 0])
     counts = [named[f"ring_{d:g}m"] for d in config.rings.diameters]
     expected = [[0, 0], [1 / 3, 0], [1 / 3, 0], [1, 0], [1, 0]]  # 4 and 5 are capped
     np.testing.assert_allclose(np.squeeze(counts, -1), expected, atol=1e-7)
@@ -258,7 +258,7 @@ def test_cars_that_do_not_exist_are_all_zeros():
 def random_scene(seed=0, count=6):
     """A `tanner` lot with cars anywhere, and its plan."""
     rng = np.random.default_rng(seed)
-    vehicle = cars(
+    motion = cars(
         rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (count, 3)),
         speed=rng.uniform(-2, 3, count),
         steering=rng.uniform(-0.6, 0.6, count),
@@ -267,19 +267,15 @@ def random_scene(seed=0, count=6):
     )
     bays = rng.permutation(36)[: count + 16]
     parked_size = rng.uniform((3.5, 1.6), (4.8, 1.9), (16, 2)).astype(np.float32)
-    return vehicle, bays[:count], bays[count:], parked_size
+    return motion, bays[:count], bays[count:], parked_size
 
 
-@pytest.mark.parametrize(
-    "motion", [(3.0, -7.0, 0.0), (0.0, 0.0, 2.0), (9.0, 4.0, -1.2)]
-)
-def test_observations_do_not_change_when_the_whole_lot_is_moved(motion):
+@pytest.mark.parametrize("shift", [(3.0, -7.0, 0.0), (0.0, 0.0, 2.0), (9.0, 4.0, -1.2)])
+def test_observations_do_not_change_when_the_whole_lot_is_moved(shift):
     config, layout = ContinuousObservation(), make_layout("tanner")
-    vehicle, *plan = random_scene()
-    here = observed(config, layout, vehicle, *plan)
-    there = observed(
-        config, moved_lot(layout, motion), moved_cars(vehicle, motion), *plan
-    )
+    motion, *plan = random_scene()
+    here = observed(config, layout, motion, *plan)
+    there = observed(config, moved_lot(layout, shift), moved_cars(motion, shift), *plan)
     for name, value in here.items():
         # float32 at 30 m is 2e-6 m, and headings are sums of rounded angles.
         np.testing.assert_allclose(there[name], value, atol=5e-6, err_msg=name)
@@ -287,10 +283,10 @@ def test_observations_do_not_change_when_the_whole_lot_is_moved(motion):
 
 def test_observations_do_not_depend_on_the_order_of_the_other_agents():
     config, layout = ContinuousObservation(), make_layout("tanner")
-    vehicle, goal, *parked = random_scene()
+    motion, goal, *parked = random_scene()
     order = np.array([0, 4, 2, 5, 1, 3])
-    shuffled = jax.tree.map(lambda x: x[order], vehicle)
-    here = observed(config, layout, vehicle, goal, *parked)
+    shuffled = jax.tree.map(lambda x: x[order], motion)
+    here = observed(config, layout, motion, goal, *parked)
     there = observed(config, layout, shuffled, goal[order], *parked)
     for name, value in here.items():
         np.testing.assert_array_equal(there[name], value[order], err_msg=name)
@@ -298,11 +294,11 @@ def test_observations_do_not_depend_on_the_order_of_the_other_agents():
 
 def test_observations_do_not_depend_on_the_order_of_the_parked_cars():
     config, layout = ContinuousObservation(), make_layout("tanner")
-    vehicle, goal, parked_bay, parked_size = random_scene()
+    motion, goal, parked_bay, parked_size = random_scene()
     order = np.random.default_rng(1).permutation(16)
-    here = observed(config, layout, vehicle, goal, parked_bay, parked_size)
+    here = observed(config, layout, motion, goal, parked_bay, parked_size)
     there = observed(
-        config, layout, vehicle, goal, parked_bay[order], parked_size[order]
+        config, layout, motion, goal, parked_bay[order], parked_size[order]
     )
     for name, value in here.items():
         np.testing.assert_array_equal(there[name], value, err_msg=name)
@@ -311,9 +307,9 @@ def test_observations_do_not_depend_on_the_order_of_the_parked_cars():
 def test_tracked_cars_are_the_nearest_and_the_nearest_comes_first():
     config = ContinuousObservation(2, 2)
     layout = make_layout("tanner")
-    vehicle, goal, parked_bay, parked_size = random_scene(2)
-    named = observed(config, layout, vehicle, goal, parked_bay, parked_size)
-    xy = np.asarray(vehicle.pose_w[:, :2])
+    motion, goal, parked_bay, parked_size = random_scene(2)
+    named = observed(config, layout, motion, goal, parked_bay, parked_size)
+    xy = np.asarray(motion.pose_w[:, :2])
     parked_xy = np.asarray(layout.bay_pose)[parked_bay, :2]
     for kind, other in (("agent", xy), ("parked_car", parked_xy)):
         gap = np.linalg.norm(xy[:, None] - other, axis=-1)
