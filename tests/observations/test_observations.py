@@ -409,7 +409,7 @@ def test_pushed_cars_are_observed_where_they_stand_and_absent_ones_nowhere():
     pushed = parked.replace(pose_w=parked.pose_w + jnp.array([0.5, -0.25, 0.1]))
     absent = parked.replace(bay=jnp.array([2, NO_BAY], jnp.int32))
     motion = cars([(2.0, 5.5, 0.0)])
-    rings = RingConfig((5.0,), cars=True)
+    rings = RingConfig((6.0,), cars=True)
     for observation in (
         ContinuousObservation(0, 2, rings=rings, rays=RayConfig(8)),
         TannerObservation(2, rings=rings),
