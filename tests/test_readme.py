@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from carpark_mj.config import REWARDS, ObservationConfig
+from carpark_mj.config import REWARDS, EnvConfig
 from carpark_mj.layouts import SQUARES
 from carpark_mj.observations import markdown_table
 from vehicle_suite.table import readme_table
@@ -14,7 +14,7 @@ README = (Path(__file__).parents[1] / "README.md").read_text()
 def test_the_observation_table_is_the_declared_one():
     pattern = r"<!-- observation table -->\n(.*?)\n<!-- end of observation table -->"
     found = re.search(pattern, README, re.DOTALL)
-    expected = markdown_table(ObservationConfig())
+    expected = markdown_table(EnvConfig())
     assert found, f"paste this between the markers:\n{expected}"
     assert found[1].strip() == expected, f"paste this:\n{expected}"
 
