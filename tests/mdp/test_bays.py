@@ -5,7 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 from helpers.scenes import lot
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    EpisodeConfig,
+    FleetConfig,
+)
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
 from carpark_mj.mdp.bays import (
     BayFits,
@@ -48,7 +53,7 @@ def test_only_agents_of_a_fleet_need_the_slack_of_the_parked_rule():
     for rule, agents in (("strict", [False] * 4), ("tanner", [False, True, True, True])):
         fleet = EnvConfig(
             fleet=FleetConfig(agents=("city", "van")),
-            observation=EnvConfig().observation.__class__(own_car=True),
+            observation=ContinuousObservation(own_car=True),
             episode=EpisodeConfig(parked_rule=rule),
         )
         found = bay_fits(fleet, layout, size, size)
