@@ -7,15 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.spawning import walled
+from helpers.states import parked_in
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.mdp.spawning.exploring import (
-    ExploringStart,
-    exploring_start,
-    first_goal,
-    first_goals,
-)
+from carpark_mj.mdp.bays import BayFits
+from carpark_mj.mdp.spawning.exploring import first_goals, place_exploring
+from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing
+from carpark_mj.types import NO_BAY
 
 HALF = 21 * WORLD_UNIT
 LAYOUT = pad_layout(make_layout("tanner"), Maxima(40, 8, 0, 0, 1))
@@ -23,109 +23,128 @@ BAYS = 40  # four of them padding
 CLOSE = SpawnConfig(close_ratio=1.0)
 MIXED = SpawnConfig(close_ratio=0.3, crash_ratio=0.2)
 # Agent 0 starts; 1 heads for bay 3, 2 explores.
-GOAL = jnp.array([5, 3, BAYS], jnp.int32)
-PARKED = jnp.array([0, 1, 2, 10, BAYS], jnp.int32)
-XY = jnp.array([[0.0, 0.0], [-9.0, -9.0], [9.0, 9.0]])
-OTHERS = jnp.array([False, True, True])
+GOAL = jnp.array([NO_BAY, 3, NO_BAY], jnp.int32)
+PARKED = (0, 1, 2, 10, NO_BAY)
+POSE = jnp.array([[0.0, 0.0, 0.0], [-9.0, -9.0, 0.0], [9.0, 9.0, 0.0]])
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def draw(config, parked, xy, keys, wall=-jnp.inf):
+def draw(config, inputs, placing, keys):
     def one(key):
-        def blocked(pose):
-            return pose[:, 0] < wall
-
-        return exploring_start(config, LAYOUT, GOAL, parked, xy, OTHERS, key, blocked)
+        drawn = place_exploring(config, inputs, placing, jnp.array(0), key)
+        others = (drawn.goal[1:], drawn.pose_w[1:], drawn.close_bay[1:])
+        return drawn.pose_w[0], drawn.close_bay[0], drawn.conflict, others
 
     return jax.vmap(one)(keys)
 
 
-def starts(config, parked=PARKED, xy=XY, count=2000, **rest):
+def starts(config, parked=PARKED, layout=LAYOUT, size=None, count=2000):
+    """Poses of agent 0, bays next to which they are, whether it is in conflict."""
+    cars = parked_in(layout, parked)
+    sizes = None if size is None else jnp.broadcast_to(jnp.asarray(size), (3, 2))
+    inputs = SpawnInputs(layout, cars, sizes, sizes, BayFits())
+    placing = start_placing(GOAL, cars.bay, POSE, jnp.arange(3) == 0)
     keys = jax.random.split(jax.random.key(0), count)
-    return jax.device_get(draw(config, parked, xy, keys, **rest))
+    drawn = jax.device_get(draw(config, inputs, placing, keys))
+    pose, close_bay, conflict, (goal, others, others_bay) = drawn
+    # Nobody else is touched.
+    np.testing.assert_array_equal(goal, np.tile(GOAL[1:], (count, 1)))
+    np.testing.assert_array_equal(others, np.tile(POSE[1:], (count, 1, 1)))
+    assert (others_bay == NO_BAY).all()
+    assert not conflict[:, 1:].any()
+    return pose, close_bay, conflict[:, 0]
 
 
 def test_a_close_start_is_near_a_free_bay_that_is_nobody_s_goal():
-    start = starts(CLOSE)
-    drawn = np.unique(start.close_bay)
-    # Parked cars, agent 1's goal and padding are out; agent 0's old goal is not.
-    assert not set(drawn) & {0, 1, 2, 3, 10, 36, 37, 38, 39, 40}
+    pose, close_bay, conflict = starts(CLOSE)
+    drawn = np.unique(close_bay)
+    # Parked cars, agent 1's goal and padding are out.
+    assert not set(drawn) & {0, 1, 2, 3, 10, 36, 37, 38, 39, NO_BAY}
     assert 5 in drawn
     assert len(drawn) > 20  # those near another agent come seldom
-    goal = np.asarray(LAYOUT.bay_pose)[start.close_bay, :2]
+    goal = np.asarray(LAYOUT.bay_pose)[close_bay, :2]
     nearest = np.clip(goal, -HALF, HALF)
-    gap = np.linalg.norm(start.pose[:, :2] - nearest, axis=1)
+    gap = np.linalg.norm(pose[:, :2] - nearest, axis=1)
     assert gap.max() <= CLOSE.close_distance + 1e-4
-    assert not start.crash.any()
+    assert not conflict.any()
 
 
 def test_a_close_start_keeps_its_distance_and_touches_nothing():
-    start = starts(CLOSE)
-    gap = np.linalg.norm(start.pose[:, None, :2] - np.asarray(XY[1:]), axis=-1)
+    pose, _, _ = starts(CLOSE)
+    gap = np.linalg.norm(pose[:, None, :2] - np.asarray(POSE[1:, :2]), axis=-1)
     assert gap.min() > CLOSE.min_distance
-    start = starts(CLOSE, wall=jnp.float32(0.0))
-    assert start.pose[:, 0].min() >= 0.0
+    assert pose[:, 0].min() < 0.0
+    # A wall fills the left half: of a car of 4 m by 2 m no corner is there.
+    layout = walled(LAYOUT, (-10.0, 0.0, 0.0), (20.0, 60.0))
+    pose, close_bay, _ = starts(CLOSE, layout=layout, size=(4.0, 2.0))
+    assert (close_bay != NO_BAY).all()
+    x, _, yaw = pose.T
+    assert (x - 2.0 * np.abs(np.cos(yaw)) - np.abs(np.sin(yaw))).min() > -1e-5
 
 
 def test_without_a_free_bay_to_start_near_the_start_is_random():
-    every = jnp.arange(36, dtype=jnp.int32)
-    start = starts(CLOSE, parked=every)
-    assert (start.close_bay == BAYS).all()
-    random = starts(dataclasses.replace(CLOSE, close_ratio=0.0), parked=every)
-    np.testing.assert_array_equal(start.pose, random.pose)
+    every = tuple(range(36))
+    pose, close_bay, _ = starts(CLOSE, parked=every)
+    assert (close_bay == NO_BAY).all()
+    random = dataclasses.replace(CLOSE, close_ratio=0.0)
+    np.testing.assert_allclose(pose, starts(random, parked=every)[0], atol=1e-5)
 
 
 def test_exploring_starts_come_in_their_ratios():
-    start = starts(MIXED, count=4000)
+    _, close_bay, conflict = starts(MIXED, count=4000)
+    close = close_bay != NO_BAY
     # Deviation 0.7 %: five of them.
-    assert (start.close_bay < BAYS).mean() == pytest.approx(0.3, abs=0.036)
-    assert start.crash.mean() == pytest.approx(0.2, abs=0.032)
-    assert not (start.crash & (start.close_bay < BAYS)).any()
+    assert close.mean() == pytest.approx(0.3, abs=0.036)
+    assert conflict.mean() == pytest.approx(0.2, abs=0.032)
+    assert not (conflict & close).any()
 
 
-SPACES = jnp.array([7, 3, BAYS, 8], jnp.int32)
+TRACKED = jnp.array([7, 3, NO_BAY, 8], jnp.int32)
 
 
-def goals(close_bay=BAYS, crash=False, others=(3, 8, BAYS, BAYS), count=2000):
+def goals(close_bay=NO_BAY, conflict=False, others=(3, 8, NO_BAY, NO_BAY), count=2000):
     """First goals of an agent that tracks bays 7, 3 and 8, and how often each came."""
-    start = ExploringStart(
-        jnp.zeros(3), jnp.asarray(close_bay, jnp.int32), jnp.asarray(crash)
+    goal = jnp.array([NO_BAY, *others], jnp.int32)
+    num_agents = goal.shape[0]
+    begun = jnp.arange(num_agents) == 0
+    placing = start_placing(goal, goal, jnp.zeros((num_agents, 3)), begun)
+    placing = placing.replace(
+        close_bay=placing.close_bay.at[0].set(close_bay),
+        conflict=placing.conflict.at[0].set(conflict),
     )
-    others = jnp.array(others, jnp.int32)
+    tracked = jnp.tile(TRACKED, (num_agents, 1))
     keys = jax.random.split(jax.random.key(1), count)
-    drawn = jax.vmap(lambda key: first_goal(start, SPACES, others, BAYS, key))(keys)
+    drawn = jax.vmap(lambda key: first_goals(placing, tracked, goal, begun, key))(keys)
     assert drawn.dtype == jnp.int32
-    values, counts = np.unique(np.asarray(drawn), return_counts=True)
+    assert (drawn[:, 1:] == goal[1:]).all()
+    values, counts = np.unique(np.asarray(drawn[:, 0]), return_counts=True)
     return dict(zip(values.tolist(), (counts / count).tolist(), strict=True))
 
 
 def test_a_random_start_begins_exploring():
-    assert goals() == {BAYS: 1.0}
+    assert goals() == {NO_BAY: 1.0}
 
 
 def test_half_of_the_close_starts_have_the_bay_for_their_goal_if_they_track_it():
     share = goals(close_bay=7)
     # Deviation 1.1 %: five of them.
-    assert share == pytest.approx({7: 0.5, BAYS: 0.5}, abs=0.056)
-    assert goals(close_bay=9) == {BAYS: 1.0}
+    assert share == pytest.approx({7: 0.5, NO_BAY: 0.5}, abs=0.056)
+    assert goals(close_bay=9) == {NO_BAY: 1.0}
 
 
-def test_a_crash_start_takes_a_random_tracked_bay_that_is_another_s_goal():
-    assert goals(crash=True) == pytest.approx({3: 0.5, 8: 0.5}, abs=0.056)
-    assert goals(crash=True, others=(8, 9, 8)) == {8: 1.0}
+def test_a_start_in_conflict_takes_a_random_tracked_bay_that_is_another_s_goal():
+    assert goals(conflict=True) == pytest.approx({3: 0.5, 8: 0.5}, abs=0.056)
+    assert goals(conflict=True, others=(8, 9, 8)) == {8: 1.0}
     # Nobody heads for a tracked bay; who explores has no goal to share.
-    assert goals(crash=True, others=(9, BAYS)) == {BAYS: 1.0}
+    assert goals(conflict=True, others=(9, NO_BAY)) == {NO_BAY: 1.0}
 
 
 def test_first_goals_are_those_of_the_agents_that_start():
-    starts = ExploringStart(
-        pose=jnp.zeros((4, 3)),
-        close_bay=jnp.full(4, BAYS, jnp.int32),
-        crash=jnp.array([True, True, False, True]),
-    )
-    spaces = jnp.tile(SPACES, (4, 1))
-    goal = jnp.array([BAYS, 8, BAYS, BAYS], jnp.int32)
-    fresh = jnp.array([True, False, True, False])
-    got = first_goals(starts, spaces, goal, fresh, BAYS, jax.random.key(0))
-    # 0 joins agent 1, who drives on; 2 is no crash start, 3 does not start.
-    np.testing.assert_array_equal(got, [8, 8, BAYS, BAYS])
+    goal = jnp.array([NO_BAY, 8, NO_BAY, NO_BAY], jnp.int32)
+    begun = jnp.array([True, False, True, False])
+    placing = start_placing(goal, goal, jnp.zeros((4, 3)), begun)
+    placing = placing.replace(conflict=jnp.array([True, True, False, True]))
+    tracked = jnp.tile(TRACKED, (4, 1))
+    got = first_goals(placing, tracked, goal, begun, jax.random.key(0))
+    # 0 joins agent 1, who drives on; 2 is in no conflict, 3 does not start.
+    np.testing.assert_array_equal(got, [8, 8, NO_BAY, NO_BAY])
