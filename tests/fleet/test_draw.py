@@ -159,7 +159,7 @@ def test_jitter_fills_its_ranges_and_stays_in_them(started):
 def test_absent_parked_cars_are_not_seen_and_the_others_as_they_stand(env, started):
     state, observation = started
     named = fields_of(observation, env.config)
-    present = sum(named[f"parked_{k}_present"][:, 0, 0] for k in range(4))
+    present = sum(named[f"parked_car_{k}_present"][:, 0, 0] for k in range(4))
     here = np.asarray(state.parked_cars.present)
     np.testing.assert_array_equal(present, np.minimum(here.sum(axis=1), 4))
     gap = np.linalg.norm(
@@ -167,10 +167,10 @@ def test_absent_parked_cars_are_not_seen_and_the_others_as_they_stand(env, start
         - np.asarray(state.motion.pose_w)[:, :1, :2],
         axis=-1,
     )
-    seen = np.linalg.norm(named["parked_0_position"][:, 0] * 20.0, axis=-1)
+    seen = np.linalg.norm(named["parked_car_0_position"][:, 0] * 20.0, axis=-1)
     np.testing.assert_allclose(seen, gap.min(axis=1), atol=1e-4)
     nearest = np.asarray(state.parked_cars.size)[np.arange(KEYS), gap.argmin(axis=1)]
-    np.testing.assert_allclose(named["parked_0_size"][:, 0] * 5.0, nearest, atol=1e-5)
+    np.testing.assert_allclose(named["parked_car_0_size"][:, 0] * 5.0, nearest, atol=1e-5)
 
 
 @pytest.fixture(scope="module")
