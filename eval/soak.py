@@ -68,7 +68,7 @@ class SoakConfig:
     first_case: int = 0
     max_hop: float = 0.0
     max_energy: float = 8.0
-    sim: SimConfig = SimConfig()
+    sim: SimConfig = dataclasses.field(default_factory=SimConfig)
 
     def __post_init__(self) -> None:
         for name in ("car_steps", "num_cars"):

@@ -170,7 +170,9 @@ def test_absent_parked_cars_are_not_seen_and_the_others_as_they_stand(env, start
     seen = np.linalg.norm(named["parked_car_0_position"][:, 0] * 20.0, axis=-1)
     np.testing.assert_allclose(seen, gap.min(axis=1), atol=1e-4)
     nearest = np.asarray(state.parked_cars.size)[np.arange(KEYS), gap.argmin(axis=1)]
-    np.testing.assert_allclose(named["parked_car_0_size"][:, 0] * 5.0, nearest, atol=1e-5)
+    np.testing.assert_allclose(
+        named["parked_car_0_size"][:, 0] * 5.0, nearest, atol=1e-5
+    )
 
 
 @pytest.fixture(scope="module")
