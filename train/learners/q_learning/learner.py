@@ -9,7 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from carpark_mj.state import State
+from carpark_mj.types import State
 from flax import struct
 
 from carpark_mj.env import ParkingEnv
