@@ -204,7 +204,7 @@ def placed(env: ParkingEnv, state: State, pose: Any) -> State:
     """The state with its cars standing at the given poses (lots, agents, 3)."""
     pose = jnp.asarray(pose, jnp.float32)
     physics = env.physics.init(pose, state.physics.vehicle)
-    return state.replace(physics=physics, vehicle=env.physics.read(physics))
+    return state.replace(physics=physics, motion=env.physics.read(physics))
 
 
 LOTS = 4

@@ -14,8 +14,8 @@ from brax.training.distribution import NormalTanhDistribution
 from brax.training.types import Transition
 from scipy import special, stats
 
-from carpark_mj.evaluation.rollout import random_policy, zero_policy
 from carpark_mj.mdp.actions import ActionSpec, neutralise_choices
+from carpark_mj.policy.baselines import random_policy, zero_policy
 from carpark_mj.policy.distributions import action_distribution
 from carpark_mj.policy.networks import NetworkConfig, make_networks, make_policy
 from carpark_mj.policy.runs import init_normalizer
