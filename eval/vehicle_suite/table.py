@@ -113,11 +113,11 @@ class Study:
         unit: str,
         measured: float,
         expected: float,
-        tolerance: float,
-        why: str = "",
+        tolerance: float | tuple[float, str],
     ) -> None:
-        """Adds a row; see `Row`."""
-        numbers = float(measured), float(expected), float(tolerance)
+        """Adds a row; see `Row`. A tolerance may come with its physical reason."""
+        largest, why = tolerance if isinstance(tolerance, tuple) else (tolerance, "")
+        numbers = float(measured), float(expected), float(largest)
         self.rows.append(
             Row(row, self.preset, self.tyres, formula, unit, *numbers, why)
         )
