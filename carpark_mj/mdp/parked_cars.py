@@ -16,7 +16,7 @@ from carpark_mj.mdp.bays import fits
 from carpark_mj.observations.tracking import tracks_parked_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, State
 
-_Relocation = tuple[jax.Array, jax.Array, jax.Array]  # bays, tracked, agents waiting
+_Relocation = tuple[jax.Array, jax.Array, jax.Array]  # bays, moved, agents waiting
 
 AWAY = 1e4  # m; absent parked cars stand so far out, one behind the other
 _QUEUE = 20.0  # m between them
@@ -91,7 +91,8 @@ def relocate_parked_cars(
 
     The car farthest from all agents moves, so that no agent sees it go; or, by
     `SpawnConfig.evolution`, a random one that no agent tracks, and any if they track
-    them all. Of cars that differ in size only those move that fit into the bay.
+    them all. No car moves twice in a step. Of cars that differ in size only those move
+    that fit into the bay.
 
     Args:
         config: the rule, and how many parked cars an agent tracks.
@@ -104,12 +105,12 @@ def relocate_parked_cars(
         return cars
     # All of one size fit where one of them stands.
     parked_fits = fits(layout.bay_size, cars.size) if config.varies else None
-    tracked = jnp.zeros(cars.bay.shape, bool)
+    none = tracked = jnp.zeros(cars.bay.shape, bool)
     if rule == "random":
         tracked = tracks_parked_cars(config, state).any(axis=0)
 
     def move(carry: _Relocation) -> _Relocation:
-        bay, tracked, waiting = carry
+        bay, moved, waiting = carry
         agent = jnp.argmax(waiting)
         goal = state.goal[agent]
         if rule == "random":
@@ -119,16 +120,17 @@ def relocate_parked_cars(
         else:
             gap = layout.bay_pose[bay, None, :2] - state.motion.xy
             score = jnp.linalg.norm(gap, axis=-1).min(axis=-1)
-        moves = jnp.ones((), bool)
+        able = ~moved
         if parked_fits is not None:
-            able = parked_fits[:, goal] & (bay != NO_BAY)
-            score, moves = jnp.where(able, score, -1.0), able.any()
-        car = jnp.argmax(score)
+            able = able & parked_fits[:, goal] & (bay != NO_BAY)
+        car = jnp.argmax(jnp.where(able, score, -1.0))
+        moves = able.any()
         bay = jnp.where(moves, bay.at[car].set(goal), bay)
-        return bay, tracked.at[car].set(True), waiting.at[agent].set(False)
+        moved = jnp.where(moves, moved.at[car].set(True), moved)
+        return bay, moved, waiting.at[agent].set(False)
 
     # A loop over those who have parked only: in most steps nobody has.
     bay, *_ = jax.lax.while_loop(
-        lambda carry: carry[2].any(), move, (cars.bay, tracked, events.parked)
+        lambda carry: carry[2].any(), move, (cars.bay, none, events.parked)
     )
     return in_bays(layout, cars, bay)

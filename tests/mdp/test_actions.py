@@ -1,18 +1,22 @@
+"""What an action consists of, and what becomes of an invalid one."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import SlidePhysics
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.actions import check_actions, neutralise
+from carpark_mj.mdp.actions import ActionSpec, action_spec, parse, sanitize_action
+from carpark_mj.registry import TANNER_DYNAMIC, TANNER_QLEARNING
 
 NAN, INF = np.nan, np.inf
+CHOOSING = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=3))
 
 
 @pytest.mark.parametrize(
-    ("action", "harmless", "invalid"),
+    ("action", "sanitized", "invalid"),
     [
         ([0.3, -0.7], [0.3, -0.7], False),
         ([1.0, -1.0], [1.0, -1.0], False),
@@ -23,13 +27,70 @@ NAN, INF = np.nan, np.inf
         ([0.0, -7.0], [0.0, -1.0], True),
     ],
 )
-def test_nan_becomes_zero_and_the_rest_is_clipped(action, harmless, invalid):
-    got, flagged = jax.jit(neutralise)(jnp.array([action, [0.1, 0.2]], jnp.float32))
-    np.testing.assert_array_equal(got[0], np.float32(harmless))
+def test_nan_becomes_zero_and_the_rest_is_clipped(action, sanitized, invalid):
+    sanitize = jax.jit(sanitize_action, static_argnums=0)
+    actions = jnp.array([action, [0.1, 0.2]], jnp.float32)
+    numbers, indices, flagged = sanitize(ActionSpec(2), actions)
+    np.testing.assert_array_equal(numbers[0], np.float32(sanitized))
+    assert indices.shape == (2, 0)
     assert flagged.tolist() == [invalid, False]
 
 
-def test_the_environment_drives_on_with_the_neutral_action_and_counts():
+@pytest.mark.parametrize(
+    ("index", "sanitized", "invalid"),
+    [
+        (0, 0, False),
+        (3, 3, False),
+        (4, 3, True),
+        (-1, 0, True),
+        (INF, 3, True),
+        (NAN, 1, True),  # of 0 to 3 the lower of both in the middle
+        (1.4, 1, True),
+        (1.6, 2, True),
+    ],
+)
+def test_an_index_that_is_none_becomes_the_nearest_and_nan_the_middle(
+    index, sanitized, invalid
+):
+    actions = jnp.array([[0.1, 0.2, index], [0.1, 0.2, 1]], jnp.float32)
+    numbers, indices, flagged = sanitize_action(action_spec(CHOOSING), actions)
+    np.testing.assert_array_equal(numbers, actions[:, :2])
+    assert indices.dtype == jnp.int32
+    assert indices.tolist() == [[sanitized], [1]]
+    assert flagged.tolist() == [invalid, False]
+
+
+def test_an_action_is_taken_apart_into_controls_and_the_choice_of_a_goal():
+    fixed = parse(EnvConfig(), jnp.array([[0.5, -0.5], [0.5, 2.0]]))
+    np.testing.assert_array_equal(fixed.controls, [[0.5, -0.5], [0.5, 1.0]])
+    assert fixed.goal_choice is None
+    assert fixed.invalid.tolist() == [False, True]
+    chosen = parse(CHOOSING, jnp.array([[0.5, -0.5, 3.0], [0.5, -0.5, 9.0]]))
+    np.testing.assert_array_equal(chosen.controls, [[0.5, -0.5]] * 2)
+    assert chosen.goal_choice.tolist() == [3, 3]
+    assert chosen.invalid.tolist() == [False, True]
+
+
+def test_on_the_grid_controls_are_indices_too():
+    fixed = parse(TANNER_QLEARNING, jnp.array([[2, 0], [3, 0]]))
+    assert fixed.controls.tolist() == [[2, 0], [2, 0]]
+    assert (fixed.controls.dtype, fixed.goal_choice) == (jnp.int32, None)
+    assert fixed.invalid.tolist() == [False, True]
+    chosen = parse(TANNER_DYNAMIC, jnp.array([[2, 3, 1], [2, 3, -1]]))
+    assert chosen.controls.tolist() == [[2, 3], [2, 3]]
+    assert chosen.goal_choice.tolist() == [1, 0]
+    assert chosen.invalid.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("config", [EnvConfig(), CHOOSING, TANNER_DYNAMIC])
+def test_the_middle_of_the_ranges_is_a_valid_action(config):
+    spec = action_spec(config)
+    assert spec.middle.shape == (spec.size,)
+    assert spec.middle.dtype == spec.dtype
+    assert not parse(config, spec.middle[None]).invalid.any()
+
+
+def test_the_environment_drives_on_with_the_sanitized_action_and_counts():
     env = ParkingEnv(EnvConfig(num_agents=3, num_parked_cars=0), SlidePhysics())
     step = jax.jit(env.step)
     state, _ = jax.jit(env.reset)(jax.random.key(0))
@@ -37,7 +98,7 @@ def test_the_environment_drives_on_with_the_neutral_action_and_counts():
     tame = jnp.array([[0.0, 0.5], [0.2, 1.0], [0.2, 0.5]])
     got, timestep = step(state, wild)
     expected, plain = step(state, tame)
-    np.testing.assert_array_equal(got.vehicle.pose_w, expected.vehicle.pose_w)
+    np.testing.assert_array_equal(got.motion.pose_w, expected.motion.pose_w)
     np.testing.assert_array_equal(timestep.reward, plain.reward)
     np.testing.assert_array_equal(timestep.metrics["invalid_actions"], [1, 1, 0])
     assert not plain.metrics["invalid_actions"].any()
@@ -45,24 +106,3 @@ def test_the_environment_drives_on_with_the_neutral_action_and_counts():
     count = np.where(timestep.events.done, 0, timestep.metrics["invalid_actions"])
     assert (count <= [2, 2, 0]).all()
     assert count.any()
-
-
-def test_good_actions_from_outside_pass_as_float32():
-    action = check_actions([[0.5, -1.0], [1, 0]], (2, 2))
-    assert action.dtype == np.float32
-    np.testing.assert_array_equal(action, [[0.5, -1.0], [1.0, 0.0]])
-
-
-@pytest.mark.parametrize(
-    ("action", "message"),
-    [
-        ([[0.0, 0.0]], r"shape \(2, 2\), not \(1, 2\)"),
-        ([[0.0, 0.0], [NAN, 0.0]], r"action\[1, 0\] must lie in .* not nan"),
-        ([[0.0, 1.5], [0.0, 0.0]], r"action\[0, 1\] must lie in .* not 1.5"),
-        ([[0.0, 0.0], [0.0, -INF]], r"action\[1, 1\] must lie in .* not -inf"),
-    ],
-)
-def test_bad_actions_from_outside_are_refused_in_one_sentence(action, message):
-    with pytest.raises(ValueError, match=message) as refusal:
-        check_actions(action, (2, 2))
-    assert "\n" not in str(refusal.value)

@@ -104,7 +104,7 @@ def test_baselines_drive_in_named_environments(tmp_path):
     still = run("zero", "tanner-fixed")
     assert still["timed_out"]["rate"] == 1.0
     # 200 steps of time and of not getting nearer: -0.2 - 0.15, table C.9.
-    assert still["mean_return"] == pytest.approx(-0.35, abs=1e-4)
+    assert still["episode_return"] == pytest.approx(-0.35, abs=1e-4)
     with pytest.raises(ValueError, match="unknown environment 'tokyo'"):
         run("zero", "tokyo")
     with pytest.raises(ValueError, match="runs/x has its own"):

@@ -104,7 +104,7 @@ class QLearner:
     def init(self) -> Training:
         """All seeds at the start; tables are zero."""
         config = self.config
-        # Part 0, as in `learner`; evaluation draws from the other parts.
+        # fold_in 0 is training's half of the seed; evaluation uses 1.
         root = jax.random.fold_in(jax.random.key(config.seed), 0)
         return jax.jit(jax.vmap(self._init))(jax.random.split(root, config.num_seeds))
 
@@ -187,8 +187,8 @@ class QLearner:
     def _learn(self, training: Training, transitions: Any) -> jax.Array:
         """One seed's table after its transitions, each (num_lots, num_agents).
 
-        What comes after parking or crashing is worth nothing, unless the study's
-        program is to be followed; a time-out ends the episode, not the world.
+        Parking and crashing are terminal, unless `bootstrap_terminals`; after a timeout
+        the next state's value is bootstrapped.
         """
         alpha, _ = self.rates(training.episodes)
         running = training.episodes < self.config.total_episodes

@@ -1,0 +1,303 @@
+"""Where parked cars stand in their bays, and which makes room for an agent."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from helpers.scenes import cars, lot, polygons
+from helpers.states import parked_in, state_of
+from helpers.transitions import no_events
+
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    SpawnConfig,
+    TannerObservation,
+)
+from carpark_mj.geometry import to_local, to_world
+from carpark_mj.layouts import make_layout
+from carpark_mj.mdp.bays import free_bays, pick, shuffled_bays
+from carpark_mj.mdp.parked_cars import (
+    AWAY,
+    in_bays,
+    poses_in_bays,
+    relocate_parked_cars,
+    stand_in_bay,
+)
+from carpark_mj.observations.tracking import tracks_parked_cars
+from carpark_mj.types import NO_BAY
+
+COUNT = 3000
+ROUNDING = 2e-4  # m, float32 at coordinates of some 30 m and arcs near their ends
+
+
+@pytest.fixture(scope="module")
+def standing():
+    """Random cars in random bays: bay, its size, car's size, wish, pose."""
+    rng = np.random.default_rng(0)
+    bay = rng.uniform((-30, -30, -np.pi), (30, 30, np.pi), (COUNT, 3))
+    bay_size = rng.uniform((3.5, 1.8), (6.5, 3.0), (COUNT, 2))
+    size = rng.uniform((3.3, 1.5), (5.2, 2.2), (COUNT, 2))
+    wish = rng.normal(0, (0.5, 0.3, 0.3), (COUNT, 3))
+    args = [x.astype(np.float32) for x in (bay, bay_size, size, wish)]
+    return (*args, np.asarray(jax.jit(stand_in_bay)(*args)))
+
+
+def test_a_car_that_fits_stays_within_the_lines(standing):
+    bay, bay_size, size, _, pose = standing
+    fit = (size <= bay_size).all(axis=1)
+    assert 500 < fit.sum() < COUNT - 500
+    lines = shapely.buffer(polygons(bay, bay_size), ROUNDING)
+    assert shapely.covers(lines, polygons(pose, size))[fit].all()
+
+
+def test_a_car_stands_no_further_off_than_wished_and_as_wished_where_it_may(standing):
+    bay, bay_size, size, wish, pose = standing
+    off = np.asarray(to_local(bay, pose))
+    assert (np.abs(off) <= np.abs(wish) + ROUNDING).all()
+    assert (off * wish >= -ROUNDING).all()
+    wished = np.asarray(to_world(bay, wish))
+    inside = shapely.covers(polygons(bay, bay_size), polygons(wished, size))
+    assert inside.sum() > 50
+    np.testing.assert_allclose(off[inside], wish[inside], atol=ROUNDING)
+
+
+def test_the_heading_is_cut_no_more_than_the_lines_demand(standing):
+    bay, bay_size, size, wish, pose = standing
+    turned = np.asarray(to_local(bay, pose))[:, 2]
+    fit = (size <= bay_size).all(axis=1)
+    cut = fit & (np.abs(turned) < np.abs(wish[:, 2]) - 0.02)
+    assert cut.sum() > 300
+    more = bay.copy()
+    more[:, 2] += turned + 0.01 * np.sign(wish[:, 2])
+    lines = polygons(bay, bay_size)
+    assert not shapely.covers(lines, polygons(more, size))[cut].any()
+
+
+def test_a_car_that_does_not_fit_stands_in_the_middle_where_it_is_too_large():
+    bay, size = jnp.zeros(3), jnp.array([5.0, 2.0])
+    wish = jnp.array([0.5, 0.4, 0.2])
+    stand = jax.jit(stand_in_bay)
+    too_small = stand(bay, jnp.array([4.9, 1.9]), size, wish)
+    np.testing.assert_allclose(too_small, [0.0, 0.0, 0.0], atol=1e-6)
+    too_narrow = stand(bay, jnp.array([7.0, 1.9]), size, wish)
+    np.testing.assert_allclose(too_narrow, [0.5, 0.0, 0.0], atol=1e-6)
+    roomy = stand(bay, jnp.array([9.0, 9.0]), size, wish)
+    np.testing.assert_allclose(roomy, wish, atol=1e-6)
+
+
+def test_absent_cars_stand_away_and_apart():
+    layout = lot([(0.0, 5.0, 0.0), (10.0, 5.0, 1.0)])
+    pose = poses_in_bays(layout, parked_in(layout, [1, NO_BAY, NO_BAY]))
+    np.testing.assert_allclose(pose[0], layout.bay_pose[1])
+    assert (pose[1:, 0] >= AWAY).all()
+    assert pose[2, 0] - pose[1, 0] > 10.0
+
+
+def test_a_car_that_keeps_its_bay_keeps_the_pose_it_was_pushed_to():
+    pushed = jnp.array([[0.4, -0.2, 0.1], [10.3, 0.1, -0.1], [AWAY, 0.0, 0.0]])
+    parked = parked_in(ROW, [0, 1, NO_BAY]).replace(pose_w=pushed)
+    same = in_bays(ROW, parked, parked.bay)
+    np.testing.assert_array_equal(same.pose_w, pushed)
+    moved = in_bays(ROW, parked, jnp.array([0, 4, NO_BAY], jnp.int32))
+    assert moved.bay.tolist() == [0, 4, NO_BAY]
+    np.testing.assert_array_equal(moved.pose_w[1], ROW.bay_pose[4])
+    np.testing.assert_array_equal(moved.pose_w[::2], pushed[::2])
+
+
+def test_a_car_moves_with_the_place_it_takes_in_a_bay():
+    offset = jnp.array([[0.5, -0.2, 0.05], [0.3, 0.1, -0.05]])
+    parked = parked_in(ROW, [0, 1]).replace(offset=offset)
+    moved = in_bays(ROW, parked, jnp.array([0, 3], jnp.int32))
+    np.testing.assert_array_equal(moved.pose_w[0], ROW.bay_pose[0])
+    expected = to_world(ROW.bay_pose[3], offset[1])
+    np.testing.assert_allclose(moved.pose_w[1], expected, atol=1e-5)
+
+
+# Six bays in a row, 10 m apart, on the x axis.
+ROW = lot([(10.0 * k, 0.0, 0.0) for k in range(6)])
+FURTHEST = EnvConfig()
+
+
+def random_rule(num_tracked, tanner=False):
+    """The rule that moves a random car, of those that agents do not track."""
+    observation = ContinuousObservation(tracked_parked_cars=num_tracked)
+    if tanner:
+        observation = TannerObservation(tracked_cars=num_tracked)
+    return EnvConfig(spawn=SpawnConfig(evolution="random"), observation=observation)
+
+
+def row_of(goal, bay, x):
+    """A state of the row with agents at x (num_agents,)."""
+    motion = cars([(float(k), 0.0, 0.0) for k in x])
+    return state_of(ROW, motion, goal, parked_cars=parked_in(ROW, bay))
+
+
+def relocated(config, state, parked, key=None):
+    """Parked cars when some agents (indices) have parked."""
+    count = state.goal.shape[0]
+    events = no_events(count, parked=jnp.isin(jnp.arange(count), jnp.array(parked)))
+    key = jax.random.key(0) if key is None else key
+    return relocate_parked_cars(config, state, events, key)
+
+
+def relocations(config, state, parked, count=1000):
+    """Bays of the parked cars after many draws (count, num_parked_cars)."""
+    draw = jax.jit(jax.vmap(lambda key: relocated(config, state, parked, key).bay))
+    return np.asarray(draw(jax.random.split(jax.random.key(0), count)))
+
+
+def test_the_car_farthest_from_all_agents_moves_into_the_bay():
+    # Gaps to the nearer of the agents at x = 0 and 48: cars at 10, 30, 40 have 10,
+    # 18, 8. The car at 40 is farthest from agent 0 alone, yet the one at 30 moves.
+    after = relocated(FURTHEST, row_of([0, 5], [1, 3, 4], [0, 48]), [0])
+    np.testing.assert_array_equal(after.bay, [1, 0, 4])
+    np.testing.assert_array_equal(after.pose_w, ROW.bay_pose[after.bay])
+
+
+@pytest.mark.parametrize("tanner", [False, True])
+def test_a_random_car_moves_that_no_agent_tracks(tanner):
+    # Agents at 0 and 48 track the cars at 10 and 40; those at 20 and 30 are left.
+    state = row_of([0, 5], [1, 2, 3, 4], [0, 48])
+
+    def moves(tracked):
+        after = relocations(random_rule(tracked, tanner), state, [0])
+        moved = after != np.array([1, 2, 3, 4])
+        assert (moved.sum(axis=1) == 1).all()
+        assert (after[moved] == 0).all()
+        return moved.mean(axis=0)
+
+    # Deviation of a share of 1,000 at most 1.6 %: five of them.
+    np.testing.assert_allclose(moves(1), [0, 0.5, 0.5, 0], atol=0.08)
+    np.testing.assert_allclose(moves(0), [0.25] * 4, atol=0.07)
+    np.testing.assert_allclose(moves(5), [0.25] * 4, atol=0.07)
+
+
+def test_agents_in_one_list_with_parked_cars_take_their_places_in_it():
+    # Of two cars each the agents at 0 and 6 track each other and the one at 10.
+    state = row_of([0, 5], [1, 2, 3, 4], [0, 6])
+    moved = relocations(random_rule(2, tanner=True), state, [0]) == 0
+    np.testing.assert_allclose(moved.mean(axis=0), [0, *[1 / 3] * 3], atol=0.08)
+    # In a list of their own they track the two at 10 and 20.
+    moved = relocations(random_rule(2), state, [0]) == 0
+    np.testing.assert_allclose(moved.mean(axis=0), [0, 0, 0.5, 0.5], atol=0.08)
+
+
+RULES = {
+    "furthest": FURTHEST,
+    "random": random_rule(2),
+    "random, tanner": random_rule(3, tanner=True),
+}
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_every_agent_that_parks_moves_one_car_and_no_tracked_one_without_need(rule):
+    layout, config, agents, num_cars = make_layout("tanner"), RULES[rule], 5, 12
+
+    @jax.jit
+    @jax.vmap
+    def relocate(key):
+        keys = jax.random.split(key, 4)
+        order = shuffled_bays(layout, keys[0])
+        xy = jax.random.uniform(keys[1], (agents, 2), minval=-20, maxval=20)
+        parked = jax.random.bernoulli(keys[2], 0.4, (agents,))
+        pose = jnp.pad(xy, ((0, 0), (0, 1)))
+        # Those that have parked stand in their goals.
+        goal = order[:agents]
+        pose = jnp.where(parked[:, None], layout.bay_pose[goal], pose)
+        before = parked_in(layout, order[agents : agents + num_cars])
+        state = state_of(layout, cars(pose), goal, parked_cars=before)
+        events = no_events(agents, parked=parked)
+        after = relocate_parked_cars(config, state, events, keys[3])
+        tracked = tracks_parked_cars(config, state).any(axis=0)
+        return goal, parked, tracked, before, after
+
+    found = relocate(jax.random.split(jax.random.key(3), 500))
+    goal, parked, tracked, before, after = jax.device_get(found)
+    moved = before.bay != after.bay
+    np.testing.assert_array_equal(moved.sum(axis=1), parked.sum(axis=1))
+    assert (np.diff(np.sort(after.bay, axis=1), axis=1) > 0).all()
+    for k in range(500):
+        assert set(after.bay[k, moved[k]]) == set(goal[k, parked[k]])
+    pose = np.asarray(layout.bay_pose)
+    np.testing.assert_array_equal(after.pose_w, pose[after.bay])
+    assert (parked.sum(axis=1) > 1).sum() > 100  # several in one step
+    if rule != "furthest":
+        spared = np.minimum(parked.sum(axis=1), (~tracked).sum(axis=1))
+        np.testing.assert_array_equal((moved & ~tracked).sum(axis=1), spared)
+        assert (moved & tracked).any() == (parked.sum(axis=1) > spared).any()
+
+
+@pytest.mark.parametrize("config", [FURTHEST, random_rule(0), random_rule(9)])
+def test_two_agents_that_park_in_one_step_each_get_a_car(config):
+    state = row_of([0, 5, 4], [1, 2], [0, 50, 20])
+    after = relocations(config, state, [0, 1], count=100)
+    np.testing.assert_array_equal(np.sort(after, axis=1), [[0, 5]] * 100)
+
+
+def longest_stays(moves, seed=0, ends=4000, lots=8):
+    """Longest stay of cars in any bay, in ends of episodes, and cars after each.
+
+    Agents stand anywhere and park in random free bays: as if they chose their goals.
+    """
+    layout = make_layout("tanner")
+
+    def end(carry, key):
+        goal, bay = carry
+        keys = jax.random.split(key, 4)
+        agent = jax.random.randint(keys[0], (), 0, 3)
+        xy = jax.random.uniform(keys[1], (3, 2), minval=-11.8, maxval=11.8)
+        goal = goal.at[agent].set(pick(free_bays(layout, bay), keys[2]))
+        motion = cars(jnp.pad(xy, ((0, 0), (0, 1))))
+        state = state_of(layout, motion, goal, parked_cars=parked_in(layout, bay))
+        events = no_events(3, parked=jnp.arange(3) == agent)
+        bay = moves(state, events, keys[3])
+        return (goal, bay), bay
+
+    def run(key):
+        order = shuffled_bays(layout, key)
+        start = order[:3], order[3:19]
+        return jax.lax.scan(end, start, jax.random.split(key, ends))[1]
+
+    keys = jax.random.split(jax.random.key(seed), lots)
+    bay = np.asarray(jax.jit(jax.vmap(run))(keys))
+    taken = (bay[..., None] == np.arange(36)).any(axis=2)
+    stay = longest = np.zeros((lots, 36), int)
+    for k in range(ends):
+        stay = np.where(taken[:, k], stay + 1, 0)
+        longest = np.maximum(longest, stay)
+    return longest, bay
+
+
+@pytest.mark.parametrize("rule", ["furthest", "random"])
+def test_no_bay_stays_occupied_for_ever_while_another_is_free(rule):
+    """Theorem 2 of Tanner 2022: relocation is free of deadlocks."""
+    relocate = functools.partial(relocate_parked_cars, RULES[rule])
+    longest, bay = longest_stays(lambda *args: relocate(*args).bay)
+    assert bay.shape[2] == 16
+    assert (np.diff(np.sort(bay, axis=2), axis=2) > 0).all()  # all there, all apart
+    assert longest.max() < 2000  # of 4,000 ends
+    assert longest.min() > 0  # and every bay has its turn
+
+
+def test_a_rule_that_always_moves_the_same_car_would_be_a_deadlock():
+    def first_car(state, events, key):
+        del key
+        goal = state.goal[jnp.argmax(events.parked)]
+        return state.parked_cars.bay.at[0].set(goal)
+
+    assert longest_stays(first_car)[0].max() == 4000
+
+
+def test_nothing_moves_when_nobody_has_parked():
+    state = row_of([0, 5], [1, 3, 4], [0, 0])
+    after = relocated(FURTHEST, state, [])
+    np.testing.assert_array_equal(after.bay, state.parked_cars.bay)
+
+
+def test_without_parked_cars_nothing_is_relocated():
+    state = row_of([0], [], [0])
+    assert relocated(FURTHEST, state, [0]).bay.shape == (0,)
