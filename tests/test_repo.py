@@ -76,9 +76,7 @@ def test_imports_point_down(room):
     files = sources({room})
     assert files
     for path in files:
-        wrong = {
-            other for other in rooms_imported(path) if FLOOR[other] >= FLOOR[room]
-        }
+        wrong = {other for other in rooms_imported(path) if FLOOR[other] >= FLOOR[room]}
         if room == "types":  # what its annotations name is not loaded
             wrong -= {"vehicle"}
         assert wrong == set(), path

@@ -8,11 +8,11 @@ import pytest
 from helpers.scenes import SlidePhysics, lot
 
 from carpark_mj.config import (
-    GoalConfig,
     ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     FleetConfig,
+    GoalConfig,
     JitterConfig,
 )
 from carpark_mj.env import ParkingEnv

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from helpers.scenes import polygons
+from helpers.spawning import surroundings_of
 
 from carpark_mj.cli.layouts import SHOWN, main, run_scene
 from carpark_mj.config import LayoutConfig, SpawnConfig
@@ -31,7 +32,7 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.tight import TightConfig, draw_tight_bay
-from carpark_mj.mdp.spawning.poses import spawn_pose
+from carpark_mj.mdp.spawning.poses import spawn_keys, spawn_pose
 from carpark_mj.vehicle import COMPACT
 
 KEYS = 60
@@ -140,8 +141,8 @@ def spawned(batch, keys):
         goal_key, key = jax.random.split(key)
         chance = jax.random.uniform(goal_key, layout.bay_mask.shape)
         goal = layout.bay_pose[jnp.argmax(jnp.where(layout.bay_mask, chance, -1.0))]
-        nobody = jnp.zeros((1, 2)), jnp.zeros(1, bool)
-        return spawn_pose(spawn, layout, goal, *nobody, key)
+        nobody = surroundings_of(layout)
+        return spawn_pose(spawn, layout, nobody, goal, spawn_keys(key))
 
     return jax.vmap(jax.vmap(one, (None, 0)))(batch, keys)
 

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from carpark_mj.mdp.lanes import is_wrong_way
 from helpers.scenes import (
     SlidePhysics,
     cars,
@@ -19,13 +18,19 @@ from helpers.scenes import (
     polygons,
 )
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, ObservationConfig, RewardConfig
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    EpisodeConfig,
+    RewardConfig,
+    RingConfig,
+)
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import summarise
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.layouts.lanes import has_lanes, nearest_lane
+from carpark_mj.mdp.wrong_way import drives_wrong_way
 
-is_wrong_way_jit, nearest_lane_jit = jax.jit(is_wrong_way), jax.jit(nearest_lane)
+wrong_way_jit, nearest_lane_jit = jax.jit(drives_wrong_way), jax.jit(nearest_lane)
 EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2
 
 
@@ -81,14 +86,14 @@ def test_wrong_way_is_motion_that_no_lane_there_allows(motion):
     # The case on the line between the lanes cannot survive rounding.
     keep = [case[0][1] != 0.0 or motion[2] == 0.0 for case in CASES]
     layout = moved_lot(PLAN, motion)
-    got = np.asarray(is_wrong_way_jit(layout, moved_cars(case_cars(), motion)))
+    got = np.asarray(wrong_way_jit(layout, moved_cars(case_cars(), motion)))
     wrong = [c for c, g, k in zip(CASES, got, keep, strict=True) if k and g != c[2]]
     assert wrong == []
 
 
 def test_padding_is_no_lane():
     unmarked = PLAN.replace(lane_mask=jnp.zeros(4, bool))
-    assert not is_wrong_way_jit(unmarked, case_cars()).any()
+    assert not wrong_way_jit(unmarked, case_cars()).any()
     padded = with_lanes(
         build.lanes([(0.0, 0.0, EAST)] * 2, (4.0, 4.0)), mask=[True, False]
     )
@@ -103,8 +108,8 @@ def test_cars_that_follow_their_lane_are_right_and_those_that_go_back_are_wrong(
     layout = make_layout(name)
     rows = np.flatnonzero(layout.lane_mask)
     pose = np.asarray(layout.lane_pose)[rows]
-    there = is_wrong_way_jit(layout, cars(pose, speed=1.0))
-    back = np.asarray(is_wrong_way_jit(layout, cars(pose, speed=-1.0)))
+    there = wrong_way_jit(layout, cars(pose, speed=1.0))
+    back = np.asarray(wrong_way_jit(layout, cars(pose, speed=-1.0)))
     assert not there.any()
     # Another lane of the crossing may allow it, which shapely tells.
     inside = shapely.covers(
@@ -144,8 +149,8 @@ def street_env(layout):
         num_parked_cars=0,
         episode=EpisodeConfig(max_steps=10),
         reward=ALONG,
-        observation=ObservationConfig(
-            tracked_agents=0, tracked_parked_cars=0, rings=(), lane=True
+        observation=ContinuousObservation(
+            tracked_agents=0, tracked_parked_cars=0, rings=RingConfig(), lane=True
         ),
     )
     return ParkingEnv(config, SlidePhysics())
@@ -168,7 +173,7 @@ def test_reward_metric_and_observation_tell_which_way_a_car_drives(street, wrong
         state, timestep = step(state, jnp.array([[0.0, 1.0]]))
         terms.append(float(timestep.reward_terms["wrong_way"][0]))
         metres.append(float(timestep.metrics["wrong_way"][0]))
-        seen = fields_of(timestep.observation, env.config.observation)
+        seen = fields_of(timestep.observation, env.config)
         np.testing.assert_array_equal(seen["lane_present"], [[1.0]])
         np.testing.assert_array_equal(seen["lane_one_way"], [[1.0]])
         # On the aisle's right half; a car on the left sees its lane's own direction.
@@ -194,19 +199,9 @@ def test_a_lot_without_lanes_has_neither_term_nor_metric_and_sees_zeros():
     env = street_env("tanner")
     state, observation = jax.jit(env.reset)(jax.random.key(0))
     assert not has_lanes(state.layout)
-    seen = fields_of(observation, env.config.observation)
+    assert drives_wrong_way(state.layout, state.motion) is None
+    seen = fields_of(observation, env.config)
     for name in ("lane_present", "lane_heading", "lane_one_way"):
         np.testing.assert_array_equal(seen[name], 0.0)
     shapes = jax.eval_shape(env.step, state, jnp.zeros((1, 2)))[1]
     assert "wrong_way" not in {*shapes.metrics, *shapes.reward_terms}
-
-
-def test_the_summary_weighs_episodes_by_the_way_driven():
-    names = ("parked", "crashed", "timed_out", "diverged", "hit_agent", "hit_wall")
-    names += ("hit_parked_car", "episode_return", "length")
-    rows = [dict.fromkeys(names, 0.0) | {"path": p} for p in (30.0, 10.0)]
-    assert "wrong_way_share" not in summarise(rows, 0.2)
-    rows = [row | {"wrong_way": w} for row, w in zip(rows, (3.0, 5.0), strict=True)]
-    assert summarise(rows, 0.2)["wrong_way_share"] == pytest.approx(8 / 40)
-    still = [row | {"path": 0.0, "wrong_way": 0.0} for row in rows]
-    assert summarise(still, 0.2)["wrong_way_share"] == 0.0

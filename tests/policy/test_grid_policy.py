@@ -121,9 +121,9 @@ def test_a_car_of_the_study_s_grid_drives_as_its_table_says():
     state, _ = jax.jit(env.reset)(jax.random.key(0))
     moved, turned = [], []
     for action in ([4, 3], [4, 3], [4, 6], [0, 3], [0, 3], [0, 3], [0, 0]):
-        before = np.asarray(state.vehicle.pose_w[0])
+        before = np.asarray(state.motion.pose_w[0])
         state, timestep = step(state, np.array([action], np.int32))
-        after = np.asarray(timestep.vehicle.pose_w[0])
+        after = np.asarray(timestep.motion.pose_w[0])
         along = (after - before)[:2] @ [np.cos(after[2]), np.sin(after[2])]
         moved.append(along / WORLD_UNIT)
         turned.append(np.degrees(before[2] - after[2]))

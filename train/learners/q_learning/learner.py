@@ -9,12 +9,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+<<<<<<< HEAD
 from carpark_mj.types import State
+=======
+>>>>>>> cd347469eca60d6dfb7144955817fddd21fe34a2
 from flax import struct
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.indices import cardinalities
 from carpark_mj.policy.q_table import action_choices, state_index
+from carpark_mj.types import State
 from learners.memory import num_bytes
 from learners.q_learning.config import QLearningConfig
 
