@@ -9,10 +9,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-<<<<<<< HEAD
-from carpark_mj.types import State
-=======
->>>>>>> cd347469eca60d6dfb7144955817fddd21fe34a2
 from flax import struct
 
 from carpark_mj.env import ParkingEnv
