@@ -21,6 +21,7 @@ FLOORS = (
     ("observations", "scene"),
     ("mdp", "physics"),
     ("fleet",),
+    ("episodes",),
     ("env",),
     ("registry", "wrappers", "policy"),
     ("evaluation",),
