@@ -5,7 +5,8 @@ import math
 
 import jax.numpy as jnp
 import pytest
-from helpers.scenes import SlidePhysics, lot
+from helpers.scenes import lot
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import (
     ContinuousObservation,

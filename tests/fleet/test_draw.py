@@ -7,14 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import (
-    SlidePhysics,
-    cars,
-    check_occupancy,
-    fields_of,
-    lot,
-    placed,
-)
+from helpers.scenes import cars, check_occupancy, fields_of, lot
+from helpers.sliding import SlidePhysics, placed
 from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 

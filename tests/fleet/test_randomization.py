@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import Distribution, EnvConfig, RandomizationConfig
 from carpark_mj.env import ParkingEnv

@@ -7,16 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import (
-    SlidePhysics,
-    cars,
-    fields_of,
-    lot,
-    moved_cars,
-    moved_lot,
-    placed,
-    polygons,
-)
+from helpers.scenes import cars, fields_of, lot, moved_cars, moved_lot, polygons
+from helpers.sliding import SlidePhysics, placed
 
 from carpark_mj.config import (
     ContinuousObservation,

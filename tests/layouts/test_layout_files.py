@@ -8,7 +8,8 @@ import jax
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import SlidePhysics, polygons
+from helpers.scenes import polygons
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv

@@ -2,7 +2,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics, cars, fields_of, lot, placed
+from helpers.scenes import cars, fields_of, lot
+from helpers.sliding import SlidePhysics, placed
 from helpers.states import state_of
 
 from carpark_mj.config import EnvConfig, SensorConfig

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import ContinuousObservation, EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
