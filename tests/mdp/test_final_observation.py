@@ -115,7 +115,7 @@ def test_who_runs_out_of_time_sees_what_more_time_would_have_shown(choice):
     _, _, longer = make(CHOOSING, max_steps=100)
     state = start(env, reset)
     action = np.concatenate([ACTION, np.full((4, 1), choice, np.float32)], axis=1)
-    after, timestep = step(state, action)
+    _, timestep = step(state, action)
     _, expected = longer(state, action)
     assert timestep.events.timed_out[0]
     assert not expected.events.done.any()
