@@ -12,7 +12,7 @@ from helpers.states import HandPhysics, hand_cars
 from helpers.transitions import no_events, transition
 
 from carpark_mj.config import EnvConfig, GridConfig, RewardConfig, reward_preset
-from carpark_mj.mdp.progress import goal_potential, is_nearer
+from carpark_mj.mdp.progress import goal_potential
 from carpark_mj.mdp.rewards import TERMS, Effort, effort, reward_terms, term_names
 from carpark_mj.physics.grid import GridPhysics, GridState
 from carpark_mj.vehicle import COMPACT, make_vehicle
@@ -324,22 +324,6 @@ def test_effort_on_the_grid_is_turn_and_level_over_the_most_there_are():
     got = effort(config, step(config, still, after))
     np.testing.assert_allclose(got.turn, [1, 1 / 3, 0, 2 / 3, 1], atol=1e-6)
     np.testing.assert_allclose(got.speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
-
-
-def test_nearer_on_the_grid_is_exactly_what_whole_numbers_say():
-    """Moves of up to 16 points; ties of x^2 + y^2 abound."""
-    rng = np.random.default_rng(0)
-    goal = rng.integers(-512, 513, (20_000, 2))
-    reach = np.where(rng.random((20_000, 1)) < 0.5, 24, 1100)
-    before = goal + rng.integers(-reach, reach + 1, (20_000, 2))
-    after = before + rng.integers(-16, 17, (20_000, 2))
-    # Some swap their coordinates about the goal: exactly as far as before.
-    after[:3000] = goal[:3000] + (before[:3000] - goal[:3000])[:, ::-1]
-    xy = [grid_cars(points).xy for points in (before, after, goal)]
-    got = np.asarray(is_nearer(*xy))
-    far, near = ((before - goal) ** 2).sum(axis=1), ((after - goal) ** 2).sum(axis=1)
-    assert (far == near).sum() > 3000
-    np.testing.assert_array_equal(got, near < far)
 
 
 def test_efforts_have_one_number_an_agent():
