@@ -1,91 +1,19 @@
-"""Lanes: the one a car is in, driving against it, and who hears of it."""
-
-import math
+"""The lane that each car is in, or the nearest."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 import shapely
-from helpers.scenes import cars, fields_of, lot, moved_cars, moved_lot, polygons
-from helpers.sliding import SlidePhysics, placed
+from helpers.lanes import EAST, PLAN, with_lanes
+from helpers.scenes import polygons
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    EnvConfig,
-    EpisodeConfig,
-    RewardConfig,
-    RingConfig,
-)
-from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import build, make_layout
-from carpark_mj.layouts.lanes import has_lanes, nearest_lane
-from carpark_mj.mdp.wrong_way import drives_wrong_way
+from carpark_mj.layouts import build
+from carpark_mj.layouts.lanes import nearest_lane
 
-wrong_way_jit, nearest_lane_jit = jax.jit(drives_wrong_way), jax.jit(nearest_lane)
-EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2
-
-
-def with_lanes(*groups, mask=None):
-    """A lot of one bay with the lanes of some groups."""
-    group = {
-        name: jnp.concatenate([group[name] for group in groups]) for name in groups[0]
-    }
-    if mask is not None:
-        group["lane_mask"] = jnp.array(mask)
-    return lot([(100.0, 0.0, 0.0)]).replace(**group)
-
-
-# A two-way street along x, 6 m wide; a one-way aisle crosses it northwards at x = 10,
-# 4 m wide; and a garage's drive, where either way is right, leads south at x = -10.
-PLAN = with_lanes(
-    build.lanes(*build.two_lanes(jnp.zeros(3), jnp.array([40.0, 6.0]))),
-    build.lanes([(10.0, 0.0, NORTH)], (20.0, 4.0)),
-    build.lanes([(-10.0, -8.0, SOUTH)], (10.0, 4.0), one_way=False),
-)
-CASES = [
-    ((0.0, -1.5, EAST), 1.0, False),  # on the right
-    ((0.0, -1.5, WEST), 1.0, True),  # a ghost driver
-    ((0.0, 1.5, WEST), 1.0, False),
-    ((0.0, 1.5, EAST), 1.0, True),
-    ((0.0, 1.5, WEST), -1.0, True),  # reversing counts by where the car goes
-    ((0.0, 1.5, EAST), -1.0, False),
-    ((0.0, 1.5, EAST), 0.04, False),  # as good as standing
-    ((0.0, 1.5, EAST), 0.06, True),
-    ((0.0, 1.5, math.radians(61.0)), 1.0, False),  # 119 deg off: it crosses
-    ((0.0, 1.5, math.radians(59.0)), 1.0, True),  # 121 deg off
-    ((0.0, 1.5, math.radians(-59.0)), 1.0, True),
-    ((0.0, 0.0, EAST), 1.0, False),  # on the line, in both lanes
-    ((0.0, 0.0, WEST), 1.0, False),
-    ((0.0, 3.5, EAST), 1.0, False),  # outside every lane
-    ((10.0, 8.0, NORTH), 1.0, False),
-    ((10.0, 8.0, SOUTH), 1.0, True),
-    ((10.0, 1.5, WEST), 1.0, False),  # on the crossing either lane may allow it
-    ((10.0, 1.5, NORTH), 1.0, False),
-    ((10.0, 1.5, EAST), 1.0, False),  # the aisle's lane is crossed squarely
-    ((10.0, 1.5, math.radians(-45.0)), 1.0, True),  # against both
-    ((-10.0, -8.0, NORTH), 1.0, False),
-    ((-10.0, -8.0, SOUTH), 1.0, False),
-]
-
-
-def case_cars():
-    return cars([pose for pose, _, _ in CASES], speed=[speed for _, speed, _ in CASES])
-
-
-@pytest.mark.parametrize("motion", [(0.0, 0.0, 0.0), (7.0, -12.0, 2.3)])
-def test_wrong_way_is_motion_that_no_lane_there_allows(motion):
-    # The case on the line between the lanes cannot survive rounding.
-    keep = [case[0][1] != 0.0 or motion[2] == 0.0 for case in CASES]
-    layout = moved_lot(PLAN, motion)
-    got = np.asarray(wrong_way_jit(layout, moved_cars(case_cars(), motion)))
-    wrong = [c for c, g, k in zip(CASES, got, keep, strict=True) if k and g != c[2]]
-    assert wrong == []
+nearest_lane_jit = jax.jit(nearest_lane)
 
 
 def test_padding_is_no_lane():
-    unmarked = PLAN.replace(lane_mask=jnp.zeros(4, bool))
-    assert not wrong_way_jit(unmarked, case_cars()).any()
     padded = with_lanes(
         build.lanes([(0.0, 0.0, EAST)] * 2, (4.0, 4.0)), mask=[True, False]
     )
@@ -93,24 +21,6 @@ def test_padding_is_no_lane():
     assert (int(index[0]), bool(present[0])) == (0, True)
     none = padded.replace(lane_mask=jnp.zeros(2, bool))
     assert not nearest_lane_jit(none, jnp.array([(0.0, 0.0, 1.0)]))[1].any()
-
-
-@pytest.mark.parametrize("name", ["street", "angled", "lot", "garage_row"])
-def test_cars_that_follow_their_lane_are_right_and_those_that_go_back_are_wrong(name):
-    layout = make_layout(name)
-    rows = np.flatnonzero(layout.lane_mask)
-    pose = np.asarray(layout.lane_pose)[rows]
-    there = wrong_way_jit(layout, cars(pose, speed=1.0))
-    back = np.asarray(wrong_way_jit(layout, cars(pose, speed=-1.0)))
-    assert not there.any()
-    # Another lane of the crossing may allow it, which shapely tells.
-    inside = shapely.covers(
-        polygons(layout.lane_pose, layout.lane_size), shapely.points(pose[:, None, :2])
-    )
-    alone = (inside & np.asarray(layout.lane_mask)).sum(axis=1) == 1
-    assert alone.any()
-    one_way = np.asarray(layout.lane_one_way)[rows]
-    np.testing.assert_array_equal(back[alone], one_way[alone])
 
 
 def test_the_nearest_lane_is_shapely_s_and_on_a_crossing_the_one_along_the_car():
@@ -128,72 +38,3 @@ def test_the_nearest_lane_is_shapely_s_and_on_a_crossing_the_one_along_the_car()
     alike = np.cos(pose[:, None, 2] - np.asarray(PLAN.lane_pose)[:, 2])
     alike = np.where(gap == 0.0, alike, -np.inf)
     np.testing.assert_array_equal(index[several], alike.argmax(axis=1)[several])
-
-
-ALONG = RewardConfig(wrong_way=2.0)
-
-
-def street_env(layout):
-    """One sliding car, alone in a lot, that sees its lane."""
-    config = EnvConfig(
-        layout=layout,
-        num_agents=1,
-        num_parked_cars=0,
-        episode=EpisodeConfig(max_steps=10),
-        reward=ALONG,
-        observation=ContinuousObservation(
-            tracked_agents=0, tracked_parked_cars=0, rings=RingConfig(), lane=True
-        ),
-    )
-    return ParkingEnv(config, SlidePhysics())
-
-
-@pytest.fixture(scope="module")
-def street():
-    env = street_env("street")
-    return env, jax.jit(env.reset)(jax.random.key(0))[0], jax.jit(env.step)
-
-
-@pytest.mark.parametrize("wrong", [False, True])
-def test_reward_metric_and_observation_tell_which_way_a_car_drives(street, wrong):
-    env, state, step = street
-    lane = np.asarray(state.layout.lane_pose[0])
-    yaw = lane[2] + (math.pi if wrong else 0.0)
-    state = placed(env, state, [(lane[0], lane[1], yaw)])
-    terms, metres = [], []
-    for _ in range(4):  # 0.5 m each
-        state, timestep = step(state, jnp.array([[0.0, 1.0]]))
-        terms.append(float(timestep.reward_terms["wrong_way"][0]))
-        metres.append(float(timestep.metrics["wrong_way"][0]))
-        seen = fields_of(timestep.observation, env.config)
-        np.testing.assert_array_equal(seen["lane_present"], [[1.0]])
-        np.testing.assert_array_equal(seen["lane_one_way"], [[1.0]])
-        # On the aisle's right half; a car on the left sees its lane's own direction.
-        expected = [-1.0, 0.0] if wrong else [1.0, 0.0]
-        np.testing.assert_allclose(seen["lane_heading"], [expected], atol=1e-6)
-    np.testing.assert_allclose(terms, [-0.2 if wrong else 0.0] * 4, atol=1e-7)
-    way = np.array([0.5, 1.0, 1.5, 2.0]) * wrong
-    np.testing.assert_allclose(metres, way, atol=1e-5)  # float32 at some 10 m
-
-
-def test_the_way_driven_wrong_starts_anew_with_the_episode(street):
-    env, state, step = street
-    x, y, yaw = np.asarray(state.layout.lane_pose[0])
-    state = placed(env, state, [(x, y, yaw + math.pi)])
-    for _ in range(10):
-        state, timestep = step(state, jnp.array([[0.0, 0.1]]))
-    assert bool(timestep.events.timed_out[0])
-    assert float(timestep.metrics["wrong_way"][0]) == pytest.approx(0.5, abs=1e-5)
-    assert float(state.stats.wrong_way[0]) == 0.0
-
-
-def test_a_lot_without_lanes_has_neither_term_nor_metric_and_sees_zeros():
-    env = street_env("tanner")
-    state, observation = jax.jit(env.reset)(jax.random.key(0))
-    assert not has_lanes(state.layout)
-    assert drives_wrong_way(state.layout, state.motion) is None
-    seen = fields_of(observation, env.config)
-    for name in ("lane_present", "lane_heading", "lane_one_way"):
-        np.testing.assert_array_equal(seen[name], 0.0)
-    shapes = jax.eval_shape(env.step, state, jnp.zeros((1, 2)))[1]
-    assert "wrong_way" not in {*shapes.metrics, *shapes.reward_terms}

@@ -7,16 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import cars, lot, polygons
+from helpers.scenes import cars, fields_of, lot, polygons
+from helpers.sliding import SlidePhysics, placed
 from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 
 from carpark_mj.config import (
     ContinuousObservation,
     EnvConfig,
+    RingConfig,
     SpawnConfig,
     TannerObservation,
 )
+from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local, to_world
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.bays import free_bays, pick, shuffled_bays
@@ -27,6 +30,7 @@ from carpark_mj.mdp.parked_cars import (
     relocate_parked_cars,
     stand_in_bay,
 )
+from carpark_mj.observations.fields import FAR
 from carpark_mj.observations.tracking import tracks_parked_cars
 from carpark_mj.types import NO_BAY
 
@@ -301,3 +305,40 @@ def test_nothing_moves_when_nobody_has_parked():
 def test_without_parked_cars_nothing_is_relocated():
     state = row_of([0], [], [0])
     assert relocated(FURTHEST, state, [0]).bay.shape == (0,)
+
+
+class PushedPhysics(SlidePhysics):
+    """Sliding cars whose parked cars stand where they are said to, as if pushed."""
+
+    def __init__(self, pose_w):
+        self.pose_w = jnp.asarray(pose_w, jnp.float32)
+
+    def parked_poses(self, state, intended):
+        del state, intended
+        return self.pose_w
+
+
+def test_agents_observe_and_hit_parked_cars_where_they_were_pushed_to():
+    pushed = [[5.0, 1.0, 0.0], [-8.0, 0.5, 1.5]]
+    config = EnvConfig(
+        num_agents=2,
+        num_parked_cars=2,
+        observation=ContinuousObservation(rings=RingConfig((5.0, 8.0), 9, cars=True)),
+    )
+    env = ParkingEnv(config, PushedPhysics(pushed))
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
+    state = placed(env, state, [(0.0, 0.0, 0.0), (-8.0, 0.0, 0.0)])
+    free = state.layout.replace(wall_mask=jnp.zeros_like(state.layout.wall_mask))
+    state = state.replace(layout=free)
+    bay = state.parked_cars.bay
+    state, timestep = jax.jit(env.step)(state, jnp.zeros((2, 2)))
+    np.testing.assert_array_equal(state.parked_cars.pose_w, pushed)
+    np.testing.assert_array_equal(state.parked_cars.bay, bay)  # they still belong there
+    assert timestep.events.hit_parked_car.tolist() == [False, True]
+    seen = fields_of(timestep.observation, config)
+    first = {name: value[0] for name, value in seen.items()}
+    position = first["parked_car_0_position"]
+    np.testing.assert_allclose(position, np.array([5.0, 1.0]) / FAR, atol=1e-6)
+    # It begins 2.9 m away, and nothing else is near.
+    assert first["ring_5m"] == 0
+    np.testing.assert_allclose(first["ring_8m"], 1 / 9, atol=1e-6)

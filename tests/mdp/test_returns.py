@@ -17,7 +17,7 @@ WEIGHTS = RewardConfig(
     final_speed=3.0,
     final_heading=4.0,
     crash=10.0,
-    halt=2.0,
+    timeout=2.0,
     time=0.5,
     progress=0.0,
     alignment=0.0,
@@ -48,8 +48,8 @@ def drive(grid, point, choices, step=0):
     state = dataclasses.replace(
         state,
         physics=physics,
-        vehicle=env.physics.read(physics),
-        occupancy=dataclasses.replace(state.occupancy, goal=jnp.array([goal], "int32")),
+        motion=env.physics.read(physics),
+        goal=jnp.array([goal], "int32"),
         step=jnp.array([step], jnp.int32),
     )
     for k, choice in enumerate(choices):
@@ -110,4 +110,4 @@ def test_an_episode_whose_time_is_up(grid):
     # Two steps ahead, and one to stop.
     events, totals = drive(grid, (0, 0), [(2, 1), (1, 1), (0, 1)], step=82)
     assert events.timed_out.all()
-    assert totals == expected(halt=-2.0, time=-0.5 * 3 / 85, approach=(2 - 1) / 85)
+    assert totals == expected(timeout=-2.0, time=-0.5 * 3 / 85, approach=(2 - 1) / 85)

@@ -1,3 +1,5 @@
+"""Reward terms by hand, over whole episodes, and in any frame."""
+
 import dataclasses
 import math
 
@@ -5,19 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import cars, moved, moved_cars
+from helpers.scenes import cars, lot, moved, moved_cars
+from helpers.states import HandPhysics, hand_cars
+from helpers.transitions import no_events, transition
 
 from carpark_mj.config import EnvConfig, GridConfig, RewardConfig, reward_preset
-from carpark_mj.mdp.rewards import (
-    Effort,
-    effort,
-    goal_potential,
-    is_nearer,
-    reward_terms,
-    term_names,
-)
+from carpark_mj.mdp.progress import goal_potential
+from carpark_mj.mdp.rewards import TERMS, Effort, effort, reward_terms, term_names
 from carpark_mj.physics.grid import GridPhysics, GridState
-from carpark_mj.types import Events
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 TANNER = reward_preset("tanner")
@@ -25,35 +22,41 @@ SHAPED = reward_preset("shaped")
 MAX_STEPS = 200
 STEERING_CHANGE = 0.084  # rad, 0.42 rad/s for 0.2 s
 PHYSICAL = EnvConfig()
-VEHICLE = make_vehicle(COMPACT)
+LIMITS = {"max_speed": 3.0, "max_reverse_speed": 2.0, "steering_rate": 0.42}
+GOAL = (10.0, 0.0, 0.0)
+LOT = lot([(0.0, 0.0, 0.0)])
 
 
 def events(count, **true):
     """Events of some agents; each keyword lists the agents it holds for."""
-    flags = {
-        field.name: np.isin(np.arange(count), true.get(field.name, []))
-        for field in dataclasses.fields(Events)
-    }
-    return Events(**{name: jnp.array(flag) for name, flag in flags.items()})
+    flags = {name: np.isin(np.arange(count), who) for name, who in true.items()}
+    return no_events(count, **flags)
 
 
-def terms(config, before, after, goal, happened=None):
-    goal = jnp.broadcast_to(jnp.asarray(goal, jnp.float32), after.pose_w.shape)
-    count = after.pose_w.shape[0]
-    named = reward_terms(
+def step(config, before, after, goal=GOAL, happened=None, **more):
+    """A step of cars that drive as `LIMITS` let them."""
+    count = before.yaw_rate.shape[0]
+    goal = jnp.broadcast_to(jnp.asarray(goal, jnp.float32), (count, 3))
+    physics = HandPhysics(hand_cars(before, **LIMITS))
+    return transition(
         config,
+        LOT,
         before,
         after,
-        goal,
-        happened if happened is not None else events(count),
-        effort(PHYSICAL, before, after, VEHICLE),
-        MAX_STEPS,
+        {"physics": physics},
+        target_pose=goal,
+        events=events(count) if happened is None else happened,
+        **more,
     )
-    assert tuple(named) == term_names()
+
+
+def terms(reward, before, after, goal, happened=None):
+    count = before.yaw_rate.shape[0]
+    config = EnvConfig(num_agents=count, reward=reward)
+    assert config.episode.max_steps == MAX_STEPS
+    named = reward_terms(config, step(config, before, after, goal, happened))
+    assert tuple(named) == term_names(config, LOT) == TERMS
     return {name: np.asarray(term, np.float64) for name, term in named.items()}
-
-
-GOAL = (10.0, 0.0, 0.0)
 
 
 def test_every_term_of_a_hand_worked_step():
@@ -62,7 +65,7 @@ def test_every_term_of_a_hand_worked_step():
         final_speed=0.6,
         final_heading=0.9,
         crash=1.5,
-        halt=0.7,
+        timeout=0.7,
         time=1.0,
         progress=0.2,
         alignment=0.5,
@@ -87,7 +90,7 @@ def test_every_term_of_a_hand_worked_step():
         "final_speed": [-0.6 / 3, 0.0],
         "final_heading": [0.0, 0.0],
         "crash": [0.0, -1.5],
-        "halt": [0.0, 0.0],
+        "timeout": [0.0, 0.0],
         "time": [-1.0 / 200, -1.0 / 200],
         # 0.2 a metre; and the misalignment gained at 5 m.
         "progress": [0.2, -0.4 - 0.5 * math.pi / 3 * math.exp(-5 / 4)],
@@ -240,15 +243,7 @@ def test_rewards_do_not_depend_on_the_frame(config):
 def test_reward_terms_are_strongly_typed_float32():
     before = cars([(0.0, 0.0, 0.0)] * 2)
     named = jax.eval_shape(
-        lambda: reward_terms(
-            SHAPED,
-            before,
-            before,
-            before.pose_w,
-            events(2),
-            effort(PHYSICAL, before, before, VEHICLE),
-            MAX_STEPS,
-        )
+        lambda: reward_terms(PHYSICAL, step(PHYSICAL, before, before))
     )
     for term in named.values():
         assert (term.shape, term.dtype, term.weak_type) == ((2,), jnp.float32, False)
@@ -277,10 +272,10 @@ def test_parking_costs_its_speed_as_a_share_of_the_top_speed(speed):
     assert terms(config, car, car, GOAL)["final_speed"] == 0.0
 
 
-def test_a_halt_costs_once_when_time_is_up():
+def test_running_out_of_time_costs_once_when_time_is_up():
     car = cars([(0.0, 0.0, 0.0)] * 2)
-    got = terms(RewardConfig(halt=0.2), car, car, GOAL, events(2, timed_out=[1]))
-    np.testing.assert_allclose(got["halt"], [0.0, -0.2], atol=1e-7)
+    got = terms(RewardConfig(timeout=0.2), car, car, GOAL, events(2, timed_out=[1]))
+    np.testing.assert_allclose(got["timeout"], [0.0, -0.2], atol=1e-7)
 
 
 def test_smoothness_can_count_times_the_speed():
@@ -307,7 +302,9 @@ def grid_cars(points, level=0, turn=0):
     """The grid's cars (n,) at points, as its physics shows them."""
     physics = GridPhysics(FINE, PHYSICAL.sim)
     count = len(points)
-    vehicle = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), VEHICLE)
+    vehicle = jax.tree.map(
+        lambda x: jnp.broadcast_to(x, (count, *x.shape)), make_vehicle(COMPACT)
+    )
     zero = jnp.zeros(count, jnp.int32)
     return physics.read(
         GridState(
@@ -323,31 +320,17 @@ def grid_cars(points, level=0, turn=0):
 def test_effort_on_the_grid_is_turn_and_level_over_the_most_there_are():
     still, turn, level = grid_cars([(0, 0)] * 5), [-3, -1, 0, 2, 3], [4, 2, 0, -1, -2]
     after = grid_cars([(0, 0)] * 5, level, turn)
-    got = effort(EnvConfig(physics="grid"), still, after, VEHICLE)
+    config = EnvConfig(physics="grid", num_agents=5)
+    got = effort(config, step(config, still, after))
     np.testing.assert_allclose(got.turn, [1, 1 / 3, 0, 2 / 3, 1], atol=1e-6)
     np.testing.assert_allclose(got.speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
 
 
-def test_nearer_on_the_grid_is_exactly_what_whole_numbers_say():
-    """Moves of up to 16 points; ties of x^2 + y^2 abound."""
-    rng = np.random.default_rng(0)
-    goal = rng.integers(-512, 513, (20_000, 2))
-    reach = np.where(rng.random((20_000, 1)) < 0.5, 24, 1100)
-    before = goal + rng.integers(-reach, reach + 1, (20_000, 2))
-    after = before + rng.integers(-16, 17, (20_000, 2))
-    # Some swap their coordinates about the goal: exactly as far as before.
-    after[:3000] = goal[:3000] + (before[:3000] - goal[:3000])[:, ::-1]
-    goal_w = jnp.pad(grid_cars(goal).pose_w[:, :2], ((0, 0), (0, 1)))
-    got = np.asarray(is_nearer(grid_cars(before), grid_cars(after), goal_w))
-    far, near = ((before - goal) ** 2).sum(axis=1), ((after - goal) ** 2).sum(axis=1)
-    assert (far == near).sum() > 3000
-    np.testing.assert_array_equal(got, near < far)
-
-
 def test_efforts_have_one_number_an_agent():
     one = grid_cars([(0, 0)] * 4)
-    for config in (PHYSICAL, EnvConfig(physics="grid")):
-        got = effort(config, one, one, VEHICLE)
+    for physics in ("mjx", "grid"):
+        config = EnvConfig(physics=physics, num_agents=4)
+        got = effort(config, step(config, one, one))
         assert isinstance(got, Effort)
         assert got.turn.shape == got.speed.shape == (4,)
         assert got.turn.dtype == got.speed.dtype == jnp.float32
