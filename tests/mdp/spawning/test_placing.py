@@ -272,6 +272,29 @@ def test_an_agent_for_whose_new_car_there_is_no_bay_keeps_its_goal():
     assert somewhere.found.all()
 
 
+@pytest.mark.parametrize(
+    ("parked_bay", "bays"), [([0, 2], {1}), ([2, 0], {1, 3, 4}), ([0, 1, 2], {3, 4})]
+)
+def test_a_car_that_has_come_to_a_goal_that_is_kept_makes_way(parked_bay, bays):
+    """To a bay that it fits into, or to any if it fits into none that is free."""
+    fits = jnp.concatenate([FITS, FITS[1:]])[: len(parked_bay)]
+    only_old = [True, False, False, False, False]
+    inputs, goals = in_row(only_old, fits, parked_bay), FixedGoals(EnvConfig())
+    placing = one_agent(0, inputs)
+
+    def place(key):
+        return place_waiting(goals.place, inputs, placing, key)
+
+    keys = jax.random.split(jax.random.key(0), 100)
+    after = jax.device_get(jax.jit(jax.vmap(place))(keys))
+    assert (after.goal == 0).all()
+    assert not after.found.any()
+    comes = parked_bay.index(0)
+    assert set(after.parked_bay[:, comes]) == bays
+    stay = np.delete(np.tile(parked_bay, (100, 1)), comes, axis=1)
+    np.testing.assert_array_equal(np.delete(after.parked_bay, comes, axis=1), stay)
+
+
 def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
     """The new car if there is a bay for it, otherwise the one driven before."""
     walls = jnp.array([[0.0, y, 0.0] for y in (-2.0, 2.0)])
