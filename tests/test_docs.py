@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import re
 import shlex
+from operator import attrgetter
 from pathlib import Path
 from typing import get_args
 
@@ -242,6 +243,16 @@ def test_links_files_and_modules_exist(page):
         assert (ROOT / name).exists(), name
     for name in re.findall(r"`(carpark_mj(?:\.\w+)+)", text):
         assert is_importable(name), name
+
+
+def test_settings_named_in_the_docs_exist():
+    config = EnvConfig()
+    groups = {f.name for f in dataclasses.fields(config)} - {"metrics"}  # .csv
+    pattern = rf"`((?:{'|'.join(groups)})(?:\.[a-z]\w*)+)"
+    names = {n for page in PAGES for n in re.findall(pattern, page.read_text())}
+    assert len(names) > 20
+    for name in names:
+        attrgetter(name)(config)  # AttributeError names what is missing
 
 
 def is_importable(name):

@@ -38,7 +38,7 @@ class TightConfig(LayoutConfig):
     level: Level = "normal"
     orientation: Orientation = "perpendicular"
     wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = DesignCar()
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
 
     def __post_init__(self) -> None:
         require_at_least(self, 0.01, "wall_thickness")

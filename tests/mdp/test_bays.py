@@ -50,7 +50,10 @@ def test_only_agents_of_a_fleet_need_the_slack_of_the_parked_rule():
     found = bay_fits(some, layout, size, size)
     assert found.agents is None
     np.testing.assert_array_equal(found.parked_cars, [[False, True, True, True]])
-    for rule, agents in (("strict", [False] * 4), ("tanner", [False, True, True, True])):
+    for rule, agents in (
+        ("strict", [False] * 4),
+        ("tanner", [False, True, True, True]),
+    ):
         fleet = EnvConfig(
             fleet=FleetConfig(agents=("city", "van")),
             observation=ContinuousObservation(own_car=True),
@@ -73,7 +76,9 @@ def test_shuffled_bays_are_all_bays_in_any_order_with_the_padding_last():
     order = np.asarray(jax.vmap(lambda key: shuffled_bays(layout, key))(keys(3600)))
     assert order.dtype == np.int32
     np.testing.assert_array_equal(np.sort(order[:, :36], axis=1), [range(36)] * 3600)
-    np.testing.assert_array_equal(np.sort(order[:, 36:], axis=1), [range(36, 40)] * 3600)
+    np.testing.assert_array_equal(
+        np.sort(order[:, 36:], axis=1), [range(36, 40)] * 3600
+    )
     # Binomial with mean 100 and deviation 10: five of them, in the first place and in
     # the last.
     for place in (0, 35):

@@ -1,37 +1,199 @@
-"""Dynamic goals in the environment: hand-placed steps, and whatever happens by chance.
+"""Goals that agents choose: choices and losses by hand, and whatever happens by chance.
 
 Cars slide (`scenes.SlidePhysics`) where only the task matters.
 """
 
 import dataclasses
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics, placed
+from helpers.scenes import SlidePhysics, cars, lot, placed
+from helpers.states import parked_in, state_of
+from helpers.transitions import no_events
 
 from carpark_mj.config import (
+    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     FleetConfig,
     GoalConfig,
     GoalRewards,
+    ViewConfig,
     reward_preset,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
+from carpark_mj.mdp.chosen_goals import ChosenGoals, taken_by_others, untracked
 from carpark_mj.registry import DYNAMIC, TANNER_DYNAMIC
-from carpark_mj.rendering.rollout import Recording
-from carpark_mj.rendering.snapshot import aimed_at, snapshot
+from carpark_mj.types import NO_BAY
 
-AGENTS, SPACES, NONE = 4, 3, 36
+CHOICES = (
+    "continue_explore",
+    "stop_explore",
+    "continue_goal",
+    "change_goal",
+    "stop_goal",
+)
+
+# Choices without an environment
+
+# Five bays in a row, 4 m apart, and agents in front of it.
+ROW = lot([(x, 10.0, math.pi / 2) for x in (0, 4, 8, 12, 16)])
+
+
+def chosen_goals(agents, slots, respawn=True):
+    """The shipped rules for some agents, and slots of tracked bays."""
+    return ChosenGoals(
+        EnvConfig(
+            num_agents=agents,
+            goals=GoalConfig(dynamic=True, num_tracked_bays=slots),
+            episode=EpisodeConfig(respawn=respawn),
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("goal", "choice", "expected", "name"),
+    [
+        (NO_BAY, 0, NO_BAY, "continue_explore"),
+        (NO_BAY, 1, 4, "stop_explore"),
+        (NO_BAY, 2, NO_BAY, "continue_explore"),  # an empty slot
+        (4, 0, NO_BAY, "stop_goal"),
+        (4, 1, 4, "continue_goal"),
+        (4, 2, 4, "continue_goal"),  # an empty slot
+        (4, 3, 1, "change_goal"),
+        (1, 1, 4, "change_goal"),
+    ],
+)
+def test_every_choice_by_hand(goal, choice, expected, name):
+    goals = chosen_goals(1, 3)
+    before = state_of(
+        ROW,
+        cars([(0.0, 0.0, 0.0)]),
+        [goal],
+        parked_cars=parked_in(ROW, [0, 2, 3]),
+        tracked_bays=[[4, NO_BAY, 1]],
+    )
+    after = goals.choose(before, jnp.array([choice]))
+    assert (after.goal.tolist(), after.goal.dtype) == ([expected], jnp.int32)
+    ended, events = goals.update(before, after, no_events(1))
+    assert ended.goal.tolist() == [expected]
+    flags = {name: flag for name, flag in vars(events).items() if name != "contexts"}
+    assert [name for name, flag in flags.items() if flag[0]] == [name]
+    assert bool(events.exploring[0]) == (expected == NO_BAY)
+
+
+@functools.cache
+def random_steps(respawn=True, lots=1500, agents=4, slots=3):
+    """What becomes of goals in random states of a row with a parked car, as numpy.
+
+    Returns:
+        States before, when goals are chosen, and at the end; events, goal events.
+    """
+    goals = chosen_goals(agents, slots, respawn)
+
+    def step(key):
+        keys = jax.random.split(key, 8)
+        x = jax.random.uniform(keys[0], (agents,), minval=-8, maxval=24)
+        tracked = jax.vmap(lambda k: jax.random.permutation(k, 7)[:slots])(
+            jax.random.split(keys[1], agents)
+        )
+        tracked = jnp.where(tracked < 5, tracked, NO_BAY)
+        slot = jax.random.randint(keys[2], (agents,), 0, slots)
+        active = jax.random.bernoulli(keys[3], 0.8, (agents,))
+        goal = tracked[jnp.arange(agents), slot]
+        before = state_of(
+            ROW,
+            cars(jnp.pad(x[:, None], ((0, 0), (0, 2)))),
+            jnp.where(active, goal, NO_BAY),  # the finished ones have crashed
+            active=active,
+            parked_cars=parked_in(ROW, jax.random.randint(keys[4], (1,), 0, 5)),
+            tracked_bays=tracked,
+        )
+        choice = jax.random.randint(keys[5], (agents,), 0, slots + 1)
+        chosen = goals.choose(before, choice)
+        # Anybody may park that has a goal, but only one in a bay, or crash.
+        able = before.active & (chosen.goal != NO_BAY)
+        parked = able & jax.random.bernoulli(keys[6], 0.3, (agents,))
+        same = jnp.tril(chosen.goal[:, None] == chosen.goal, k=-1)
+        parked = parked & ~(same & parked).any(axis=1)
+        crashed = (
+            before.active & ~parked & jax.random.bernoulli(keys[7], 0.1, (agents,))
+        )
+        events = no_events(agents, parked=parked, crashed=crashed)
+        after = chosen
+        if not respawn:
+            after = chosen.replace(active=chosen.active & ~events.done)
+        ended, named = goals.update(before, after, events)
+        bare = [x.replace(key=None) for x in (before, chosen, ended)]
+        return *bare, events, named
+
+    keys = jax.random.split(jax.random.key(1), lots)
+    return jax.device_get(jax.jit(jax.vmap(step))(keys))
+
+
+def test_the_five_choices_partition_the_steps_of_active_agents():
+    before, chosen, _, _, events = random_steps()
+    active, has = before.active, chosen.goal != NO_BAY
+    flags = np.stack([getattr(events, name) for name in CHOICES])
+    np.testing.assert_array_equal(flags.sum(axis=0), active)
+    assert flags.any(axis=(1, 2)).all()
+    np.testing.assert_array_equal(events.exploring, active & ~has)
+    had = active & (before.goal != NO_BAY)
+    np.testing.assert_array_equal(flags[2:].any(axis=0), had)
+    np.testing.assert_array_equal(chosen.goal[~active], before.goal[~active])
+    assert not (events.lost_untracked & events.lost_taken).any()
+    lost = events.lost_untracked | events.lost_taken
+    assert not (lost & events.exploring).any()
+    assert events.lost_untracked.any()
+    assert events.lost_taken.any()
+
+
+@pytest.mark.parametrize("respawn", [True, False])
+def test_goals_are_lost_to_who_parks_there_and_when_no_longer_tracked(respawn):
+    before, chosen, ended, events, goals = random_steps(respawn)
+    done, goal = events.parked | events.crashed, chosen.goal
+    goes_on, has = before.active & ~done, goal != NO_BAY
+    others = ~np.eye(goal.shape[1], dtype=bool)
+    same = (goal[:, :, None] == goal[:, None]) & others
+    taken = goes_on & has & (same & events.parked[:, None]).any(axis=2)
+    np.testing.assert_array_equal(goals.lost_taken, taken)
+    tracked = (ended.tracked_bays == goal[..., None]).any(axis=2)
+    lost = goes_on & has & ~tracked & ~taken
+    np.testing.assert_array_equal(goals.lost_untracked, lost)
+    kept = np.where(goes_on & has & tracked & ~taken, goal, NO_BAY)
+    np.testing.assert_array_equal(ended.goal[goes_on], kept[goes_on])
+    # Whoever has parked and stays keeps the bay, in which it stands.
+    stays = events.parked & (not respawn)
+    kept = np.where(stays, goal, NO_BAY)
+    np.testing.assert_array_equal(ended.goal[done], kept[done])
+
+
+def test_whoever_has_the_goal_where_another_parks_loses_it():
+    goal = jnp.array([3, 3, 2, NO_BAY, 3, 2])
+    parked = jnp.array([False, True, False, False, False, False])
+    taken = taken_by_others(goal, parked)
+    np.testing.assert_array_equal(taken, [True, False, False, False, True, False])
+
+
+def test_who_has_no_goal_cannot_lose_it():
+    tracked = jnp.array([[3, 1], [3, NO_BAY], [NO_BAY, NO_BAY], [1, NO_BAY]])
+    goal = jnp.array([1, 2, NO_BAY, NO_BAY])
+    assert untracked(goal, tracked).tolist() == [False, True, False, False]
+
+
+# In the environment
+
+AGENTS, SLOTS, BAYS = 4, 3, 36
 PAY = GoalRewards(taken_goal=-0.07)
 CONFIG = EnvConfig(
     num_agents=AGENTS,
     num_parked_cars=16,
-    goals=GoalConfig(dynamic=True, num_spaces=SPACES),
+    goals=GoalConfig(dynamic=True, num_tracked_bays=SLOTS),
     episode=EpisodeConfig(parked_rule="tanner", max_steps=30),
     reward=dataclasses.replace(reward_preset("tanner"), goals=PAY),
 )
@@ -52,22 +214,22 @@ def act(choice, controls=(0.0, 0.0)):
     return np.concatenate([np.tile(np.float32(controls), (len(choice), 1)), choice], 1)
 
 
-def start(respawn=True, pose=APART, goal=None, spaces=None):
-    """One lot with its agents standing at given poses; goals and spaces by hand."""
+def start(respawn=True, pose=APART, goal=None):
+    """One lot with its agents standing at given poses; goals by hand."""
     env, reset, step = slide(respawn)
     state = placed(env, reset(jax.random.key(0))[0], pose)
     if goal is not None:
         goal = jnp.asarray(goal, jnp.int32)
         state = state.replace(
-            occupancy=state.occupancy.replace(goal=goal),
-            spaces=jnp.full((AGENTS, SPACES), NONE).at[:, 0].set(goal),
+            goal=goal,
+            tracked_bays=jnp.full((AGENTS, SLOTS), NO_BAY).at[:, 0].set(goal),
         )
     return env, step, state
 
 
 def free(state):
     """Bays without a parked car."""
-    return np.setdiff1d(np.arange(NONE), state.occupancy.parked_bay)
+    return np.setdiff1d(np.arange(BAYS), state.parked_cars.bay)
 
 
 # Starting
@@ -76,32 +238,34 @@ def free(state):
 def test_everybody_starts_exploring_and_knows_the_nearest_free_bays():
     env, reset, _ = slide()
     assert env.action_spec.continuous == 2
-    assert env.action_spec.choices == (1 + SPACES,)
+    assert env.action_spec.choices == (1 + SLOTS,)
     state, observation = reset(jax.random.key(3))
-    assert state.occupancy.goal.tolist() == [NONE] * AGENTS
-    assert state.spaces.shape == (AGENTS, SPACES)
+    assert state.goal.tolist() == [NO_BAY] * AGENTS
+    assert state.tracked_bays.shape == (AGENTS, SLOTS)
     bays = np.asarray(state.layout.bay_pose)[:, :2]
-    for xy, spaces in zip(state.vehicle.pose_w[:, :2], state.spaces, strict=True):
+    for xy, tracked in zip(state.motion.xy, state.tracked_bays, strict=True):
         gap = np.linalg.norm(bays - xy, axis=1)
         order = [bay for bay in np.argsort(gap) if bay in free(state)]
-        assert spaces.tolist() == order[:SPACES]
-    assert len(np.unique(state.occupancy.parked_bay)) == 16
+        assert tracked.tolist() == order[:SLOTS]
+    assert len(np.unique(state.parked_cars.bay)) == 16
     assert np.isfinite(observation).all()
 
 
 def test_bays_out_of_view_are_not_tracked():
-    view = dataclasses.replace(CONFIG.observation, tracking_diameter=40.0)
-    view = dataclasses.replace(view, field_of_view=90.0)
-    env = ParkingEnv(dataclasses.replace(CONFIG, observation=view), SlidePhysics())
+    view = ViewConfig(field_of_view=90.0, diameter=40.0)
+    seen = dataclasses.replace(CONFIG.observation, view=view)
+    env = ParkingEnv(dataclasses.replace(CONFIG, observation=seen), SlidePhysics())
     state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(4), 16))
-    pose, bays = state.vehicle.pose_w, np.asarray(state.layout.bay_pose[0])
+    pose, bays = state.motion.pose_w, np.asarray(state.layout.bay_pose[0])
     offset = bays[:, :2] - pose[:, :, None, :2]
     bearing = np.arctan2(offset[..., 1], offset[..., 0]) - pose[:, :, None, 2]
     ahead = np.cos(bearing) >= np.cos(np.radians(45.0))
     seen = ahead & (np.linalg.norm(offset, axis=-1) <= 20.0)
-    lot, agent, slot = np.nonzero(state.spaces < NONE)
-    assert seen[lot, agent, state.spaces[lot, agent, slot]].all()
-    assert 0 < len(lot) < state.spaces.size  # some see fewer than they could track
+    lot, agent, slot = np.nonzero(state.tracked_bays != NO_BAY)
+    assert seen[lot, agent, state.tracked_bays[lot, agent, slot]].all()
+    assert (
+        0 < len(lot) < state.tracked_bays.size
+    )  # some see fewer than they could track
 
 
 # Steps by hand
@@ -109,20 +273,23 @@ def test_bays_out_of_view_are_not_tracked():
 
 def test_a_choice_is_made_before_the_step_and_judged_with_it():
     _, step, state = start()
-    mine = state.layout.bay_pose[state.spaces[1, 2]]
+    mine = state.layout.bay_pose[state.tracked_bays[1, 2]]
     pose = APART.copy()
     pose[1] = mine
     # JAX reads a row past the end as the last: no goal must not mean the last bay.
-    pose[3] = np.asarray(state.layout.bay_pose[NONE - 1])
+    pose[3] = np.asarray(state.layout.bay_pose[BAYS - 1])
     state = placed(slide()[0], state, pose)
     _, explores = step(state, act([0, 0, 0, 0]))
     assert not explores.events.parked.any()  # in a bay, but without a goal
     after, timestep = step(state, act([1, 3, 0, 0]))
     np.testing.assert_array_equal(timestep.events.parked, [False, True, False, False])
-    assert timestep.goal.tolist()[:2] == [state.spaces[0, 0], state.spaces[1, 2]]
+    assert timestep.goal.tolist()[:2] == [
+        state.tracked_bays[0, 0],
+        state.tracked_bays[1, 2],
+    ]
     assert timestep.reward_terms["park"][1] == 1.0
-    assert after.occupancy.goal[1] == NONE  # the new episode explores
-    assert state.spaces[1, 2] in after.occupancy.parked_bay
+    assert after.goal[1] == NO_BAY  # the new episode explores
+    assert state.tracked_bays[1, 2] in after.parked_cars.bay
     named = timestep.metrics
     assert (named["stop_explore"][1], named["explored_steps"][1]) == (1.0, 0.0)
 
@@ -132,14 +299,14 @@ def test_whose_goal_another_parks_in_goes_exploring_and_pays_for_it():
     bay = int(free(state)[0])
     pose = APART.copy()
     pose[2] = np.asarray(state.layout.bay_pose[bay])
-    _, step, state = start(pose=pose, goal=[bay, NONE, bay, bay])
+    _, step, state = start(pose=pose, goal=[bay, NO_BAY, bay, bay])
     after, timestep = step(state, act([1, 0, 1, 1]))
     np.testing.assert_array_equal(timestep.events.parked, [False, False, True, False])
     goals = timestep.goal_events
     np.testing.assert_array_equal(goals.lost_taken, [True, False, False, True])
     assert not goals.lost_untracked.any()
-    assert after.occupancy.goal.tolist() == [NONE] * AGENTS
-    assert bay not in np.asarray(after.spaces)
+    assert after.goal.tolist() == [NO_BAY] * AGENTS
+    assert bay not in np.asarray(after.tracked_bays)
     np.testing.assert_allclose(
         timestep.reward_terms["taken_goal"], [-0.07, 0, 0, -0.07], atol=1e-7
     )
@@ -156,12 +323,12 @@ def test_a_goal_out_of_sight_is_lost_at_the_end_of_the_step():
     state, _ = reset(jax.random.key(0))
     gap = np.linalg.norm(state.layout.bay_pose[:, :2] - APART[0, :2], axis=1)
     far = max(free(state), key=lambda bay: gap[bay])
-    _, step, state = start(goal=[far, NONE, NONE, NONE])
+    _, step, state = start(goal=[far, NO_BAY, NO_BAY, NO_BAY])
     after, timestep = step(state, act([1, 0, 0, 0]))
     np.testing.assert_array_equal(timestep.goal_events.lost_untracked, [True, *[0] * 3])
     assert timestep.goal[0] == far  # held during the step
     assert timestep.goal_events.continue_goal[0]
-    assert after.occupancy.goal[0] == NONE
+    assert after.goal[0] == NO_BAY
     assert timestep.reward_terms["lost_goal"][0] == pytest.approx(-0.05)
 
 
@@ -170,12 +337,12 @@ def test_of_two_agents_in_one_bay_the_first_parks_and_the_other_crashes():
     bay = int(free(state)[0])
     pose = APART.copy()
     pose[1] = pose[3] = np.asarray(state.layout.bay_pose[bay])
-    _, step, state = start(pose=pose, goal=[NONE, bay, NONE, bay])
+    _, step, state = start(pose=pose, goal=[NO_BAY, bay, NO_BAY, bay])
     after, timestep = step(state, act([0, 1, 0, 1]))
     np.testing.assert_array_equal(timestep.events.parked, [False, True, False, False])
     np.testing.assert_array_equal(timestep.events.crashed, [False, False, False, True])
-    assert len(np.unique(after.occupancy.parked_bay)) == 16
-    assert bay in after.occupancy.parked_bay
+    assert len(np.unique(after.parked_cars.bay)) == 16
+    assert bay in after.parked_cars.bay
 
 
 def test_without_respawning_a_parked_agent_keeps_its_bay_from_the_others():
@@ -184,32 +351,18 @@ def test_without_respawning_a_parked_agent_keeps_its_bay_from_the_others():
     bay = int(min(free(state), key=lambda bay: gap[bay]))  # agent 0 would track it
     pose = APART.copy()
     pose[1] = np.asarray(state.layout.bay_pose[bay])
-    _, step, state = start(False, pose, [bay, bay, NONE, NONE])
-    before = state.occupancy.parked_bay
+    _, step, state = start(False, pose, [bay, bay, NO_BAY, NO_BAY])
+    before = state.parked_cars.bay
     state, timestep = step(state, act([1, 1, 0, 0]))
     np.testing.assert_array_equal(timestep.goal_events.lost_taken, [True, *[0] * 3])
-    assert state.occupancy.goal.tolist() == [NONE, bay, NONE, NONE]
-    np.testing.assert_array_equal(state.occupancy.parked_bay, before)
+    assert state.goal.tolist() == [NO_BAY, bay, NO_BAY, NO_BAY]
+    np.testing.assert_array_equal(state.parked_cars.bay, before)
     for choice in (0, 1, 2):
         state, timestep = step(state, act([1, choice, 1, 1]))
-        assert bay not in np.delete(np.asarray(state.spaces), 1, axis=0)
-        assert state.occupancy.goal[1] == bay
+        assert bay not in np.delete(np.asarray(state.tracked_bays), 1, axis=0)
+        assert state.goal[1] == bay
         assert timestep.reward[1] == 0.0
-        assert not any(flag[1] for flag in vars(timestep.goal_events).values())
-
-
-def test_the_final_observation_is_of_the_goal_chosen_in_the_step():
-    env, step, state = start()
-    state, _ = step(state, act([0] * AGENTS))  # looks round from where it stands
-    state = state.replace(step=jnp.array([29, 0, 0, 0], jnp.int32))
-    final_observation = jax.jit(env.final_observation)
-    for choice in (0, 1):
-        _, timestep = step(state, act([choice, 1, 0, 0]))
-        assert timestep.events.timed_out[0]
-        final = final_observation(state, timestep)
-        # The goal's position; the new episode has no goal.
-        assert bool(np.any(final[0, 3:5])) == bool(choice)
-        assert not np.any(timestep.observation[0, 3:5])
+        assert not any(flag[1] for flag in jax.tree.leaves(timestep.goal_events))
 
 
 # Whatever happens
@@ -226,18 +379,18 @@ def drive(env, num_steps, seed, parks):
         keys = jax.random.split(key, 5)
         index = jax.random.randint(keys[0], (agents, 9), 0, jnp.array([999] * 9))
         index = index[:, : len(spec.choices)] % jnp.array(spec.choices)
-        goal = state.occupancy.goal
-        held = jnp.argmax(state.spaces == goal[:, None], axis=1) + 1
-        held = jnp.where(goal == NONE, 0, held)
+        goal = state.goal
+        held = jnp.argmax(state.tracked_bays == goal[:, None], axis=1) + 1
+        held = jnp.where(goal == NO_BAY, 0, held)
         keep = jax.random.bernoulli(keys[1], 0.7, (agents,))
         index = index.at[:, -1].set(jnp.where(keep, held, index[:, -1]))
         numbers = jax.random.uniform(keys[2], (agents, spec.continuous), minval=-0.5)
         action = jnp.concatenate([numbers, index], axis=1) if spec.continuous else index
         if parks:
-            put = jax.random.bernoulli(keys[3], parks, (agents,)) & (goal < NONE)
-            pose = state.layout.bay_pose[jnp.minimum(goal, NONE - 1)]
+            put = jax.random.bernoulli(keys[3], parks, (agents,)) & (goal != NO_BAY)
+            pose = state.layout.bay_pose[jnp.minimum(goal, BAYS - 1)]
             physics = env.physics.place(state.physics, put, pose, state.physics.vehicle)
-            state = state.replace(physics=physics, vehicle=env.physics.read(physics))
+            state = state.replace(physics=physics, motion=env.physics.read(physics))
         after, timestep = env.step(state, action)
         bare = [x.replace(physics=None, key=None) for x in (state, after)]
         return after, (*bare, timestep)
@@ -253,34 +406,36 @@ def check(env, before, after, timestep):
     """The invariants of dynamic goals over a stretch of time."""
     events, goals = timestep.events, timestep.goal_events
     agents = env.num_agents
-    parked_bay = np.sort(after.occupancy.parked_bay, axis=1)
+    parked_bay = np.sort(after.parked_cars.bay, axis=1)
     assert (np.diff(parked_bay, axis=1) > 0).all()  # none lost, none doubled
     assert (parked_bay >= 0).all()
-    assert (parked_bay < NONE).all()
+    assert (parked_bay < BAYS).all()
     # Tracked bays are the nearest free ones.
     bays = after.layout.bay_pose[0, :, :2]
-    free = np.ones((len(parked_bay), NONE), bool)
+    free = np.ones((len(parked_bay), BAYS), bool)
     np.put_along_axis(free, parked_bay, False, axis=1)
-    xy = after.vehicle.pose_w[:, :, None, :2]
+    xy = after.motion.pose_w[:, :, None, :2]
     gap = np.where(free[:, None], np.linalg.norm(xy - bays, axis=-1), np.inf)
-    count = env.config.goals.num_spaces
+    count = env.config.goals.num_tracked_bays
     nearest = np.sort(gap, axis=-1)[..., :count]
-    found = np.sort(np.take_along_axis(gap, after.spaces, axis=-1), axis=-1)
+    found = np.sort(np.take_along_axis(gap, after.tracked_bays, axis=-1), axis=-1)
     np.testing.assert_allclose(found, nearest, atol=1e-4)
     # A bay that stays among them keeps its slot.
-    old, new = before.spaces[~events.done], after.spaces[~events.done]
+    old, new = before.tracked_bays[~events.done], after.tracked_bays[~events.done]
     stays = (old[:, :, None] == new[:, None, :]).any(axis=2)
     np.testing.assert_array_equal(old[stays], new[stays])
     # Goals are tracked, those that new episodes start with too; lost ones are none.
-    goal = after.occupancy.goal
-    assert ((goal == NONE) | (after.spaces == goal[..., None]).any(axis=-1)).all()
+    goal = after.goal
+    assert (
+        (goal == NO_BAY) | (after.tracked_bays == goal[..., None]).any(axis=-1)
+    ).all()
     lost = goals.lost_untracked | goals.lost_taken
     assert not (lost & events.done).any()
     goes_on = ~events.done
-    kept = np.where(lost, NONE, timestep.goal)
+    kept = np.where(lost, NO_BAY, timestep.goal)
     np.testing.assert_array_equal(goal[goes_on], kept[goes_on])
     # One transition each; rewards are what the transitions pay.
-    names = [*vars(goals)][:5]
+    names = CHOICES
     flags = np.stack([getattr(goals, name) for name in names])
     assert (flags.sum(axis=0) == 1).all()
     terms, pay = timestep.reward_terms, env.config.reward.goals
@@ -313,7 +468,7 @@ def test_invariants_when_many_park_and_goals_are_shared():
     env = ParkingEnv(CONFIG, SlidePhysics())
     goals, events = check(env, *drive(env, 300, seed=1, parks=0.1))
     assert events.parked.sum() > 20
-    for name in vars(goals):
+    for name in (*CHOICES, "lost_untracked", "lost_taken"):
         assert getattr(goals, name).any(), name
 
 
@@ -336,80 +491,30 @@ def test_half_of_the_close_starts_have_the_bay_beside_them_for_a_goal():
     env = ParkingEnv(dataclasses.replace(CONFIG, spawn=spawn), SlidePhysics())
     _, after, timestep = drive(env, 300, seed=3, parks=0.1)
     fresh = timestep.events.done
-    begun = after.occupancy.goal[fresh]
+    begun = after.goal[fresh]
     assert len(begun) > 50
     # Not all: the bay may be taken, or not be among the nearest.
-    assert 0.25 < (begun < NONE).mean() < 0.6
-    tracked = (after.spaces[fresh] == begun[:, None]).any(axis=1)
-    np.testing.assert_array_equal(tracked, begun < NONE)
+    assert 0.25 < (begun != NO_BAY).mean() < 0.6
+    tracked = (after.tracked_bays[fresh] == begun[:, None]).any(axis=1)
+    np.testing.assert_array_equal(tracked, begun != NO_BAY)
 
 
 def test_agents_of_a_fleet_track_only_bays_they_fit_in():
     config = dataclasses.replace(
-        CONFIG, fleet=FleetConfig(agents=("city", "van")), episode=EpisodeConfig()
+        CONFIG,
+        fleet=FleetConfig(agents=("city", "van")),
+        episode=EpisodeConfig(),
+        observation=ContinuousObservation(own_car=True),
     )
     env = ParkingEnv(config, SlidePhysics())
     layout = make_layout("tanner")
-    short = jnp.arange(NONE) % 3 > 0  # 4.95 m, the van is 4.90 m long, a city car 3.6
+    short = jnp.arange(BAYS) % 3 > 0  # 4.95 m, the van is 4.90 m long, a city car 3.6
     size = layout.bay_size.at[:, 0].set(jnp.where(short, 4.95, layout.bay_size[:, 0]))
     reset = jax.jit(jax.vmap(env.reset_to_layout, (None, 0)))
     state, _ = reset(layout.replace(bay_size=size), jax.random.split(jax.random.key(0)))
-    van = np.asarray(state.vehicle.size[..., 0]) > 4.5
+    van = np.asarray(state.motion.size[..., 0]) > 4.5
     assert van.any()
     assert not van.all()
-    tracks_short = np.asarray(short)[state.spaces].any(axis=-1)
-    assert (state.spaces < NONE).all()
+    tracks_short = np.asarray(short)[state.tracked_bays].any(axis=-1)
+    assert (state.tracked_bays != NO_BAY).all()
     np.testing.assert_array_equal(tracks_short, ~van)
-
-
-# Refusals and pictures
-
-
-@pytest.mark.parametrize(
-    ("num_parked_cars", "num_spaces", "message"),
-    [
-        (16, 21, r"num_spaces must be at most 20 \(36 bays less 16 .*, not 21"),
-        (36, 1, "num_spaces must be at most 0 .*, not 1"),
-        (40, 1, "num_spaces must be at most 0 .*, not 1"),
-    ],
-)
-def test_more_tracked_bays_than_the_lot_has_free_are_refused(
-    num_parked_cars, num_spaces, message
-):
-    config = EnvConfig(
-        num_parked_cars=num_parked_cars, goals=GoalConfig(True, num_spaces)
-    )
-    with pytest.raises(ValueError, match=message) as caught:
-        ParkingEnv(config)
-    assert "\n" not in str(caught.value)
-
-
-def test_there_may_be_more_agents_than_free_bays():
-    env = ParkingEnv(
-        dataclasses.replace(CONFIG, num_parked_cars=35, goals=GoalConfig(True, 1))
-    )
-    assert env.num_agents == AGENTS
-
-
-def test_a_picture_shows_no_goal_of_an_agent_that_explores():
-    layout = start()[2].layout
-    flags = np.zeros((1, 2), bool)
-    recording = Recording(
-        layout=layout,
-        ctrl_dt=0.2,
-        pose_w=np.zeros((1, 1, 2, 3)),
-        steering=np.zeros((1, 2)),
-        speed=np.array([[1.0, 0.0]]),
-        goal=np.array([[5, NONE]]),
-        parked_pose=np.zeros((1, 0, 3)),
-        active=~flags,
-        parked=flags,
-        crashed=flags,
-        timed_out=flags,
-        step=np.ones((1, 2), int),
-    )
-    seen = snapshot(recording, 0)
-    assert seen.state == ("drives", "stands, explores")
-    np.testing.assert_array_equal(seen.goal_pose[0], layout.bay_pose[5])
-    assert np.isnan(seen.goal_pose[1]).all()
-    assert np.isnan(aimed_at(layout, np.array([NONE]))[1]).all()

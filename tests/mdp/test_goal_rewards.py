@@ -159,9 +159,7 @@ def bad_goals(scheme):
     contexts = dict.fromkeys(("local_same", "local_any", "global_any"), met)
     events = no_goal_events(4, continue_goal=kept, change_goal=~kept, **contexts)
     still = cars(np.zeros((4, 3)))
-    happened = step(
-        config, ([0] * 4, [0] * 4), (0,), still, still, goal_events=events
-    )
+    happened = step(config, ([0] * 4, [0] * 4), (0,), still, still, goal_events=events)
     terms = reward_terms(config, happened)
     assert tuple(sorted(terms)) == tuple(sorted(term_names(config, ROW)))
     assert all(term.dtype == jnp.float32 for term in terms.values())

@@ -67,11 +67,12 @@ class QLearner:
             ValueError: it cannot be built, or gives no whole numbers.
         """
         self.config = config
-        self.env = ParkingEnv(config.env)
         if not config.env.episode.respawn:
             raise ValueError("Q-learning needs env.episode.respawn = True")
+        episode = dataclasses.replace(config.env.episode, final_observation=True)
+        self.env = ParkingEnv(dataclasses.replace(config.env, episode=episode))
         # The same without new episodes: three times as fast, and mostly enough.
-        still = dataclasses.replace(config.env.episode, respawn=False)
+        still = dataclasses.replace(episode, respawn=False)
         self._still_env = ParkingEnv(dataclasses.replace(config.env, episode=still))
         if config.env.observation.encoding != "indices":
             raise ValueError(
@@ -146,8 +147,7 @@ class QLearner:
             lambda: jax.vmap(jax.vmap(self.env.step))(before, choices),
             lambda: after,
         )
-        seen = jax.vmap(jax.vmap(self.env.final_observation))(before, timestep)
-        following = state_index(seen, self.sizes)
+        following = state_index(timestep.final_observation, self.sizes)
         terminated = timestep.terminated
         transitions = (state, action, timestep.reward, following, terminated)
         table = jax.vmap(self._learn)(training, transitions)

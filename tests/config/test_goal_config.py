@@ -1,0 +1,102 @@
+"""Settings of chosen goals and giving way."""
+
+import dataclasses
+import math
+
+import pytest
+
+from carpark_mj.config import (
+    EnvConfig,
+    GivingWayConfig,
+    GoalConfig,
+    GoalRewards,
+    IndexObservation,
+    RewardConfig,
+)
+
+DYNAMIC = GoalConfig(dynamic=True)
+BAD_REWARDS = [
+    ({"continue_explore": 0.0}, "continue_explore must be negative .* not 0.0"),
+    ({"change_goal": 0.1}, "change_goal must be negative .* not 0.1"),
+    ({"stop_goal": -0.06}, r"change_goal = stop_goal \+ .* -0.05 = -0.06 \+ 0.0"),
+    ({"stop_explore": 0.1, "stop_goal": -0.05}, "change_goal = stop_goal"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), BAD_REWARDS)
+def test_rewards_that_break_the_constraints_are_refused_with_dynamic_goals(
+    change, message
+):
+    reward = RewardConfig(goals=GoalRewards(**change))
+    EnvConfig(reward=reward)  # nobody is paid for fixed goals
+    with pytest.raises(ValueError, match=message) as caught:
+        EnvConfig(goals=DYNAMIC, reward=reward)
+    assert "\n" not in str(caught.value)
+
+
+def test_rewards_that_obey_the_constraints_to_rounding_are_taken():
+    pay = GoalRewards(stop_explore=-0.1, stop_goal=-0.2, change_goal=-0.1 - 0.2)
+    assert EnvConfig(goals=DYNAMIC, reward=RewardConfig(goals=pay)).goals.dynamic
+
+
+def test_other_impossible_settings_are_refused_in_a_sentence():
+    with pytest.raises(ValueError, match="num_tracked_bays must be at least 1, not 0"):
+        GoalConfig(num_tracked_bays=0)
+    with pytest.raises(ValueError, match="lost_goal must be finite, not nan"):
+        GoalRewards(lost_goal=math.nan)
+    with pytest.raises(ValueError, match="'indices' needs fixed goals"):
+        EnvConfig(physics="grid", goals=DYNAMIC, observation=IndexObservation())
+
+
+def test_a_scheme_needs_agents_that_choose_their_goals():
+    with pytest.raises(ValueError, match="scheme 'G,G,A' needs dynamic goals"):
+        EnvConfig(giving_way=GivingWayConfig("G,G,A"))
+
+
+@pytest.mark.parametrize(("scheme", "needed"), [("L,L,A", False), ("G,G,A", True)])
+def test_a_scheme_says_what_must_be_observed(scheme, needed):
+    observation = EnvConfig().observation
+    for given in (False, True):
+        seen = dataclasses.replace(observation, global_information=given)
+        settings = {"goals": DYNAMIC, "giving_way": GivingWayConfig(scheme)}
+        if given == needed:
+            assert EnvConfig(**settings, observation=seen)
+            continue
+        with pytest.raises(
+            ValueError, match=f"{scheme}.*global_information = {needed}"
+        ):
+            EnvConfig(**settings, observation=seen)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "information", "context"),
+    [
+        ("L,L,S", False, "local_same"),
+        ("L,L,A", False, "local_any"),
+        ("G,L,S", True, "local_same"),
+        ("G,L,A", True, "local_any"),
+        ("G,G,S", True, "global_same"),
+        ("G,G,A", True, "global_any"),
+        (None, False, None),
+    ],
+)
+def test_schemes_say_what_is_known_and_what_is_enforced(scheme, information, context):
+    config = GivingWayConfig(scheme)
+    assert config.global_information is information
+    assert config.context == context
+
+
+@pytest.mark.parametrize("scheme", ["L,G,S", "G,G", "LLS", "", "g,g,a"])
+def test_an_unknown_scheme_is_refused_with_the_six_known_ones(scheme):
+    with pytest.raises(ValueError, match=f"unknown scheme '{scheme}'; choose") as error:
+        GivingWayConfig(scheme)
+    for known in ("L,L,S", "L,L,A", "G,L,S", "G,L,A", "G,G,S", "G,G,A"):
+        assert f"'{known}'" in str(error.value)
+
+
+@pytest.mark.parametrize("value", [0.1, float("nan"), -float("inf")])
+def test_a_bad_goal_is_not_rewarded(value):
+    with pytest.raises(ValueError, match="bad_goal must be at most 0"):
+        GivingWayConfig("G,G,A", value)
+    with pytest.raises(ValueError, match=r"bad_goal -0\.1 needs a scheme"):
+        GivingWayConfig(bad_goal=-0.1)

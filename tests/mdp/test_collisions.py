@@ -1,0 +1,163 @@
+"""Collisions: shapely is the oracle, at every traced instant."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import shapely
+from helpers.crowds import crossing, random_lots
+from helpers.scenes import (
+    CAR,
+    cars,
+    lot,
+    moved_cars,
+    moved_lot,
+    overlap_oracle,
+    polygons,
+)
+from helpers.states import parked_at, parked_in, state_of
+
+from carpark_mj.layouts import make_layout
+from carpark_mj.mdp.collisions import find_hits
+
+
+@jax.jit
+def hits_of(layout, motion, parked_cars=None, hitbox_scale=None):
+    """What agents touch; nobody is parked by default."""
+    parked_cars = parked_at() if parked_cars is None else parked_cars
+    state = state_of(layout, motion, 0, parked_cars=parked_cars)
+    return find_hits(state, hitbox_scale)
+
+
+def test_hits_agree_with_shapely_at_every_traced_instant():
+    count = 1500
+    rng = np.random.default_rng(0)
+    motion, bays, walls, wall_size = random_lots(rng, count)
+    parked_bay = np.array([2, 0])
+    parked_size = np.float32([[4.2, 1.8], [4.6, 1.9]])
+    template = lot(bays[0], walls[0])
+
+    def hits(motion, bay_pose, wall_pose, wall_size):
+        layout = template.replace(
+            bay_pose=bay_pose, wall_pose=wall_pose, wall_size=wall_size
+        )
+        return hits_of(layout, motion, parked_in(layout, parked_bay, parked_size))
+
+    got = jax.jit(jax.vmap(hits))(motion, bays, walls, wall_size)
+    own = np.asarray(motion.trace_w), np.asarray(motion.size)[:, :, None]
+
+    def check(got, other_pose, other_size, mask=True):
+        """The agents' boxes against (lots, 1, others, traces or 1) other boxes."""
+        expected, certain = overlap_oracle(
+            own[0][:, :, None], own[1][:, :, None], other_pose, other_size
+        )
+        expected = (expected & mask).any(axis=(2, 3))
+        certain = (certain | ~np.asarray(mask)).all(axis=(2, 3))
+        np.testing.assert_array_equal(np.asarray(got)[certain], expected[certain])
+        assert (~certain).sum() <= 5
+        assert 0.1 < expected.mean() < 0.9  # both answers are well represented
+
+    others = ~np.eye(3, dtype=bool)[None, :, :, None]
+    check(got.agent, own[0][:, None], own[1][:, None], others)
+    check(got.parked_car, bays[:, parked_bay][:, None, :, None], parked_size[:, None])
+    check(got.wall, walls[:, None, :, None], wall_size[:, None, :, None])
+
+
+FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
+
+
+def test_a_car_that_passes_through_another_between_two_instants_is_caught():
+    hits = hits_of(FAR_LOT, crossing(True))
+    np.testing.assert_array_equal(hits.agent, [True, True])
+    assert not (hits.parked_car | hits.wall).any()
+    # At the end of the step alone nothing is to be seen.
+    assert not hits_of(FAR_LOT, crossing(False)).any.any()
+
+
+def test_padding_walls_hit_nobody():
+    layout = lot([(30.0, 0.0, 0.0)], walls=[(0.0, 0.0, 0.0)])
+    motion = cars([(0.0, 0.0, 0.0)])
+    assert hits_of(layout, motion).wall.all()
+    layout = layout.replace(wall_mask=jnp.zeros(1, bool))
+    assert not hits_of(layout, motion).wall.any()
+
+
+def test_discs_are_hit_where_shapely_says_and_only_if_they_count():
+    rng = np.random.default_rng(3)
+    count = 400
+    pose = np.float32(rng.uniform((-4, -4, -3), (4, 4, 3), (count, 1, 3)))
+    template = lot([(30.0, 0.0, 0.0)], discs=[(1.0, 0.5, 0.3), (-2.0, -1.0, 0.8)])
+
+    def hit(pose, layout):
+        return hits_of(layout, cars(pose)).wall
+
+    run = jax.jit(jax.vmap(hit, (0, None)))
+    centres = shapely.points([(1.0, 0.5), (-2.0, -1.0)])
+    own = polygons(pose[:, 0], np.full((count, 2), CAR))
+    gap = shapely.distance(own[:, None], centres) - np.array([0.3, 0.8])
+    for mask in ([True, True], [True, False], [False, False]):
+        layout = template.replace(disc_mask=jnp.array(mask))
+        expected = ((gap < 0) & mask).any(axis=1)
+        certain = (np.abs(gap) > 1e-4).all(axis=1)
+        np.testing.assert_array_equal(
+            np.asarray(run(pose, layout))[certain, 0], expected[certain]
+        )
+    assert 0.2 < (gap < 0).any(axis=1).mean() < 0.8
+
+
+def test_the_parked_cars_of_a_full_tanner_lot_hit_no_wall_and_not_each_other():
+    layout = make_layout("tanner")
+    size = jnp.broadcast_to(jnp.array([4.255, 1.799]), (36, 2))
+    motion = cars(layout.bay_pose, size=size)
+    assert not hits_of(layout, motion).any.any()
+    moved_layout = moved_lot(layout, (0.1, 0.2, 0.3))
+    motion = moved_cars(motion, (0.1, 0.2, 0.3))
+    assert not hits_of(moved_layout, motion).any.any()
+
+
+def scaled_hits(scale, gap=1.0):
+    """Who hits what with scaled hitboxes: pairs and single cars, all `gap` apart."""
+    layout = lot([(100.0, 0.0, 0.0)], walls=[(0.0, 20.0, 0.0)], wall_size=(4.0, 1.0))
+    length, width = CAR
+    motion = cars(
+        [
+            (0.0, 0.0, 0.0),
+            (length + gap, 0.0, 0.0),  # ahead of agent 0
+            (30.0, 0.0, 0.0),
+            (0.0, 19.5 - gap - width / 2, 0.0),  # beside the wall
+        ]
+    )
+    parked = parked_at([(30.0, width + gap, 0.0)], CAR)  # beside agent 2
+    scale = None if scale is None else jnp.float32(scale)
+    return np.array(hits_of(layout, motion, parked, scale))
+
+
+def test_a_hitbox_scale_multiplies_length_and_width_of_all_cars_and_of_no_wall():
+    """A gap of 1 m: closed at 5 / 4 nose to tail, 3 / 2 side by side, 2 at a wall."""
+    nothing = np.zeros((3, 4), bool)
+    for scale, hit in ((1.24, ()), (1.26, (0, 1)), (1.49, (0, 1)), (1.51, (0, 1, 2))):
+        expected = nothing.copy()
+        expected[0, [i for i in hit if i < 2]] = True
+        expected[1, [i for i in hit if i == 2]] = True
+        np.testing.assert_array_equal(scaled_hits(scale), expected, err_msg=f"{scale}")
+    assert not scaled_hits(1.99)[2].any()
+    assert scaled_hits(2.01)[2].tolist() == [False, False, False, True]
+
+
+def test_a_hitbox_scale_of_one_changes_nothing():
+    for gap in (-0.5, 1e-4, 1.0):
+        np.testing.assert_array_equal(scaled_hits(1.0, gap), scaled_hits(None, gap))
+
+
+def test_physics_with_contacts_says_itself_what_was_touched():
+    touched = jnp.array([[True, False, False], [False, True, True]])
+    motion = crossing(False).replace(touched=touched)
+    for scale in (None, jnp.float32(9.0)):
+        hits = hits_of(FAR_LOT, motion, hitbox_scale=scale)
+        np.testing.assert_array_equal(np.stack(hits, axis=-1), touched)
+        assert hits.any.tolist() == [True, True]
+
+
+def test_a_parked_car_is_hit_where_it_stands_and_not_in_its_bay():
+    pushed = parked_in(FAR_LOT, [0]).replace(pose_w=jnp.array([[0.0, 3.0, 0.0]]))
+    motion = cars([(0.0, 3.5, 0.0), (30.0, 0.0, 0.0)])
+    assert hits_of(FAR_LOT, motion, pushed).parked_car.tolist() == [True, False]

@@ -1,0 +1,290 @@
+"""How episodes end, under every rule of what "parked" means."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.crowds import crossing, random_lots
+from helpers.scenes import cars, lot, moved, moved_cars
+from helpers.states import parked_at, parked_in, state_of
+
+from carpark_mj.config import PARKED_RULES, EpisodeConfig
+from carpark_mj.mdp.terminations import is_parked, judge
+from carpark_mj.types import NO_BAY
+
+judge_jit = jax.jit(judge, static_argnums=0)
+
+WU = 0.5625  # m
+BAY_SIZE = (6.0, 3.0)  # a car of 4 x 2 m has 1 m and 0.5 m to spare on each side
+TILT = 1e-4  # what the thresholds are probed with, far above float32 rounding
+
+# Pose in the bay's frame (m, m, deg), speed, whether it counts as parked.
+CASES = {
+    "tanner": [
+        ((0.0, 0.0, 0.0), 0.0, True),
+        ((1.001 * WU - TILT, 0.0, 0.0), 0.0, True),
+        ((1.001 * WU + TILT, 0.0, 0.0), 0.0, False),
+        ((0.0, -1.001 * WU + TILT, 0.0), 0.0, True),
+        ((0.0, -1.001 * WU - TILT, 0.0), 0.0, False),
+        ((0.56, 0.56, 0.0), 0.0, True),  # a square, not a circle
+        ((0.0, 0.0, 90.0), 3.0, True),  # any heading, any speed
+        ((0.5, -0.5, 45.0), -2.0, True),
+    ],
+    "strict": [
+        ((0.0, 0.0, 0.0), 0.0, True),
+        ((0.0, 0.0, 180.0), 0.0, True),  # nose out
+        ((1.0 - TILT, 0.5 - TILT, 0.0), 0.0, True),  # in the corner, on the lines
+        ((1.0 + TILT, 0.0, 0.0), 0.0, False),
+        ((0.0, 0.5 + TILT, 0.0), 0.0, False),
+        ((-1.0 - TILT, 0.0, 180.0), 0.0, False),
+        ((0.0, 0.0, 4.99), 0.0, True),
+        ((0.0, 0.0, 5.01), 0.0, False),
+        ((0.0, 0.0, -4.99), 0.0, True),
+        ((0.0, 0.0, -5.01), 0.0, False),
+        ((0.0, 0.0, 184.99), 0.0, True),
+        ((0.0, 0.0, 174.9), 0.0, False),
+        ((0.0, 0.0, 90.0), 0.0, False),
+        ((0.0, 0.0, 0.0), 0.2 - TILT, True),
+        ((0.0, 0.0, 0.0), 0.2 + TILT, False),
+        ((0.0, 0.0, 0.0), -0.2 + TILT, True),
+        ((0.0, 0.0, 0.0), -0.2 - TILT, False),
+        # Turned by 4 deg a corner leaves the lines: 2 sin 4 + cos 4 = 1.137 m half
+        # width, 0.363 m to spare.
+        ((0.0, 0.362, 4.0), 0.0, True),
+        ((0.0, 0.364, 4.0), 0.0, False),
+    ],
+    "precise": [
+        ((0.0, 0.0, 0.0), 0.0, True),
+        ((0.0, 0.0, 180.0), 0.0, True),
+        ((0.2 - TILT, 0.0, 0.0), 0.0, True),
+        ((0.2 + TILT, 0.0, 0.0), 0.0, False),
+        ((0.0, -0.2 - TILT, 0.0), 0.0, False),
+        ((0.15, 0.15, 0.0), 0.0, False),  # a circle, not a square
+        ((0.14, 0.14, 0.0), 0.0, True),
+        ((0.0, 0.0, 2.99), 0.0, True),
+        ((0.0, 0.0, 3.01), 0.0, False),
+        ((0.0, 0.0, -177.01), 0.0, True),
+        ((0.0, 0.0, -176.99), 0.0, False),
+        ((0.0, 0.0, 0.0), 0.05 - TILT, True),
+        ((0.0, 0.0, 0.0), 0.05 + TILT, False),
+        ((0.0, 0.0, 0.0), -0.05 - TILT, False),
+    ],
+}
+# The bay lies anywhere and points anywhere; the rules are those of its own frame.
+BAYS = [(0.0, 0.0, 0.0), (3.0, -18.0, math.pi / 2), (-7.0, 5.0, 2.5)]
+
+
+@pytest.mark.parametrize("bay", BAYS)
+@pytest.mark.parametrize("rule", sorted(CASES))
+def test_each_parked_rule_holds_up_to_its_thresholds_and_no_further(rule, bay):
+    local = np.array([pose for pose, _, _ in CASES[rule]])
+    local[:, 2] = np.radians(local[:, 2])
+    # A pose in the bay's frame is the bay's rigid motion applied to it.
+    motion = cars(moved(local, bay), speed=[speed for _, speed, _ in CASES[rule]])
+    got = is_parked(rule, motion, jnp.array(bay), jnp.array(BAY_SIZE))
+    expected = np.array([parked for _, _, parked in CASES[rule]])
+    wrong = [CASES[rule][k] for k in np.flatnonzero(np.asarray(got) != expected)]
+    assert wrong == []
+
+
+@pytest.mark.parametrize("rule", ["strict", "precise"])
+def test_sliding_sideways_counts_as_speed(rule):
+    motion = cars((0.0, 0.0, 0.0), speed=0.04, sideways=0.3)
+    assert not is_parked(rule, motion, jnp.zeros(3), jnp.array(BAY_SIZE))
+
+
+def test_every_rule_is_probed():
+    assert CASES.keys() == PARKED_RULES.keys()
+
+
+FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
+
+
+def judged(motion, rule="strict", step=1, active=True, layout=FAR_LOT, goal=None):
+    """Events of agents whose goals are bays 0, 1, …, with a parked car in bay 2."""
+    count = motion.size.shape[0]
+    state = state_of(
+        layout,
+        motion,
+        jnp.arange(count) if goal is None else goal,
+        parked_cars=parked_in(layout, [2]),
+        step=jnp.full(count, step),
+        active=jnp.broadcast_to(jnp.asarray(active), (count,)),
+    )
+    return judge_jit(EpisodeConfig(parked_rule=rule, max_steps=10), state)
+
+
+AWAY = (0.0, 0.0, 0.0)
+IN_BAY_0 = (30.0, 0.0, 0.0)
+ON_THE_PARKED_CAR = (30.0, 20.0, 0.0)
+
+
+def flags(events):
+    """The four exclusive outcomes of every agent, as a word each."""
+    names = ("parked", "crashed", "timed_out", "diverged")
+    table = np.stack([np.asarray(getattr(events, name)) for name in names], axis=1)
+    assert (table.sum(axis=1) <= 1).all()
+    np.testing.assert_array_equal(np.asarray(events.done), table.any(axis=1))
+    return [names[row.argmax()] if row.any() else "drives on" for row in table]
+
+
+def test_a_car_standing_in_its_bay_has_parked_and_one_away_drives_on():
+    assert flags(judged(cars([IN_BAY_0, AWAY]))) == ["parked", "drives on"]
+
+
+def test_parking_in_the_bay_of_another_agent_is_no_parking():
+    events = judged(cars([IN_BAY_0, AWAY]), goal=[1, 0])
+    assert flags(events) == ["drives on", "drives on"]
+
+
+def test_nobody_parks_without_a_goal():
+    # JAX reads a row past the end as the last: no goal must not mean the last bay.
+    free = FAR_LOT.replace(bay_pose=FAR_LOT.bay_pose[::-1])
+    motion = cars([IN_BAY_0, AWAY])
+    events = judged(motion, "tanner", layout=free, goal=[NO_BAY, NO_BAY])
+    assert flags(events) == ["crashed", "drives on"]
+    assert flags(judged(motion, "tanner", layout=free, goal=[2, 2]))[0] == "parked"
+
+
+def test_of_two_agents_in_the_goal_of_both_the_first_parks():
+    motion = cars([AWAY, IN_BAY_0, IN_BAY_0])
+    events = judged(motion, rule="tanner", goal=[0, 0, 0])
+    assert flags(events) == ["drives on", "parked", "crashed"]
+
+
+def test_both_agents_of_a_collision_crash():
+    events = judged(crossing(True))
+    assert flags(events) == ["crashed", "crashed"]
+    np.testing.assert_array_equal(events.hit_agent, [True, True])
+    assert not (events.hit_parked_car | events.hit_wall).any()
+
+
+def test_a_crash_says_what_was_hit():
+    layout = FAR_LOT.replace(
+        wall_pose=jnp.array([[0.0, 10.0, 0.0]]),
+        wall_size=jnp.ones((1, 2)),
+        wall_mask=jnp.ones(1, bool),
+    )
+    events = judged(cars([ON_THE_PARKED_CAR, (0.0, 10.5, 0.0)]), layout=layout)
+    assert flags(events) == ["crashed", "crashed"]
+    np.testing.assert_array_equal(events.hit_parked_car, [True, False])
+    np.testing.assert_array_equal(events.hit_wall, [False, True])
+    np.testing.assert_array_equal(events.hit_agent, [False, False])
+
+
+@pytest.mark.parametrize(("step", "outcome"), [(9, "drives on"), (10, "timed_out")])
+def test_an_episode_times_out_at_max_steps_and_no_earlier(step, outcome):
+    assert flags(judged(cars([AWAY]), step=step)) == [outcome]
+
+
+def test_parking_and_crashing_in_the_last_step_are_no_time_out():
+    motion = cars([IN_BAY_0, ON_THE_PARKED_CAR])
+    assert flags(judged(motion, step=10)) == ["parked", "crashed"]
+
+
+@pytest.mark.parametrize(
+    ("rule", "outcome"),
+    [("strict", "crashed"), ("precise", "crashed"), ("tanner", "parked")],
+)
+def test_a_car_that_touches_another_on_its_way_into_the_bay(rule, outcome):
+    # Agent 0 stands in its bay now; earlier in the step it was on the parked car.
+    trace = [[ON_THE_PARKED_CAR, IN_BAY_0], [AWAY, AWAY]]
+    events = judged(cars([IN_BAY_0, AWAY], trace=trace), rule=rule)
+    assert flags(events) == [outcome, "drives on"]
+    np.testing.assert_array_equal(events.hit_parked_car, [outcome == "crashed", False])
+
+
+@pytest.mark.parametrize("rule", ["strict", "precise", "tanner"])
+def test_a_diverged_car_neither_parks_nor_crashes_nor_times_out(rule):
+    motion = cars([IN_BAY_0, ON_THE_PARKED_CAR], finite=False)
+    events = judged(motion, rule=rule, step=10)
+    assert flags(events) == ["diverged", "diverged"]
+    assert not (events.hit_agent | events.hit_parked_car | events.hit_wall).any()
+
+
+@pytest.mark.parametrize("finite", [True, False])
+def test_finished_agents_have_no_events(finite):
+    motion = cars([IN_BAY_0, ON_THE_PARKED_CAR], finite=finite)
+    events = judged(motion, step=10, active=False)
+    assert flags(events) == ["drives on", "drives on"]
+    assert not (events.hit_agent | events.hit_parked_car | events.hit_wall).any()
+
+
+def test_an_agent_that_hits_a_finished_one_crashes_and_the_finished_one_does_not():
+    events = judged(crossing(True), active=jnp.array([True, False]))
+    assert flags(events) == ["crashed", "drives on"]
+
+
+def random_events(rule, shift=None):
+    """Events of a batch of random states, their poses moved if asked."""
+    rng = np.random.default_rng(1)
+    count = 1000
+    motion, bays, walls, wall_size = random_lots(rng, count)
+    # Half of the first agents stand in or almost in their bays.
+    near = rng.normal(0, (0.2, 0.2, 0.04), (count, 3))
+    pose = np.array(motion.pose_w)
+    trace = np.array(motion.trace_w)
+    half = slice(0, count // 2)
+    pose[half, 0] = (bays[:, 0] + near)[half]
+    trace[half, 0] = pose[half, 0, None]
+    speed = rng.normal(0, 0.1, (count, 3))
+    finite = rng.uniform(size=(count, 3)) > 0.1
+    motion = cars(pose, speed, size=motion.size, trace=trace, finite=finite)
+    step = rng.integers(5, 12, (count, 3))
+    active = rng.uniform(size=(count, 3)) > 0.1
+    if shift is not None:
+        motion = moved_cars(motion, shift)
+        bays, walls = moved(bays, shift), moved(walls, shift)
+    template = lot(bays[0], walls[0], bay_size=(6.5, 3.5))
+
+    def one(motion, bay_pose, wall_pose, wall_size, step, active):
+        layout = template.replace(
+            bay_pose=bay_pose, wall_pose=wall_pose, wall_size=wall_size
+        )
+        parked_cars = parked_in(layout, [3])
+        state = state_of(
+            layout,
+            motion,
+            jnp.arange(3),
+            parked_cars=parked_cars,
+            step=step,
+            active=active,
+        )
+        return judge(EpisodeConfig(parked_rule=rule, max_steps=10), state)
+
+    return jax.device_get(
+        jax.jit(jax.vmap(one))(motion, bays, walls, wall_size, step, active)
+    )
+
+
+@pytest.mark.parametrize("rule", ["strict", "precise", "tanner"])
+def test_outcomes_exclude_each_other_in_random_states(rule):
+    events = random_events(rule)
+    outcomes = [events.parked, events.crashed, events.timed_out, events.diverged]
+    assert (np.sum(outcomes, axis=0) <= 1).all()
+    assert all(flag.sum() >= 10 for flag in outcomes)  # each of them occurs
+    hits = events.hit_agent | events.hit_parked_car | events.hit_wall
+    np.testing.assert_array_equal(hits, events.crashed)
+
+
+@pytest.mark.parametrize("rule", ["strict", "precise", "tanner"])
+def test_outcomes_do_not_depend_on_the_frame(rule):
+    here, there = random_events(rule), random_events(rule, (12.0, -7.0, 0.9))
+    for name in ("parked", "crashed", "timed_out", "diverged"):
+        differ = (getattr(here, name) != getattr(there, name)).sum()
+        # 3000 agents; one may lie within float32 rounding of a threshold.
+        assert differ <= 1, name
+
+
+def test_scaled_hitboxes_do_not_make_parking_harder():
+    layout = lot([(0.0, 0.0, 0.0)], bay_size=(4.2, 2.2))
+    state = state_of(layout, cars([(0.0, 0.0, 0.0)]), [0])
+    events = judge_jit(EpisodeConfig(), state, hitbox_scale=jnp.float32(3.0))
+    assert events.parked.all()
+    beside = parked_at([(0.0, 2.1, 0.0)])
+    events = judge_jit(
+        EpisodeConfig(), state.replace(parked_cars=beside), hitbox_scale=jnp.float32(3)
+    )
+    assert events.hit_parked_car.all()
