@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from carpark_mj.config import Distribution, RandomizationConfig, SimConfig
+from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.fleet.randomization import randomize
 from carpark_mj.mdp.actions import sanitize_numbers
 from carpark_mj.physics.mjx import CarState, MjxPhysics
@@ -35,14 +35,14 @@ ArrayOrNumpy = TypeVar("ArrayOrNumpy", jax.Array, np.ndarray)
 HOLD = 10  # control steps of 20 ms for which an action is held, as in the environment
 ROUNDS = 60  # actions of an episode: 12 s
 RANDOMISATION = RandomizationConfig(
-    mass=Distribution(width=0.25),
-    cg_x=Distribution(width=0.15, relative=False),
-    cg_height=Distribution(width=0.2),
-    friction=Distribution(width=0.535, mean=-0.335),  # 0.12 (ice) to 1.08
-    tyre_stiffness=Distribution(width=0.3),
-    brake_gain=Distribution(width=0.5),
-    steering_offset=Distribution(width=0.03, relative=False),
-    steering_lag=Distribution(width=0.15, mean=0.15, relative=False),
+    mass=(0.75, 1.25),
+    cg_x=(0.89, 1.11),  # 0.15 m or more in every preset
+    cg_height=(0.8, 1.2),
+    friction=(0.13, 1.2),  # 0.12 (ice) to 1.08
+    tyre_stiffness=(0.7, 1.3),
+    brake_gain=(0.5, 1.5),
+    steering_offset=(-0.03, 0.03),
+    steering_lag=(0.0, 0.3),
 )
 PATTERNS = ("random", "held", "lock to lock", "brake to throttle", "flip", "invalid")
 INVALID = (np.nan, np.inf, -np.inf, 1e30, -5.0, 1.0001, 1.0, -1.0, 0.5, 0.0)

@@ -27,11 +27,7 @@ from carpark_mj.config.observations import (
     ViewConfig,
 )
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
-from carpark_mj.config.randomization import (
-    Distribution,
-    DistributionKind,
-    RandomizationConfig,
-)
+from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import REWARDS, RewardConfig, RewardName, reward_preset
 from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import EvolutionRule, SpawnConfig
@@ -51,8 +47,6 @@ __all__ = [
     "BayPart",
     "ContextName",
     "ContinuousObservation",
-    "Distribution",
-    "DistributionKind",
     "EnvConfig",
     "EpisodeConfig",
     "EvolutionRule",

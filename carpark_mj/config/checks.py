@@ -1,7 +1,9 @@
 """Refusals in one sentence, shared by the configs."""
 
 import math
-from typing import get_args
+from typing import Any, get_args
+
+Range = tuple[float, float]  # lowest and highest value; equal = fixed
 
 
 def choose(name: str, value: str, literal: object) -> None:
@@ -34,3 +36,19 @@ def ratio(config: object, *names: str) -> None:
         value = getattr(config, name)
         if not 0.0 <= value <= 1.0:
             raise ValueError(f"{name} must lie in [0, 1], not {value}")
+
+
+def require_range(name: str, value: Any, least: float, most: float) -> None:
+    """Refuses what is no `Range` of finite numbers within bounds.
+
+    Raises:
+        ValueError: naming the value and what is allowed.
+    """
+    # Ranges are part of a config's hash, so no lists.
+    good = isinstance(value, tuple) and len(value) == 2
+    good = good and all(isinstance(x, int | float) and math.isfinite(x) for x in value)
+    if not (good and least <= value[0] <= value[1] <= most):
+        within = f" within [{least:.4g}, {most:.4g}]" if math.isfinite(most) else ""
+        raise ValueError(
+            f"{name} must be a lowest and a highest number{within}, not {value!r}"
+        )

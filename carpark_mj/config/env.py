@@ -3,8 +3,8 @@
 import dataclasses
 from typing import Literal, get_args
 
-from carpark_mj.config.checks import at_least, choose
-from carpark_mj.config.fleet import FleetConfig, JitterConfig, Range, require_range
+from carpark_mj.config.checks import Range, at_least, choose, require_range
+from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.grid import GridConfig

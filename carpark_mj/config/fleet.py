@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-Range = tuple[float, float]  # lowest and highest value; equal = fixed
+from carpark_mj.config.checks import Range, require_range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,19 +82,3 @@ class JitterConfig:
     def is_on(self) -> bool:
         """Whether anything varies."""
         return self != JitterConfig()
-
-
-def require_range(name: str, value: Range, least: float, most: float) -> None:
-    """Refuses what is no range (low, high) of finite numbers within bounds.
-
-    Raises:
-        ValueError: naming the value and what is allowed.
-    """
-    low, high = value
-    if not (
-        math.isfinite(low) and math.isfinite(high) and least <= low <= high <= most
-    ):
-        within = f" within [{least:.4g}, {most:.4g}]" if math.isfinite(most) else ""
-        raise ValueError(
-            f"{name} must be a lowest and a highest number{within}, not {value}"
-        )

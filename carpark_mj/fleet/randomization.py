@@ -10,22 +10,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import Distribution, RandomizationConfig
+from carpark_mj.config import RandomizationConfig
+from carpark_mj.config.randomization import ADDED
 from carpark_mj.vehicle import Vehicle, VehicleParameters
 from carpark_mj.vehicle.load import with_mass
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.surfaces import with_grip
-
-
-def draw(distribution: Distribution, nominal: jax.Array, key: jax.Array) -> jax.Array:
-    """One value () about a nominal one; see `Distribution`. `key` is consumed."""
-    if distribution.kind == "uniform":
-        x = jax.random.uniform(key, minval=-1.0, maxval=1.0)
-    else:
-        cut = distribution.NORMAL_CUT
-        x = jax.random.truncated_normal(key, -cut, cut)
-    x = distribution.mean + distribution.width * x
-    return nominal * (1.0 + x) if distribution.relative else nominal + x
 
 
 def randomize(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> Vehicle:
@@ -37,16 +27,17 @@ def randomize(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> 
         key: consumed; each parameter has its own part of it, so that switching one
             on changes no other.
     """
-    names = config.distributions()
-    keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
+    ranges = config.ranges()
+    keys = dict(zip(ranges, jax.random.split(key, len(ranges)), strict=True))
 
     def vary(name: str, nominal: jax.Array) -> jax.Array:
-        distribution = names[name]
-        if not distribution.is_on:
+        if not config.varies(name):
             return nominal
-        return draw(distribution, nominal, keys[name])
+        low, high = ranges[name]
+        drawn = jax.random.uniform(keys[name], minval=low, maxval=high)
+        return nominal + drawn if name in ADDED else nominal * drawn
 
-    if config.mass.is_on or config.cg_x.is_on or config.cg_height.is_on:
+    if any(map(config.varies, ("mass", "cg_x", "cg_height"))):
         cg = vehicle.cg
         cg = jnp.stack([vary("cg_x", cg[0]), cg[1], vary("cg_height", cg[2])])
         vehicle = with_mass(vehicle, vary("mass", vehicle.mass), cg)
@@ -85,31 +76,29 @@ def randomize_all(
 
 
 def check_randomization(config: RandomizationConfig, params: VehicleParameters) -> None:
-    """Refuses distributions that could draw an impossible car.
+    """Refuses ranges from which an impossible car could be drawn.
 
     Raises:
-        ValueError: naming the distribution, what it may draw and what is allowed.
+        ValueError: naming the parameter, its range and what is allowed.
     """
     unsprung = params.mass - chassis_inertial(params)[0]
+    least_mass = 2 * unsprung / params.mass
+    cg_x, wheelbase = params.cg_to_rear_axle, params.wheelbase
+    cg_height, radius = params.cg_height, params.wheel_radius
     allowed = {
-        "mass": (params.mass, 2 * unsprung, 3 * params.mass),
-        "cg_x": (
-            params.cg_to_rear_axle,
-            0.1 * params.wheelbase,
-            0.9 * params.wheelbase,
-        ),
-        "cg_height": (params.cg_height, params.wheel_radius / 2, params.height),
-        "friction": (1.0, 0.01, 3.0),
-        "tyre_stiffness": (1.0, 0.1, 2.0),
-        "brake_gain": (1.0, 0.0, 3.0),
-        "steering_offset": (0.0, -0.2, 0.2),
-        "steering_lag": (params.steering_lag, 0.0, 10.0),
+        "mass": (least_mass, 3.0),
+        "cg_x": (0.1 * wheelbase / cg_x, 0.9 * wheelbase / cg_x),
+        "cg_height": (0.5 * radius / cg_height, params.height / cg_height),
+        "friction": (0.01, 3.0),
+        "tyre_stiffness": (0.1, 2.0),
+        "brake_gain": (0.0, 3.0),
+        "steering_offset": (-0.2, 0.2),
+        "steering_lag": (0.0 - params.steering_lag, 10.0 - params.steering_lag),
     }
-    for name, (nominal, least, most) in allowed.items():
-        distribution = config.distributions()[name]
-        low, high = distribution.bounds(nominal)
-        if distribution.is_on and not least <= low <= high <= most:
+    for name, (least, most) in allowed.items():
+        low, high = config.ranges()[name]
+        if config.varies(name) and not least <= low <= high <= most:
             raise ValueError(
-                f"randomization.{name} must stay within [{least:.3g}, {most:.3g}] for "
+                f"randomization.{name} must lie within [{least:.3g}, {most:.3g}] for "
                 f"this car, not reach from {low:.3g} to {high:.3g}"
             )

@@ -15,7 +15,6 @@ from helpers.transitions import no_events
 from carpark_mj.config import (
     PARKED_RULES,
     ContinuousObservation,
-    Distribution,
     EnvConfig,
     FleetConfig,
     JitterConfig,
@@ -342,7 +341,7 @@ def test_cars_of_a_mixed_batch_turn_as_each_does_alone(circles):
 
 
 def test_randomization_varies_about_each_agents_own_car(env):
-    random = RandomizationConfig(mass=Distribution(width=0.1))
+    random = RandomizationConfig(mass=(0.9, 1.1))
     nominal, key = env.fleet.draw_agents(jax.random.key(1))
     cars = randomize_all(random, nominal, key)
     assert len(set(np.asarray(nominal.mass))) > 1
