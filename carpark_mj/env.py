@@ -6,43 +6,33 @@ The object holds constants only; everything that changes is in `State`.
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, LayoutConfig
+from carpark_mj.episodes import Episodes, StepKeys
 from carpark_mj.fleet.checks import check_cars, check_occupancy, check_room
 from carpark_mj.fleet.draw import Fleet
-from carpark_mj.fleet.randomization import check_randomization, randomize_all
+from carpark_mj.fleet.randomization import check_randomization
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.mdp import actions, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec
-from carpark_mj.mdp.bays import bay_fits
 from carpark_mj.mdp.goals import make_goals
-from carpark_mj.mdp.parked_cars import in_bays, poses_in_bays, relocate_parked_cars
-from carpark_mj.mdp.spawning.placing import (
-    SpawnInputs,
-    place_all,
-    place_waiting,
-    start_placing,
-)
 from carpark_mj.mdp.wrong_way import drives_wrong_way
 from carpark_mj.observations import observation_size, observe, rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import full_float32
 from carpark_mj.types import (
-    Events,
     Motion,
-    ParkedCars,
     PhysicsState,
     State,
     TimeStep,
     Transition,
 )
-from carpark_mj.vehicle import Vehicle, VehicleParameters, drive, preset
+from carpark_mj.vehicle import VehicleParameters, drive, preset
 
 
 class ParkingEnv:
@@ -99,6 +89,7 @@ class ParkingEnv:
         check_cars(config, self.fleet, self.layout_config, self._layout)
         self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
+        self._episodes = Episodes(config, self.fleet, self.goals, self.physics)
 
     @property
     def num_agents(self) -> int:
@@ -147,35 +138,8 @@ class ParkingEnv:
         self, layout: Layout, key: jax.Array
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have bays enough for cars and goals."""
-        config, everybody = self.config, jnp.ones(self.num_agents, bool)
-        key, vehicle_key, sensor_key = self._split(key)
-        key, start_key, spawn_key = jax.random.split(key, 3)
-        start = self.fleet.start(layout, start_key)
-        vehicles = randomize_all(config.randomization, start.vehicles, vehicle_key)
-        inputs = self._spawn_inputs(layout, start.parked_cars, vehicles, vehicles)
-        nowhere = jnp.zeros((self.num_agents, 3), jnp.float32)
-        bay = start.parked_cars.bay
-        placing = start_placing(start.goal, bay, nowhere, everybody)
-        placing = place_all(self.goals.first_pose, inputs, placing, spawn_key)
-        physics = self.physics.init(placing.pose_w, vehicles)
-        physics = self.physics.set_parked_poses(physics, start.parked_cars.pose_w)
-        motion = self.physics.read(physics)
-        state = State(
-            physics=physics,
-            motion=motion,
-            layout=layout,
-            goal=start.goal,
-            tracked_bays=self.goals.init_tracked_bays(),
-            parked_cars=start.parked_cars,
-            ring_history=rings.init_history(config),
-            step=jnp.zeros(self.num_agents, jnp.int32),
-            active=everybody,
-            stats=metrics.init_stats(config, layout),
-            sensors=sensors.init_sensors(config.sensors, motion, sensor_key),
-            key=key,
-        )
-        state = self.goals.begin(state, placing, everybody, None)
-        return state, observe(config, state)
+        state = self._episodes.begin_lot(layout, key)
+        return state, observe(self.config, state)
 
     @full_float32
     def step(
@@ -193,13 +157,13 @@ class ParkingEnv:
         Returns:
             The next state and what the agents learn.
         """
-        config, before, keys = self.config, state, self._step_keys(state.key)
+        config, before, keys = self.config, state, self._episodes.split_keys(state.key)
         act = actions.parse(config, self._stop_finished(before, action))
         chosen = self.goals.choose(before, act.goal_choice)
         after = self._move(chosen, act.controls, keys)
         with jax.named_scope("terminations"):
             events = terminations.judge(config.episode, after, hitbox_scale)
-            ended = self._end_episodes(after, events, keys)
+            ended = self._episodes.end(after, events, keys)
         with jax.named_scope("goals"):
             ended, goal_events = self.goals.update(before, ended, events)
             target_pose = self.goals.target_pose(after)
@@ -213,7 +177,7 @@ class ParkingEnv:
             stats = metrics.update_stats(config, transition, terms)
         ended = dataclasses.replace(ended, stats=stats, key=keys.next)
         with jax.named_scope("spawning"):
-            state = self._begin_episodes(ended, events, keys)
+            state = self._episodes.begin(ended, events, keys)
         with jax.named_scope("observations"):
             observation = observe(config, state)
             final_observation = None
@@ -233,7 +197,7 @@ class ParkingEnv:
             final_observation=final_observation,
         )
 
-    def _move(self, state: State, controls: jax.Array, keys: "_StepKeys") -> State:
+    def _move(self, state: State, controls: jax.Array, keys: StepKeys) -> State:
         """The state when the cars have moved and their motion has been measured."""
         config, ring_history = self.config, rings.update_history(self.config, state)
         physics = self.physics.step(state.physics, controls)
@@ -254,67 +218,6 @@ class ParkingEnv:
             ),
         )
 
-    def _end_episodes(self, state: State, events: Events, keys: "_StepKeys") -> State:
-        """Where agents respawn a parked car takes the place of each that has parked.
-
-        Otherwise those that are done stay where they are and are no longer active.
-        """
-        if not self.config.episode.respawn:
-            return dataclasses.replace(state, active=state.active & ~events.done)
-        parked_cars = relocate_parked_cars(self.config, state, events, keys.relocate)
-        return dataclasses.replace(state, parked_cars=parked_cars)
-
-    def _begin_episodes(self, state: State, events: Events, keys: "_StepKeys") -> State:
-        """New goals, cars and start poses of agents that are done."""
-        config, begun, layout = self.config, events.done, state.layout
-        if not config.episode.respawn:
-            return state
-        old, vehicles = state.physics.vehicle, self._draw_vehicles(state, keys.vehicles)
-        inputs = self._spawn_inputs(layout, state.parked_cars, vehicles, old)
-        placing = start_placing(
-            state.goal, state.parked_cars.bay, state.motion.pose_w, begun
-        )
-        placing = place_waiting(self.goals.place, inputs, placing, keys.spawn)
-        if self.fleet.mixed:  # who finds no bay for the new car keeps goal and car
-            vehicles = where_cars(placing.found, vehicles, old)
-        physics = self.physics.place(state.physics, begun, placing.pose_w, vehicles)
-        parked_cars = in_bays(layout, state.parked_cars, placing.parked_bay)
-        physics = self.physics.set_parked_poses(
-            physics, poses_in_bays(layout, parked_cars)
-        )
-        pose_w = self.physics.parked_poses(physics, parked_cars.pose_w)
-        motion = where_cars(begun, self.physics.read(physics), state.motion)
-        state = dataclasses.replace(
-            state,
-            physics=physics,
-            motion=motion,
-            goal=placing.goal,
-            parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
-            ring_history=rings.forget(state.ring_history, begun),
-            step=jnp.where(begun, 0, state.step),
-            stats=where_cars(begun, metrics.init_stats(config, layout), state.stats),
-            sensors=sensors.reset(
-                config.sensors, state.sensors, motion, begun, keys.sensors
-            ),
-        )
-        return self.goals.begin(state, placing, begun, keys.first_goals)
-
-    def _draw_vehicles(self, state: State, key: jax.Array) -> Vehicle:
-        """Parameters (num_agents,) of cars for agents that begin; `key` is consumed."""
-        config = self.config
-        if not (config.randomization.is_on or self.fleet.mixed):
-            return state.physics.vehicle
-        nominal, key = self.fleet.draw_agents(key)
-        return randomize_all(config.randomization, nominal, key)
-
-    def _spawn_inputs(
-        self, layout: Layout, parked_cars: ParkedCars, new: Vehicle, old: Vehicle
-    ) -> SpawnInputs:
-        fits = bay_fits(self.config, layout, new.size, parked_cars.size)
-        # Spawn regions have room for cars of the one kind they were made for.
-        sizes = (new.size, old.size) if self.fleet.mixed else (None, None)
-        return SpawnInputs(layout, parked_cars, *sizes, fits)
-
     def _stop_finished(self, state: State, action: jax.Array) -> jax.Array:
         """Actions (num_agents, size) with those of finished agents on the brake."""
         spec = self.action_spec
@@ -323,44 +226,6 @@ class ParkingEnv:
         stop = drive.stopping_action(state.motion.speed)
         stop = jnp.pad(stop, ((0, 0), (0, len(spec.choices))))
         return jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
-
-    def _split(self, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """The lot's next key, and one each for vehicles and sensors, if they vary."""
-        config = self.config
-        if config.randomization.is_on or config.sensors.is_on or config.varies:
-            key, vehicle_key, sensor_key = jax.random.split(key, 3)
-            return key, vehicle_key, sensor_key
-        unused = jax.random.key(0)
-        return key, unused, unused
-
-    def _step_keys(self, key: jax.Array) -> "_StepKeys":
-        key, vehicles, sensor_key = self._split(key)
-        reading, sensors = jax.random.split(sensor_key)
-        spawn = key
-        if self.config.episode.respawn:
-            key, spawn = jax.random.split(key)
-        n = self.num_agents  # agents take the parts 0 to n - 1
-        return _StepKeys(
-            next=key,
-            vehicles=vehicles,
-            reading=reading,
-            sensors=sensors,
-            spawn=spawn,
-            first_goals=jax.random.fold_in(spawn, n),
-            relocate=jax.random.fold_in(spawn, n + 1),
-        )
-
-
-class _StepKeys(NamedTuple):
-    """A key for each thing that is drawn in a step, and the state's next."""
-
-    next: jax.Array
-    vehicles: jax.Array
-    reading: jax.Array
-    sensors: jax.Array
-    spawn: jax.Array
-    first_goals: jax.Array
-    relocate: jax.Array
 
 
 def _freeze(

@@ -12,9 +12,9 @@ where both are silent, the choice is:
 - leaving the world counts as a crash: the outer walls are hit before.
 - an agent that parks frees the parked car farthest from all agents (text), not a random
   one (program); `SpawnConfig.evolution` has both.
-- the goal of an agent is lost when its bay is no longer among the num_tracked_bays nearest,
-  not the n_track nearest (text); that pays what giving it up pays (program, silent in
-  the text), a goal that somebody else has parked in pays nothing (program).
+- the goal of an agent is lost when its bay is no longer among the num_tracked_bays
+  nearest, not the n_track nearest (text); that pays what giving it up pays (program,
+  silent in the text), a goal that another agent has parked in pays nothing (program).
 - tracked bays keep their slots (text), where the program numbers them by distance.
 - starts on a collision course: the other agent's way to its own goal is what must be
   long enough; who starts has no place yet. At a reset goals are not drawn anew.

@@ -25,8 +25,8 @@ from rich.progress import track
 from rich.table import Table
 
 from carpark_mj.config import Distribution, RandomizationConfig, SimConfig
-from carpark_mj.fleet.randomization import randomise
-from carpark_mj.mdp.actions import neutralise
+from carpark_mj.fleet.randomization import randomize
+from carpark_mj.mdp.actions import sanitize_numbers
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
 
@@ -68,7 +68,7 @@ class SoakConfig:
     first_case: int = 0
     max_hop: float = 0.0
     max_energy: float = 8.0
-    sim: SimConfig = SimConfig()
+    sim: SimConfig = dataclasses.field(default_factory=SimConfig)
 
     def __post_init__(self) -> None:
         for name in ("car_steps", "num_cars"):
@@ -116,7 +116,7 @@ class Soak:
             car_key, yaw_key = jax.random.split(key)
             nominal = jax.tree.map(lambda x: x[preset], self._nominal)
             yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
-            return randomise(RANDOMISATION, nominal, car_key), yaw
+            return randomize(RANDOMISATION, nominal, car_key), yaw
 
         fleet, yaw = jax.vmap(spawn)(preset, keys)
         pose = jnp.pad(yaw[:, None], ((0, 0), (2, 0)))
@@ -126,7 +126,7 @@ class Soak:
         def act(carry, step: jax.Array):
             draw = partial(draw_action, step)
             action = jax.vmap(draw)(pattern, fleet, keys)
-            action, invalid = neutralise(action)
+            action, invalid = sanitize_numbers(action)
             state, worst = carry
             worst = dataclasses.replace(worst, invalid=worst.invalid + invalid)
             hold = partial(self._hold, action)
@@ -234,7 +234,7 @@ def main(config: SoakConfig) -> bool:
     bad = breaches(config, total)
     print(
         f"{steps:.3g} car-steps of {soak.physics.sim.sim_dt:g} s in {elapsed:.0f} s, "
-        f"{int(total.invalid.sum())} actions neutralised; "
+        f"{int(total.invalid.sum())} actions sanitized; "
         + (f"{bad.sum()} of {count} cases broke a limit" if bad.any() else "all held")
     )
     return not bad.any()

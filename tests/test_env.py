@@ -4,15 +4,12 @@ Hand-worked steps use `scenes.SlidePhysics`; what needs the real car shares one
 compiled environment and one random rollout (`scenes.mjx_*`).
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import (
     LOTS,
-    SlidePhysics,
     check_occupancy,
     fields_of,
     mixed_lots,
@@ -20,42 +17,12 @@ from helpers.scenes import (
     mjx_rollout,
     mjx_start,
     mjx_step,
-    placed,
     stacked,
 )
+from helpers.sliding import APART, HALT, MAX_STEPS, in_goal, placed, slide, start
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, reward_preset
-from carpark_mj.env import ParkingEnv
+from carpark_mj.config import reward_preset
 from carpark_mj.observations.fields import FAR
-from carpark_mj.wrappers.brax import BraxParking
-
-MAX_STEPS = 10
-# Agents 0, 1 and 2 stand here by default, 5 m apart, away from bays and walls.
-APART = np.array([[-5.0, 0.0, 0.0], [0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
-HALT = np.zeros((3, 2), np.float32)
-
-
-@functools.cache
-def slide(respawn=True, rule="strict"):
-    """An environment on sliding cars with its compiled functions."""
-    episode = EpisodeConfig(parked_rule=rule, max_steps=MAX_STEPS, respawn=respawn)
-    config = EnvConfig(num_agents=3, num_parked_cars=5, episode=episode)
-    env = ParkingEnv(config, SlidePhysics())
-    return env, jax.jit(env.reset), jax.jit(env.step)
-
-
-def start(respawn=True, pose=APART, seed=0):
-    """One lot with its agents standing at given poses."""
-    env, reset, step = slide(respawn)
-    state, _ = reset(jax.random.key(seed))
-    return env, step, placed(env, state, pose)
-
-
-def in_goal(env, state, agent, pose=APART):
-    """The state with one agent standing in its goal bay, parked."""
-    pose = np.array(pose, np.float32)
-    pose[agent] = state.layout.bay_pose[state.occupancy.goal[agent]]
-    return placed(env, state, pose)
 
 
 def leaves(tree):
@@ -89,8 +56,8 @@ def test_reset_is_a_function_of_the_key():
     _, reset, _ = slide()
     assert same(reset(jax.random.key(3)), reset(jax.random.key(3)))
     one, other = reset(jax.random.key(3))[0], reset(jax.random.key(4))[0]
-    assert not same(one.occupancy, other.occupancy)
-    assert not same(one.vehicle.pose_w, other.vehicle.pose_w)
+    assert not same(one.goal, other.goal)
+    assert not same(one.motion.pose_w, other.motion.pose_w)
     assert not same(one.key, other.key)
 
 
@@ -102,13 +69,13 @@ def test_reset_starts_every_episode_at_zero():
     assert state.active.all()
     assert not np.any(jax.tree.leaves(state.stats))
     mask = np.asarray(state.layout.bay_mask)
-    check_occupancy(state.occupancy.goal, state.occupancy.parked_bay, mask)
+    check_occupancy(state.goal, state.parked_cars.bay, mask)
 
 
 def test_agents_start_apart_from_each_other():
     env, _, _ = slide()
     keys = jax.random.split(jax.random.key(1), 200)
-    pose = np.asarray(jax.jit(jax.vmap(env.reset))(keys)[0].vehicle.pose_w)
+    pose = np.asarray(jax.jit(jax.vmap(env.reset))(keys)[0].motion.pose_w)
     gap = np.linalg.norm(pose[:, :, None, :2] - pose[:, None, :, :2], axis=-1)
     gap = gap[:, ~np.eye(3, dtype=bool)].min(axis=1)
     # Three of 7.38 m fit well but a close spawn may find no room: never on top.
@@ -175,41 +142,40 @@ def test_an_agent_whose_episode_ends_respawns_alone(kind):
     _, before, after, _ = ending(kind)
     np.testing.assert_array_equal(after.step, [before.step[0] + 1, 0, 1])
     # The others stay where they stand; agent 1 is in the spawn region, at rest.
-    np.testing.assert_array_equal(after.vehicle.pose_w[::2], before.vehicle.pose_w[::2])
+    np.testing.assert_array_equal(after.motion.pose_w[::2], before.motion.pose_w[::2])
     half = float(before.layout.spawn_size[0, 0]) / 2
-    assert (np.abs(after.vehicle.pose_w[1, :2]) <= half).all()
-    assert not np.array_equal(after.vehicle.pose_w[1], before.vehicle.pose_w[1])
-    assert after.vehicle.finite.all()
+    assert (np.abs(after.motion.pose_w[1, :2]) <= half).all()
+    assert not np.array_equal(after.motion.pose_w[1], before.motion.pose_w[1])
+    assert after.motion.finite.all()
     assert not np.any(leaves(agent_of(after.stats, 1)))
     # It has a goal of its own, never the old one; the others keep theirs.
-    same_goal = np.asarray(after.occupancy.goal == before.occupancy.goal)
+    same_goal = np.asarray(after.goal == before.goal)
     np.testing.assert_array_equal(same_goal, [True, False, True])
     mask = np.asarray(after.layout.bay_mask)
-    check_occupancy(after.occupancy.goal, after.occupancy.parked_bay, mask)
+    check_occupancy(after.goal, after.parked_cars.bay, mask)
 
 
 def test_a_parked_car_moves_into_the_bay_where_an_agent_has_parked():
     _, before, after, _ = ending("parked")
-    assert before.occupancy.goal[1] in after.occupancy.parked_bay
-    assert before.occupancy.goal[1] not in before.occupancy.parked_bay
+    assert before.goal[1] in after.parked_cars.bay
+    assert before.goal[1] not in before.parked_cars.bay
 
 
 @pytest.mark.parametrize("kind", ["crashed", "timed_out", "diverged"])
 def test_otherwise_a_parked_car_moves_only_off_the_new_goal(kind):
     _, before, after, _ = ending(kind)
-    cars_before = np.asarray(before.occupancy.parked_bay)
-    cars_after = np.asarray(after.occupancy.parked_bay)
-    on_new_goal = cars_before == int(after.occupancy.goal[1])
+    cars_before = np.asarray(before.parked_cars.bay)
+    cars_after = np.asarray(after.parked_cars.bay)
+    on_new_goal = cars_before == int(after.goal[1])
     np.testing.assert_array_equal(cars_before != cars_after, on_new_goal)
 
 
 @pytest.mark.parametrize("kind", ENDINGS)
 def test_the_time_step_shows_the_motion_before_the_respawn(kind):
     _, before, _, timestep = ending(kind)
-    np.testing.assert_array_equal(timestep.vehicle.pose_w, before.vehicle.pose_w)
+    np.testing.assert_array_equal(timestep.motion.pose_w, before.motion.pose_w)
     distance = np.linalg.norm(
-        before.vehicle.pose_w[:, :2]
-        - before.layout.bay_pose[before.occupancy.goal][:, :2],
+        before.motion.pose_w[:, :2] - before.layout.bay_pose[before.goal][:, :2],
         axis=1,
     )
     # Metrics are of the episode that ended, with its goal.
@@ -218,13 +184,13 @@ def test_the_time_step_shows_the_motion_before_the_respawn(kind):
 
 def test_after_a_respawn_the_observation_is_of_the_new_episode():
     env, _, after, timestep = ending("crashed")
-    named = fields_of(timestep.observation, env.config.observation)
-    goal = np.asarray(after.layout.bay_pose[after.occupancy.goal])
-    distance = np.linalg.norm(after.vehicle.pose_w[:, :2] - goal[:, :2], axis=1)
+    named = fields_of(timestep.observation, env.config)
+    goal = np.asarray(after.layout.bay_pose[after.goal])
+    distance = np.linalg.norm(after.motion.pose_w[:, :2] - goal[:, :2], axis=1)
     np.testing.assert_allclose(named["goal_distance"][:, 0], distance / FAR, atol=1e-6)
     # The others see the newcomer where it has respawned.
     gap = np.linalg.norm(
-        after.vehicle.pose_w[:, :2] - after.vehicle.pose_w[0, :2], axis=1
+        after.motion.pose_w[:, :2] - after.motion.pose_w[0, :2], axis=1
     )
     seen = np.linalg.norm(named["agent_0_position"][0]) * FAR
     assert seen == pytest.approx(np.sort(gap)[1], abs=1e-5)  # float32
@@ -239,11 +205,11 @@ def test_two_agents_may_end_in_one_step_and_get_different_goals():
         after, timestep = step(crash.replace(key=jax.random.key(seed)), HALT)
         np.testing.assert_array_equal(timestep.terminated, [True, True, False])
         check_occupancy(
-            after.occupancy.goal,
-            after.occupancy.parked_bay,
+            after.goal,
+            after.parked_cars.bay,
             np.asarray(after.layout.bay_mask),
         )
-        gap = np.linalg.norm(np.diff(after.vehicle.pose_w[:2, :2], axis=0))
+        gap = np.linalg.norm(np.diff(after.motion.pose_w[:2, :2], axis=0))
         assert gap > 3.0
 
 
@@ -277,14 +243,14 @@ def test_without_respawning_finished_agents_are_frozen_for_ever():
     np.testing.assert_array_equal(timestep.events.timed_out, [False, True, False])
     np.testing.assert_array_equal(state.active, [True, False, True])
     assert float(timestep.reward[1]) != 0.0  # its last step still counts
-    physics, pose = agent_of(state.physics, 1), np.asarray(state.vehicle.pose_w[1])
+    physics, pose = agent_of(state.physics, 1), np.asarray(state.motion.pose_w[1])
     # Agents 0 and 2 turn on the spot, agent 1 asks for anything.
     for k in range(MAX_STEPS - 1):
         action = np.float32([[1.0, 0.0], [(-1) ** k, 1.0], [-1.0, 0.0]])
         state, timestep = step(state, action)
         assert same(agent_of(state.physics, 1), physics)
-        np.testing.assert_array_equal(state.vehicle.pose_w[1], pose)
-        np.testing.assert_array_equal(state.vehicle.trace_w[1], [pose] * 4)
+        np.testing.assert_array_equal(state.motion.pose_w[1], pose)
+        np.testing.assert_array_equal(state.motion.trace_w[1], [pose] * 4)
         assert float(timestep.reward[1]) == 0.0
         assert not timestep.events.done[1]
         assert (timestep.reward[::2] != 0.0).all()
@@ -298,9 +264,9 @@ def test_without_respawning_finished_agents_are_frozen_for_ever():
 @pytest.mark.parametrize("kind", ENDINGS)
 def test_without_respawning_goals_and_parked_cars_stay(kind):
     _, before, after, _ = ending(kind, respawn=False)
-    assert same(before.occupancy, after.occupancy)
+    assert same((before.goal, before.parked_cars), (after.goal, after.parked_cars))
     np.testing.assert_array_equal(after.active, [True, False, True])
-    assert after.vehicle.finite[::2].all()
+    assert after.motion.finite[::2].all()
 
 
 def test_an_agent_that_drives_into_a_frozen_one_crashes_alone():
@@ -312,7 +278,7 @@ def test_an_agent_that_drives_into_a_frozen_one_crashes_alone():
     state, timestep = step(state, np.float32([[0, 1], [0, 1], [0, 0]]))
     np.testing.assert_array_equal(timestep.events.crashed, [True, False, False])
     np.testing.assert_array_equal(timestep.events.hit_agent, [True, False, False])
-    np.testing.assert_array_equal(state.vehicle.pose_w[1], APART[1])
+    np.testing.assert_array_equal(state.motion.pose_w[1], APART[1])
 
 
 # The real car
@@ -342,7 +308,7 @@ def test_a_random_rollout_stays_finite(rollout):
 def test_occupancy_invariants_hold_throughout_a_rollout(rollout):
     states, _ = rollout
     mask = states.layout.bay_mask
-    check_occupancy(states.occupancy.goal, states.occupancy.parked_bay, mask)
+    check_occupancy(states.goal, states.parked_cars.bay, mask)
 
 
 def test_terminated_and_truncated_exclude_each_other_in_a_rollout(rollout):
@@ -404,16 +370,14 @@ def test_agents_that_respawn_stand_still_in_the_spawn_region(rollout):
     done = timesteps.terminated | timesteps.truncated
     half = states.layout.spawn_size[:, :, :1, :] / 2
     # 1e-4: from the centre to the rear axle and back, in float32.
-    inside = (np.abs(states.vehicle.pose_w[..., :2]) <= half + 1e-4).all(axis=-1)
+    inside = (np.abs(states.motion.pose_w[..., :2]) <= half + 1e-4).all(axis=-1)
     assert inside[done].all()
-    np.testing.assert_array_equal(states.vehicle.velocity_b[done], 0.0)
-    named = fields_of(timesteps.observation, mjx_env().config.observation)
+    np.testing.assert_array_equal(states.motion.velocity_b[done], 0.0)
+    named = fields_of(timesteps.observation, mjx_env().config)
     for name in ("speed", "steering", "yaw_rate"):
         np.testing.assert_array_equal(named[name][done], 0.0)
-    goal = np.take_along_axis(
-        states.layout.bay_pose, states.occupancy.goal[..., None], axis=2
-    )
-    distance = np.linalg.norm((states.vehicle.pose_w - goal)[..., :2], axis=-1)
+    goal = np.take_along_axis(states.layout.bay_pose, states.goal[..., None], axis=2)
+    distance = np.linalg.norm((states.motion.pose_w - goal)[..., :2], axis=-1)
     np.testing.assert_allclose(
         named["goal_distance"][..., 0] * FAR, distance, atol=1e-4
     )
@@ -427,10 +391,10 @@ def test_each_lot_of_a_batch_keeps_its_own_layout(rollout):
     ):
         np.testing.assert_array_equal(mine, np.broadcast_to(given, mine.shape))
     # Cars of the compact lots (odd) end within their smaller walls.
-    reach = np.abs(timesteps.vehicle.pose_w[..., :2]).max(axis=(0, 2, 3))
+    reach = np.abs(timesteps.motion.pose_w[..., :2]).max(axis=(0, 2, 3))
     assert (reach[1::2] < layouts.extent[1, 0]).all()
     assert (reach[::2] < layouts.extent[0, 0]).all()
-    spawned = np.abs(states.vehicle.pose_w[0, ..., :2]).max(axis=(1, 2))
+    spawned = np.abs(states.motion.pose_w[0, ..., :2]).max(axis=(1, 2))
     assert spawned.shape == (LOTS,)
 
 
@@ -501,7 +465,7 @@ def test_the_others_drive_on_bit_for_bit_when_an_agent_respawns():
     expected[1, 0] = True
     np.testing.assert_array_equal(timestep.events.done, expected)
     assert unaffected(plain, changed)
-    assert not np.array_equal(plain.vehicle.pose_w[1, 0], changed.vehicle.pose_w[1, 0])
+    assert not np.array_equal(plain.motion.pose_w[1, 0], changed.motion.pose_w[1, 0])
     np.testing.assert_array_equal(timestep.reward, plain_step.reward)
 
 
@@ -526,116 +490,28 @@ def test_a_car_that_turns_nan_is_put_out_and_nobody_else_notices():
     )
     # Back at its last finite pose for the metrics, then in a new episode.
     np.testing.assert_allclose(
-        timestep.vehicle.pose_w[1, 0], before.vehicle.pose_w[1, 0], atol=1e-6
+        timestep.motion.pose_w[1, 0], before.motion.pose_w[1, 0], atol=1e-6
     )
     assert int(after.step[1, 0]) == 0
-    assert after.vehicle.finite.all()
+    assert after.motion.finite.all()
     floats = [
         x for x in leaves((after, timestep)) if np.issubdtype(x.dtype, np.floating)
     ]
     assert all(np.isfinite(x).all() for x in floats)
     assert unaffected(plain, after)
     later, _ = mjx_step()(after, jnp.zeros((LOTS, 3, 2)))
-    assert later.vehicle.finite.all()
+    assert later.motion.finite.all()
 
 
 def test_a_car_placed_in_its_goal_parks_and_its_bay_fills():
     env = mjx_env()
     state, _ = mjx_start(3)
-    pose = np.array(state.vehicle.pose_w)
-    goal = np.asarray(state.occupancy.goal[:, 0])
+    pose = np.array(state.motion.pose_w)
+    goal = np.asarray(state.goal[:, 0])
     pose[:, 0] = np.asarray(state.layout.bay_pose)[np.arange(LOTS), goal]
     state = placed(env, state, pose)
     after, timestep = mjx_step()(state, jnp.zeros((LOTS, 3, 2)))
     np.testing.assert_array_equal(timestep.events.parked, [[True, False, False]] * LOTS)
-    assert (after.occupancy.parked_bay == goal[:, None]).any(axis=1).all()
+    assert (after.parked_cars.bay == goal[:, None]).any(axis=1).all()
     named = timestep.reward_terms["park"]
     np.testing.assert_array_equal(named[:, 0], env.config.reward.park)
-
-
-# Brax
-
-
-@functools.cache
-def brax():
-    """The wrapper on sliding cars, 4 lots, with its compiled functions."""
-    wrapped = BraxParking(slide()[0])
-    return wrapped, jax.jit(wrapped.reset), jax.jit(wrapped.step)
-
-
-def test_brax_flattens_lots_by_agents_with_the_agents_of_a_lot_together():
-    env, reset, step = slide()
-    _, brax_reset, brax_step = brax()
-    keys = jax.random.split(jax.random.key(0), 4)
-    state = brax_reset(keys)
-    assert state.obs.shape == (12, env.observation_size)
-    # The action of one agent of one lot moves that car and no other.
-    action = np.zeros((12, 2), np.float32)
-    action[3 * 2 + 1] = (0.0, 1.0)
-    after = brax_step(state, action)
-    moved = np.asarray(after.pipeline_state.vehicle.speed)
-    np.testing.assert_array_equal(np.argwhere(moved != 0.0), [[2, 1]])
-    # Rows 3 k to 3 k + 2 are those of lot k on its own.
-    for k in range(4):
-        rows = slice(3 * k, 3 * k + 3)
-        lot, observation = reset(keys[k])
-        # Single and batched programs may round differently.
-        np.testing.assert_allclose(state.obs[rows], observation, atol=1e-5)
-        _, timestep = step(lot, action[rows])
-        np.testing.assert_allclose(after.obs[rows], timestep.observation, atol=1e-5)
-        np.testing.assert_allclose(after.reward[rows], timestep.reward, atol=1e-5)
-
-
-def test_brax_steps_keep_the_structure_of_the_reset_state():
-    env, _, _ = slide()
-    wrapped = BraxParking(env)
-    keys = jax.random.split(jax.random.key(0), 4)
-    state = jax.eval_shape(wrapped.reset, keys)
-    action = jax.ShapeDtypeStruct((12, 2), jnp.float32)
-    after = jax.eval_shape(wrapped.step, state, action)
-    assert jax.tree.structure(state) == jax.tree.structure(after)
-    for one, other in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
-        assert (one.shape, one.dtype, one.weak_type) == (
-            other.shape,
-            other.dtype,
-            other.weak_type,
-        )
-    flat = (state.obs, state.reward, state.done, state.info)
-    assert all(leaf.shape[0] == 12 for leaf in jax.tree.leaves(flat))
-    fields = {"truncation", "episode_done", "episode_metrics", "reward_terms"}
-    assert set(state.info) == fields
-    assert wrapped.observation_size == env.observation_size
-    assert wrapped.action_size == 2
-
-
-def test_brax_tells_truncations_from_terminations():
-    env, _, _ = slide()
-    _, reset, step = brax()
-    state = reset(jax.random.split(jax.random.key(0), 4))
-    lots = placed(env, state.pipeline_state, np.tile(APART, (4, 1, 1)))
-    # Lot 1: agent 0 in a wall. Lot 2: agent 1 out of time.
-    pose = np.array(lots.vehicle.pose_w)
-    pose[1, 0, :2] = lots.layout.wall_pose[1, 4, :2]
-    lots = placed(env, lots, pose)
-    lots = lots.replace(step=lots.step.at[2, 1].set(MAX_STEPS - 1))
-    state = step(state.replace(pipeline_state=lots), np.zeros((12, 2), np.float32))
-    assert np.flatnonzero(state.done).tolist() == [3, 7]
-    assert np.flatnonzero(state.info["episode_done"]).tolist() == [3, 7]
-    assert np.flatnonzero(state.info["truncation"]).tolist() == [7]
-    assert np.flatnonzero(state.info["episode_metrics"]["crashed"]).tolist() == [3]
-    assert np.flatnonzero(state.info["episode_metrics"]["timed_out"]).tolist() == [7]
-    assert all(leaf.shape == (12,) for leaf in jax.tree.leaves(state.info))
-
-
-def test_the_parked_rule_of_the_config_is_the_one_used():
-    env, step, state = start()
-    pose = APART.copy()
-    bay = np.asarray(state.layout.bay_pose[state.occupancy.goal[1]])
-    pose[1] = bay + np.array(
-        [0.4, 0.4, 0.5]
-    )  # askew in the bay: parked for Tanner only
-    state = placed(env, state, pose)
-    _, _, step_tanner = slide(rule="tanner")
-    for stepped, parked in ((step, False), (step_tanner, True)):
-        _, timestep = stepped(state, HALT)
-        np.testing.assert_array_equal(timestep.events.parked, [False, parked, False])

@@ -7,7 +7,7 @@ from typing import Any
 
 from carpark_mj.config import EnvConfig, ParkedRule
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import random_policy, zero_policy
+from carpark_mj.policy.baselines import random_policy, zero_policy
 from carpark_mj.policy.networks import Policy
 from carpark_mj.policy.runs import load_policy
 from carpark_mj.registry import environment

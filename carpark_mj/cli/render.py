@@ -11,7 +11,7 @@ from rich.progress import track
 
 from carpark_mj.cli.common import MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.config import EnvConfig, PhysicsName
+from carpark_mj.config import ContinuousObservation, EnvConfig, PhysicsName
 from carpark_mj.config.checks import positive
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.checkpoints import write_atomically
@@ -202,12 +202,17 @@ def _renderer(
 
 
 def _show(config: RenderConfig, env: EnvConfig) -> Show:
-    tracked = "tracked" in config.extras
-    return Show(
-        tracked_agents=env.observation.tracked_agents if tracked else 0,
-        tracked_parked_cars=env.observation.tracked_parked_cars if tracked else 0,
-        rings=env.observation.rings if "rings" in config.extras else (),
-    )
+    seen = env.observation
+    agents = parked_cars = 0
+    if "tracked" in config.extras:
+        if not isinstance(seen, ContinuousObservation):
+            raise ValueError(
+                "show 'tracked' needs agents and parked cars tracked apart, as the "
+                f"continuous encoding does, not {seen.encoding!r}"
+            )
+        agents, parked_cars = seen.tracked_agents, seen.tracked_parked_cars
+    rings = seen.rings.diameters if "rings" in config.extras else ()
+    return Show(tracked_agents=agents, tracked_parked_cars=parked_cars, rings=rings)
 
 
 def _write_frames(

@@ -8,14 +8,14 @@ from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
-from carpark_mj.config.layout import (
+from carpark_mj.config.layouts import (
     LAYOUT_FILES,
     LayoutChoice,
     LayoutConfig,
     LayoutName,
 )
 from carpark_mj.config.metrics import MetricsConfig
-from carpark_mj.config.observation import (
+from carpark_mj.config.observations import (
     BayPart,
     ContinuousObservation,
     IndexObservation,
@@ -26,20 +26,20 @@ from carpark_mj.config.observation import (
     TannerObservation,
     ViewConfig,
 )
-from carpark_mj.config.reward import REWARDS, RewardConfig, RewardName, reward_preset
-from carpark_mj.config.simulation import CONTACT_SIM_DT, SimConfig, Surface, TyresName
+from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
+from carpark_mj.config.randomization import (
+    Distribution,
+    DistributionKind,
+    RandomizationConfig,
+)
+from carpark_mj.config.rewards import REWARDS, RewardConfig, RewardName, reward_preset
+from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import EvolutionRule, SpawnConfig
 from carpark_mj.config.terminations import (
     PARKED_RULES,
     EpisodeConfig,
     ParkedLimits,
     ParkedRule,
-)
-from carpark_mj.config.variation import (
-    Distribution,
-    DistributionKind,
-    RandomizationConfig,
-    SensorConfig,
 )
 
 __all__ = [

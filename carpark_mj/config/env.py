@@ -8,24 +8,25 @@ from carpark_mj.config.fleet import FleetConfig, JitterConfig, Range, require_ra
 from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.grid import GridConfig
-from carpark_mj.config.layout import (
+from carpark_mj.config.layouts import (
     LAYOUT_FILES,
     LayoutChoice,
     LayoutConfig,
     LayoutName,
 )
 from carpark_mj.config.metrics import MetricsConfig
-from carpark_mj.config.observation import (
+from carpark_mj.config.observations import (
     ContinuousObservation,
     IndexObservation,
     Observation,
     TannerObservation,
 )
-from carpark_mj.config.reward import RewardConfig
-from carpark_mj.config.simulation import SimConfig
+from carpark_mj.config.physics import SimConfig
+from carpark_mj.config.randomization import RandomizationConfig
+from carpark_mj.config.rewards import RewardConfig
+from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import SpawnConfig
 from carpark_mj.config.terminations import EpisodeConfig
-from carpark_mj.config.variation import RandomizationConfig, SensorConfig
 
 PhysicsName = Literal["mjx", "scene", "bicycle", "grid"]
 

@@ -1,5 +1,6 @@
 """An evaluation as tables on the screen and as files."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -7,15 +8,16 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
+from carpark_mj.evaluation.aggregation import HITS, OUTCOMES
 from carpark_mj.evaluation.catalogue import DRIVING, GOALS, SAFETY
-from carpark_mj.evaluation.rollout import HITS, OUTCOMES, Evaluation
+from carpark_mj.evaluation.rollout import Evaluation
 from carpark_mj.policy.runs import write_csv, write_json
 
 
 def print_report(result: Evaluation, title: str) -> None:
     """Prints outcomes, metrics and, of a mixture, the families."""
     print_table(result.summary, title)
-    print_metrics(result.summary["metrics"])
+    print_metrics(result.summary)
     if len(result.families) > 1:
         print_families(result)
 
@@ -91,32 +93,32 @@ def print_table(summary: dict[str, Any], title: str) -> None:
         )
     console = Console()
     console.print(table)
-    if "wrong_way_share" in summary:
-        share = summary["wrong_way_share"]
+    share = summary.get("wrong_way_share", math.nan)
+    if not math.isnan(share):
         console.print(f"{share:.1%} of the way driven against the lanes")
     if not summary["parked"]["count"]:
         console.print("no parked episode to describe")
         return
     console.print(
-        f"parked episodes: {summary['parked_time']:.1f} s, "
-        f"{summary['parked_path']:.1f} m driven, "
-        f"{summary['parked_gear_changes']:.1f} gear changes; off by "
-        f"{summary['parked_distance_error']:.2f} m, "
-        f"{summary['parked_heading_error_deg']:.1f} deg at "
-        f"{summary['parked_speed']:.2f} m/s"
+        f"parked episodes: {summary['time_to_park']:.1f} s, "
+        f"{summary['path']:.1f} m driven, "
+        f"{summary['gear_changes']:.1f} gear changes; off by "
+        f"{summary['final_distance']:.2f} m, "
+        f"{math.degrees(summary['final_heading']):.1f} deg at "
+        f"{summary['final_speed']:.2f} m/s"
     )
 
 
-def print_metrics(metrics: dict[str, Any]) -> None:
+def print_metrics(summary: dict[str, Any]) -> None:
     """Prints how the episodes were driven, and how safely."""
     table = Table(title="driving and safety (docs/metrics.md)")
     for column in ("metric", "unit", "mean", "median", "worst 5 %", "worst"):
         table.add_column(
             column, justify="left" if column in ("metric", "unit") else "right"
         )
-    shown = [m for m in DRIVING + SAFETY + GOALS if m.name in metrics]
+    shown = [m for m in DRIVING + SAFETY + GOALS if m.name in summary]
     for metric in shown:
-        value = metrics[metric.name]
+        value = summary[metric.name]
         numbers = ["", *value.values()] if isinstance(value, dict) else [value]
         table.add_row(
             metric.name.replace("_", " "),

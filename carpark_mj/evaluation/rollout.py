@@ -109,7 +109,7 @@ def _episodes(
         for t, lot, agent in np.argwhere(np.asarray(done)):
             if finished[lot, agent] < quota:
                 row = {n: float(value[t, lot, agent]) for n, value in metrics.items()}
-                yield lot, agent, finished[lot, agent], row
+                yield int(lot), int(agent), int(finished[lot, agent]), row
             finished[lot, agent] += 1
 
 

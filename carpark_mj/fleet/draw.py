@@ -4,6 +4,7 @@ Parked cars are drawn when a lot is reset, agents at every spawn. All of it is d
 nothing recompiles.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -169,7 +170,7 @@ def _in_bays(
 ) -> ParkedCars:
     nowhere = jnp.zeros((*bay.shape, 3), jnp.float32)
     cars = ParkedCars(bay=bay, pose_w=nowhere, size=size, offset=offset)
-    return cars.replace(pose_w=poses_in_bays(layout, cars))
+    return dataclasses.replace(cars, pose_w=poses_in_bays(layout, cars))
 
 
 def _uniform(

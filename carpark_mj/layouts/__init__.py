@@ -18,8 +18,7 @@ from carpark_mj.layouts.registry import (
 )
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.street import StreetConfig
-from carpark_mj.layouts.street_parallel import StreetParallelConfig
+from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
 from carpark_mj.layouts.types import (
     ROWS,
     BayKind,

@@ -1,7 +1,7 @@
 """Tight bays on both sides at the end of a narrow blind aisle.
 
-The levels of difficulty are those of HOPE, as in `garage_row`, but the bays lie side by
-side, and whoever heads into the aisle must back out or turn in a bay.
+Unlike in `garage_row` the bays lie side by side, and a car that drives into the aisle
+must back out or turn in a bay.
 """
 
 import dataclasses
@@ -9,81 +9,56 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import LayoutConfig
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import assemble, bays, boundary, walls
-from carpark_mj.layouts.garage_row import (
-    draw_tight_bay,
-    require_room,
-    tight_entry,
-    two_way_aisle,
-)
 from carpark_mj.layouts.ranges import (
     IntRange,
     Range,
     chances,
     draw,
     draw_int,
-    require_at_least,
     require_ranges,
 )
-from carpark_mj.layouts.standards import DesignCar, Level, Orientation, tight_bay
-from carpark_mj.layouts.turning import Entry
+from carpark_mj.layouts.tight import TightConfig, draw_tight_bay, two_way_aisle
 from carpark_mj.layouts.types import Layout, WallKind
 
 
 @dataclasses.dataclass(frozen=True)
-class DeadEndConfig(LayoutConfig):
-    """Bays at the end of a blind aisle; lengths [m].
+class DeadEndConfig(TightConfig):
+    """Bays at the end of a blind aisle; lengths [m]. See also `TightConfig`.
 
     Attributes:
-        level: how much room there is.
-        orientation: of the bays to the aisle.
         bays_per_side: bays on each side of the aisle.
         approach: aisle between solid blocks, before the first bay.
         end_length: aisle beyond the last bay, up to the wall across it.
-        wall_thickness: of the walls around.
-        car: the car the lot is drawn for; the room is measured from its size.
         family: fixed.
     """
 
-    level: Level = "normal"
-    orientation: Orientation = "perpendicular"
     bays_per_side: IntRange = (2, 4)
     approach: Range = (12.0, 18.0)
     end_length: Range = (0.5, 1.5)
-    wall_thickness: float = standards.WALL_THICKNESS
-    car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "dead_end"
 
     def __post_init__(self) -> None:
         require_ranges(self, 1, "bays_per_side")
         require_ranges(self, 2 * self.car.length, "approach")
         require_ranges(self, 0.0, "end_length")
-        require_at_least(self, 0.01, "wall_thickness")
-        require_room(self.orientation, self.level, self.car)
+        super().__post_init__()
 
     @property
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return 2 * self.bays_per_side[0]
 
-    @property
-    def entries(self) -> tuple[Entry, ...]:
-        """The roomiest way into a bay."""
-        return (tight_entry(self.orientation, self.level, self.car, 1),)
-
 
 def dead_end(config: DeadEndConfig, key: jax.Array) -> Layout:
     """Draws an aisle along x whose blind end lies at +x."""
     chance = chances(key, 5)
     count = draw_int(chance[0], config.bays_per_side)
-    size, cell, yaw = draw_tight_bay(
-        config.orientation, config.level, config.car, chance[1:3]
-    )
+    size, cell, yaw = draw_tight_bay(config, chance[1:3])
     approach = draw(chance[3], config.approach)
     end = draw(chance[4], config.end_length)
-    aisle = tight_bay(config.orientation, config.level, config.car).aisle
+    aisle = config.room.aisle
     depth = cell[1] + standards.WALL_GAP
     half_x = (approach + count * cell[0] + end) / 2
     half_y = aisle / 2 + depth

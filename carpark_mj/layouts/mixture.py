@@ -10,8 +10,7 @@ import math
 from carpark_mj.config import LayoutConfig
 from carpark_mj.layouts.angled import AngledConfig
 from carpark_mj.layouts.square import COMPACT
-from carpark_mj.layouts.street import StreetConfig
-from carpark_mj.layouts.street_parallel import StreetParallelConfig
+from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
 from carpark_mj.layouts.turning import Entry
 
 

@@ -15,8 +15,7 @@ from carpark_mj.layouts.lot import lot
 from carpark_mj.layouts.lot_config import LotConfig
 from carpark_mj.layouts.mixture import MixtureConfig
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
-from carpark_mj.layouts.street import StreetConfig, street
-from carpark_mj.layouts.street_parallel import StreetParallelConfig, street_parallel
+from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig, street
 from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
 
 
@@ -55,7 +54,7 @@ def draw_member(config: MixtureConfig, member: jax.Array, key: jax.Array) -> Lay
 FAMILIES: dict[str, Family] = {
     "square": Family(SquareConfig, square),
     "street": Family(StreetConfig, street),
-    "street_parallel": Family(StreetParallelConfig, street_parallel),
+    "street_parallel": Family(StreetParallelConfig, street),
     "angled": Family(AngledConfig, angled),
     "lot": Family(LotConfig, lot),
     "garage_row": Family(GarageRowConfig, garage_row),

@@ -1,10 +1,11 @@
-"""A two-way street with perpendicular bays on both sides.
+"""Two-way streets with perpendicular or parallel bays on both sides.
 
-Schematic (a) of Tanner 2022 (arXiv 2206.13338), described there but not built: one lane
-each way, rows of bays along both, walls around everything.
+Schematics (a) and (b) of Tanner 2022 (arXiv 2206.13338), described there but not built:
+one lane each way, rows of bays along both, walls or kerbs around everything.
 """
 
 import dataclasses
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,7 @@ from carpark_mj.layouts.ranges import (
     require_ranges,
 )
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.turning import Entry, least_aisle
+from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import Layout, WallKind
 
 
@@ -50,6 +51,7 @@ class StreetConfig(LayoutConfig):
         family: fixed.
     """
 
+    parallel: ClassVar[bool] = False
     bays_per_side: IntRange = (9, 12)
     bay_width: Range = standards.BAY_WIDTH
     bay_length: Range = standards.BAY_LENGTH
@@ -65,7 +67,7 @@ class StreetConfig(LayoutConfig):
         require_ranges(self, self.car.length, "bay_length")
         require_ranges(self, 0.0, "aisle_width", "end_length")
         require_at_least(self, 0.01, "wall_thickness")
-        least = least_aisle(self.car, 90.0, self.bay_width[0], walled=False)
+        least = self._entry(0).least(self.car)
         require_aisle(self.aisle_width, max(least, 2 * least_lane(self.car)))
 
     @property
@@ -76,7 +78,23 @@ class StreetConfig(LayoutConfig):
     @property
     def entries(self) -> tuple[Entry, ...]:
         """The roomiest way into a bay."""
-        return (Entry(self.aisle_width[1], self.bay_width[1]),)
+        return (self._entry(1),)
+
+    def _entry(self, end: int) -> Entry:
+        """The way from the narrowest aisle (end 0) or the widest (1) into a bay."""
+        angle = 0.0 if self.parallel else 90.0
+        return Entry(self.aisle_width[end], self.bay_width[end], angle)
+
+
+@dataclasses.dataclass(frozen=True)
+class StreetParallelConfig(StreetConfig):
+    """Ranges of a street with parallel bays and kerbs around; see `StreetConfig`."""
+
+    parallel: ClassVar[bool] = True
+    bays_per_side: IntRange = (9, 11)
+    bay_width: Range = standards.PARALLEL_WIDTH
+    bay_length: Range = standards.PARALLEL_LENGTH
+    family: str = "street_parallel"
 
 
 def require_aisle(aisle: Range, least: float) -> None:
@@ -93,28 +111,35 @@ def require_aisle(aisle: Range, least: float) -> None:
 
 
 def street(config: StreetConfig, key: jax.Array) -> Layout:
-    """Draws a street along x."""
+    """Draws a street along x.
+
+    Cars in perpendicular bays point at the street, in parallel bays along the lane
+    beside them.
+    """
     chance = chances(key, 5)
     count = draw_int(chance[0], config.bays_per_side)
     width = draw(chance[1], config.bay_width)
     length = draw(chance[2], config.bay_length)
     aisle = draw(chance[3], config.aisle_width)
     end = draw(chance[4], config.end_length)
+    along, across = (length, width) if config.parallel else (width, length)
     row = jnp.arange(config.bays_per_side[1])
-    x = (row + 0.5 - count / 2) * width
-    y = (aisle + length) / 2
-    # Left of the lane along +x, then right of it; cars point at the street.
+    x = (row + 0.5 - count / 2) * along
+    y = (aisle + across) / 2
+    # Left of the lane along +x, then right of it.
+    yaws = (jnp.pi, 0.0) if config.parallel else (-jnp.pi / 2, jnp.pi / 2)
     pose = jnp.stack(
         [
-            jnp.stack(jnp.broadcast_arrays(x, s * y, -s * jnp.pi / 2), axis=-1)
-            for s in (1.0, -1.0)
+            jnp.stack(jnp.broadcast_arrays(x, side * y, yaw), axis=-1)
+            for side, yaw in zip((1.0, -1.0), yaws, strict=True)
         ]
     )
-    half = jnp.stack([count * width / 2 + end, aisle / 2 + length + standards.WALL_GAP])
+    half = jnp.stack([count * along / 2 + end, aisle / 2 + across + standards.WALL_GAP])
+    kind = WallKind.KERB if config.parallel else WallKind.WALL
     return assemble(
         half,
         bays(pose, jnp.stack([length, width]), mask=row < count),
-        boundary(half[0], half[1], config.wall_thickness, WallKind.WALL),
+        boundary(half[0], half[1], config.wall_thickness, kind),
         *two_way_street(config.car, 2 * half[0], aisle),
     )
 

@@ -62,7 +62,8 @@ class ChosenGoals:
 
     def choose(self, state: State, choice: jax.Array | None) -> State:
         """Goals of the agents that have not finished, by their choices."""
-        assert choice is not None and state.tracked_bays is not None
+        assert choice is not None
+        assert state.tracked_bays is not None
         chosen = choose_goals(state.goal, state.tracked_bays, choice)
         goal = jnp.where(state.active, chosen, state.goal)
         return dataclasses.replace(state, goal=goal)

@@ -28,7 +28,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, GridConfig, TannerObservation
-from carpark_mj.config.observation import BAY_PARTS
+from carpark_mj.config.observations import BAY_PARTS
 from carpark_mj.geometry import to_local
 from carpark_mj.observations.fields import Field, repeated, repeated_values
 from carpark_mj.observations.rings import ring_counts, ring_fields

@@ -6,7 +6,8 @@ import jax
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import OUTCOMES, evaluation_key
+from carpark_mj.evaluation.aggregation import OUTCOMES
+from carpark_mj.evaluation.rollout import evaluation_key
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.snapshot import aimed_at
 from carpark_mj.rendering.stage import Stage

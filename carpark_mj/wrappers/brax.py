@@ -12,7 +12,7 @@ from brax.envs.base import Env
 from brax.envs.base import State as BraxState
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.state import TimeStep
+from carpark_mj.types import TimeStep
 
 
 class BraxParking(Env):

@@ -47,7 +47,8 @@ class Measurement:
         rate: units per second of the clock.
         unit: what is counted, and the second that is meant.
         compile_s: tracing, lowering and compiling the program [s of the clock].
-        first_step_s: from the start of the process to that of the first call [likewise].
+        first_step_s: from the start of the process to that of the first call [s of the
+            clock].
         peak_memory_mb: of the first GPU, or of the process on a CPU [1e6 bytes].
     """
 

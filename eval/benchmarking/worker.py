@@ -12,12 +12,12 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 
 from benchmarking.records import Job, Measurement
 from benchmarking.timing import CLOCKS, best_time
@@ -196,8 +196,8 @@ def measure(job: Job, started: float) -> Measurement:
     first_step_s = time.time() - started if job.clock == "wall" else clock()
     return Measurement(
         device=device_name(),
-        jax=metadata.version("jax"),
-        mujoco=metadata.version("mujoco"),
+        jax=jax.__version__,
+        mujoco=mujoco.__version__,
         what=subject.what,
         layout=subject.layout,
         agents=subject.agents,

@@ -29,10 +29,12 @@ def balance(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> 
         "of the work",
         rest,
         slip_loss(driven, work) if brush else 0.0,
-        5e-4,
-        "slip is formed with the spin after and the speed before a substep"
-        if brush
-        else "",
+        (
+            5e-4,
+            "slip is formed with the spin after and the speed before a substep"
+            if brush
+            else "",
+        ),
     )
     lost = -_gained(coasting)
     study.row(

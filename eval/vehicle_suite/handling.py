@@ -59,8 +59,7 @@ def understeer(
             "deg/g",
             gradient,
             linear,
-            max(relative(linear, 0.25), 0.1),
-            "" if linear > 0.1 else neutral,
+            (max(relative(linear, 0.25), 0.1), "" if linear > 0.1 else neutral),
         )
         study.row(
             f"understeer gradient, {axles}, brush",
@@ -68,8 +67,7 @@ def understeer(
             "deg/g",
             gradient,
             brush,
-            max(relative(brush, 0.05), 0.02),
-            "" if linear > 0.1 else neutral,
+            (max(relative(brush, 0.05), 0.02), "" if linear > 0.1 else neutral),
         )
         x, y = np.transpose(measured)
         study.curve("understeer", axles, x / GRAVITY, np.degrees(y), "o")
@@ -215,9 +213,11 @@ def lateral_limit(
             "mu g",
             float(mean.max()),
             0.935,
-            0.065,
-            "loaded outer tyres slide at slip angles above 20 deg, whose cosine is "
-            "lost",
+            (
+                0.065,
+                "loaded outer tyres slide at slip angles above 20 deg, whose cosine is "
+                "lost",
+            ),
         )
     else:  # sliding contact wheels hop: only long means have a meaning
         late = track.late(track.lateral_acceleration, STEADY) / grip

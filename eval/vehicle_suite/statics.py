@@ -53,8 +53,10 @@ def slope_hold(
             "m/s",
             creep,
             0.0,
-            1e-5 if brush else 2e-3 * slope,
-            "" if brush else "regularised friction creeps with the slope",
+            (
+                1e-5 if brush else 2e-3 * slope,
+                "" if brush else "regularised friction creeps with the slope",
+            ),
         )
     return study
 

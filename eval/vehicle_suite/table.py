@@ -113,11 +113,11 @@ class Study:
         unit: str,
         measured: float,
         expected: float,
-        tolerance: float,
-        why: str = "",
+        tolerance: float | tuple[float, str],
     ) -> None:
-        """Adds a row; see `Row`."""
-        numbers = float(measured), float(expected), float(tolerance)
+        """Adds a row; see `Row`. A tolerance may come with its physical reason."""
+        largest, why = tolerance if isinstance(tolerance, tuple) else (tolerance, "")
+        numbers = float(measured), float(expected), float(largest)
         self.rows.append(
             Row(row, self.preset, self.tyres, formula, unit, *numbers, why)
         )
@@ -154,7 +154,7 @@ def markdown(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-README_ROWS = (
+EXCERPT = (
     "turning radius, 34.2 deg, 1 m/s forwards",
     "turning radius, 34.2 deg, 1 m/s reverse",
     "kerb-to-kerb circle, published",
@@ -175,15 +175,15 @@ README_ROWS = (
 )
 
 
-def readme_table(report: Path, preset: str = "compact") -> str:
-    """The README's physics table, from the report's CSV.
+def excerpt(report: Path, preset: str = "compact") -> str:
+    """The rows of `EXCERPT` as a markdown table, from the report's CSV.
 
     Args:
         report: `report.csv`.
         preset: the car it is about.
 
     Raises:
-        KeyError: the report lacks one of `README_ROWS` on brush tyres.
+        KeyError: the report lacks one of `EXCERPT` on brush tyres.
     """
     with report.open(newline="") as file:
         found = {
@@ -192,7 +192,7 @@ def readme_table(report: Path, preset: str = "compact") -> str:
             if row["preset"] == preset
         }
     lines = ["| manoeuvre | expected | brush | contact |", "|---|---|---|---|"]
-    for name in README_ROWS:
+    for name in EXCERPT:
         brush, contact = found[name, "brush"], found.get((name, "contact"))
         expected = f"{float(brush['expected']):.4g} {brush['unit']}"
         if contact and contact["expected"] != brush["expected"]:

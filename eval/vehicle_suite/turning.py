@@ -100,8 +100,10 @@ def _kerb_circle(study: Study, track: Track) -> None:
         "m",
         measured,
         geometric,
-        relative(geometric, 0.015 if brush else 0.001),
-        "scrub and slip widen it" if brush else "",
+        (
+            relative(geometric, 0.015 if brush else 0.001),
+            "scrub and slip widen it" if brush else "",
+        ),
     )
     study.row(
         "kerb-to-kerb circle, published",
@@ -109,8 +111,10 @@ def _kerb_circle(study: Study, track: Track) -> None:
         "m",
         measured,
         params.turning_circle,
-        relative(params.turning_circle, 0.025 if brush else 0.01),
-        "scrub and slip widen it" if brush else "",
+        (
+            relative(params.turning_circle, 0.025 if brush else 0.01),
+            "scrub and slip widen it" if brush else "",
+        ),
     )
 
 

@@ -6,13 +6,23 @@ import pytest
 
 from carpark_mj.config import (
     REWARDS,
+    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
+    FleetConfig,
+    GivingWayConfig,
+    GoalConfig,
+    GoalRewards,
+    IndexObservation,
     LayoutName,
-    ObservationConfig,
+    RayConfig,
     RewardConfig,
+    RingConfig,
+    ShareConfig,
     SimConfig,
     SpawnConfig,
+    TannerObservation,
+    ViewConfig,
     reward_preset,
 )
 from carpark_mj.env import ParkingEnv
@@ -37,21 +47,44 @@ IMPOSSIBLE = [
     (SpawnConfig, {"crash_ratio": -0.1}, "crash_ratio must lie in .* not -0.1"),
     (SpawnConfig, {"crash_ratio": 0.9}, r"close_ratio \+ crash_ratio .* 1, not 0.2 \+"),
     (SpawnConfig, {"crash_distance": math.nan}, "crash_distance must be .* not nan"),
+    (SpawnConfig, {"spacing": -0.1}, "spacing must be at least 0.0, not -0.1"),
     (SpawnConfig, {"evolution": "nearest"}, "unknown evolution 'nearest'; choose from"),
     (RewardConfig, {"final_speed": -1.0}, "final_speed must be at least 0.0, not -1.0"),
-    (RewardConfig, {"halt": math.inf}, "halt must be at least 0.0, not inf"),
+    (RewardConfig, {"timeout": math.inf}, "timeout must be at least 0.0, not inf"),
     (EpisodeConfig, {"parked_rule": "lax"}, "unknown parked_rule 'lax'"),
     (EpisodeConfig, {"max_steps": 0}, "max_steps must be at least 1, not 0"),
     (EpisodeConfig, {"max_steps": -5}, "max_steps must be at least 1, not -5"),
     (RewardConfig, {"crash": -1.0}, "crash must be at least 0.0, not -1.0"),
     (RewardConfig, {"park": math.nan}, "park must be at least 0.0, not nan"),
     (RewardConfig, {"alignment_range": 0.0}, "alignment_range must be positive"),
-    (ObservationConfig, {"tracked_agents": -1}, "tracked_agents .* not -1"),
-    (ObservationConfig, {"tracked_parked_cars": -2}, "tracked_parked_cars .* not -2"),
-    (ObservationConfig, {"ring_cap": 0}, "ring_cap must be at least 1, not 0"),
-    (ObservationConfig, {"rings": (5.0, 0.0)}, r"rings must be .* \(5.0, 0.0\)"),
-    (ObservationConfig, {"rings": (math.nan,)}, r"rings must be .* \(nan,\)"),
-    (ObservationConfig, {"rings": (5.0, 5.0)}, r"rings must be .* \(5.0, 5.0\)"),
+    (ContinuousObservation, {"tracked_agents": -1}, "tracked_agents .* not -1"),
+    (ContinuousObservation, {"tracked_parked_cars": -2}, "tracked_parked_cars .* -2"),
+    (ContinuousObservation, {"encoding": "tanner"}, "unknown encoding 'tanner'"),
+    (TannerObservation, {"tracked_cars": -1}, "tracked_cars must be .* not -1"),
+    (TannerObservation, {"bay_parts": ("colour",)}, "unknown bay part 'colour'"),
+    (TannerObservation, {"bay_parts": ("heading",) * 2}, "bay_parts must be different"),
+    (TannerObservation, {"encoding": "indices"}, "unknown encoding 'indices'"),
+    (IndexObservation, {"encoding": "index"}, "unknown encoding 'index'; choose from"),
+    (RingConfig, {"cap": 0}, "cap must be at least 1, not 0"),
+    (RingConfig, {"diameters": (5.0, 0.0)}, r"ring diameters must be .* \(5.0, 0.0\)"),
+    (RingConfig, {"diameters": (math.nan,)}, r"ring diameters must be .* \(nan,\)"),
+    (RingConfig, {"diameters": (5.0, 5.0)}, r"must be different, not \(5.0, 5.0\)"),
+    (RingConfig, {"history": -1}, "history must be at least 0, not -1"),
+    (RingConfig, {"history": 2}, "ring history 2 needs ring diameters"),
+    (ViewConfig, {"field_of_view": 0.0}, r"field_of_view must lie in .* not 0.0"),
+    (ViewConfig, {"field_of_view": 361.0}, r"field_of_view must lie in .* not 361.0"),
+    (ViewConfig, {"diameter": -1.0}, "view diameter must be positive .* not -1.0"),
+    (ViewConfig, {"diameter": math.inf}, "view diameter must be positive .* not inf"),
+    (
+        ShareConfig,
+        {"goals": False, "goal_headings": True},
+        "share.goal_headings needs share.goals",
+    ),
+    (RayConfig, {"count": -1}, "count must be at least 0, not -1"),
+    (RayConfig, {"reach": 0.0}, "reach must be positive, not 0.0"),
+    (GoalConfig, {"num_tracked_bays": 0}, "num_tracked_bays must be .* not 0"),
+    (GivingWayConfig, {"scheme": "G,L,X"}, "unknown scheme 'G,L,X'; choose from"),
+    (GivingWayConfig, {"bad_goal": -0.1}, "bad_goal -0.1 needs a scheme"),
     (EnvConfig, {"layout": "ring"}, "unknown layout 'ring'"),
     (EnvConfig, {"num_agents": 0}, "num_agents must be at least 1, not 0"),
     (EnvConfig, {"num_parked_cars": -1}, "num_parked_cars must be at least 0, not -1"),
@@ -64,6 +97,84 @@ def test_impossible_settings_raise_one_sentence_naming_the_value(make, change, m
     with pytest.raises(ValueError, match=message) as caught:
         make(**change)
     assert "\n" not in str(caught.value)
+
+
+DYNAMIC, GLOBAL = (
+    GoalConfig(dynamic=True),
+    ContinuousObservation(global_information=True),
+)
+CONTRADICTIONS = [
+    (
+        {"fleet": FleetConfig(("city",))},
+        "fleet.agents needs observation.own_car = True",
+    ),
+    (
+        {"fleet": FleetConfig(("city",)), "observation": TannerObservation()},
+        "fleet.agents needs observation.own_car = True of the encoding 'continuous'",
+    ),
+    ({"observation": IndexObservation()}, "'indices' needs grid physics, not mjx"),
+    (
+        {"observation": IndexObservation(), "physics": "grid", "goals": DYNAMIC},
+        "'indices' needs fixed goals",
+    ),
+    (
+        {"observation": TannerObservation(tracked_cars=18)},
+        "tracked_cars must be at most 17 .* 1 agents and 16 parked cars.* not 18",
+    ),
+    ({"giving_way": GivingWayConfig("L,L,S")}, "'L,L,S' needs dynamic goals"),
+    (
+        {"giving_way": GivingWayConfig("G,L,S"), "goals": DYNAMIC},
+        "'G,L,S' needs observation.global_information = True, not False",
+    ),
+    (
+        {
+            "giving_way": GivingWayConfig("L,L,S"),
+            "goals": DYNAMIC,
+            "observation": GLOBAL,
+        },
+        "'L,L,S' needs observation.global_information = False, not True",
+    ),
+    (
+        {
+            "goals": DYNAMIC,
+            "observation": ContinuousObservation(share=ShareConfig(goal_headings=True)),
+        },
+        "observation.share.goal_headings needs fixed goals",
+    ),
+    (
+        {
+            "goals": DYNAMIC,
+            "reward": RewardConfig(goals=GoalRewards(continue_explore=0.0)),
+        },
+        "continue_explore must be negative with dynamic goals, not 0.0",
+    ),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), CONTRADICTIONS)
+def test_settings_that_contradict_each_other_are_refused(change, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        EnvConfig(**change)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_that_go_together_are_kept_as_they_are():
+    own_car = ContinuousObservation(own_car=True)
+    for change in (
+        {"fleet": FleetConfig(("city",)), "observation": own_car},
+        {"fleet": FleetConfig(parked_cars=("city",))},
+        {"observation": IndexObservation(), "physics": "grid"},
+        {"observation": TannerObservation(tracked_cars=17)},
+        {"giving_way": GivingWayConfig("L,L,S"), "goals": DYNAMIC},
+        {
+            "giving_way": GivingWayConfig("G,L,S"),
+            "goals": DYNAMIC,
+            "observation": GLOBAL,
+        },
+        {"goals": DYNAMIC, "observation": GLOBAL},  # seen, nothing is asked
+    ):
+        config = EnvConfig(**change)
+        assert {name: getattr(config, name) for name in change} == change
 
 
 IMPOSSIBLE_LOTS = [
@@ -136,7 +247,9 @@ CONFIGS = [
     SpawnConfig,
     EpisodeConfig,
     RewardConfig,
-    ObservationConfig,
+    ContinuousObservation,
+    TannerObservation,
+    IndexObservation,
     EnvConfig,
 ]
 
@@ -174,7 +287,7 @@ def test_the_tanner_reward_preset_has_the_numbers_of_table_c9():
         "wrong_way": 0.0,
         "final_speed": 0.0,
         "final_heading": 0.0,
-        "halt": 0.0,
+        "timeout": 0.0,
         "smoothness_by_speed": False,
     }
 

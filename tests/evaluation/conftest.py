@@ -2,7 +2,7 @@
 
 import jax
 import pytest
-from helpers.scenes import SlidePhysics
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, MetricsConfig
 from carpark_mj.env import ParkingEnv

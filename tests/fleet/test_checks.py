@@ -1,9 +1,153 @@
-"""Lots that cannot hold what is asked of them."""
+"""Cars that cannot drive or stand in a lot are refused, in one sentence."""
 
+import dataclasses
+import math
+
+import jax.numpy as jnp
 import pytest
+from helpers.scenes import lot
+from helpers.sliding import SlidePhysics
 
-from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    EpisodeConfig,
+    FleetConfig,
+    GoalConfig,
+    JitterConfig,
+)
 from carpark_mj.env import ParkingEnv
+from carpark_mj.fleet.checks import check_cars
+from carpark_mj.fleet.draw import Fleet
+from carpark_mj.layouts import layout_config, mixture
+from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.vehicle import COMPACT
+
+OWN_CAR = ContinuousObservation(own_car=True)
+
+BAD_CONFIGS = [
+    (lambda: FleetConfig(("city",), (1.0, 2.0)), r"agent_weights must be one for each"),
+    (lambda: FleetConfig(("city",), (-1.0,)), r"agent_weights must be positive"),
+    (lambda: FleetConfig(parked_weights=(1.0,)), r"parked_weights .* of the 0 presets"),
+    (lambda: JitterConfig(along=(0.2, -0.2)), r"jitter.along must be a lowest and"),
+    (lambda: JitterConfig(heading=(0.0, 2.0)), r"jitter.heading .* within \[-1.571"),
+    (lambda: JitterConfig(scale=(0.0, 1.0)), r"jitter.scale .* within \[0.5, 2\]"),
+    (lambda: JitterConfig(across=(0.0, math.nan)), r"jitter.across must be"),
+    (lambda: EnvConfig(occupancy=(0.2, 1.2)), r"occupancy .* within \[0, 1\]"),
+]
+# One-way aisles into which the compact, but not the van backs from a bay of 2.4 m.
+NARROW = LotConfig(
+    two_way=False,
+    bay_width=(2.4, 2.4),
+    bay_length=(5.2, 5.2),
+    extra_aisle=(-3.0, -2.69),
+)
+BAD_ENVIRONMENTS = [
+    (
+        {"fleet": FleetConfig(("lorry",)), "observation": OWN_CAR},
+        r"unknown vehicle 'lorry'; choose from \['city'",
+    ),
+    ({"fleet": FleetConfig(parked_cars=("bus",))}, r"unknown vehicle 'bus'"),
+    (
+        {
+            "layout": "compact",
+            "fleet": FleetConfig(("city", "van")),
+            "observation": OWN_CAR,
+        },
+        r"fleet.agents: the van, 4.90 m x 1.90 m, fits with 0.1 m to spare in no bay",
+    ),
+    (
+        {
+            "layout": "street",
+            "num_parked_cars": 1,
+            "jitter": JitterConfig(scale=(1, 2)),
+        },
+        r"parked cars: the compact, 8.51 m x 3.60 m, fits with 0 m to spare in no bay",
+    ),
+    (
+        {
+            "layout": NARROW,
+            "fleet": FleetConfig(("city", "van")),
+            "observation": OWN_CAR,
+        },
+        r"the van needs an aisle of 4.74 m .* 2.40 m wide .* up to 4.63 m wide",
+    ),
+    ({"occupancy": (0.1, 0.9)}, r"needs num_parked_cars of at least 32, not 16"),
+    (
+        {"goals": GoalConfig(dynamic=True, num_tracked_bays=21)},
+        r"num_tracked_bays must be at most 20 \(36 bays less 16 parked .* not 21",
+    ),
+    (
+        {"physics": "scene", "fleet": FleetConfig(("van",)), "observation": OWN_CAR},
+        r"scene physics has cars of one",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), BAD_CONFIGS)
+def test_impossible_settings_are_refused(make, message):
+    with pytest.raises(ValueError, match=message) as refusal:
+        make()
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(("change", "message"), BAD_ENVIRONMENTS)
+def test_impossible_fleets_are_refused_at_construction(change, message):
+    with pytest.raises(ValueError, match=message) as refusal:
+        ParkingEnv(EnvConfig(**change))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_car_that_turns_wide_is_refused_only_where_it_gets_into_no_bay():
+    def make(layout, vehicle="van", physics="mjx"):
+        config = EnvConfig(
+            layout=layout, num_parked_cars=4, physics=physics, vehicle=vehicle
+        )
+        return ParkingEnv(config, SlidePhysics())
+
+    with pytest.raises(ValueError, match="the van needs an aisle"):
+        make(NARROW)
+    make(NARROW, "suv")
+    # One member is enough, or one of the widths that the aisles may have.
+    make(mixture((NARROW, "street")))
+    make(dataclasses.replace(NARROW, extra_aisle=(-3.0, -2.5)))
+    make(NARROW, physics="grid")
+
+
+def test_a_fleet_that_finds_too_few_goals_is_refused():
+    """Two bays that the van can be parked in, and four agents."""
+    layout = lot([(0.0, 4.0 * k, 0.0) for k in range(8)])
+    size = layout.bay_size.at[2:].set(jnp.array([4.95, 2.5]))
+    layout, square = layout.replace(bay_size=size), layout_config("tanner")
+
+    def check(names, num_agents, rule="strict"):
+        config = EnvConfig(
+            num_agents=num_agents,
+            num_parked_cars=0,
+            fleet=FleetConfig(names),
+            observation=OWN_CAR,
+            episode=EpisodeConfig(parked_rule=rule),
+        )
+        check_cars(config, Fleet(config, COMPACT), square, layout)
+
+    with pytest.raises(ValueError, match=r"only 2 bays .* num_agents 4") as refusal:
+        check(("van",), 4)
+    assert "\n" not in str(refusal.value)
+    check(("van",), 2)
+    check(("van", "city"), 4)
+    check(("van",), 4, "precise")  # 4.90 m by 1.90 m without slack
+
+
+def test_the_rule_in_force_decides_which_bays_a_van_can_aim_at():
+    fleet = FleetConfig(("van",))
+    config = EnvConfig(
+        layout="compact", num_parked_cars=4, fleet=fleet, observation=OWN_CAR
+    )
+    for rule in ("precise", "tanner"):
+        episode = EpisodeConfig(parked_rule=rule)
+        ParkingEnv(dataclasses.replace(config, episode=episode), SlidePhysics())
+    with pytest.raises(ValueError, match=r"0\.1 m to spare"):
+        ParkingEnv(config, SlidePhysics())
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import Distribution, EnvConfig, RandomizationConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.randomization import check, draw, randomise
+from carpark_mj.fleet.randomization import check_randomization, draw, randomize
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.load import with_mass
@@ -42,13 +42,13 @@ def same(a, b):
 @pytest.fixture(scope="module")
 def fleet(compact: Vehicle) -> Vehicle:
     """2000 random cars."""
-    make = jax.jit(jax.vmap(lambda key: randomise(EVERYTHING, compact, key)))
+    make = jax.jit(jax.vmap(lambda key: randomize(EVERYTHING, compact, key)))
     return make(jax.random.split(KEY, 2000))
 
 
 def test_nothing_varies_by_default(compact: Vehicle):
     assert not RandomizationConfig().is_on
-    assert same(randomise(RandomizationConfig(), compact, KEY), compact)
+    assert same(randomize(RandomizationConfig(), compact, KEY), compact)
 
 
 @pytest.mark.parametrize("kind", ["uniform", "normal"])
@@ -119,7 +119,7 @@ def test_parameters_are_drawn_independently_of_each_other(fleet: Vehicle):
 def test_switching_one_parameter_on_changes_no_other(compact: Vehicle):
     lag = RandomizationConfig(steering_lag=EVERYTHING.steering_lag)
     both = dataclasses.replace(lag, friction=EVERYTHING.friction)
-    one, two = randomise(lag, compact, KEY), randomise(both, compact, KEY)
+    one, two = randomize(lag, compact, KEY), randomize(both, compact, KEY)
     assert one.steering_lag == two.steering_lag
     assert one.tyres.friction != two.tyres.friction
 
@@ -203,10 +203,10 @@ def test_distributions_refuse_impossible_settings():
 
 @pytest.mark.parametrize("params", PRESETS.values(), ids=PRESETS)
 def test_every_preset_bears_the_randomization_of_the_tests(params):
-    check(EVERYTHING, params)
+    check_randomization(EVERYTHING, params)
 
 
-def test_a_randomised_environment_survives_its_config_file():
+def test_a_randomized_environment_survives_its_config_file():
     config = EnvConfig(randomization=EVERYTHING)
     assert from_dict(EnvConfig, dataclasses.asdict(config)) == config
 

@@ -7,15 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
-from flax import struct
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import Layout, build, make_layout
 from carpark_mj.observations import make_fields
-from carpark_mj.physics.base import FactoredPhysics
 from carpark_mj.types import Motion, State, TimeStep
-from carpark_mj.vehicle import Vehicle
 
 CAR = (4.0, 2.0)  # m, a round footprint for hand-worked numbers
 
@@ -140,71 +137,6 @@ def check_occupancy(goal: Any, parked_bay: Any, bay_mask: Any) -> None:
     # All different: goals from goals, cars from cars, and no car on a goal.
     assert (np.diff(held, axis=-1) > 0).all()
     assert np.take_along_axis(np.asarray(bay_mask), held, axis=-1).all()
-
-
-@struct.dataclass
-class SlideState:
-    pose_w: jax.Array
-    speed: jax.Array
-    steering: jax.Array
-    trace_w: jax.Array
-    finite: jax.Array
-    vehicle: Vehicle
-
-
-class SlidePhysics(FactoredPhysics[SlideState]):
-    """A stand-in back end for hand-worked steps: turn on the spot, then slide ahead.
-
-    `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a car whose
-    speed is NaN diverges.
-    """
-
-    def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SlideState:
-        zero = jnp.zeros(pose_w.shape[:-1], jnp.float32)
-        return SlideState(
-            pose_w=pose_w,
-            speed=zero,
-            steering=zero,
-            trace_w=jnp.repeat(pose_w[..., None, :], 4, axis=-2),
-            finite=jnp.ones(zero.shape, bool),
-            vehicle=vehicle,
-        )
-
-    def step(self, state: SlideState, controls: jax.Array) -> SlideState:
-        finite = jnp.isfinite(state.speed)
-        controls = jnp.where(finite[..., None], controls, 0.0)
-        yaw = state.pose_w[..., 2] + 0.2 * controls[..., 0]
-        ahead = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
-        share = jnp.arange(1, 5, dtype=jnp.float32) / 4
-        way = 0.5 * controls[..., 1, None] * share
-        xy = state.pose_w[..., None, :2] + way[..., None] * ahead[..., None, :]
-        turned = jnp.broadcast_to(yaw[..., None, None], (*xy.shape[:-1], 1))
-        trace = jnp.concatenate([xy, turned], axis=-1)
-        return state.replace(
-            pose_w=trace[..., -1, :],
-            speed=2.5 * controls[..., 1],
-            steering=0.1 * controls[..., 0],
-            trace_w=trace,
-            finite=finite,
-        )
-
-    def read(self, state: SlideState) -> Motion:
-        return Motion(
-            pose_w=state.pose_w,
-            velocity_b=jnp.stack([state.speed, jnp.zeros_like(state.speed)], axis=-1),
-            yaw_rate=jnp.zeros_like(state.speed),
-            steering=state.steering,
-            size=state.vehicle.size,
-            trace_w=state.trace_w,
-            finite=state.finite,
-        )
-
-
-def placed(env: ParkingEnv, state: State, pose: Any) -> State:
-    """The state with its cars standing at the given poses (lots, agents, 3)."""
-    pose = jnp.asarray(pose, jnp.float32)
-    physics = env.physics.init(pose, state.physics.vehicle)
-    return state.replace(physics=physics, motion=env.physics.read(physics))
 
 
 LOTS = 4

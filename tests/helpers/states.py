@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.config import EnvConfig, GoalConfig, Observation
 from carpark_mj.layouts import Layout
 from carpark_mj.types import NO_BAY, EpisodeStats, Motion, ParkedCars, State
 
@@ -105,3 +106,11 @@ def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State
         key=jax.random.key(0),
     )
     return state.replace(**changes)
+
+
+def config_of(
+    observation: Observation, num_tracked_bays: int = 0, **settings: Any
+) -> EnvConfig:
+    """An environment on the grid; without tracked bays its goals are fixed."""
+    goals = GoalConfig(num_tracked_bays > 0, max(num_tracked_bays, 1))
+    return EnvConfig(observation=observation, goals=goals, physics="grid", **settings)

@@ -64,7 +64,7 @@ def transition(
     count = before.yaw_rate.shape[0]
     assert count == config.num_agents
     state = state_of(layout, before, goal, stats=metrics.init_stats(config, layout))
-    state = state.replace(**(of_state or {}))
+    state = dataclasses.replace(state, **(of_state or {}))
     usual: dict[str, Any] = {
         "target_pose": layout.bay_pose[state.goal],
         "events": no_events(count),
@@ -72,4 +72,5 @@ def transition(
         "wrong_way": None,
         "invalid_action": jnp.zeros(count, bool),
     }
-    return Transition(before=state, after=state.replace(motion=after), **(usual | more))
+    moved = dataclasses.replace(state, motion=after)
+    return Transition(before=state, after=moved, **(usual | more))

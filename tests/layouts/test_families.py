@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from helpers.scenes import polygons
+from helpers.spawning import surroundings_of
 
 from carpark_mj.cli.layouts import SHOWN, main, run_scene
 from carpark_mj.config import LayoutConfig, SpawnConfig
@@ -30,8 +31,8 @@ from carpark_mj.layouts import (
     pad_layout,
 )
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.garage_row import draw_tight_bay
-from carpark_mj.mdp.spawning.poses import spawn_pose
+from carpark_mj.layouts.tight import TightConfig, draw_tight_bay
+from carpark_mj.mdp.spawning.poses import spawn_keys, spawn_pose
 from carpark_mj.vehicle import COMPACT
 
 KEYS = 60
@@ -140,8 +141,8 @@ def spawned(batch, keys):
         goal_key, key = jax.random.split(key)
         chance = jax.random.uniform(goal_key, layout.bay_mask.shape)
         goal = layout.bay_pose[jnp.argmax(jnp.where(layout.bay_mask, chance, -1.0))]
-        nobody = jnp.zeros((1, 2)), jnp.zeros(1, bool)
-        return spawn_pose(spawn, layout, goal, *nobody, key)
+        nobody = surroundings_of(layout)
+        return spawn_pose(spawn, layout, nobody, goal, spawn_keys(key))
 
     return jax.vmap(jax.vmap(one, (None, 0)))(batch, keys)
 
@@ -270,7 +271,8 @@ HOPE = {
 def test_hard_cases_have_the_room_of_hopes_levels(orientation, level):
     low, high, aisle = HOPE[orientation, level]
     chance = np.linspace(0.0, 1.0, 11)
-    draw = functools.partial(draw_tight_bay, orientation, level, CAR)
+    config = TightConfig(level=level, orientation=orientation, car=CAR)
+    draw = functools.partial(draw_tight_bay, config)
     size = np.array([draw(jnp.array([c, 0.5], jnp.float32))[0] for c in chance])
     room = size[:, 0] - 4.255 if orientation == "parallel" else size[:, 1] - 1.799
     np.testing.assert_allclose(room, low + (high - low) * chance, atol=1e-5)

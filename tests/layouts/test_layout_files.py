@@ -8,7 +8,8 @@ import jax
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import SlidePhysics, polygons
+from helpers.scenes import polygons
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
@@ -167,7 +168,7 @@ def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):
     config = EnvConfig(layout=path, num_agents=1, num_parked_cars=0)
     env = ParkingEnv(config, SlidePhysics())
     state, _ = env.reset(jax.random.key(0))
-    x, y, yaw = np.asarray(state.vehicle.pose_w[0])
+    x, y, yaw = np.asarray(state.motion.pose_w[0])
     assert abs(x + 5) <= 2.001
     assert abs(y) <= 0.501
     assert abs(yaw) <= 0.1001

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
@@ -121,7 +121,7 @@ def test_agents_and_parked_cars_only_use_the_bays_that_are_there():
     _, reset, _ = compiled()
     state, _ = reset(jax.random.split(jax.random.key(4), LOTS))
     mask = np.asarray(state.layout.bay_mask)
-    held = np.c_[state.occupancy.goal, state.occupancy.parked_bay]
+    held = np.c_[state.goal, state.parked_cars.bay]
     assert np.take_along_axis(mask, held, axis=1).all()
     assert not mask.all()
 

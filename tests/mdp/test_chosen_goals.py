@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics, cars, lot, placed
+from helpers.scenes import cars, lot
+from helpers.sliding import SlidePhysics, placed
 from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics, fields_of, placed
+from helpers.scenes import fields_of
+from helpers.sliding import SlidePhysics, placed
 
 from carpark_mj.config import (
     ContinuousObservation,

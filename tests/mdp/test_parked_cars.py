@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import SlidePhysics, cars, fields_of, lot, placed, polygons
+from helpers.scenes import cars, fields_of, lot, polygons
+from helpers.sliding import SlidePhysics, placed
 from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 

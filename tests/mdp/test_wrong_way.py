@@ -8,16 +8,8 @@ import numpy as np
 import pytest
 import shapely
 from helpers.lanes import EAST, NORTH, PLAN, SOUTH, WEST
-from helpers.scenes import (
-    SlidePhysics,
-    cars,
-    fields_of,
-    lot,
-    moved_cars,
-    moved_lot,
-    placed,
-    polygons,
-)
+from helpers.scenes import cars, fields_of, lot, moved_cars, moved_lot, polygons
+from helpers.sliding import SlidePhysics, placed
 
 from carpark_mj.config import (
     ContinuousObservation,

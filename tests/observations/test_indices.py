@@ -9,27 +9,32 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, lot, moved, moved_lot
+from helpers.states import config_of, parked_at, state_of
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, ObservationConfig, SpawnConfig
+from carpark_mj.config import WORLD_UNIT, SpawnConfig, TannerObservation
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.spawning.poses import spawn_pose
-from carpark_mj.observations import make_fields, observation_size
-from carpark_mj.observations.indices import cardinalities, observe_indices
+from carpark_mj.mdp.spawning.placing import Surroundings
+from carpark_mj.mdp.spawning.poses import random_pose, spawn_keys
+from carpark_mj.observations import make_fields, observation_size, observe
+from carpark_mj.observations.indices import cardinalities
 from carpark_mj.registry import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 
-GRID = TANNER_QLEARNING.grid
-BASIC = TANNER_QLEARNING.observation
-RINGS = TANNER_QLEARNING_RINGS.observation
+BASIC, RINGS = TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 PER_LEVEL = WORLD_UNIT / 0.2  # m/s
-NOBODY = (jnp.zeros((0, 3)), jnp.zeros((0, 2)))
+NOBODY = parked_at()
 
 
-def indices(config, layout, vehicle, goal=0, parked=NOBODY):
-    goal = jnp.full(vehicle.speed.shape, goal)
-    return np.asarray(
-        observe_indices(config, GRID, 0.2, layout, vehicle, goal, *parked)
-    )
+def with_rings(**changes):
+    """The study's environment with other rings."""
+    rings = dataclasses.replace(RINGS.observation.rings, **changes)
+    observation = dataclasses.replace(RINGS.observation, rings=rings)
+    return dataclasses.replace(RINGS, observation=observation)
+
+
+def indices(config, layout, motion, parked=NOBODY):
+    state = state_of(layout, motion, 0, parked_cars=parked)
+    return np.asarray(observe(config, state))
 
 
 def test_level_and_bearing_by_hand():
@@ -52,22 +57,21 @@ def test_level_and_bearing_by_hand():
 
 def test_rings_count_walls_discs_and_cars_by_hand():
     # Diameters 2 and 6: the car is at the origin, box ends at 0.9, 2.9, ... from it.
-    config = dataclasses.replace(RINGS, rings=(6.0, 2.0), ring_cap=5)
     layout = lot(
         [[50.0, 0.0, 0.0]],
         walls=[[1.4, 0.0, 0.0], [0.0, 3.6, 0.0]],  # 0.9 and 3.1 away
         discs=[[0.0, -3.0, 0.5]],  # 2.5 away
     )
-    parked = (jnp.array([[-3.0, 0.0, 0.0]]), jnp.array([[1.0, 1.0]]))  # 2.5 away
+    parked = parked_at([(-3.0, 0.0, 0.0)], 1.0)  # 2.5 away
     agents = cars([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, 1.5, 0.0]], size=(1.0, 1.0))
-    seen = indices(config, layout, agents, parked=parked)
+    seen = indices(with_rings(diameters=(6.0, 2.0), cap=5), layout, agents, parked)
     np.testing.assert_array_equal(seen[0, 2:], [4, 1])  # the third agent is 1.0 away
     np.testing.assert_array_equal(seen[1, 2:], [0, 0])
-    walls_only = dataclasses.replace(config, ring_cars=False)
-    seen = indices(walls_only, layout, agents, parked=parked)
+    walls_only = with_rings(diameters=(6.0, 2.0), cap=5, cars=False)
+    seen = indices(walls_only, layout, agents, parked)
     np.testing.assert_array_equal(seen[0, 2:], [2, 1])
-    capped = dataclasses.replace(config, ring_cap=1)
-    seen = indices(capped, layout, agents, parked=parked)
+    capped = with_rings(diameters=(6.0, 2.0), cap=1)
+    seen = indices(capped, layout, agents, parked)
     np.testing.assert_array_equal(seen[0, 2:], [1, 1])
 
 
@@ -77,29 +81,25 @@ def test_a_motion_of_the_whole_lot_changes_nothing():
     xy = jnp.round(jax.random.uniform(key, (200, 2), minval=-26, maxval=26))
     turn = jax.random.randint(key, (200, 1), 0, 8) * (math.pi / 4)
     pose = jnp.concatenate([xy * WORLD_UNIT, turn], axis=-1)
-    parked, size = layout.bay_pose[10:], jnp.full((26, 2), 2.19375).at[:, 0].set(4.44)
-
-    @jax.vmap
-    def see(pose, layout, parked):
-        vehicle = cars(pose[None], PER_LEVEL)
-        goal = jnp.array([3])
-        return observe_indices(RINGS, GRID, 0.2, layout, vehicle, goal, parked, size)[0]
+    parked = layout.bay_pose[10:]
 
     def everywhere(pose, layout, parked):
-        copies = jax.tree.map(
-            lambda x: jnp.broadcast_to(x, (200, *x.shape)), (layout, parked)
-        )
-        return np.asarray(see(pose, *copies))
+        def see(pose):
+            cars_there = parked_at(parked, (4.44, 2.19375))
+            motion = cars(pose[None], PER_LEVEL)
+            return observe(RINGS, state_of(layout, motion, 3, parked_cars=cars_there))
 
-    motion = (3.0, -7.0, 0.6)
+        return np.asarray(jax.vmap(see)(pose))[:, 0]
+
+    shift = (3.0, -7.0, 0.6)
     seen = everywhere(pose, layout, parked)
     again = everywhere(
-        moved(pose, motion), moved_lot(layout, motion), moved(parked, motion)
+        moved(pose, shift), moved_lot(layout, shift), moved(parked, shift)
     )
     np.testing.assert_array_equal(seen, again)
     assert len({tuple(row) for row in seen[:, 2:]}) > 4
     np.testing.assert_array_equal(np.unique(seen[:, 1]), np.arange(8))
-    assert (seen < np.array(cardinalities(RINGS, GRID))).all()
+    assert (seen < np.array(cardinalities(RINGS))).all()
 
 
 @pytest.mark.parametrize(
@@ -114,26 +114,32 @@ def test_a_motion_of_the_whole_lot_changes_nothing():
     ],
 )
 def test_tables_are_as_large_as_those_of_the_study(rings, cap, states):
-    config = dataclasses.replace(RINGS, rings=tuple(map(float, rings)), ring_cap=cap)
-    assert math.prod(cardinalities(config, GRID)) == states
-    assert observation_size(config) == len(make_fields(config, GRID)) == 2 + len(rings)
+    config = with_rings(diameters=tuple(map(float, rings)), cap=cap)
+    assert math.prod(cardinalities(config)) == states
+    assert observation_size(config) == len(make_fields(config)) == 2 + len(rings)
+
+
+def test_only_whole_numbers_have_cardinalities():
+    with pytest.raises(ValueError, match=r"needs .*encoding 'indices', not 'tanner'"):
+        cardinalities(config_of(TannerObservation()))
 
 
 def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
-    spawn = TANNER_QLEARNING.spawn
     layout = make_layout("tanner")
-    draw = jax.jit(
-        jax.vmap(
-            lambda key: spawn_pose(
-                spawn,
-                layout,
-                layout.bay_pose[0],
-                jnp.zeros((1, 2)),
-                jnp.zeros(1, bool),
-                key,
-            )
-        )
+    alone = Surroundings(
+        xy=jnp.zeros((1, 2)),
+        others=jnp.zeros(1, bool),
+        layout=layout,
+        size=None,
+        parked_pose=NOBODY.pose_w,
+        parked_size=NOBODY.size,
     )
+
+    @jax.jit
+    @jax.vmap
+    def draw(key):
+        return random_pose(TANNER_QLEARNING.spawn, layout, alone, spawn_keys(key))
+
     pose = np.asarray(draw(jax.random.split(jax.random.key(0), 5_000)))
     point = pose[:, :2] / WORLD_UNIT
     np.testing.assert_allclose(point, np.round(point), atol=1e-4)
@@ -146,13 +152,14 @@ def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
 
 @functools.cache
 def basic():
-    env = ParkingEnv(TANNER_QLEARNING)
-    return env, jax.jit(env.reset), jax.jit(env.step), jax.jit(env.final_observation)
+    episode = dataclasses.replace(TANNER_QLEARNING.episode, final_observation=True)
+    env = ParkingEnv(dataclasses.replace(TANNER_QLEARNING, episode=episode))
+    return env, jax.jit(env.reset), jax.jit(env.step)
 
 
-def started(x, y, heading, level=0, max_steps=None):
+def started(x, y, heading, level=0):
     """A lot whose agent is at a point, at a level, with the goal bay at (24, 32)."""
-    env, reset, _, _ = basic()
+    env, reset, _ = basic()
     state, _ = reset(jax.random.key(0))
     gap = np.abs(
         np.asarray(state.layout.bay_pose[:, :2]) - WORLD_UNIT * np.array([24, 32])
@@ -167,36 +174,36 @@ def started(x, y, heading, level=0, max_steps=None):
     return dataclasses.replace(
         state,
         physics=physics,
-        vehicle=env.physics.read(physics),
-        occupancy=dataclasses.replace(state.occupancy, goal=goal),
+        motion=env.physics.read(physics),
+        goal=goal,
     )
 
 
 def test_a_step_pays_what_the_tables_say():
-    _, _, step, final = basic()
+    _, _, step = basic()
     share = 1 / 85
     state = started(24, 20, 0)
     _, timestep = step(state, jnp.array([[2, 1]]))  # one point nearer
     np.testing.assert_allclose(timestep.reward, (1.0 - 0.5) * share, rtol=1e-5)
     np.testing.assert_array_equal(timestep.observation, [[2, 0]])
-    np.testing.assert_array_equal(final(state, timestep), timestep.observation)
+    np.testing.assert_array_equal(timestep.final_observation, timestep.observation)
     _, timestep = step(started(24, 20, 0), jnp.array([[1, 1]]))  # halting does not pay
     np.testing.assert_allclose(timestep.reward, (-1.0 - 0.5) * share, rtol=1e-5)
     _, timestep = step(started(24, 20, 0), jnp.array([[0, 1]]))  # away, in reverse
     np.testing.assert_allclose(timestep.reward, (-1.0 - 0.5) * share, rtol=1e-5)
-    assert timestep.vehicle.speed < 0
+    assert timestep.motion.speed < 0
 
 
 def test_parking_and_crashing_end_the_episode_with_ten_points():
-    _, _, step, final = basic()
+    _, _, step = basic()
     state = started(24, 30, 0)
     after, timestep = step(state, jnp.array([[2, 1]]))
     assert timestep.events.parked.all()
     np.testing.assert_allclose(timestep.reward, 10 + 0.5 / 85, rtol=1e-5)
     # The new episode is elsewhere; the last observation is still to be had.
-    np.testing.assert_array_equal(final(state, timestep), [[2, 0]])
+    np.testing.assert_array_equal(timestep.final_observation, [[2, 0]])
     assert after.step[0] == 0
-    assert np.abs(after.vehicle.pose_w[0, :2]).max() <= 21 * WORLD_UNIT + 1e-5
+    assert np.abs(after.motion.pose_w[0, :2]).max() <= 21 * WORLD_UNIT + 1e-5
     # At 45 deg beside the bay's mouth the next point ahead has a corner in the block.
     _, timestep = step(started(24, 26, 1, level=1), jnp.array([[1, 1]]))
     assert timestep.events.hit_wall.all()
@@ -204,18 +211,12 @@ def test_parking_and_crashing_end_the_episode_with_ten_points():
 
 
 def test_choices_out_of_range_are_counted():
-    _, _, step, _ = basic()
+    _, _, step = basic()
     _, timestep = step(started(0, 0, 0), jnp.array([[7, 1]]))
     np.testing.assert_array_equal(timestep.metrics["invalid_actions"], [1.0])
-    assert timestep.vehicle.speed > 0
+    assert timestep.motion.speed > 0
 
 
-def test_settings_that_do_not_fit_are_refused_in_a_sentence():
-    with pytest.raises(ValueError, match="'indices' needs grid physics, not mjx"):
-        EnvConfig(observation=BASIC)
-    with pytest.raises(ValueError, match=r"tracks no cars: .* must be 0, not 2 and 0"):
-        ObservationConfig(encoding="indices", tracked_parked_cars=0)
-    with pytest.raises(ValueError, match="unknown encoding 'words'"):
-        ObservationConfig(encoding="words")
-    with pytest.raises(ValueError, match=r"grid must be at least 0.0, not -1.0"):
-        SpawnConfig(grid=-1.0)
+def test_a_negative_spacing_of_starts_is_refused():
+    with pytest.raises(ValueError, match=r"spacing must be at least 0.0, not -1.0"):
+        SpawnConfig(spacing=-1.0)

@@ -1,4 +1,5 @@
 import dataclasses
+import itertools
 import math
 
 import jax
@@ -16,8 +17,17 @@ from helpers.scenes import (
     moved_cars,
     moved_lot,
 )
+from helpers.states import config_of, hand_cars, parked_in, state_of
 
-from carpark_mj.config import ObservationConfig
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    IndexObservation,
+    RayConfig,
+    RingConfig,
+    TannerObservation,
+    ViewConfig,
+)
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import (
     make_fields,
@@ -26,46 +36,40 @@ from carpark_mj.observations import (
     observe,
 )
 from carpark_mj.observations.fields import FAR, NEAR
+from carpark_mj.observations.indices import cardinalities
+from carpark_mj.observations.tanner import DIAGONAL
+from carpark_mj.types import NO_BAY
 
 CONFIGS = [
-    ObservationConfig(),
-    ObservationConfig(tracked_agents=0, tracked_parked_cars=0, rings=()),
-    ObservationConfig(
-        tracked_agents=5, tracked_parked_cars=1, rings=(4.5,), ring_cap=3
-    ),
-    ObservationConfig(tracked_agents=0, tracked_parked_cars=4, rings=(3.0, 7.25)),
-    ObservationConfig(rays=5, lane=True),
+    ContinuousObservation(),
+    ContinuousObservation(0, 0, rings=RingConfig()),
+    ContinuousObservation(5, 1, rings=RingConfig((4.5,), cap=3)),
+    ContinuousObservation(0, 4, rings=RingConfig((3.0, 7.25))),
+    ContinuousObservation(rays=RayConfig(5), lane=True, own_car=True),
+    TannerObservation(3, rings=RingConfig((4.0,), cars=True), global_information=True),
 ]
-MAX_SPEED, MAX_STEERING = 3.0, 0.6
 
 observe_jit = jax.jit(observe, static_argnums=0)
 
 
-def observed(config, layout, vehicle, goal, parked_bay=(), parked_size=(4.0, 2.0)):
+def observed(config, layout, motion, goal, parked_bay=(), parked_size=(4.0, 2.0)):
     """Named fields of all agents."""
-    parked_bay = jnp.array(parked_bay, jnp.int32)
-    count = vehicle.size.shape[0]
-    observation = observe_jit(
-        config,
-        layout,
-        vehicle,
-        jnp.array(goal),
-        layout.bay_pose[parked_bay],
-        jnp.broadcast_to(jnp.array(parked_size), (parked_bay.shape[0], 2)),
-        jnp.full(count, MAX_SPEED),
-        jnp.full(count, MAX_STEERING),
+    config = config_of(config)
+    state = state_of(
+        layout, motion, goal, parked_cars=parked_in(layout, parked_bay, parked_size)
     )
-    assert observation.shape == (count, observation_size(config))
+    observation = observe_jit(config, state)
+    assert observation.shape == (motion.size.shape[0], observation_size(config))
     assert observation.dtype == jnp.float32
     return fields_of(observation, config)
 
 
 @pytest.mark.parametrize("config", CONFIGS)
 def test_the_table_of_fields_describes_the_whole_vector(config):
-    fields = make_fields(config)
+    fields = make_fields(config_of(config))
     names = [field.name for field in fields]
     assert len(set(names)) == len(names)
-    assert sum(field.size for field in fields) == observation_size(config)
+    assert sum(field.size for field in fields) == observation_size(config_of(config))
     assert all(field.low < field.high and field.meaning for field in fields)
     # `observed` asserts that the vector is as long as the table says.
     named = observed(config, BAYS, cars([(0.0, 0.0, 0.0)] * 2), [0, 1], [2])
@@ -73,11 +77,45 @@ def test_the_table_of_fields_describes_the_whole_vector(config):
 
 
 def test_the_markdown_table_has_a_row_for_every_field_of_the_first_car_of_a_kind():
-    config = ObservationConfig(tracked_agents=3, tracked_parked_cars=1)
+    config = config_of(ContinuousObservation(3, 2), num_tracked_bays=4)
     rows = markdown_table(config).splitlines()[2:]
-    once = ObservationConfig(tracked_agents=1, tracked_parked_cars=1)
+    once = config_of(ContinuousObservation(1, 1), num_tracked_bays=1)
     names = [field.name for field in make_fields(once)]
     assert [row.split("`")[1] for row in rows] == names
+
+
+@pytest.mark.parametrize("num_tracked_bays", [0, 3])
+@pytest.mark.parametrize("config", CONFIGS)
+def test_the_entities_of_a_group_have_the_same_fields_side_by_side(
+    config, num_tracked_bays
+):
+    fields = make_fields(config_of(config, num_tracked_bays))
+    groups = itertools.groupby(fields, lambda field: field.group)
+    counts = {}
+    for group, members in groups:
+        assert group not in counts  # a group is one piece of the vector
+        rows = [list(row) for _, row in itertools.groupby(members, lambda f: f.index)]
+        counts[group] = len(rows)
+        if not group:
+            counts.pop(group)
+            continue
+        for index, row in enumerate(rows):
+            start = f"{group}_{index}_"
+            assert [field.name for field in row] == [
+                f.name.replace(f"{group}_0_", start) for f in rows[0]
+            ]
+            for field, first in zip(row, rows[0], strict=True):
+                assert (field.group, field.index) == (group, index)
+                assert dataclasses.replace(field, name="", index=0) == (
+                    dataclasses.replace(first, name="")
+                )
+    expected = {"bay": num_tracked_bays}
+    if isinstance(config, TannerObservation):
+        expected["car"] = config.tracked_cars
+    else:
+        expected["agent"] = config.tracked_agents
+        expected["parked_car"] = config.tracked_parked_cars
+    assert counts == {group: count for group, count in expected.items() if count}
 
 
 # Bays of 6 m x 3 m; the scene below is worked out by hand.
@@ -86,15 +124,15 @@ BAYS = lot([(10.0, 5.0, math.pi / 2), (-4.0, 0.0, 0.0), (2.0, 2.0, 0.0), (2.0, 9
 
 def test_a_hand_worked_scene():
     # Agent 0 at (2, 1) facing north: ahead is +y, left is -x.
-    vehicle = cars(
+    motion = cars(
         [(2.0, 1.0, math.pi / 2), (2.0, 5.0, math.pi), (-3.0, 1.0, 0.0)],
         speed=[1.5, -0.6, 3.0],
         steering=[-0.3, 0.0, 0.6],
         yaw_rate=[0.25, 0.1, -0.5],
         size=[(4.0, 2.0), (5.0, 1.5), (4.0, 2.0)],
     )
-    config = ObservationConfig(rings=())
-    named = observed(config, BAYS, vehicle, [0, 1, 2], [2, 3])
+    config = ContinuousObservation(rings=RingConfig())
+    named = observed(config, BAYS, motion, [0, 1, 2], [2, 3])
     expected = {
         "speed": [0.5],
         "steering": [-0.5],
@@ -124,16 +162,16 @@ def test_a_hand_worked_scene():
         "agent_1_speed": [1.0],
         "agent_1_goal": [1 / 20, 0.0],
         # Parked cars stand in bays 2 and 3, 1 m and 8 m ahead, facing right.
-        "parked_0_present": [1.0],
-        "parked_0_position": [1 / 20, 0.0],
-        "parked_0_near_position": [1 / 6, 0.0],
-        "parked_0_heading": [0.0, -1.0],
-        "parked_0_size": [0.8, 0.4],
-        "parked_1_present": [1.0],
-        "parked_1_position": [8 / 20, 0.0],
-        "parked_1_near_position": [1.0, 0.0],
-        "parked_1_heading": [0.0, -1.0],
-        "parked_1_size": [0.8, 0.4],
+        "parked_car_0_present": [1.0],
+        "parked_car_0_position": [1 / 20, 0.0],
+        "parked_car_0_near_position": [1 / 6, 0.0],
+        "parked_car_0_heading": [0.0, -1.0],
+        "parked_car_0_size": [0.8, 0.4],
+        "parked_car_1_present": [1.0],
+        "parked_car_1_position": [8 / 20, 0.0],
+        "parked_car_1_near_position": [1.0, 0.0],
+        "parked_car_1_heading": [0.0, -1.0],
+        "parked_car_1_size": [0.8, 0.4],
     }
     assert named.keys() == expected.keys()
     for name, value in expected.items():
@@ -143,8 +181,8 @@ def test_a_hand_worked_scene():
 
 def test_close_to_the_goal_the_near_fields_tell_the_offset():
     # 0.9 m behind and 0.6 m right of bay 1, which faces east, and turned by 0.2 rad.
-    vehicle = cars([(-4.9, -0.6, 0.2)])
-    named = observed(CONFIGS[1], BAYS, vehicle, [1])
+    motion = cars([(-4.9, -0.6, 0.2)])
+    named = observed(CONFIGS[1], BAYS, motion, [1])
     np.testing.assert_allclose(named["in_bay"][0], [-0.3, -0.2], atol=1e-6)
     # The goal in the car's frame: turned back by 0.2 rad.
     ahead = 0.9 * math.cos(0.2) + 0.6 * math.sin(0.2)
@@ -164,15 +202,11 @@ def test_rings_count_the_walls_within_their_radius_up_to_the_cap():
     # Unit squares whose nearest faces are 1, 2, 2, 2 and 3 m from the origin.
     walls = [(1.5, 0, 0), (-2.5, 0, 0), (0, 2.5, 0), (0, -2.5, 0), (3.5, 0.0, 0.0)]
     layout = lot([(20.0, 0.0, 0.0)], walls)
-    vehicle = cars([(0.0, 0.0, 1.0), (100.0, 0.0, 0.0)])
-    config = ObservationConfig(
-        tracked_agents=0,
-        tracked_parked_cars=0,
-        rings=(1.9, 2.1, 3.9, 4.1, 6.1),
-        ring_cap=3,
-    )
-    named = observed(config, layout, vehicle, [0, 0])
-    counts = [named[f"ring_{d:g}m"] for d in config.rings]
+    motion = cars([(0.0, 0.0, 1.0), (100.0, 0.0, 0.0)])
+    rings = RingConfig((1.9, 2.1, 3.9, 4.1, 6.1), cap=3)
+    config = ContinuousObservation(0, 0, rings=rings)
+    named = observed(config, layout, motion, [0, 0])
+    counts = [named[f"ring_{d:g}m"] for d in config.rings.diameters]
     expected = [[0, 0], [1 / 3, 0], [1 / 3, 0], [1, 0], [1, 0]]  # 4 and 5 are capped
     np.testing.assert_allclose(np.squeeze(counts, -1), expected, atol=1e-7)
 
@@ -180,7 +214,7 @@ def test_rings_count_the_walls_within_their_radius_up_to_the_cap():
 def test_rings_do_not_count_padding_walls():
     layout = lot([(20.0, 0.0, 0.0)], [(1.5, 0.0, 0.0), (-1.5, 0.0, 0.0)])
     layout = layout.replace(wall_mask=jnp.array([True, False]))
-    config = ObservationConfig(rings=(4.0,), ring_cap=4)
+    config = ContinuousObservation(rings=RingConfig((4.0,), cap=4))
     named = observed(config, layout, cars([(0.0, 0.0, 0.0)]), [0])
     np.testing.assert_array_equal(named["ring_4m"], [[0.25]])
 
@@ -189,11 +223,12 @@ def test_rings_count_discs_with_the_walls_and_no_padding_discs():
     # Discs whose rims are 1.5 m and 2.5 m away, and a wall at 1 m.
     discs = [(2.0, 0.0, 0.5), (0.0, -2.75, 0.25)]
     layout = lot([(20.0, 0.0, 0.0)], [(-1.5, 0.0, 0.0)], discs=discs)
-    config = ObservationConfig(rings=(1.9, 2.9, 3.1, 4.9, 5.1), ring_cap=3)
+    rings = RingConfig((1.9, 2.9, 3.1, 4.9, 5.1), cap=3)
+    config = ContinuousObservation(rings=rings)
     for mask, expected in (([1, 1], [0, 1, 2, 2, 3]), ([1, 0], [0, 1, 2, 2, 2])):
         masked = layout.replace(disc_mask=jnp.array(mask, bool))
         named = observed(config, masked, cars([(0.0, 0.0, 1.0)]), [0])
-        count = [3 * named[f"ring_{d:g}m"].item() for d in config.rings]
+        count = [3 * named[f"ring_{d:g}m"].item() for d in config.rings.diameters]
         np.testing.assert_allclose(count, expected, atol=1e-6)
 
 
@@ -204,17 +239,17 @@ def tracked(named, kind):
 
 
 def test_cars_that_do_not_exist_are_all_zeros():
-    config = ObservationConfig(tracked_agents=3, tracked_parked_cars=2)
+    config = ContinuousObservation(3, 2)
     alone = observed(config, BAYS, cars([(1.0, 2.0, 0.5)]), [0])
     np.testing.assert_array_equal(tracked(alone, "agent_"), 0.0)
-    np.testing.assert_array_equal(tracked(alone, "parked_"), 0.0)
+    np.testing.assert_array_equal(tracked(alone, "parked_car_"), 0.0)
     pair = observed(config, BAYS, cars([(1.0, 2.0, 0.5), (8.0, 2.0, 1.0)]), [0, 1], [2])
     for name, expected in (
         ("agent_0", 1),
         ("agent_1", 0),
         ("agent_2", 0),
-        ("parked_0", 1),
-        ("parked_1", 0),
+        ("parked_car_0", 1),
+        ("parked_car_1", 0),
     ):
         np.testing.assert_array_equal(pair[f"{name}_present"], [[expected]] * 2)
         assert np.any(tracked(pair, name) != 0.0) == bool(expected)
@@ -223,7 +258,7 @@ def test_cars_that_do_not_exist_are_all_zeros():
 def random_scene(seed=0, count=6):
     """A `tanner` lot with cars anywhere, and its plan."""
     rng = np.random.default_rng(seed)
-    vehicle = cars(
+    motion = cars(
         rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (count, 3)),
         speed=rng.uniform(-2, 3, count),
         steering=rng.uniform(-0.6, 0.6, count),
@@ -232,55 +267,51 @@ def random_scene(seed=0, count=6):
     )
     bays = rng.permutation(36)[: count + 16]
     parked_size = rng.uniform((3.5, 1.6), (4.8, 1.9), (16, 2)).astype(np.float32)
-    return vehicle, bays[:count], bays[count:], parked_size
+    return motion, bays[:count], bays[count:], parked_size
 
 
-@pytest.mark.parametrize(
-    "motion", [(3.0, -7.0, 0.0), (0.0, 0.0, 2.0), (9.0, 4.0, -1.2)]
-)
-def test_observations_do_not_change_when_the_whole_lot_is_moved(motion):
-    config, layout = ObservationConfig(), make_layout("tanner")
-    vehicle, *plan = random_scene()
-    here = observed(config, layout, vehicle, *plan)
-    there = observed(
-        config, moved_lot(layout, motion), moved_cars(vehicle, motion), *plan
-    )
+@pytest.mark.parametrize("shift", [(3.0, -7.0, 0.0), (0.0, 0.0, 2.0), (9.0, 4.0, -1.2)])
+def test_observations_do_not_change_when_the_whole_lot_is_moved(shift):
+    config, layout = ContinuousObservation(), make_layout("tanner")
+    motion, *plan = random_scene()
+    here = observed(config, layout, motion, *plan)
+    there = observed(config, moved_lot(layout, shift), moved_cars(motion, shift), *plan)
     for name, value in here.items():
         # float32 at 30 m is 2e-6 m, and headings are sums of rounded angles.
         np.testing.assert_allclose(there[name], value, atol=5e-6, err_msg=name)
 
 
 def test_observations_do_not_depend_on_the_order_of_the_other_agents():
-    config, layout = ObservationConfig(), make_layout("tanner")
-    vehicle, goal, *parked = random_scene()
+    config, layout = ContinuousObservation(), make_layout("tanner")
+    motion, goal, *parked = random_scene()
     order = np.array([0, 4, 2, 5, 1, 3])
-    shuffled = jax.tree.map(lambda x: x[order], vehicle)
-    here = observed(config, layout, vehicle, goal, *parked)
+    shuffled = jax.tree.map(lambda x: x[order], motion)
+    here = observed(config, layout, motion, goal, *parked)
     there = observed(config, layout, shuffled, goal[order], *parked)
     for name, value in here.items():
         np.testing.assert_array_equal(there[name], value[order], err_msg=name)
 
 
 def test_observations_do_not_depend_on_the_order_of_the_parked_cars():
-    config, layout = ObservationConfig(), make_layout("tanner")
-    vehicle, goal, parked_bay, parked_size = random_scene()
+    config, layout = ContinuousObservation(), make_layout("tanner")
+    motion, goal, parked_bay, parked_size = random_scene()
     order = np.random.default_rng(1).permutation(16)
-    here = observed(config, layout, vehicle, goal, parked_bay, parked_size)
+    here = observed(config, layout, motion, goal, parked_bay, parked_size)
     there = observed(
-        config, layout, vehicle, goal, parked_bay[order], parked_size[order]
+        config, layout, motion, goal, parked_bay[order], parked_size[order]
     )
     for name, value in here.items():
         np.testing.assert_array_equal(there[name], value, err_msg=name)
 
 
 def test_tracked_cars_are_the_nearest_and_the_nearest_comes_first():
-    config = ObservationConfig(tracked_agents=2, tracked_parked_cars=2)
+    config = ContinuousObservation(2, 2)
     layout = make_layout("tanner")
-    vehicle, goal, parked_bay, parked_size = random_scene(2)
-    named = observed(config, layout, vehicle, goal, parked_bay, parked_size)
-    xy = np.asarray(vehicle.pose_w[:, :2])
+    motion, goal, parked_bay, parked_size = random_scene(2)
+    named = observed(config, layout, motion, goal, parked_bay, parked_size)
+    xy = np.asarray(motion.pose_w[:, :2])
     parked_xy = np.asarray(layout.bay_pose)[parked_bay, :2]
-    for kind, other in (("agent", xy), ("parked", parked_xy)):
+    for kind, other in (("agent", xy), ("parked_car", parked_xy)):
         gap = np.linalg.norm(xy[:, None] - other, axis=-1)
         if kind == "agent":
             np.fill_diagonal(gap, np.inf)
@@ -293,12 +324,12 @@ def test_tracked_cars_are_the_nearest_and_the_nearest_comes_first():
 def rollout_fields():
     _, _, _, timesteps = mjx_rollout()
     observation = np.stack([timestep.observation for timestep in timesteps])
-    return fields_of(observation, mjx_env().config.observation)
+    return fields_of(observation, mjx_env().config)
 
 
 def test_observations_stay_within_the_declared_ranges_while_driving():
     named = rollout_fields()
-    for field in make_fields(mjx_env().config.observation):
+    for field in make_fields(mjx_env().config):
         value = named[field.name]
         # 1e-5: headings are unit vectors, steering reaches its limit, up to rounding.
         assert value.min() >= field.low - 1e-5, field
@@ -316,7 +347,7 @@ def test_every_number_observed_varies_but_those_that_cannot():
     }
     expected = {
         f"{kind}_{k}_{part}"
-        for kind in ("agent", "parked")
+        for kind in ("agent", "parked_car")
         for k in range(2)
         for part in fixed
     }
@@ -336,14 +367,73 @@ def test_moving_a_pose_by_hand_agrees_with_the_scene_helper():
     [
         ({"tracked_agents": 1}, -12),  # present, 4 x 2, speed, 2 of its goal
         ({"tracked_parked_cars": 3}, +9),  # present, 4 x 2
-        ({"rings": (5.0,)}, -2),
-        ({"ring_cap": 1}, 0),
-        ({"rays": 7}, 7),
-        ({"ray_range": 3.0}, 0),
+        ({"rings": RingConfig((5.0,))}, -2),
+        ({"rings": RingConfig((5.0, 6.2, 8.0), cap=1)}, 0),
+        ({"rings": RingConfig((5.0, 6.2, 8.0), history=2)}, 6),
+        ({"rays": RayConfig(7)}, 7),
+        ({"rays": RayConfig(reach=3.0)}, 0),
         ({"lane": True}, 4),  # present, 2 of its heading, one-way
+        ({"own_car": True}, 5),  # 2 of its size, wheelbase, axle, turning radius
+        ({"view": ViewConfig(90.0, 20.0)}, 0),
+        ({"global_information": True}, 3),  # nearest agent, 2 of the claim
     ],
 )
 def test_each_setting_adds_or_drops_its_numbers(change, numbers):
-    base = ObservationConfig()
-    size = observation_size(dataclasses.replace(base, **change))
-    assert size - observation_size(base) == numbers
+    size = observation_size(config_of(ContinuousObservation(**change)))
+    assert size - observation_size(EnvConfig()) == numbers
+
+
+def test_what_an_agent_drives_by_hand():
+    motion = cars([(0.0, 0.0, 0.0)] * 2, size=[(4.0, 2.0), (5.0, 1.5)])
+    vehicle = hand_cars(
+        motion,
+        wheelbase=[2.5, 3.0],
+        centre_offset=[1.25, 1.5],
+        max_steering=[math.atan(0.5), math.atan(0.75)],
+    )
+    state = state_of(BAYS, motion, [0, 1])
+    state = state.replace(physics=state.physics.replace(vehicle=vehicle))
+    config = config_of(ContinuousObservation(own_car=True))
+    named = fields_of(observe_jit(config, state), config)
+    for name, value in {
+        "own_size": [[0.8, 0.4], [1.0, 0.3]],
+        "own_wheelbase": [[0.5], [0.6]],
+        "own_rear_axle": [[0.25], [0.3]],
+        "own_turning_radius": [[1.0], [0.8]],  # 5 m and 4 m
+    }.items():
+        np.testing.assert_allclose(named[name], value, rtol=1e-6, err_msg=name)
+
+
+def test_pushed_cars_are_observed_where_they_stand_and_absent_ones_nowhere():
+    parked = parked_in(BAYS, [2, 3])
+    pushed = parked.replace(pose_w=parked.pose_w + jnp.array([0.5, -0.25, 0.1]))
+    absent = parked.replace(bay=jnp.array([2, NO_BAY], jnp.int32))
+    motion = cars([(2.0, 5.5, 0.0)])
+    rings = RingConfig((6.0,), cars=True)
+    for observation in (
+        ContinuousObservation(0, 2, rings=rings, rays=RayConfig(8)),
+        TannerObservation(2, rings=rings),
+    ):
+        config = config_of(observation)
+        neat, there, one, alone = (
+            np.asarray(observe_jit(config, state_of(BAYS, motion, 0, parked_cars=x)))
+            for x in (parked, pushed, absent, parked_in(BAYS, [2]))
+        )
+        assert (neat != there).any()
+        assert (neat != one).any()
+        np.testing.assert_array_equal(one, alone)
+    named = fields_of(there, config)
+    away = math.hypot(0.5, 3.75)  # the car of bay 2 is 3.5 + 0.25 m off, and 0.5 aside
+    np.testing.assert_allclose(named["car_1_distance"] * DIAGONAL, [[away]], rtol=1e-5)
+
+
+def test_indices_are_whole_numbers_within_their_cardinalities():
+    config = config_of(IndexObservation(RingConfig((4.0, 9.0), cars=True)))
+    motion, goal, parked_bay, parked_size = random_scene()
+    layout = make_layout("tanner")
+    parked_cars = parked_in(layout, parked_bay, parked_size)
+    state = state_of(layout, motion, goal, parked_cars=parked_cars)
+    seen = np.asarray(observe_jit(config, state))
+    np.testing.assert_array_equal(seen, np.round(seen))
+    assert (seen[:, 1:] >= 0).all()
+    assert (seen[:, 1:] < np.array(cardinalities(config))[1:]).all()

@@ -1,6 +1,5 @@
 """Rays: exact free ways along bearings, with shapely as the judge."""
 
-import dataclasses
 import functools
 import math
 
@@ -19,23 +18,25 @@ from helpers.scenes import (
     moved_lot,
     polygons,
 )
+from helpers.states import config_of, parked_at, parked_in, state_of
 
-from carpark_mj.config import ObservationConfig
+from carpark_mj.config import ContinuousObservation, RayConfig, RingConfig
 from carpark_mj.geometry import broad_phase, ray_box_distance, ray_disc_distance
 from carpark_mj.observations import make_fields, observe
 from carpark_mj.observations.rays import cast_rays
+from carpark_mj.types import NO_BAY, ParkedCars
 
 COUNT, REACH = 8, 10.0
 AGENTS, PARKED, WALLS, DISCS = 3, 4, 3, 3
-cast_rays_jit = jax.jit(cast_rays, static_argnums=(6, 7))
+cast_rays_jit = jax.jit(cast_rays, static_argnums=0)
 observe_jit = jax.jit(observe, static_argnums=0)
-NOBODY = jnp.zeros((0, 3)), jnp.zeros((0, 2)), jnp.zeros(0, bool)
+NOBODY = parked_at()
 
 
-def ways(vehicle, layout, parked=NOBODY, count=4, reach=10.0):
+def ways(motion, layout, parked=NOBODY, count=4, reach=10.0):
     """Free ways [m] (agents, count)."""
-    seen = cast_rays_jit(vehicle.pose_w, vehicle.size, *parked, layout, count, reach)
-    return np.asarray(seen) * reach
+    config = RayConfig(count, reach)
+    return np.asarray(cast_rays_jit(config, layout, motion, parked)) * reach
 
 
 def test_a_hand_worked_scene():
@@ -46,9 +47,9 @@ def test_a_hand_worked_scene():
         wall_size=[(8.0, 2.0), (8.0, 2.0)],
         discs=[(-5.0, 0.0, 0.5), (-9.0, 0.0, 3.0)],
     )
-    vehicle = cars([(0.0, 0.0, math.pi / 2), (0.0, -5.0, 0.0)])
-    parked = jnp.array([[6.0, 0.0, 0.0]]), jnp.array([[4.0, 2.0]]), jnp.array([True])
-    got = ways(vehicle, layout, parked)
+    motion = cars([(0.0, 0.0, math.pi / 2), (0.0, -5.0, 0.0)])
+    parked = parked_at([(6.0, 0.0, 0.0)])
+    got = ways(motion, layout, parked)
     # Ahead a wall from y = 8; left a disc from x = -4.5; behind the other agent, whose
     # side is at y = -4; right a parked car from x = 4.
     np.testing.assert_allclose(got[0], [6.0, 3.5, 2.0, 3.0], atol=1e-5)
@@ -59,19 +60,19 @@ def test_a_hand_worked_scene():
 
 def test_a_car_alone_sees_nothing_not_even_itself_or_padding():
     layout = lot([(0.0, 0.0, 0.0)], walls=[(0.0, 0.0, 0.0)], discs=[(3.0, 0.0, 0.5)])
-    vehicle = cars([(0.0, 0.0, 0.7)])
-    parked = jnp.array([[4.0, 0.0, 0.0]]), jnp.array([[4.0, 2.0]]), jnp.array([True])
-    assert ways(vehicle, layout, parked, 12).min() == 0.0
+    motion = cars([(0.0, 0.0, 0.7)])
+    parked = parked_at([(4.0, 0.0, 0.0)])
+    assert ways(motion, layout, parked, 12).min() == 0.0
     masked = layout.replace(wall_mask=jnp.zeros(1, bool), disc_mask=jnp.zeros(1, bool))
-    absent = (*parked[:2], jnp.array([False]))
-    np.testing.assert_array_equal(ways(vehicle, masked, absent, 12), 10.0)
+    absent = parked_at([(4.0, 0.0, 0.0)], present=False)
+    np.testing.assert_array_equal(ways(motion, masked, absent, 12), 10.0)
 
 
 def test_the_way_ends_at_the_range_and_is_none_inside_an_obstacle():
-    vehicle = cars([(0.0, 0.0, 0.0)])
+    motion = cars([(0.0, 0.0, 0.0)])
     for gap, seen in ((4.99, 4.99), (5.01, 5.0), (0.0, 0.0), (-1.0, 0.0)):
         layout = lot([(50.0, 0.0, 0.0)], walls=[(2.5 + gap, 0.0, 0.0)])
-        got = ways(vehicle, layout, count=1, reach=5.0)
+        got = ways(motion, layout, count=1, reach=5.0)
         assert got[0, 0] == pytest.approx(seen, abs=1e-5), gap
 
 
@@ -93,15 +94,17 @@ def scenes(count=60, seed=0):
     def poses(n):
         return np.float32(rng.uniform((-12, -12, -3.1), (12, 12, 3.1), (count, n, 3)))
 
-    vehicle = cars(
+    motion = cars(
         poses(AGENTS), size=rng.uniform((3.5, 1.6), (5, 2), (count, AGENTS, 2))
     )
     sizes = np.float32(rng.uniform((3.5, 1.6), (5, 2), (count, PARKED, 2)))
-    parked = poses(PARKED), sizes, rng.uniform(size=(count, PARKED)) < 0.8
+    present = rng.uniform(size=(count, PARKED)) < 0.8
+    bay = np.where(present, np.arange(PARKED, dtype=np.int32), NO_BAY)
+    parked = ParkedCars(bay=bay, pose_w=poses(PARKED), size=sizes)
     template = lot([(50.0, 0, 0)], walls=np.zeros((3, 3)), discs=np.zeros((3, 3)))
     layout = jax.tree.map(lambda x: jnp.repeat(x[None], count, axis=0), template)
     return (
-        vehicle,
+        motion,
         parked,
         layout.replace(
             wall_pose=poses(WALLS),
@@ -122,9 +125,8 @@ def compiled(crowded):
 
     @jax.jit
     @jax.vmap
-    def run(vehicle, parked, layout):
-        pose, size = vehicle.pose_w, vehicle.size
-        return REACH * cast_rays(pose, size, *parked, layout, COUNT, REACH)
+    def run(motion, parked, layout):
+        return REACH * cast_rays(RayConfig(COUNT, REACH), layout, motion, parked)
 
     def call(*scene):
         before = broad_phase.MANY_PAIRS
@@ -137,14 +139,14 @@ def compiled(crowded):
     return call
 
 
-def shapely_ways(vehicle, parked, layout, grown):
+def shapely_ways(motion, parked, layout, grown):
     """The oracle's ways with obstacles larger by some metres."""
-    pose = np.asarray(vehicle.pose_w, np.float64)
+    pose = np.asarray(motion.pose_w, np.float64)
     yaw = pose[..., 2, None] + np.arange(COUNT) * 2 * np.pi / COUNT
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1) * 60.0
     start = np.broadcast_to(pose[..., None, :2], ahead.shape)
     rays = shapely.linestrings(np.stack([start, start + ahead], axis=-2))
-    own = polygons(vehicle.pose_w, np.asarray(vehicle.size, np.float64))
+    own = polygons(motion.pose_w, np.asarray(motion.size, np.float64))
     outline = shapely.length(shapely.intersection(rays, own[..., None]))
     centre = shapely.points(start)
     way = np.full(rays.shape, np.inf)
@@ -160,8 +162,8 @@ def shapely_ways(vehicle, parked, layout, grown):
         size = np.asarray(size, np.float64) + 2 * grown
         return polygons(pose, size)[:, None]
 
-    meet(boxes(vehicle.pose_w, vehicle.size), ~np.eye(AGENTS, dtype=bool)[None])
-    meet(boxes(*parked[:2]), parked[2][:, None])
+    meet(boxes(motion.pose_w, motion.size), ~np.eye(AGENTS, dtype=bool)[None])
+    meet(boxes(parked.pose_w, parked.size), parked.present[:, None])
     meet(boxes(layout.wall_pose, layout.wall_size), layout.wall_mask[:, None])
     radius = np.asarray(layout.disc_radius, np.float64) + grown
     discs = shapely.buffer(shapely.points(layout.disc_centre), radius, quad_segs=128)
@@ -189,50 +191,43 @@ def test_the_broad_phase_changes_nothing():
 
 
 def test_rays_do_not_change_when_the_whole_lot_is_moved():
-    vehicle, parked, layout = scenes()
-    motion = (9.0, -4.0, 1.9)
+    motion, parked, layout = scenes()
+    shift = (9.0, -4.0, 1.9)
     there = (
-        moved_cars(vehicle, motion),
-        (moved(parked[0], motion), *parked[1:]),
+        moved_cars(motion, shift),
+        parked.replace(pose_w=moved(parked.pose_w, shift)),
         layout.replace(
-            wall_pose=moved(layout.wall_pose, motion),
+            wall_pose=moved(layout.wall_pose, shift),
             disc_centre=moved(
-                np.pad(layout.disc_centre, ((0, 0), (0, 0), (0, 1))), motion
+                np.pad(layout.disc_centre, ((0, 0), (0, 0), (0, 1))), shift
             )[..., :2],
         ),
     )
-    here, there = compiled(False)(vehicle, parked, layout), compiled(False)(*there)
+    here, there = compiled(False)(motion, parked, layout), compiled(False)(*there)
     # Rays that graze a corner or a disc amplify rounding; all others keep their way.
     assert (np.abs(here - there) < 1e-3).mean() > 0.995
     assert np.median(np.abs(here - there)) < 5e-6
 
 
 def test_rays_are_a_field_of_the_observation():
-    config = ObservationConfig(tracked_agents=0, tracked_parked_cars=0, rings=())
-    config = dataclasses.replace(config, rays=4, ray_range=8.0)
+    observation = ContinuousObservation(
+        0, 0, rings=RingConfig(), rays=RayConfig(4, reach=8.0)
+    )
+    config = config_of(observation)
     field = make_fields(config)[-1]
     assert (field.name, field.size, field.low, field.high) == ("rays", 4, 0.0, 1.0)
     layout = lot([(9.0, 0.0, 0.0), (0.0, 7.0, 0.0)], walls=[(0.0, -5.0, 0.0)])
-    vehicle, one = cars([(0.0, 0.0, 0.0)]), jnp.ones(1)
-    size = jnp.full((2, 2), 2.0)
-    seen = observe_jit(
-        config, layout, vehicle, jnp.array([0]), layout.bay_pose, size, one, one
-    )
+    parked = parked_in(layout, [0, 1], 2.0)
+    state = state_of(layout, cars([(0.0, 0.0, 0.0)]), 0, parked_cars=parked)
+    seen = observe_jit(config, state)
     rays = fields_of(seen, config)["rays"]
     # 8 - 2 m ahead, 6 - 1 m left, nothing behind, 4.5 - 1 m to the wall on the right.
     np.testing.assert_allclose(rays, [[6 / 8, 5 / 8, 1.0, 3.5 / 8]], atol=1e-6)
-    moved = moved_lot(layout, (5.0, 3.0, 2.0))
-    again = observe_jit(
-        config,
-        moved,
-        moved_cars(vehicle, (5.0, 3.0, 2.0)),
-        jnp.array([0]),
-        moved.bay_pose,
-        size,
-        one,
-        one,
+    shift = (5.0, 3.0, 2.0)
+    there = moved_lot(layout, shift)
+    again = state.replace(
+        layout=there,
+        motion=moved_cars(state.motion, shift),
+        parked_cars=parked_in(there, [0, 1], 2.0),
     )
-    np.testing.assert_allclose(again, seen, atol=5e-6)
-    for bad in ({"rays": -1}, {"ray_range": 0.0}):
-        with pytest.raises(ValueError, match=next(iter(bad))):
-            dataclasses.replace(config, **bad)
+    np.testing.assert_allclose(observe_jit(config, again), seen, atol=5e-6)

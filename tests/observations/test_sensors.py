@@ -2,14 +2,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics, cars, fields_of, placed
+from helpers.scenes import cars, fields_of, lot
+from helpers.sliding import SlidePhysics, placed
+from helpers.states import state_of
 
 from carpark_mj.config import EnvConfig, SensorConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.observations.sensors import init_sensors, observed, update_sensors
+from carpark_mj.observations.sensors import init_sensors, measure, observed, reset
 
 KEY = jax.random.key(0)
 LATE = SensorConfig(delay_min=2, delay_max=2)
+LOT = lot([(0.0, 0.0, 0.0)])
 
 
 def standing(count, x=0.0):
@@ -18,14 +21,45 @@ def standing(count, x=0.0):
     return cars(pose)
 
 
+def seen_by(sensors, motion):
+    """The motion as the agents know it."""
+    return observed(state_of(LOT, motion, 0, sensors=sensors))
+
+
 def test_late_sensors_show_what_was_then():
     sensors = init_sensors(LATE, standing(3, 0.0), KEY)
     seen = []
     for x in (1.0, 2.0, 3.0, 4.0):
-        vehicle = standing(3, x)
-        sensors = update_sensors(LATE, sensors, vehicle, jnp.zeros(3, bool), KEY)
-        seen.append(np.asarray(observed(sensors, vehicle).pose_w[:, 0]).tolist())
+        motion = standing(3, x)
+        sensors = measure(LATE, sensors, motion, KEY)
+        seen.append(np.asarray(seen_by(sensors, motion).pose_w[:, 0]).tolist())
     assert seen == [[0.0] * 3, [0.0] * 3, [1.0] * 3, [2.0] * 3]
+
+
+def test_a_respawned_agent_has_new_sensors_without_a_past():
+    config = SensorConfig(delay_min=1, delay_max=3)
+    sensors = init_sensors(config, standing(200, 0.0), KEY)
+    sensors = measure(config, sensors, standing(200, 1.0), KEY)
+    respawned = jnp.arange(200) % 2 == 0
+    there = standing(200, 5.0)
+    after = reset(config, sensors, there, respawned, jax.random.key(1))
+    fresh = init_sensors(config, there, jax.random.key(1))
+    for new, kept, got in zip(
+        *map(jax.tree.leaves, (fresh, sensors, after)), strict=True
+    ):
+        np.testing.assert_array_equal(got[::2], new[::2])
+        np.testing.assert_array_equal(got[1::2], kept[1::2])
+    np.testing.assert_array_equal(seen_by(after, there).xy[::2, 0], 5.0)
+    assert set(np.asarray(after.delay[::2])) == {1, 2, 3}
+
+
+def test_exact_sensors_are_none_at_all():
+    exact, motion = SensorConfig(), standing(2, 3.0)
+    assert init_sensors(exact, motion, KEY) is None
+    assert measure(exact, None, motion, KEY) is None
+    assert reset(exact, None, motion, jnp.ones(2, bool), KEY) is None
+    state = state_of(LOT, motion, 0)
+    assert observed(state) is state.motion
 
 
 def test_delays_are_drawn_from_the_whole_range_and_from_no_more():
@@ -36,8 +70,8 @@ def test_delays_are_drawn_from_the_whole_range_and_from_no_more():
 
 def test_noise_has_the_configured_spread_and_no_bias():
     config = SensorConfig(position_noise=0.1, heading_noise=0.02, speed_noise=0.3)
-    vehicle = cars(np.full((20_000, 3), 1.0), speed=2.0, yaw_rate=0.4, steering=0.1)
-    seen = observed(init_sensors(config, vehicle, KEY), vehicle)
+    motion = cars(np.full((20_000, 3), 1.0), speed=2.0, yaw_rate=0.4, steering=0.1)
+    seen = seen_by(init_sensors(config, motion, KEY), motion)
     for error, spread in (
         (seen.pose_w[:, 0] - 1.0, 0.1),
         (seen.pose_w[:, 1] - 1.0, 0.1),
@@ -48,9 +82,9 @@ def test_noise_has_the_configured_spread_and_no_bias():
         # 20,000 samples: standard errors of 0.5 % (spread) and 0.7 % of it (mean).
         assert float(error.std()) == pytest.approx(spread, rel=0.03)
         assert abs(float(error.mean())) < 0.03 * spread
-    np.testing.assert_array_equal(seen.yaw_rate, vehicle.yaw_rate)
-    np.testing.assert_array_equal(seen.steering, vehicle.steering)
-    np.testing.assert_array_equal(seen.trace_w, vehicle.trace_w)
+    np.testing.assert_array_equal(seen.yaw_rate, motion.yaw_rate)
+    np.testing.assert_array_equal(seen.steering, motion.steering)
+    np.testing.assert_array_equal(seen.trace_w, motion.trace_w)
 
 
 def slide(sensors):
@@ -65,13 +99,12 @@ def test_judging_rewards_and_motion_ignore_the_sensors():
         env = slide(sensors)
         state, _ = jax.jit(env.reset)(KEY)
         pose = [[-5.0, 0.0, 0.0], [5.0, 0.0, 1.0]]
-        occupancy = state.occupancy.replace(goal=jnp.array([0, 1]))
-        state = placed(env, state, pose).replace(occupancy=occupancy)
+        state = placed(env, state, pose).replace(goal=jnp.array([0, 1]))
         _, timestep = jax.jit(env.step)(state, jnp.array([[0.1, 0.5], [0.0, -0.5]]))
         runs.append(timestep)
     truth, run = runs
     np.testing.assert_array_equal(truth.reward, run.reward)
-    np.testing.assert_array_equal(truth.vehicle.pose_w, run.vehicle.pose_w)
+    np.testing.assert_array_equal(truth.motion.pose_w, run.motion.pose_w)
     for name in truth.metrics:
         np.testing.assert_array_equal(truth.metrics[name], run.metrics[name])
 
@@ -87,7 +120,7 @@ def test_an_agent_observes_its_own_past_and_a_fresh_start_after_a_respawn():
     for _ in range(4):
         state, timestep = step(state, ahead)
         assert not timestep.events.done.any()
-        named = fields_of(timestep.observation, env.config.observation)
+        named = fields_of(timestep.observation, env.config)
         speeds.append(float(named["speed"][0, 0]))
     limit = env.vehicle.max_speed
     # Slides at 2.5 m/s from the first step; seen two steps later.
@@ -95,8 +128,8 @@ def test_an_agent_observes_its_own_past_and_a_fresh_start_after_a_respawn():
     over = state.replace(step=jnp.full(2, env.config.episode.max_steps, jnp.int32))
     after, timestep = step(over, ahead)
     assert timestep.events.done.all()
-    seen = observed(after.sensors, after.vehicle)
-    np.testing.assert_array_equal(seen.pose_w, after.vehicle.pose_w)
+    seen = observed(after)
+    np.testing.assert_array_equal(seen.pose_w, after.motion.pose_w)
     np.testing.assert_array_equal(seen.speed, [0.0, 0.0])
 
 

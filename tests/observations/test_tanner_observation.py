@@ -10,40 +10,45 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, fields_of, lot, moved, moved_cars, moved_lot
+from helpers.states import config_of, parked_at, state_of
 
 from carpark_mj.config import (
-    TANNER_OBSERVATION,
     WORLD_UNIT,
     EnvConfig,
     EpisodeConfig,
     GridConfig,
-    ObservationConfig,
+    IndexObservation,
+    RingConfig,
+    ShareConfig,
+    TannerObservation,
+    ViewConfig,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.observations import make_fields, observation_size
-from carpark_mj.observations.indices import observe_indices
-from carpark_mj.observations.tanner import observe_tanner
+from carpark_mj.observations import make_fields, observation_size, observe
 from carpark_mj.registry import TANNER_QLEARNING
+from carpark_mj.types import NO_BAY
 
-CONFIG = TANNER_OBSERVATION
+CONFIG = TannerObservation()
 GRID = GridConfig()
 CTRL_DT = 0.2
 PER_LEVEL = 4 / 16 * WORLD_UNIT / CTRL_DT  # m/s: 4 points a step, 16 in a world unit
 D = 74 * math.sqrt(2)  # world units
-GLOBAL = dataclasses.replace(CONFIG, global_information=True)
+GLOBAL = TannerObservation(global_information=True)
 
-see_jit = jax.jit(observe_tanner, static_argnums=(0, 1, 2))
+observe_jit = jax.jit(observe, static_argnums=0)
 
 
-def see(config, layout, vehicle, goal, parked=(), spaces=None, **rest):
+def see(config, layout, motion, goal, parked=(), bays=None, present=True):
     """Observations (num_agents, size); parked cars are poses."""
-    parked = jnp.asarray(parked, jnp.float32).reshape(-1, 3)
-    size = jnp.full((parked.shape[0], 2), 2.0)
-    goal = jnp.array(goal, jnp.int32)
-    spaces = None if spaces is None else jnp.array(spaces, jnp.int32)
-    args = (layout, vehicle, goal, parked, size)
-    seen = see_jit(config, GRID, CTRL_DT, *args, spaces=spaces, **rest)
+    config = config_of(config, 0 if bays is None else np.shape(bays)[1])
+    cars_there = parked_at(parked, 2.0, present)
+    state = state_of(layout, motion, goal, tracked_bays=bays, parked_cars=cars_there)
+    history = config.observation.rings.history
+    if history:
+        shape = (len(goal), history, len(config.observation.rings.diameters))
+        state = state.replace(ring_history=jnp.zeros(shape, jnp.int32))
+    seen = observe_jit(config, state)
     assert seen.dtype == jnp.float32
     return np.asarray(seen)
 
@@ -58,7 +63,7 @@ LOT = lot(
     [pose(0, 32, 180), pose(-32, -6, 90), pose(12, -32, 0), pose(32, 6, 270)],
     walls=[(-3.0, 0.0, 0.0), (0.0, -3.0, 0.0)],
 )
-NONE = 4  # no bay, exploring
+NONE = NO_BAY
 PAIR = cars([pose(0, 0, 0), pose(6, 8, 90)], speed=[2 * PER_LEVEL, -PER_LEVEL])
 FAR_CAR = [pose(12, -32, 0)]
 GOAL_0 = math.hypot(32, 6) / D  # of agent 0, 79.4 deg to its right: heading 5 of 24
@@ -73,7 +78,7 @@ def test_fixed_goals_by_hand():
     first += [10 / D, 2 / 24, 0.25, 11 / 24, GOAL_1, 1 / 7]
     second = [1 / 7, 0.0, GOAL_1, 11 / 24, 0.0]
     second += [10 / D, 8 / 24, 0.75, 5 / 24, GOAL_0, 4 / 7]
-    assert observation_size(CONFIG) == 11
+    assert observation_size(config_of(CONFIG)) == 11
     np.testing.assert_allclose(seen, [first, second], atol=1e-6)
 
 
@@ -87,7 +92,7 @@ def test_a_parked_car_may_be_the_nearest_and_has_no_goal():
     np.testing.assert_allclose(both[0, 5], 10 / D, atol=1e-6)
     np.testing.assert_allclose(both[0, 11], math.hypot(12, 32) / D, atol=1e-6)
     np.testing.assert_array_equal(both[:, 17:], -1.0)  # there is no third car
-    gone = see(CONFIG, LOT, PAIR, [3, 1], FAR_CAR, parked_present=jnp.array([False]))
+    gone = see(CONFIG, LOT, PAIR, [3, 1], FAR_CAR, present=False)
     np.testing.assert_array_equal(gone, see(CONFIG, LOT, PAIR, [3, 1]))
 
 
@@ -100,23 +105,23 @@ def test_a_parked_car_may_be_the_nearest_and_has_no_goal():
     ],
 )
 def test_dynamic_goals_by_hand(goal, seen_of_1, own):
-    spaces = [[3], [3]]
-    seen = see(CONFIG, LOT, PAIR, goal, FAR_CAR, spaces)
+    bays = [[3], [3]]
+    seen = see(CONFIG, LOT, PAIR, goal, FAR_CAR, bays)
     first = [4 / 7, 0.75, GOAL_0, 5 / 24, 1 / 2]
     first += [10 / D, 2 / 24, 0.25, seen_of_1, 1 / 7, own[0]]
-    assert observation_size(CONFIG, 1) == len(first) == 11
+    assert observation_size(config_of(CONFIG, 1)) == len(first) == 11
     np.testing.assert_allclose(seen[0], first, atol=1e-6)
     assert seen[1, -1] == own[1]
 
 
 def test_several_bays_are_numbered_and_absent_ones_are_minus_one():
-    spaces = [[1, NONE, 3], [3, 2, 1]]
-    seen = see(CONFIG, LOT, PAIR, [3, 3], FAR_CAR, spaces)
-    named = fields_of(seen, CONFIG, 3)
+    bays = [[1, NONE, 3], [3, 2, 1]]
+    seen = see(CONFIG, LOT, PAIR, [3, 3], FAR_CAR, bays)
+    named = fields_of(seen, config_of(CONFIG, 3))
     for part in ("heading", "distance", "bearing"):
-        assert named[f"space_1_{part}"][0] == -1.0
-        assert named[f"space_1_{part}"][1] > 0.0 or part == "heading"
-    np.testing.assert_allclose(named["space_2_distance"][0], GOAL_0, atol=1e-6)
+        assert named[f"bay_1_{part}"][0] == -1.0
+        assert named[f"bay_1_{part}"][1] > 0.0 or part == "heading"
+    np.testing.assert_allclose(named["bay_2_distance"][0], GOAL_0, atol=1e-6)
     # Bay 3 is agent 0's third and agent 1's first: of 4 own values and of 5 of others.
     np.testing.assert_allclose(named["goal_choice"], [[3 / 4], [1 / 4]])
     np.testing.assert_allclose(named["car_0_goal"], [[3 / 5], [1 / 5]])
@@ -128,27 +133,33 @@ def test_several_bays_are_numbered_and_absent_ones_are_minus_one():
 )
 def test_global_information_by_hand(goal, claim):
     seen = see(GLOBAL, LOT, PAIR, goal, FAR_CAR, [[3], [3]])
-    assert observation_size(GLOBAL, 1) == seen.shape[1] == 13
+    assert observation_size(config_of(GLOBAL, 1)) == seen.shape[1] == 13
     # Agent 1 is nearer to the bay at (32, 6) than agent 0, whatever its goal.
     block = [0.75, GOAL_0, 5 / 24, math.hypot(26, 2) / D, claim]
     np.testing.assert_allclose(seen[0, 1:6], block, atol=1e-6)
 
 
 def test_the_options_add_and_drop_what_they_say():
-    def names(num_spaces=0, **change):
-        fields = make_fields(dataclasses.replace(CONFIG, **change), None, num_spaces)
-        return [field.name for field in fields]
+    def names(num_tracked_bays=0, **change):
+        config = config_of(TannerObservation(**change), num_tracked_bays)
+        return [field.name for field in make_fields(config)]
 
     assert names()[1:4] == ["goal_heading", "goal_distance", "goal_bearing"]
-    least: dict[str, Any] = dict(tracked_cars=0, rings=(), bay_parts=("bearing",))
+    least: dict[str, Any] = dict(
+        tracked_cars=0, rings=RingConfig(), bay_parts=("bearing",)
+    )
     assert names(**least) == ["speed", "goal_bearing"]  # that of the Q-learning
-    assert set(names()) - set(names(share_speeds=False)) == {"car_0_speed"}
-    assert [n for n in names() if n not in names(share_goals=False)] == [
+    silent = ShareConfig(speeds=False)
+    assert set(names()) - set(names(share=silent)) == {"car_0_speed"}
+    secret = ShareConfig(goals=False)
+    assert [n for n in names() if n not in names(share=secret)] == [
         "car_0_goal_bearing",
         "car_0_goal_distance",
     ]
-    assert "car_0_goal" not in names(1, share_goals=False)
-    three = see(dataclasses.replace(CONFIG, share_goal_heading=True), LOT, PAIR, [3, 1])
+    assert "car_0_goal" in names(1)
+    assert "car_0_goal" not in names(1, share=secret)
+    headings = TannerObservation(share=ShareConfig(goal_headings=True))
+    three = see(headings, LOT, PAIR, [3, 1])
     # Of each other's goals: the bays are turned by 270 and by 0 deg from the agents.
     np.testing.assert_allclose(three[:, -2], [0.0, 0.75], atol=1e-6)
 
@@ -157,7 +168,7 @@ def test_speeds_and_headings_of_physical_cars_are_not_rounded_but_bearings_are()
     # 10 deg left of up at 1 m/s, the goal 28.6 deg to the right of the car.
     one = cars([pose(0, 0, -10)], speed=1.0)
     layout = lot([pose(10 * math.sin(0.325), 10 * math.cos(0.325), 0)])
-    named = fields_of(see(CONFIG, layout, one, [0], FAR_CAR), CONFIG)
+    named = fields_of(see(CONFIG, layout, one, [0], FAR_CAR), config_of(CONFIG))
     np.testing.assert_allclose(named["speed"], [[(1 / PER_LEVEL + 2) / 7]], rtol=1e-6)
     np.testing.assert_allclose(named["goal_heading"], [[10 / 360]], atol=1e-6)
     np.testing.assert_allclose(named["goal_bearing"], [[2 / 24]], rtol=1e-6)
@@ -171,35 +182,31 @@ def scene(count=6):
     """Cars anywhere in a `tanner` lot, tracked bays, and two parked-car poses each."""
     rng = np.random.default_rng(0)
     low, high = (-15, -15, -3.1), (15, 15, 3.1)
-    vehicle = cars(rng.uniform(low, high, (count, 3)), rng.uniform(-1, 3, count))
+    motion = cars(rng.uniform(low, high, (count, 3)), rng.uniform(-1, 3, count))
     layout = make_layout("tanner")
     bays = rng.permutation(36)
     parked = np.asarray(layout.bay_pose)[bays[:10]]
-    spaces = np.stack([rng.permutation(bays[10:16])[:2] for _ in range(count)])
-    goal = np.array([bays[10], 36, *bays[10 : 10 + count - 2]])
-    return layout, vehicle, goal, parked, spaces
+    tracked = np.stack([rng.permutation(bays[10:16])[:2] for _ in range(count)])
+    goal = np.array([bays[10], NO_BAY, *bays[10 : 10 + count - 2]])
+    return layout, motion, goal, parked, tracked
 
 
 RICH = dataclasses.replace(
     GLOBAL,
     tracked_cars=4,
-    rings=(4.0, 9.0),
-    ring_cap=3,
-    ring_cars=True,
-    ring_history=1,
-    field_of_view=250.0,
-    tracking_diameter=24.0,
+    rings=RingConfig((4.0, 9.0), cap=3, cars=True, history=1),
+    view=ViewConfig(field_of_view=250.0, diameter=24.0),
 )
 
 
-@pytest.mark.parametrize("motion", [(3.0, -7.0, math.pi / 12), (0.0, 9.0, -1.2)])
-def test_a_motion_of_the_whole_lot_changes_nothing(motion):
-    layout, vehicle, goal, parked, spaces = scene()
-    for bays in (None, spaces):
-        fixed = np.where(goal == 36, 0, goal) if bays is None else goal
-        here = see(RICH, layout, vehicle, fixed, parked, bays)
-        there = (moved_lot(layout, motion), moved_cars(vehicle, motion))
-        there = see(RICH, *there, fixed, moved(parked, motion), bays)
+@pytest.mark.parametrize("shift", [(3.0, -7.0, math.pi / 12), (0.0, 9.0, -1.2)])
+def test_a_motion_of_the_whole_lot_changes_nothing(shift):
+    layout, motion, goal, parked, tracked = scene()
+    for bays in (None, tracked):
+        fixed = np.where(goal == NO_BAY, 0, goal) if bays is None else goal
+        here = see(RICH, layout, motion, fixed, parked, bays)
+        there = (moved_lot(layout, shift), moved_cars(motion, shift))
+        there = see(RICH, *there, fixed, moved(parked, shift), bays)
         # float32 at 30 m, divided by 59 m, and sums of rounded angles by 2 pi.
         np.testing.assert_allclose(there, here, atol=1e-6)
         assert (here == -1.0).any()
@@ -207,43 +214,44 @@ def test_a_motion_of_the_whole_lot_changes_nothing(motion):
 
 
 def test_the_order_of_other_cars_changes_nothing():
-    layout, vehicle, goal, parked, spaces = scene()
+    layout, motion, goal, parked, tracked = scene()
     order, mixed = (
         np.array([0, 4, 2, 5, 1, 3]),
         np.random.default_rng(1).permutation(10),
     )
-    shuffled = jax.tree.map(lambda x: x[order], vehicle)
-    here = see(RICH, layout, vehicle, goal, parked, spaces)
-    there = see(RICH, layout, shuffled, goal[order], parked[mixed], spaces[order])
+    shuffled = jax.tree.map(lambda x: x[order], motion)
+    here = see(RICH, layout, motion, goal, parked, tracked)
+    there = see(RICH, layout, shuffled, goal[order], parked[mixed], tracked[order])
     np.testing.assert_array_equal(there, here[order])
 
 
 def test_it_agrees_with_the_indices_where_they_overlap():
-    grid = TANNER_QLEARNING.grid
     rng = np.random.default_rng(2)
     level = rng.integers(-1, 2, 60)
     xy = rng.uniform(-14, 14, (60, 2))
     yaw = rng.integers(0, 8, (60, 1)) * (math.pi / 4)
-    vehicle = cars(np.concatenate([xy, yaw], 1), level * WORLD_UNIT / CTRL_DT)
+    motion = cars(np.concatenate([xy, yaw], 1), level * WORLD_UNIT / CTRL_DT)
     layout = make_layout("tanner")
-    rings: dict[str, Any] = dict(
-        rings=(8.0, 5.0), ring_cap=2, ring_cars=True, ring_history=2
-    )
-    none: dict[str, Any] = dict(tracked_agents=0, tracked_parked_cars=0)
+    rings = RingConfig((8.0, 5.0), cap=2, cars=True, history=2)
     history = jnp.array(rng.integers(0, 3, (60, 2, 2)), jnp.int32)
-    scene = (layout, vehicle, jnp.array(rng.integers(0, 36, 60)))
-    scene += (layout.bay_pose[:9], jnp.full((9, 2), 2.0))
-    indices = jax.jit(observe_indices, static_argnums=(0, 1, 2))(
-        ObservationConfig(encoding="indices", **none, **rings),
-        grid,
-        CTRL_DT,
-        *scene,
+    state = state_of(
+        layout,
+        motion,
+        rng.integers(0, 36, 60),
+        parked_cars=parked_at(layout.bay_pose[:9], 2.0),
         ring_history=history,
     )
-    least = ObservationConfig(
-        encoding="tanner", bay_parts=("bearing",), **none, **rings
+    indices, tanner = (
+        np.asarray(
+            observe_jit(
+                dataclasses.replace(TANNER_QLEARNING, observation=observation), state
+            )
+        )
+        for observation in (
+            IndexObservation(rings),
+            TannerObservation(0, bay_parts=("bearing",), rings=rings),
+        )
     )
-    tanner = see_jit(least, grid, CTRL_DT, *scene, ring_history=history)
     # 3 levels, 8 headings, 3 counts of 2 rings at 3 times.
     np.testing.assert_allclose(tanner * np.array([3, 8] + [3] * 6), indices, atol=1e-5)
     np.testing.assert_array_equal(
@@ -258,17 +266,18 @@ STEPS = 50
 @functools.cache
 def rollout():
     """Observations (steps, lots, agents, size) on the grid, last ones, who ended."""
-    config = dataclasses.replace(
-        CONFIG, rings=(12.0,), ring_history=2, ring_cars=True, ring_cap=2
+    observation = dataclasses.replace(
+        CONFIG, rings=RingConfig((12.0,), cap=2, cars=True, history=2)
     )
+    episode = EpisodeConfig("tanner", max_steps=20, final_observation=True)
     env = ParkingEnv(
         EnvConfig(
             vehicle="tanner",
             num_agents=3,
             num_parked_cars=4,
             physics="grid",
-            episode=EpisodeConfig(parked_rule="tanner", max_steps=20),
-            observation=config,
+            episode=episode,
+            observation=observation,
         )
     )
 
@@ -277,14 +286,14 @@ def rollout():
         # Forwards and about straight ahead, to get somewhere.
         action = action.at[:, 0].add(1).clip(0, 4)
         after, timestep = env.step(state, action)
-        last = env.final_observation(state, timestep)
+        last = timestep.final_observation
         return after, (timestep.observation, last, timestep.events.done)
 
     def run(key):
         state, first = env.reset(key)
         return first, jax.lax.scan(step, state, jax.random.split(key, STEPS))[1]
 
-    return config, *jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 4))
+    return env.config, *jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 4))
 
 
 def test_rings_remember_the_counts_of_the_episode_only():
@@ -327,12 +336,3 @@ def test_physical_cars_can_be_seen_as_in_the_study():
     _, seen = jax.jit(env.reset)(jax.random.key(0))
     assert seen.shape == (2, env.observation_size) == (2, 11)
     np.testing.assert_allclose(seen[:, 0], 2 / 7, rtol=1e-6)  # at rest
-
-
-def test_more_cars_than_there_can_be_are_refused():
-    settings: dict[str, Any] = dict(num_agents=3, num_parked_cars=4, physics="grid")
-    six = dataclasses.replace(CONFIG, tracked_cars=6)
-    assert EnvConfig(**settings, observation=six).observation == six
-    seven = dataclasses.replace(CONFIG, tracked_cars=7)
-    with pytest.raises(ValueError, match=r"must be at most 6 \(the other 2 .* not 7"):
-        EnvConfig(**settings, observation=seven)

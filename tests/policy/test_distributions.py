@@ -14,8 +14,8 @@ from brax.training.distribution import NormalTanhDistribution
 from brax.training.types import Transition
 from scipy import special, stats
 
-from carpark_mj.evaluation.rollout import random_policy, zero_policy
-from carpark_mj.mdp.actions import ActionSpec, neutralise_choices
+from carpark_mj.mdp.actions import ActionSpec, sanitize_indices
+from carpark_mj.policy.baselines import random_policy, zero_policy
 from carpark_mj.policy.distributions import action_distribution
 from carpark_mj.policy.networks import NetworkConfig, make_networks, make_policy
 from carpark_mj.policy.runs import init_normalizer
@@ -202,7 +202,7 @@ def test_the_mode_is_the_likeliest_and_actions_are_in_range(spec, draws):
     assert action.dtype == mode.dtype == spec.dtype
     n = spec.continuous
     assert (np.abs(action[:, :n]) <= 1.0).all()
-    same, invalid = neutralise_choices(action[:, n:], spec.choices)
+    same, invalid = sanitize_indices(action[:, n:], spec.choices)
     np.testing.assert_array_equal(same, action[:, n:])
     assert not invalid.any()
     back = np.asarray(distribution.inverse_postprocess(action))

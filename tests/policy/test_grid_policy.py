@@ -104,7 +104,7 @@ def test_baselines_drive_in_named_environments(tmp_path):
     still = run("zero", "tanner-fixed")
     assert still["timed_out"]["rate"] == 1.0
     # 200 steps of time and of not getting nearer: -0.2 - 0.15, table C.9.
-    assert still["mean_return"] == pytest.approx(-0.35, abs=1e-4)
+    assert still["episode_return"] == pytest.approx(-0.35, abs=1e-4)
     with pytest.raises(ValueError, match="unknown environment 'tokyo'"):
         run("zero", "tokyo")
     with pytest.raises(ValueError, match="runs/x has its own"):
@@ -121,9 +121,9 @@ def test_a_car_of_the_study_s_grid_drives_as_its_table_says():
     state, _ = jax.jit(env.reset)(jax.random.key(0))
     moved, turned = [], []
     for action in ([4, 3], [4, 3], [4, 6], [0, 3], [0, 3], [0, 3], [0, 0]):
-        before = np.asarray(state.vehicle.pose_w[0])
+        before = np.asarray(state.motion.pose_w[0])
         state, timestep = step(state, np.array([action], np.int32))
-        after = np.asarray(timestep.vehicle.pose_w[0])
+        after = np.asarray(timestep.motion.pose_w[0])
         along = (after - before)[:2] @ [np.cos(after[2]), np.sin(after[2])]
         moved.append(along / WORLD_UNIT)
         turned.append(np.degrees(before[2] - after[2]))

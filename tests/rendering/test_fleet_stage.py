@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from helpers.scenes import SlidePhysics
+from helpers.sliding import SlidePhysics
 
-from carpark_mj.config import EnvConfig, FleetConfig
+from carpark_mj.config import ContinuousObservation, EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import zero_policy
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.rendering.rollout import record
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.vehicle import COMPACT, PRESETS
@@ -96,6 +96,7 @@ def test_a_recording_knows_the_cars_there_are_and_no_others():
         num_parked_cars=6,
         occupancy=(0.05, 0.08),  # of 36 bays: 2
         fleet=FleetConfig(NAMES, parked_cars=("suv",)),
+        observation=ContinuousObservation(own_car=True),
     )
     env = ParkingEnv(config, SlidePhysics())
     story = record(env, zero_policy(ActionSpec(2)), 2, seed=0)

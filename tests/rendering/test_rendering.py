@@ -27,6 +27,7 @@ from carpark_mj.rendering.snapshot import (
 )
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene.materials import agent_colour
+from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT
 
 LAYOUT = make_layout("tanner")
@@ -342,3 +343,22 @@ def test_snapshots_tell_states_tallies_and_flashes():
     assert gone.flashes == ()
     assert gone.state == ("parked", "reverses")
     assert gone.tally["parked"] == 1
+
+
+def test_an_agent_that_explores_has_no_goal_to_be_drawn(renderer):
+    story = dataclasses.replace(recording(), goal=np.tile([GOAL[0], NO_BAY], (3, 1)))
+    what = snapshot(story, 0)
+    assert what.state == ("drives", "reverses, explores")
+    np.testing.assert_array_equal(what.goal_pose[0], BAYS[GOAL[0]])
+    assert np.isnan(what.goal_pose[1]).all()
+    assert np.isnan(what.goal_size[1]).all()
+    renderer.place(what)
+    frame = draw_labels(renderer.draw(what, "topdown"), renderer, what, "topdown")
+    # The bay that would be its goal is as any other.
+    goal = draw(renderer, goal=GOAL)
+    x, y, yaw = BAYS[GOAL[1]]
+    spot = (x + 0.9 * np.cos(yaw + 1.2), y + 0.9 * np.sin(yaw + 1.2), 0.0)
+    pixels = [patch(picture, project(renderer, spot)) for picture in (frame, goal)]
+    apart = [hue_distance(pixel, agent_colour(1)) for pixel in pixels]
+    assert apart[1] < 15
+    assert apart[0] > apart[1] + 5

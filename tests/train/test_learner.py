@@ -12,7 +12,7 @@ from brax.training import pmap as brax_pmap
 from brax.training.agents.ppo import losses as ppo_losses
 from brax.training.agents.ppo import train as brax_ppo
 from brax.training.types import Transition
-from helpers.scenes import SlidePhysics
+from helpers.sliding import SlidePhysics
 from jax.sharding import PartitionSpec
 
 from carpark_mj.config import EnvConfig, SimConfig

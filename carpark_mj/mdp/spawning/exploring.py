@@ -5,6 +5,8 @@ first goal are two steps, because the bays that an agent tracks follow from wher
 stands.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 
@@ -69,7 +71,8 @@ def place_exploring(
         pose = jnp.where(close, poses[drawn], pose)
         bay = jnp.where(close, drawn, bay)
     placing = placing.at(agent, pose)
-    return placing.replace(
+    return dataclasses.replace(
+        placing,
         close_bay=placing.close_bay.at[agent].set(bay),
         conflict=placing.conflict.at[agent].set(kind.crash),
     )

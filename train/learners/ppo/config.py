@@ -48,8 +48,8 @@ class PPOConfig(RunConfig):
         preset: settings the other flags start from; `auto` asks JAX for a GPU.
         num_steps: agent steps in all.
         num_lots: lots simulated at once.
-        lot_life: updates, at most, until a random lot gives way to another, a few lots
-            after every update; 0 = never. A lot that no key changes stays.
+        lot_life: most updates for which a random lot is kept; a few lots are drawn
+            anew after every update. 0 = kept for ever, as lots that are not random.
         unroll_length: control steps between updates.
         num_minibatches: per epoch.
         num_epochs: passes over the data of an update.
@@ -64,9 +64,9 @@ class PPOConfig(RunConfig):
         max_grad_norm: gradient clipping.
         averaged_updates: the policy that is evaluated is the exponential mean over
             about so many updates; 1 = the last one.
-        hitbox_scale: what cars' lengths and widths count times when it comes to
-            crashes, at first: a margin to learn. Evaluations never scale.
-        hitbox_steps: agent steps until it is 1, in whole updates.
+        hitbox_scale: factor on the cars' lengths and widths in collision tests during
+            the first `hitbox_steps`, so that a margin is learnt; never in evaluations.
+        hitbox_steps: agent steps with it, in whole updates.
         checkpoint_updates: if positive, updates between checkpoints instead.
         eval_episodes: episodes of the evaluation at the end; 0 = none.
         video_seconds: length of the video at the end [s]; 0 = none.

@@ -4,15 +4,16 @@
 experiments of Tanner 2022 by the names of their environments, `carpark_mj.registry`:
 16 M agent steps with settings of our own, meant for a GPU.
 
-`tanner-fixed-original` has the study's hyperparameters, table 5.1, so far as this loop
-has them, for 12.8 M steps: in his last 3.2 M of 16 M he learns nothing. It differs:
+`tanner-fixed-original` has the study's hyperparameters, table 5.1, as far as this loop
+has them, for 12.8 M steps: the study's last 3.2 M of 16 M have a learning rate of about
+zero. What differs:
 
-- data: 126 agents of 18 lots times 32 steps for an update (4032 of his 4096), of whom
-  he has the 7 of one lot and cuts their ways after 128 steps.
-- a minibatch of 32 is one agent's 32 steps in a row, not 32 steps from anywhere, and
-  its advantages are normalised by themselves, not with all of the update's.
-- the ratio clipped is that of the whole action, not each branch's; the value's change
-  is not clipped, and weighs half as much beside the policy's loss.
+- an update has 4032 agent steps, 32 of each of 126 agents in 18 lots; the study's has
+  4096, of 7 agents in one lot, in trajectories of at most 128 steps.
+- a minibatch of 32 is 32 consecutive steps of one agent, not 32 random steps, and its
+  advantages are normalised by themselves, not with those of the whole update.
+- the clipped ratio is that of the whole action, not of each branch; the value's change
+  is not clipped, and its loss has half the weight.
 - observations are normalised, and weights start as Brax starts them (LeCun).
 """
 

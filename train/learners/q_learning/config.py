@@ -45,8 +45,8 @@ class QLearningConfig(RunConfig):
         gamma: discount per control step.
         epsilon: share of random actions at the start.
         epsilon_min: at the end of the training episodes.
-        bootstrap_terminals: value what an agent sees when it has parked or crashed
-            as if it went on, as the study's program does; a slip.
+        bootstrap_terminals: bootstrap after parking and crashing too, as the reference
+            implementation does by mistake.
         window: episodes over which the plot and the table of metrics average.
         env: the environment.
     """

@@ -9,12 +9,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from carpark_mj.state import State
 from flax import struct
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.indices import cardinalities
 from carpark_mj.policy.q_table import action_choices, state_index
+from carpark_mj.types import State
 from learners.memory import num_bytes
 from learners.q_learning.config import QLearningConfig
 
@@ -67,11 +67,12 @@ class QLearner:
             ValueError: it cannot be built, or gives no whole numbers.
         """
         self.config = config
-        self.env = ParkingEnv(config.env)
         if not config.env.episode.respawn:
             raise ValueError("Q-learning needs env.episode.respawn = True")
+        episode = dataclasses.replace(config.env.episode, final_observation=True)
+        self.env = ParkingEnv(dataclasses.replace(config.env, episode=episode))
         # The same without new episodes: three times as fast, and mostly enough.
-        still = dataclasses.replace(config.env.episode, respawn=False)
+        still = dataclasses.replace(episode, respawn=False)
         self._still_env = ParkingEnv(dataclasses.replace(config.env, episode=still))
         if config.env.observation.encoding != "indices":
             raise ValueError(
@@ -104,7 +105,7 @@ class QLearner:
     def init(self) -> Training:
         """All seeds at the start; tables are zero."""
         config = self.config
-        # Part 0, as in `learner`; evaluation draws from the other parts.
+        # fold_in 0 is training's half of the seed; evaluation uses 1.
         root = jax.random.fold_in(jax.random.key(config.seed), 0)
         return jax.jit(jax.vmap(self._init))(jax.random.split(root, config.num_seeds))
 
@@ -146,8 +147,7 @@ class QLearner:
             lambda: jax.vmap(jax.vmap(self.env.step))(before, choices),
             lambda: after,
         )
-        seen = jax.vmap(jax.vmap(self.env.final_observation))(before, timestep)
-        following = state_index(seen, self.sizes)
+        following = state_index(timestep.final_observation, self.sizes)
         terminated = timestep.terminated
         transitions = (state, action, timestep.reward, following, terminated)
         table = jax.vmap(self._learn)(training, transitions)
@@ -187,8 +187,8 @@ class QLearner:
     def _learn(self, training: Training, transitions: Any) -> jax.Array:
         """One seed's table after its transitions, each (num_lots, num_agents).
 
-        What comes after parking or crashing is worth nothing, unless the study's
-        program is to be followed; a time-out ends the episode, not the world.
+        Parking and crashing are terminal, unless `bootstrap_terminals`; after a timeout
+        the next state's value is bootstrapped.
         """
         alpha, _ = self.rates(training.episodes)
         running = training.episodes < self.config.total_episodes

@@ -197,5 +197,3 @@ class IndexObservation:
 
 
 Observation = ContinuousObservation | TannerObservation | IndexObservation
-
-# What the agents of the study's PPO observe.

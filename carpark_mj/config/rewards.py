@@ -11,7 +11,7 @@ RewardName = Literal["shaped", "tanner"]
 
 @dataclasses.dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the reward terms of `carpark_mj.mdp.rewards`; a weight of 0 drops a term.
+    """Weights of the terms of `carpark_mj.mdp.rewards`; a weight of 0 drops a term.
 
     Attributes:
         park: paid once when the agent parks.

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 import shapely
 from helpers.scenes import lot, moved, polygons
+from helpers.spawning import surroundings_of, walled
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.mdp.spawning.poses import spawn_pose
+from carpark_mj.mdp.spawning.poses import (
+    draw_kind,
+    random_pose,
+    spawn_keys,
+    spawn_pose,
+)
 
 RANDOM = SpawnConfig(close_ratio=0.0)
 CLOSE = SpawnConfig(close_ratio=1.0)
@@ -18,18 +24,18 @@ COUNT = 4000
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def draw_all(config, layout, goal, xy, mask, keys):
+def draw_all(config, layout, goal, around, keys):
     def one(key):
-        return spawn_pose(config, layout, goal, xy, mask, key)
+        return spawn_pose(config, layout, around, goal, spawn_keys(key))
 
     return jax.vmap(one)(keys)
 
 
-def draw(config, layout, goal=(0.0, 0.0, 0.0), others=NOBODY, count=COUNT, seed=0):
+def draw(config, layout, goal=(0.0, 0.0, 0.0), others=NOBODY, count=COUNT, size=None):
     """Many spawn poses as numpy."""
-    keys = jax.random.split(jax.random.key(seed), count)
-    goal = jnp.array(goal, jnp.float32)
-    return np.asarray(draw_all(config, layout, goal, *others, keys), np.float64)
+    keys = jax.random.split(jax.random.key(0), count)
+    goal, around = jnp.array(goal, jnp.float32), surroundings_of(layout, *others, size)
+    return np.asarray(draw_all(config, layout, goal, around, keys), np.float64)
 
 
 def people(*xy):
@@ -157,6 +163,40 @@ def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
     one = draw(RANDOM, layout, goal=(0.0, 18.0, 0.0))
     other = draw(RANDOM, layout, goal=(18.0, 0.0, 1.0))
     np.testing.assert_array_equal(one, other)
+    keys = jax.random.split(jax.random.key(0), 20)
+    around = surroundings_of(layout, *NOBODY)
+
+    def at_random(key):
+        return random_pose(CLOSE, layout, around, spawn_keys(key))
+
+    # float32: another program.
+    np.testing.assert_allclose(jax.jit(jax.vmap(at_random))(keys), one[:20], atol=1e-5)
+
+
+def test_a_start_is_close_or_on_a_collision_course_in_their_ratios_and_never_both():
+    config = SpawnConfig(close_ratio=0.2, crash_ratio=0.5)
+    keys = jax.random.split(jax.random.key(2), COUNT)
+    close, crash = jax.vmap(lambda key: draw_kind(config, key))(keys)
+    assert not (close & crash).any()
+    # Deviations 0.6 % and 0.8 %: five of them.
+    assert close.mean() == pytest.approx(0.2, abs=0.032)
+    assert crash.mean() == pytest.approx(0.5, abs=0.04)
+
+
+@pytest.mark.parametrize("config", [RANDOM, CLOSE])
+def test_starts_touch_nothing_where_there_is_room(config):
+    # A wall fills the left half: of a car of 4 m by 2 m no corner is there.
+    layout = walled(make_layout("tanner"), (-10.0, 0.0, 0.0), (20.0, 60.0))
+
+    def share_touching(size):
+        pose = draw(config, layout, goal=(4.0, 18.0, 0.0), size=size)
+        cos, sin = np.abs(np.cos(pose[:, 2])), np.abs(np.sin(pose[:, 2]))
+        return (pose[:, 0] - 2.0 * cos - sin < -1e-5).mean()
+
+    # All 16 candidates touch it once in a thousand draws.
+    assert share_touching((4.0, 2.0)) < 4e-3
+    # A car that fits wherever it can spawn is not measured.
+    assert share_touching(None) > 0.1
 
 
 @pytest.mark.parametrize("config", [RANDOM, CLOSE])
@@ -187,13 +227,13 @@ def test_spawns_move_with_the_lot():
         np.testing.assert_allclose(after, expected, atol=2e-5)  # float32 at 20 m
 
 
-GRID_CLOSE = SpawnConfig(close_ratio=1.0, grid=WORLD_UNIT / 16)
+SPACED_CLOSE = SpawnConfig(close_ratio=1.0, spacing=WORLD_UNIT / 16)
 FAR = (0.0, 60.0, 0.0)  # a goal far above: walks begin in the middle of the upper edge
 
 
 def test_on_a_grid_a_close_spawn_is_a_walk_of_unit_steps_within_the_region():
     side = 21 * WORLD_UNIT
-    pose = draw(GRID_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
+    pose = draw(SPACED_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
     steps = (pose - [0.0, side]) / WORLD_UNIT
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
     assert pose[:, 1].max() <= side + 1e-5
@@ -214,7 +254,7 @@ def test_a_grid_walk_is_the_study_s():
                     break
             end += step
     side = 21 * WORLD_UNIT
-    pose = draw(GRID_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
+    pose = draw(SPACED_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
     steps = (pose - [0.0, side]) / WORLD_UNIT
     for axis in range(2):
         bins = np.arange(-6.5, 7.5)
@@ -232,7 +272,7 @@ def test_a_grid_walk_is_the_study_s():
 
 def test_on_a_grid_close_spawns_lie_on_its_points_in_a_turned_region_too():
     layout, spacing = two_regions(), 0.4
-    config = SpawnConfig(close_ratio=1.0, grid=spacing, close_distance=4.0)
+    config = SpawnConfig(close_ratio=1.0, spacing=spacing, close_distance=4.0)
     pose = draw(config, layout, goal=(-9.0, 20.0, 0.0))[:, :2]
     local = (pose[:, 0] + 10 + 1j * pose[:, 1]) * np.exp(-0.7j)
     point = np.stack([local.real, local.imag], axis=1) / spacing

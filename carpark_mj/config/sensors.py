@@ -1,0 +1,34 @@
+"""Errors of what agents observe of the cars' motion."""
+
+import dataclasses
+
+from carpark_mj.config.checks import at_least
+
+
+@dataclasses.dataclass(frozen=True)
+class SensorConfig:
+    """Errors of what agents observe of the cars' motion; none by default.
+
+    Attributes:
+        position_noise: standard deviation of x and of y [m], white.
+        heading_noise: of the yaw [rad], white.
+        speed_noise: of the velocity, forward and left [m/s], white.
+        delay_min: control steps by which a car's measurements are late, at least.
+        delay_max: at most; drawn at every spawn.
+    """
+
+    position_noise: float = 0.0
+    heading_noise: float = 0.0
+    speed_noise: float = 0.0
+    delay_min: int = 0
+    delay_max: int = 0
+
+    def __post_init__(self) -> None:
+        at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
+        at_least(self, 0, "delay_min")
+        at_least(self, self.delay_min, "delay_max")
+
+    @property
+    def is_on(self) -> bool:
+        """Whether what is observed differs from what is."""
+        return self != SensorConfig()

@@ -1,0 +1,179 @@
+"""Episodes of a lot: how they begin, all at once or some while other agents drive on.
+
+An `Episodes` holds constants only, those of a `ParkingEnv`.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.fleet.draw import Fleet
+from carpark_mj.fleet.randomization import randomize_all
+from carpark_mj.layouts import Layout
+from carpark_mj.mdp import metrics
+from carpark_mj.mdp.bays import bay_fits
+from carpark_mj.mdp.goals import Goals
+from carpark_mj.mdp.parked_cars import in_bays, poses_in_bays, relocate_parked_cars
+from carpark_mj.mdp.spawning.placing import (
+    SpawnInputs,
+    place_all,
+    place_waiting,
+    start_placing,
+)
+from carpark_mj.observations import rings, sensors
+from carpark_mj.physics.base import Physics, where_cars
+from carpark_mj.types import Events, ParkedCars, PhysicsState, State
+from carpark_mj.vehicle import Vehicle
+
+
+class StepKeys(NamedTuple):
+    """A key for each thing that is drawn in a step, and the state's next."""
+
+    next: jax.Array
+    vehicles: jax.Array
+    reading: jax.Array
+    sensors: jax.Array
+    spawn: jax.Array
+    first_goals: jax.Array
+    relocate: jax.Array
+
+
+class Episodes:
+    """Begins and ends the episodes of a lot."""
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        fleet: Fleet,
+        goals: Goals,
+        physics: Physics[PhysicsState],
+    ) -> None:
+        """Takes the parts of an environment."""
+        self._config = config
+        self._fleet = fleet
+        self._goals = goals
+        self._physics = physics
+
+    def begin_lot(self, layout: Layout, key: jax.Array) -> State:
+        """Begins a lot: parked cars, goals and agents; `key` is consumed."""
+        config = self._config
+        num_agents = config.num_agents
+        everybody = jnp.ones(num_agents, bool)
+        key, vehicle_key, sensor_key = self._split(key)
+        key, start_key, spawn_key = jax.random.split(key, 3)
+        start = self._fleet.start(layout, start_key)
+        vehicles = randomize_all(config.randomization, start.vehicles, vehicle_key)
+        inputs = self._spawn_inputs(layout, start.parked_cars, vehicles, vehicles)
+        nowhere = jnp.zeros((num_agents, 3), jnp.float32)
+        bay = start.parked_cars.bay
+        placing = start_placing(start.goal, bay, nowhere, everybody)
+        placing = place_all(self._goals.first_pose, inputs, placing, spawn_key)
+        physics = self._physics.init(placing.pose_w, vehicles)
+        physics = self._physics.set_parked_poses(physics, start.parked_cars.pose_w)
+        motion = self._physics.read(physics)
+        state = State(
+            physics=physics,
+            motion=motion,
+            layout=layout,
+            goal=start.goal,
+            tracked_bays=self._goals.init_tracked_bays(),
+            parked_cars=start.parked_cars,
+            ring_history=rings.init_history(config),
+            step=jnp.zeros(num_agents, jnp.int32),
+            active=everybody,
+            stats=metrics.init_stats(config, layout),
+            sensors=sensors.init_sensors(config.sensors, motion, sensor_key),
+            key=key,
+        )
+        return self._goals.begin(state, placing, everybody, None)
+
+    def end(self, state: State, events: Events, keys: StepKeys) -> State:
+        """Where agents respawn a parked car takes the place of each that has parked.
+
+        Otherwise those that are done stay where they are and are no longer active.
+        """
+        if not self._config.episode.respawn:
+            return dataclasses.replace(state, active=state.active & ~events.done)
+        parked_cars = relocate_parked_cars(self._config, state, events, keys.relocate)
+        return dataclasses.replace(state, parked_cars=parked_cars)
+
+    def begin(self, state: State, events: Events, keys: StepKeys) -> State:
+        """New goals, cars and start poses of agents that are done."""
+        config, begun, layout = self._config, events.done, state.layout
+        if not config.episode.respawn:
+            return state
+        old, vehicles = state.physics.vehicle, self._draw_vehicles(state, keys.vehicles)
+        inputs = self._spawn_inputs(layout, state.parked_cars, vehicles, old)
+        placing = start_placing(
+            state.goal, state.parked_cars.bay, state.motion.pose_w, begun
+        )
+        placing = place_waiting(self._goals.place, inputs, placing, keys.spawn)
+        if self._fleet.mixed:  # who finds no bay for the new car keeps goal and car
+            vehicles = where_cars(placing.found, vehicles, old)
+        physics = self._physics.place(state.physics, begun, placing.pose_w, vehicles)
+        parked_cars = in_bays(layout, state.parked_cars, placing.parked_bay)
+        physics = self._physics.set_parked_poses(
+            physics, poses_in_bays(layout, parked_cars)
+        )
+        pose_w = self._physics.parked_poses(physics, parked_cars.pose_w)
+        motion = where_cars(begun, self._physics.read(physics), state.motion)
+        state = dataclasses.replace(
+            state,
+            physics=physics,
+            motion=motion,
+            goal=placing.goal,
+            parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
+            ring_history=rings.forget(state.ring_history, begun),
+            step=jnp.where(begun, 0, state.step),
+            stats=where_cars(begun, metrics.init_stats(config, layout), state.stats),
+            sensors=sensors.reset(
+                config.sensors, state.sensors, motion, begun, keys.sensors
+            ),
+        )
+        return self._goals.begin(state, placing, begun, keys.first_goals)
+
+    def _draw_vehicles(self, state: State, key: jax.Array) -> Vehicle:
+        """Parameters (num_agents,) of cars for agents that begin; `key` is consumed."""
+        config = self._config
+        if not (config.randomization.is_on or self._fleet.mixed):
+            return state.physics.vehicle
+        nominal, key = self._fleet.draw_agents(key)
+        return randomize_all(config.randomization, nominal, key)
+
+    def _spawn_inputs(
+        self, layout: Layout, parked_cars: ParkedCars, new: Vehicle, old: Vehicle
+    ) -> SpawnInputs:
+        fits = bay_fits(self._config, layout, new.size, parked_cars.size)
+        # Spawn regions have room for cars of the one kind they were made for.
+        sizes = (new.size, old.size) if self._fleet.mixed else (None, None)
+        return SpawnInputs(layout, parked_cars, *sizes, fits)
+
+    def _split(self, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """The lot's next key, and one each for vehicles and sensors, if they vary."""
+        config = self._config
+        if config.randomization.is_on or config.sensors.is_on or config.varies:
+            key, vehicle_key, sensor_key = jax.random.split(key, 3)
+            return key, vehicle_key, sensor_key
+        unused = jax.random.key(0)
+        return key, unused, unused
+
+    def split_keys(self, key: jax.Array) -> StepKeys:
+        """Keys of a step; `key`, that of the state before it, is consumed."""
+        key, vehicles, sensor_key = self._split(key)
+        reading, sensors = jax.random.split(sensor_key)
+        spawn = key
+        if self._config.episode.respawn:
+            key, spawn = jax.random.split(key)
+        n = self._config.num_agents  # agents take the parts 0 to n - 1
+        return StepKeys(
+            next=key,
+            vehicles=vehicles,
+            reading=reading,
+            sensors=sensors,
+            spawn=spawn,
+            first_goals=jax.random.fold_in(spawn, n),
+            relocate=jax.random.fold_in(spawn, n + 1),
+        )

@@ -1,0 +1,68 @@
+"""What a start pose keeps away from, by hand, and whom it would meet."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config import SpawnConfig
+from carpark_mj.layouts import Layout
+from carpark_mj.mdp.spawning.placing import Surroundings
+
+
+def surroundings_of(
+    layout: Layout, xy: Any = ((0.0, 0.0),), others: Any = False, size: Any = None
+) -> Surroundings:
+    """Agents at xy (num_agents, 2), to keep away from where `others`; nobody parked."""
+    xy = jnp.asarray(xy, jnp.float32)
+    return Surroundings(
+        xy=xy,
+        others=jnp.broadcast_to(jnp.asarray(others), xy.shape[:1]),
+        layout=layout,
+        size=size if size is None else jnp.asarray(size, jnp.float32),
+        parked_pose=jnp.zeros((0, 3)),
+        parked_size=jnp.zeros((0, 2)),
+    )
+
+
+def walled(layout: Layout, centre: Any, size: Any) -> Layout:
+    """The layout with a wall instead of its first one."""
+    return layout.replace(
+        wall_pose=layout.wall_pose.at[0].set(jnp.asarray(centre, jnp.float32)),
+        wall_size=layout.wall_size.at[0].set(jnp.asarray(size, jnp.float32)),
+        wall_mask=layout.wall_mask.at[0].set(True),
+    )
+
+
+def meetings(
+    start: np.ndarray, goal: np.ndarray, other: np.ndarray, other_goal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ways (...) driven when two agents (..., 2) are nearest, and how near that is."""
+
+    def ahead(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return (b - a) / np.linalg.norm(b - a, axis=-1, keepdims=True)
+
+    gap = start - other
+    speed = ahead(start, goal) - ahead(other, other_goal)
+    way = -np.sum(gap * speed, axis=-1) / np.sum(speed * speed, axis=-1)
+    return way, np.linalg.norm(gap + way[..., None] * speed, axis=-1)
+
+
+def meets(
+    config: SpawnConfig,
+    pose: np.ndarray,
+    xy: np.ndarray,
+    goal: np.ndarray,
+    tolerance: float = 2e-3,
+) -> np.ndarray:
+    """(n, agents - 1) bool: agent 0 at poses (n, 3) would meet them by the rule.
+
+    Where the agents are, and their goals, is (agents, 2) or (n, agents, 2).
+    """
+    others, ends = xy[..., 1:, :], goal[..., 1:, :]
+    way, near = meetings(pose[:, None, :2], goal[..., :1, :], others, ends)
+    whole = np.linalg.norm(others - ends, axis=-1)
+    slack = 5 * tolerance
+    allowed = way > config.min_distance - slack
+    allowed &= way < whole - config.crash_distance + slack
+    return (near < tolerance) & allowed

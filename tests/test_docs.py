@@ -1,0 +1,265 @@
+"""What README and docs say is what the code declares."""
+
+import dataclasses
+import importlib
+import re
+import shlex
+from operator import attrgetter
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from carpark_mj.cli.evaluate import EvaluateConfig
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.layouts import LayoutsConfig
+from carpark_mj.cli.render import RenderConfig
+from carpark_mj.cli.scene import SceneConfig, complete
+from carpark_mj.config import (
+    PARKED_RULES,
+    REWARDS,
+    ContextName,
+    EnvConfig,
+    GivingWayConfig,
+    GoalRewards,
+    LayoutName,
+    RewardConfig,
+)
+from carpark_mj.mdp.goal_rewards import GOAL_TERMS
+from carpark_mj.mdp.rewards import TERMS
+from carpark_mj.observations import markdown_table, observation_size
+from carpark_mj.registry import ENVIRONMENTS, TANNER_FIXED
+from carpark_mj.vehicle import PRESETS
+from learners.ppo.config import PPOConfig
+from learners.ppo.presets import PRESETS as PPO_PRESETS
+from learners.q_learning.config import QLearningConfig
+from learners.q_learning.presets import Q_PRESETS
+from vehicle_suite.table import excerpt
+
+ROOT = Path(__file__).parents[1]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
+README, MDP, VEHICLE, RESULTS = (
+    (ROOT / name).read_text()
+    for name in ("README.md", "docs/mdp.md", "docs/vehicle.md", "docs/results.md")
+)
+REPORT = ROOT / "docs" / "physics" / "report.csv"
+
+# Configs of the commands; those of other scripts in eval are looked up in them.
+COMMANDS = {
+    "train/ppo.py": PPOConfig,
+    "train/q_learning.py": QLearningConfig,
+    "eval/evaluate.py": EvaluateConfig,
+    "eval/render.py": RenderConfig,
+    "-m carpark_mj.scene": SceneConfig,
+    "-m carpark_mj.layouts": LayoutsConfig,
+}
+
+
+def section(page, name):
+    """What stands between two markers."""
+    return page.split(f"<!-- {name} -->\n")[1].split(f"\n<!-- end of {name} -->")[0]
+
+
+def cells(page, name):
+    """The rows of a table between markers, less its two head lines."""
+    rows = section(page, name).splitlines()[2:]
+    return [[cell.strip().strip("`") for cell in row[1:-1].split("|")] for row in rows]
+
+
+def code(page, language):
+    """The blocks of code of a page in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+
+
+def commands(page):
+    """Everything after `python` in blocks and quotes of a page, without comments."""
+    blocks = "\n".join(re.findall(r"^```\w*\n(.*?)^```", page, re.M | re.S))
+    text = re.sub(r"^```\w*\n.*?^```", "", page, flags=re.MULTILINE | re.DOTALL)
+    quoted = [" ".join(q.split()) for q in re.findall(r"`([^`]+)`", text)]
+    lines = [line.split("#")[0].strip() for line in blocks.splitlines()]
+    return [q.removeprefix("python ") for q in lines + quoted if q[:7] == "python "]
+
+
+COMMAND_LINES = sorted({c for page in PAGES for c in commands(page.read_text())})
+
+
+@pytest.mark.parametrize(
+    ("page", "name", "expected"),
+    [
+        (MDP, "observation table", lambda: markdown_table(EnvConfig())),
+        (MDP, "tanner observation table", lambda: markdown_table(TANNER_FIXED)),
+        (VEHICLE, "physics table", lambda: excerpt(REPORT)),
+    ],
+)
+def test_a_table_is_the_generated_one(page, name, expected):
+    assert section(page, name) == expected(), f"paste this:\n{expected()}"
+
+
+def test_the_readme_has_rows_of_the_physics_table():
+    rows = section(README, "accuracy table").splitlines()
+    table = excerpt(REPORT).splitlines()
+    assert rows == [row for row in table if row in rows]
+    assert len(rows) > 2
+
+
+def test_the_readme_has_speeds_of_the_results():
+    numbers = re.findall(r"\d+(?:,\d{3})+", section(README, "speed table"))
+    assert numbers
+    assert [n for n in numbers if n not in RESULTS] == []
+
+
+def test_the_readme_fits_on_two_screens():
+    assert len(README.splitlines()) <= 150
+    assert f"**{observation_size(EnvConfig())} numbers**" in README
+
+
+def test_the_parked_rules_are_those_in_force():
+    def limit(value, unit, digits=3):
+        return "any" if value is None else f"< {value:.{digits}g}{unit}"
+
+    expected = [
+        [
+            name,
+            limit(rule.offset, " m"),
+            limit(rule.distance, " m"),
+            "within the lines" if rule.inside_lines else "any",
+            limit(rule.heading and rule.heading * 57.29578, "°"),
+            limit(rule.speed, " m/s"),
+        ]
+        for name, rule in PARKED_RULES.items()
+    ]
+    assert cells(MDP, "parked rules") == expected
+
+
+def test_the_reward_terms_are_all_there_with_their_weights():
+    found = [row[:3] for row in cells(MDP, "reward terms")]
+    assert found == [
+        [name, *(f"{getattr(REWARDS[set_], name):g}" for set_ in ("shaped", "tanner"))]
+        for name in (*TERMS, "wrong_way")
+    ]
+    for field in dataclasses.fields(RewardConfig):
+        assert f"`{field.name}`" in MDP or field.name == "goals", field.name
+
+
+def test_the_terms_of_chosen_goals_are_all_there_with_their_defaults():
+    pay = GoalRewards()
+    weights = {name: getattr(pay, name) for name in GOAL_TERMS}
+    weights |= {"stop_goal": pay.stop, "lost_goal": pay.lost}
+    weights |= {"bad_goal": GivingWayConfig().bad_goal}
+    found = [row[:2] for row in cells(MDP, "goal terms")]
+    assert found == [[name, f"{weight:g}"] for name, weight in weights.items()]
+
+
+def test_contexts_environments_and_layouts_are_all_named():
+    named = [row[0].split("`")[0] for row in cells(MDP, "contexts")]
+    assert tuple(named) == get_args(ContextName)
+    assert {row[0] for row in cells(MDP, "environments")} == {*ENVIRONMENTS}
+    for name in get_args(LayoutName):
+        assert f"`{name}`" in MDP, name
+
+
+def test_the_vehicle_presets_are_those_of_the_code():
+    drive = {1.0: "front", 0.0: "rear", 0.5: "all"}
+    found = [[row[0], *row[2:]] for row in cells(VEHICLE, "presets")]
+    assert found == [
+        [
+            name,
+            drive[car.front_drive],
+            f"{car.length:g} × {car.width:g}",
+            f"{car.wheelbase:g}",
+            f"{car.mass:g}",
+            f"{car.turning_circle:g}",
+        ]
+        for name, car in PRESETS.items()
+    ]
+
+
+@pytest.mark.parametrize("page", [README, VEHICLE], ids=["README", "vehicle"])
+def test_the_snippet_runs(page):
+    [snippet] = code(page, "python")
+    exec(snippet.replace("64", "2"), {})  # fewer lots
+
+
+def test_the_test_command_is_where_ci_reads_it():
+    block = README.split("<!-- test command -->\n")[1].split("```")[1]
+    assert block == 'bash\npip install ".[test]" && pytest\n'
+
+
+@pytest.mark.parametrize("line", COMMAND_LINES)
+def test_a_command_exists_and_takes_its_flags(line):
+    words = shlex.split(re.sub(r"\[.*?\]|\.\.\.", "", line).replace("RUN", "runs/x"))
+    program = " ".join(words[:2]) if words[0] == "-m" else words[0]
+    if program.startswith("-m ") and "carpark_mj" not in program:
+        return
+    arguments = words[len(program.split()) :]
+    if not program.startswith("-m "):
+        assert (ROOT / program).is_file()
+    if not arguments or arguments[0] in ("--help", "--help-all", "scene.xml"):
+        return
+    if program == "-m carpark_mj.scene":
+        arguments = complete(arguments)
+    config = COMMANDS.get(program) or settings_of(program)
+    read_flags(config, arguments, preset(config, arguments))
+
+
+def settings_of(program):
+    """The config of a script of eval: the one whose name ends like that."""
+    module = importlib.import_module(Path(program).stem)
+    [config] = [
+        value
+        for name, value in vars(module).items()
+        if name.endswith("Config") and value.__module__ == module.__name__
+    ]
+    return config
+
+
+def preset(config, arguments):
+    """What a trainer's flags start from."""
+    presets = {PPOConfig: PPO_PRESETS, QLearningConfig: Q_PRESETS}.get(config)
+    if not presets or "--preset" not in arguments:
+        return None
+    return presets[arguments[arguments.index("--preset") + 1]]
+
+
+def slugs(page):
+    """Anchors of a page's headings, as GitHub makes them."""
+    heads = re.findall(r"^#+ (.*)", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in heads}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_files_and_modules_exist(page):
+    text = page.read_text()
+    for target, anchor in re.findall(r"\]\(([^)#:\s]*)#?([\w-]*)\)", text):
+        file = page.parent / target if target else page
+        assert file.exists(), target
+        assert not anchor or anchor in slugs(file), f"{target}#{anchor}"
+    path = r"`((?:carpark_mj|train|eval|tests|docs|examples)/[\w./]*)`(?! of commit)"
+    for name in re.findall(path, text):
+        assert (ROOT / name).exists(), name
+    for name in re.findall(r"`(carpark_mj(?:\.\w+)+)", text):
+        assert is_importable(name), name
+
+
+def test_settings_named_in_the_docs_exist():
+    config = EnvConfig()
+    groups = {f.name for f in dataclasses.fields(config)} - {"metrics"}  # .csv
+    pattern = rf"`((?:{'|'.join(groups)})(?:\.[a-z]\w*)+)"
+    names = {n for page in PAGES for n in re.findall(pattern, page.read_text())}
+    assert len(names) > 20
+    for name in names:
+        attrgetter(name)(config)  # AttributeError names what is missing
+
+
+def is_importable(name):
+    """Whether a dotted name is a module, or something in one."""
+    try:
+        importlib.import_module(name)
+    except ImportError:
+        module, _, attribute = name.rpartition(".")
+        return hasattr(importlib.import_module(module), attribute)
+    return True
