@@ -30,6 +30,7 @@ from carpark_mj.rendering.renderer import (
 )
 from carpark_mj.rendering.rollout import Recording, record
 from carpark_mj.rendering.snapshot import frames_per_second, num_frames
+from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 
@@ -188,17 +189,16 @@ def _renderer(
     config: RenderConfig, env: ParkingEnv, recording: Recording
 ) -> LotRenderer:
     sizes = recording.parked_size
-    return LotRenderer(
+    stage = Stage(
         recording.layout,
         env.vehicle,
         env.config.num_agents,
         recording.parked_pose.shape[1],
-        config.camera,
-        (config.width, config.height),
-        _show(config, env.config),
         env.fleet.agents,
         () if sizes is None else env.fleet.parked_vehicles(sizes),
     )
+    size = (config.width, config.height)
+    return LotRenderer(stage, config.camera, size, _show(config, env.config))
 
 
 def _show(config: RenderConfig, env: EnvConfig) -> Show:

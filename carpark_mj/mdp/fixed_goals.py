@@ -4,7 +4,6 @@ Goals are distinct, and no agent's goal holds a parked car once it has been draw
 """
 
 import dataclasses
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -90,7 +89,8 @@ class FixedGoals:
         included. A parked car there makes way: to the agent's old goal if that is empty
         and farther than `min_distance` from every other agent, otherwise to a random
         bay like that. If there is none, the goal is drawn among the bays without parked
-        cars. With no bay to choose the agent keeps its goal, and nothing moves.
+        cars. With no bay to choose the agent keeps its goal; a car of a fleet that has
+        come there when the agent parked makes way to any free bay, best one it fits.
 
         Args:
             inputs: the lot and who fits where.
@@ -123,19 +123,22 @@ class FixedGoals:
         found = candidate.any()
         score = jax.random.uniform(goal_key, (layout.num_bays,))
         goal = jnp.argmax(jnp.where(candidate, score, -1.0)).astype(jnp.int32)
+        goal = jnp.where(found, goal, old)
         score = jax.random.uniform(refuge_key, (layout.num_bays,))
         score = jnp.where(rows == old, 2.0, score)
         evicted = placing.parked_bay == goal
         if fits.parked_cars is not None:
-            refuge = refuge & (fits.parked_cars & evicted[:, None]).any(axis=0)
+            suits = (fits.parked_cars & evicted[:, None]).any(axis=0)
+            free = layout.bay_mask & ~is_goal & ~has_car
+            last = jnp.where((free & suits).any(), free & suits, free)
+            refuge = jnp.where(found, refuge & suits, last)
         shelter = jnp.argmax(jnp.where(refuge, score, -1.0)).astype(jnp.int32)
-        drawn = dataclasses.replace(
+        return dataclasses.replace(
             placing,
             goal=placing.goal.at[agent].set(goal),
             parked_bay=jnp.where(evicted, shelter, placing.parked_bay),
+            found=placing.found.at[agent].set(found),
         )
-        drawn = jax.tree.map(partial(jnp.where, found), drawn, placing)
-        return dataclasses.replace(drawn, found=drawn.found.at[agent].set(found))
 
     def init_tracked_bays(self) -> None:
         """Agents track no bays."""

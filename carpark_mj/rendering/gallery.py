@@ -13,6 +13,7 @@ from carpark_mj.layouts import layout_config
 from carpark_mj.rendering.overlays import font
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.snapshot import Snapshot
+from carpark_mj.rendering.stage import Stage
 
 FAMILIES = (
     "square",
@@ -75,9 +76,8 @@ def draw_lots(
             tally={},
             flashes=(),
         )
-        renderer = LotRenderer(
-            state.layout, env.vehicle, NUM_AGENTS, len(parked_pose), camera, size
-        )
+        stage = Stage(state.layout, env.vehicle, NUM_AGENTS, len(parked_pose))
+        renderer = LotRenderer(stage, camera, size)
         try:
             renderer.place(seen)
             yield f"{family}, seed {number}", renderer.draw(seen, renderer.cameras[0])

@@ -3,20 +3,17 @@
 import dataclasses
 import math
 import os
-from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.gl import MISSING_GL
 from carpark_mj.rendering.markers import Markers
 from carpark_mj.rendering.snapshot import Snapshot, tracked_points
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
 from carpark_mj.scene.materials import agent_colour
-from carpark_mj.vehicle.parameters import VehicleParameters
 
 FLASH_COLOURS = {
     "parked": (0.20, 0.85, 0.35),
@@ -59,43 +56,28 @@ class LotRenderer:
 
     def __init__(
         self,
-        layout: Layout,
-        params: VehicleParameters,
-        num_agents: int,
-        num_parked_cars: int,
+        stage: Stage,
         camera: str = "topdown",
         size: tuple[int, int] = (1280, 720),
         show: Show | None = None,
-        agent_kinds: Sequence[VehicleParameters] = (),
-        parked_cars: Sequence[VehicleParameters] = (),
     ) -> None:
-        """Compiles the scene and opens a GL context.
+        """Opens a GL context.
 
         Args:
-            layout: the lot.
-            params: vehicle of all cars, unless `agent_kinds` and `parked_cars` say
-                otherwise.
-            num_agents: agents.
-            num_parked_cars: parked cars.
+            stage: the compiled scene.
             camera: see `camera_names`.
             size: width and height of a frame [pixels].
             show: extras to draw.
-            agent_kinds: see `Stage`.
-            parked_cars: see `Stage`.
 
         Raises:
             RenderingError: no GL, or no such camera.
         """
-        self._params = params
-        self._num_agents = num_agents
+        self._stage = stage
         self._show = show or Show()
-        self.cameras = camera_names(camera, num_agents)
+        self.cameras = camera_names(camera, stage.num_agents)
         self.width, self.height = size[0] // len(self.cameras), size[1]
-        self._stage = Stage(
-            layout, params, num_agents, num_parked_cars, agent_kinds, parked_cars
-        )
         self.model, self.data = self._stage.model, self._stage.data
-        extent, aspect = np.asarray(layout.extent), self.width / self.height
+        extent, aspect = np.asarray(stage.layout.extent), self.width / self.height
         for name in LOT_CAMERAS:
             index = self.model.camera(name).id
             eye, quat = frame_lot(name, extent, aspect)
@@ -110,7 +92,7 @@ class LotRenderer:
         """Draws what was placed, (height, width, 3) uint8, by one of `cameras`."""
         self._renderer.update_scene(self.data, camera=self._stage.camera(camera))
         markers = Markers(self._renderer.scene)
-        for k in range(self._num_agents):
+        for k in range(self._stage.num_agents):
             rgb = agent_colour(k)[:3]
             goal, here = seen.goal_pose[k], seen.pose_w[k]
             aims = not np.isnan(goal).any()
@@ -129,7 +111,7 @@ class LotRenderer:
                 markers.line(seen.pose_w[agent], point, (*rgb, 0.6), 0.025, 0.04)
         for flash in seen.flashes:
             rgba = (*FLASH_COLOURS[flash.outcome], 1.0 - 0.8 * flash.age)
-            radius = self._params.length * (0.6 + 0.5 * flash.age)
+            radius = self._stage.params.length * (0.6 + 0.5 * flash.age)
             markers.circle(flash.pose_w, radius, rgba, 0.35)
         return self._renderer.render()
 

@@ -16,7 +16,15 @@ HIDDEN = -50.0  # m, under the ground: where the cars stand that an agent does n
 
 
 class Stage:
-    """A compiled scene and the poses of everything in it."""
+    """A compiled scene and the poses of everything in it.
+
+    Attributes:
+        layout: the lot.
+        params: vehicle of all cars, where none are given apart.
+        num_agents: agents.
+        model: the compiled scene.
+        data: its state.
+    """
 
     def __init__(
         self,
@@ -37,6 +45,7 @@ class Stage:
             agent_kinds: vehicles that agents may drive.
             parked_cars: vehicles of the parked cars, one each.
         """
+        self.layout, self.params, self.num_agents = layout, params, num_agents
         self._kinds = tuple(agent_kinds) or (params,)
         self._sizes = np.array([(p.length, p.width) for p in self._kinds])
         self._kind = np.zeros(num_agents, int)

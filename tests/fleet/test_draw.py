@@ -227,6 +227,25 @@ def test_agents_change_cars_when_they_respawn_and_only_then(driven):
     assert changed > 200
 
 
+def test_no_car_stays_on_the_goal_of_an_agent_that_finds_no_other(started, step):
+    """Everybody parks where, but for their goals, bays are for city cars only."""
+    state = jax.tree.map(lambda x: x[:LOTS], started[0])
+    goal = np.asarray(state.goal)
+    size = np.full((LOTS, LAYOUT.num_bays, 2), (3.9, 2.0), np.float32)
+    np.put_along_axis(size, goal[..., None], np.float32([5.3, 2.5]), axis=1)
+    state = state.replace(layout=state.layout.replace(bay_size=jnp.asarray(size)))
+    pose = np.asarray(LAYOUT.bay_pose)[goal]
+    env = ParkingEnv(CONFIG, SlidePhysics())
+    after, timestep = step(placed(env, state, pose), jnp.zeros((LOTS, 4, 2)))
+    assert timestep.events.parked.all()
+    kept = np.asarray(after.goal) == goal
+    assert kept.sum() > LOTS
+    bay, here = np.asarray(after.parked_cars.bay), np.asarray(after.parked_cars.present)
+    own = LAYOUT.num_bays + np.arange(bay.shape[-1])
+    every = np.ones((LOTS, LAYOUT.num_bays + bay.shape[-1]), bool)
+    check_occupancy(after.goal, np.where(here, bay, own), every)
+
+
 def test_the_farthest_car_that_fits_moves_to_where_an_agent_has_parked():
     # Five bays 20 m apart; car 0 fits in the first three, car 1 in all.
     sizes = jnp.array([(5.0, 2.5)] * 3 + [(4.0, 2.0)] * 2)

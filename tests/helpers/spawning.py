@@ -1,5 +1,6 @@
 """What a start pose keeps away from, by hand, and whom it would meet."""
 
+import dataclasses
 from typing import Any
 
 import jax.numpy as jnp
@@ -27,7 +28,8 @@ def surroundings_of(
 
 def walled(layout: Layout, centre: Any, size: Any) -> Layout:
     """The layout with a wall instead of its first one."""
-    return layout.replace(
+    return dataclasses.replace(
+        layout,
         wall_pose=layout.wall_pose.at[0].set(jnp.asarray(centre, jnp.float32)),
         wall_size=layout.wall_size.at[0].set(jnp.asarray(size, jnp.float32)),
         wall_mask=layout.wall_mask.at[0].set(True),

@@ -25,6 +25,7 @@ from carpark_mj.rendering.snapshot import (
     snapshot,
     tracked_points,
 )
+from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene.materials import agent_colour
 from carpark_mj.types import NO_BAY
@@ -57,7 +58,7 @@ def seen(pose=POSE, goal=GOAL, parked=PARKED, **changes):
 @pytest.fixture(scope="module")
 def renderer():
     # No skip without GL: CI installs it, and a silent skip would hide its loss.
-    made = LotRenderer(LAYOUT, COMPACT, 2, 2, "topdown", (640, 360))
+    made = LotRenderer(Stage(LAYOUT, COMPACT, 2, 2), "topdown", (640, 360))
     yield made
     made.close()
 
@@ -254,7 +255,7 @@ def test_a_gif_plays_in_real_time_and_loops(renderer, tmp_path):
 
 
 def test_a_split_frame_is_two_views_side_by_side(renderer):
-    made = LotRenderer(LAYOUT, COMPACT, 2, 2, "split:1", (640, 360))
+    made = LotRenderer(Stage(LAYOUT, COMPACT, 2, 2), "split:1", (640, 360))
     try:
         frame = draw_frame(recording(), made, 0)
         assert frame.shape == (360, 640, 3)
@@ -272,7 +273,7 @@ def test_a_split_frame_is_two_views_side_by_side(renderer):
 
 def test_links_and_rings_are_drawn_when_asked_for(renderer):
     show = Show(tracked_agents=1, tracked_parked_cars=1, rings=(8.0,))
-    made = LotRenderer(LAYOUT, COMPACT, 2, 2, "topdown", (640, 360), show)
+    made = LotRenderer(Stage(LAYOUT, COMPACT, 2, 2), "topdown", (640, 360), show)
     try:
         plain, extra = draw(renderer), draw(made)
     finally:

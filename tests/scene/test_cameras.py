@@ -7,6 +7,7 @@ import pytest
 from carpark_mj.layouts import make_layout
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.snapshot import Snapshot
+from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import fit_eye, frame_lot
 from carpark_mj.scene.materials import ASPHALT, ZENITH, agent_colour
 from carpark_mj.vehicle import PRESETS
@@ -78,7 +79,7 @@ def test_the_driver_sees_sky_asphalt_and_bonnet_not_the_inside_of_the_body(name)
         tally={},
         flashes=(),
     )
-    renderer = LotRenderer(LAYOUT, PRESETS[name], 1, 0, "driver:0", (160, 120))
+    renderer = LotRenderer(Stage(LAYOUT, PRESETS[name], 1, 0), "driver:0", (160, 120))
     try:
         renderer.place(seen)
         frame = renderer.draw(seen, "agent0/driver").astype(float)

@@ -6,15 +6,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import check_occupancy
+from helpers.scenes import cars, check_occupancy, lot
 from helpers.spawning import meetings, meets
-from helpers.states import parked_at, parked_in
+from helpers.states import parked_at, parked_in, state_of
 
 from carpark_mj.config import WORLD_UNIT, EnvConfig, SpawnConfig
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.chosen_goals import ChosenGoals
+from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.fixed_goals import FixedGoals
 from carpark_mj.mdp.spawning.placing import (
     SpawnInputs,
@@ -272,6 +273,29 @@ def test_an_agent_for_whose_new_car_there_is_no_bay_keeps_its_goal():
     assert somewhere.found.all()
 
 
+@pytest.mark.parametrize(
+    ("parked_bay", "bays"), [([0, 2], {1}), ([2, 0], {1, 3, 4}), ([0, 1, 2], {3, 4})]
+)
+def test_a_car_that_has_come_to_a_goal_that_is_kept_makes_way(parked_bay, bays):
+    """To a bay that it fits into, or to any if it fits into none that is free."""
+    fits = jnp.concatenate([FITS, FITS[1:]])[: len(parked_bay)]
+    only_old = [True, False, False, False, False]
+    inputs, goals = in_row(only_old, fits, parked_bay), FixedGoals(EnvConfig())
+    placing = one_agent(0, inputs)
+
+    def place(key):
+        return place_waiting(goals.place, inputs, placing, key)
+
+    keys = jax.random.split(jax.random.key(0), 100)
+    after = jax.device_get(jax.jit(jax.vmap(place))(keys))
+    assert (after.goal == 0).all()
+    assert not after.found.any()
+    comes = parked_bay.index(0)
+    assert set(after.parked_bay[:, comes]) == bays
+    stay = np.delete(np.tile(parked_bay, (100, 1)), comes, axis=1)
+    np.testing.assert_array_equal(np.delete(after.parked_bay, comes, axis=1), stay)
+
+
 def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
     """The new car if there is a bay for it, otherwise the one driven before."""
     walls = jnp.array([[0.0, y, 0.0] for y in (-2.0, 2.0)])
@@ -305,3 +329,31 @@ def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
     assert share_touching(later, size, small, fits) < 0.02
     assert share_touching(later, small, size, nowhere) < 0.02
     assert share_touching(later, size, small, nowhere) > 0.4
+
+
+def test_what_a_start_would_touch_is_what_the_judge_of_collisions_says():
+    """Parked cars where they will stand: car 1 is on its way from bay 0 to bay 2."""
+    rng = np.random.default_rng(2)
+    layout = lot(
+        [(0.0, 0.0, 0.0), (2.0, 6.0, 0.7), (-5.0, -6.0, 2.0)],
+        walls=[(4.0, 0.0, 0.3), (-6.0, 3.0, 0.0)],
+        wall_size=(6.0, 0.4),
+        discs=[(0.0, -5.0, 0.4)],
+    )
+    layout = layout.replace(wall_mask=jnp.array([True, False]))
+    pose = rng.uniform((-9, -9, -3), (9, 9, 3), (600, 3)).astype(np.float32)
+    size, parked_size = jnp.array([[4.6, 1.9]]), jnp.array([[4.9, 1.9], [3.5, 1.6]])
+    after = parked_in(layout, [1, 2], parked_size)
+
+    def judge(pose):
+        here = cars(pose[None], size=size[0])
+        return find_hits(state_of(layout, here, 0, parked_cars=after))
+
+    hits = jax.vmap(judge)(jnp.asarray(pose))
+    expected = np.asarray(hits.parked_car | hits.wall)[:, 0]
+    assert 100 < expected.sum() < 500
+    before = parked_in(layout, [1, 0], parked_size)
+    inputs = SpawnInputs(layout, before, size, size, BayFits())
+    placing = start_placing(jnp.array([0]), after.bay, jnp.zeros((1, 3)), FIRST[:1])
+    around = surroundings(inputs, placing, jnp.array(0))
+    np.testing.assert_array_equal(around.touches(jnp.asarray(pose)), expected)
