@@ -38,7 +38,8 @@ class GivingWayConfig:
     tracked (b = L) or anywhere (b = G), and has the same goal (c = S) or any (c = A).
 
     Attributes:
-        scheme: the six that were used; None = nothing is enforced.
+        scheme: "a,b,c", one of the six of the study: "L,L,S", "L,L,A", "G,L,S",
+            "G,L,A", "G,G,S", "G,G,A"; None = nothing is enforced. Needs dynamic goals.
         bad_goal: reward of a step that keeps a bad goal, paid instead of the one for
             keeping a goal; at most 0. The study sweeps 0 to -0.2.
     """

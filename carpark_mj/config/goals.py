@@ -33,15 +33,16 @@ class GoalRewards:
     C.10 (e is exploring, p and p' are bays).
 
     Attributes:
-        continue_explore: r(e->e).
-        stop_explore: r(e->p).
-        continue_goal: r(p->p).
-        change_goal: r(p->p').
-        stop_goal: r(p->e); None = r(p->p') - r(e->p), which his rule (3.5) asks for.
+        continue_explore: of exploring on, r(e->e).
+        stop_explore: of choosing a bay while exploring, r(e->p).
+        continue_goal: of keeping the bay, r(p->p).
+        change_goal: of choosing another bay, r(p->p').
+        stop_goal: of giving up the bay to explore, r(p->e); None = r(p->p') - r(e->p),
+            which the study's rule (3.5) asks for.
         lost_goal: paid besides when the goal is no longer among the tracked bays; None
-            = r(p->e), as in his program.
-        taken_goal: paid besides when somebody else has parked there; nothing in his
-            program.
+            = r(p->e), as in the reference implementation.
+        taken_goal: paid besides when somebody else has parked there; nothing in the
+            reference implementation.
     """
 
     continue_explore: float = -0.002

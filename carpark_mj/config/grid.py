@@ -12,9 +12,9 @@ class GridConfig:
     """The velocity motion model on a grid; the defaults are those of the study's PPO.
 
     Attributes:
-        points: grid points per world unit, 0.5625 m. His position granularity squared:
-            his text has 2 to its power instead, which contradicts the 74 x 74 points
-            he counts for a granularity of 1.
+        points: grid points per world unit, 0.5625 m: the study's position granularity
+            squared. Its text has 2 to its power instead, which contradicts the 74 x 74
+            points it counts for a granularity of 1.
         speed_step: points per step that one level of speed moves (G_v).
         headings: equally spaced headings, the first along +y (G_theta).
         max_forward: highest level of speed forwards.

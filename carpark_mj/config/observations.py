@@ -107,7 +107,7 @@ class RayConfig:
 
 @dataclasses.dataclass(frozen=True)
 class ContinuousObservation:
-    """Real numbers of order 1; the fields are listed in `observations.continuous`.
+    """Real numbers of order 1, listed in `carpark_mj.observations.continuous`.
 
     Attributes:
         tracked_agents: nearest other agents observed.

@@ -21,8 +21,8 @@ class SimConfig:
         trace_dt: longest time between two collision checks within a step [s].
         grade_x: slope of the ground along world x, rise over run; 0.05 = 5 % uphill.
         grade_y: slope of the ground along world y.
-        tyres: `brush`, or `contact`: MuJoCo's own contacts, for cross-checks; needs a
-            `sim_dt` of at most 0.004 s.
+        tyres: `brush`, or `contact`: MuJoCo's own contacts, for cross-checks; they
+            need a `sim_dt` of at most 0.004 s.
         suspension: springs between contact tyres and car; brush tyres have them anyway.
         surface: how well tyres grip, `carpark_mj.vehicle.surfaces`.
     """

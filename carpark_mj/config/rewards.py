@@ -32,7 +32,7 @@ class RewardConfig:
         smoothness_by_speed: whether that counts times the share of the top speed.
         reverse: taken over a whole episode, for each step in reverse.
         wrong_way: taken over a whole episode, for each step driven against the lanes
-            (`carpark_mj.mdp.lanes`); no term in lots that never have lanes.
+            (`carpark_mj.mdp.wrong_way`); no term in lots that never have lanes.
         closeness: taken over a whole episode, for each step times the share of
             `closeness_range` by which the nearest other agent is too close.
         closeness_range: clearance between agents at which closeness begins [m].

@@ -59,7 +59,8 @@ class EpisodeConfig:
     """When an agent's episode ends.
 
     Attributes:
-        parked_rule: what "parked" means, by name, see `PARKED_RULES`.
+        parked_rule: what "parked" means, by name, see
+            `carpark_mj.config.PARKED_RULES`.
         max_steps: control steps until an episode is cut off (truncated).
         respawn: an agent whose episode ends starts a new one at once; otherwise it
             stays where it is, on the brake, until the lot is reset.

@@ -31,7 +31,7 @@ class QLearningConfig(RunConfig):
     """Settings of `python train/q_learning.py`; every field is a flag.
 
     The settings of `RunConfig` come first. The rates are those of Tanner 2022, section
-    5.1.1; names follow his table C.6.
+    5.1.1; names follow its table C.6.
 
     Attributes:
         preset: experiment the other flags start from: `tanner-qlearning`, figure 5.1,
