@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, lot
+from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry import broad_phase
 from carpark_mj.geometry.broad_phase import visit_near
+from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.rewards import agent_clearance
-from carpark_mj.mdp.terminations import find_hits
 from carpark_mj.types import Motion
 
 AGENTS, PARKED, WALLS, TRACES = 12, 20, 8, 4
@@ -115,12 +116,13 @@ def compiled(crowded):
 
     @jax.jit
     @jax.vmap
-    def run(vehicle: Motion, parked, parked_size, walls, wall_size, mask):
+    def run(motion: Motion, parked, parked_size, walls, wall_size, mask):
         layout = template.replace(
             bay_pose=parked, wall_pose=walls, wall_size=wall_size, wall_mask=mask
         )
-        hits = find_hits(layout, vehicle, parked, parked_size)
-        return jnp.stack(hits, axis=-1), agent_clearance(vehicle)
+        there = parked_at(parked, parked_size)
+        hits = find_hits(state_of(layout, motion, 0, parked_cars=there))
+        return jnp.stack(hits, axis=-1), agent_clearance(motion)
 
     def call(*scene):
         before = broad_phase.MANY_PAIRS

@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from helpers.states import parked_in, state_of
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import box_distance
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.terminations import find_hits
+from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.physics import MjxPhysics, ScenePhysics
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, make_vehicle
@@ -137,13 +138,12 @@ def test_box_tests_and_contacts_agree_on_ten_thousand_configurations():
     pose, bays, touched = configurations()
     size = jnp.array([COMPACT.length, COMPACT.width], jnp.float32)
     sizes = jnp.broadcast_to(size, (AGENTS, 2))
-    parked_size = jnp.broadcast_to(size, (PARKED, 2))
 
     @jax.jit
     @jax.vmap
     def boxes(pose, bays):
         zero = jnp.zeros(AGENTS)
-        vehicle = Motion(
+        motion = Motion(
             pose_w=pose,
             velocity_b=jnp.zeros((AGENTS, 2)),
             yaw_rate=zero,
@@ -152,9 +152,9 @@ def test_box_tests_and_contacts_agree_on_ten_thousand_configurations():
             trace_w=pose[:, None],
             finite=zero == 0,
         )
-        hits = jnp.stack(
-            find_hits(LAYOUT, vehicle, LAYOUT.bay_pose[bays], parked_size), axis=-1
-        )
+        parked = parked_in(LAYOUT, bays, size)
+        state = state_of(LAYOUT, motion, 0, parked_cars=parked)
+        hits = jnp.stack(find_hits(state), axis=-1)
         # How near each kind is to being hit, and how deep, by growing and shrinking.
         gaps = []
         for grown in (size + 0.1, size - 0.1):
@@ -236,10 +236,10 @@ def test_an_agent_that_finishes_stays_in_the_way_and_is_pushed():
     for _ in range(60):
         state, timestep = step(state, jnp.array([[0.0, 1.0], [0.3, 1.0]]))
     assert not state.active.any()  # straight on ends at a wall
-    before = np.asarray(state.vehicle.pose_w)
+    before = np.asarray(state.motion.pose_w)
     for _ in range(5):
         state, timestep = step(state, jnp.array([[0.0, 1.0], [0.3, 1.0]]))
-    assert np.abs(np.asarray(state.vehicle.pose_w) - before).max() < 1e-2
+    assert np.abs(np.asarray(state.motion.pose_w) - before).max() < 1e-2
     assert not timestep.events.done.any()
 
 

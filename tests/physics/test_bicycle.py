@@ -153,11 +153,11 @@ def test_a_car_that_came_out_non_finite_is_put_back_and_flagged(state):
 
 def test_the_task_runs_on_it():
     env = ParkingEnv(EnvConfig(physics="bicycle"))
-    assert env.choices is None
+    assert env.action_spec.choices == ()
     state, _ = jax.jit(env.reset)(jax.random.key(0))
     step = jax.jit(env.step)
     for _ in range(5):
         state, timestep = step(state, jnp.full((2, 2), 0.5))
     assert timestep.observation.shape == (2, env.observation_size)
     assert np.isfinite(timestep.observation).all()
-    assert (timestep.vehicle.speed > 0.5).all()
+    assert (timestep.motion.speed > 0.5).all()

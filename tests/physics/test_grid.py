@@ -8,12 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, moved
+from helpers.states import parked_in, state_of
 
 from carpark_mj.config import WORLD_UNIT, EnvConfig, GridConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.actions import neutralise_choices
-from carpark_mj.mdp.terminations import find_hits, judge
+from carpark_mj.mdp.actions import sanitize_indices
+from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.mdp.terminations import judge
 from carpark_mj.physics.grid import GridPhysics
 from carpark_mj.registry import ENVIRONMENTS, TANNER_QLEARNING, environment
 from carpark_mj.vehicle import make_vehicle, preset
@@ -209,32 +211,26 @@ def test_parked_is_within_a_point_of_the_bay_and_wins_over_a_crash(
     x, y, degrees, parked
 ):
     layout = make_layout("tanner")
-    goal = jnp.array([bay_of(layout, 24, 32)])
-    nothing = jnp.zeros((0, 2))
-    events = judge(
-        TANNER_QLEARNING.episode,
-        layout,
-        at(x, y, degrees),
-        goal,
-        jnp.zeros((0, 3)),
-        nothing,
-        jnp.ones(1, int),
-        jnp.ones(1, bool),
-    )
+    goal = [bay_of(layout, 24, 32)]
+    state = state_of(layout, at(x, y, degrees), goal)
+    events = judge(TANNER_QLEARNING.episode, state)
     assert bool(events.parked[0]) is parked
     # Across the bay at its mouth the car's corner is in the block beside it.
-    hit = find_hits(layout, at(25, 31, 45), jnp.zeros((0, 3)), nothing)[2]
-    assert hit[0]
+    assert find_hits(state_of(layout, at(25, 31, 45), goal)).wall[0]
 
 
 def test_neighbours_in_their_bays_do_not_touch_and_leaning_ones_do():
     layout = make_layout("tanner")
-    parked = layout.bay_pose[jnp.array([bay_of(layout, 0, 32)])]
-    size = BOX.size[None]
-    assert not find_hits(layout, at(6, 32), parked, size)[1][0]
-    assert not find_hits(layout, at(4, 32), parked, size)[1][0]  # 3.9 wide, 4 apart
-    assert find_hits(layout, at(3, 32), parked, size)[1][0]
-    assert find_hits(layout, at(4, 29, 45), parked, size)[1][0]
+    parked = parked_in(layout, [bay_of(layout, 0, 32)], BOX.size)
+
+    def hits(*place):
+        state = state_of(layout, at(*place), 0, parked_cars=parked)
+        return bool(find_hits(state).parked_car[0])
+
+    assert not hits(6, 32)
+    assert not hits(4, 32)  # 3.9 wide, 4 apart
+    assert hits(3, 32)
+    assert hits(4, 29, 45)
 
 
 def test_who_would_leave_the_world_hits_a_wall_first():
@@ -245,22 +241,23 @@ def test_who_would_leave_the_world_hits_a_wall_first():
     sides = [(x, y, degrees), (y, x, degrees)]
     place = np.concatenate([np.stack(side, axis=-1) for side in sides])
     pose = place * [WORLD_UNIT, WORLD_UNIT, math.pi / 180]
-    nothing = jnp.zeros((0, 3)), jnp.zeros((0, 2))
-    hit = jax.jit(
-        jax.vmap(lambda p: find_hits(layout, cars(p[None], size=BOX.size), *nothing)[2])
-    )(jnp.asarray(pose, jnp.float32))
+
+    def hits(pose):
+        return find_hits(state_of(layout, cars(pose[None], size=BOX.size), 0)).wall
+
+    hit = jax.jit(jax.vmap(hits))(jnp.asarray(pose, jnp.float32))
     assert hit.all()
 
 
 # Choices and refusals
 
 
-def test_what_is_no_choice_is_neutralised_and_counted():
+def test_what_is_no_choice_is_sanitized_and_counted():
     choice = jnp.array([[0, 6], [4, 0], [5, 3], [-1, 3], [jnp.nan, 3], [1.4, 3]])
-    harmless, invalid = neutralise_choices(choice, FINE.choices)
-    assert harmless.dtype == jnp.int32
+    sanitized, invalid = sanitize_indices(choice, FINE.choices)
+    assert sanitized.dtype == jnp.int32
     np.testing.assert_array_equal(
-        harmless, [[0, 6], [4, 0], [4, 3], [0, 3], [2, 3], [1, 3]]
+        sanitized, [[0, 6], [4, 0], [4, 3], [0, 3], [2, 3], [1, 3]]
     )
     np.testing.assert_array_equal(invalid, [False, False, True, True, True, True])
 

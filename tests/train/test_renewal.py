@@ -10,9 +10,11 @@ import pytest
 from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.wrappers.brax import BraxParking
 from learners.ppo.learner import Learner, TrainingState, due_lots
 from learners.ppo.presets import PRESETS
 
@@ -42,7 +44,7 @@ def history(tmp_path_factory):
     Also what loads the state before the first update, or after it, from a checkpoint.
     """
     learner = Learner(CONFIG)
-    learner.env.env.physics = SlidePhysics()
+    learner.env = BraxParking(ParkingEnv(CONFIG.env, SlidePhysics()))
     update = learner.compile()
     state = learner.init()
     folder, seen = tmp_path_factory.mktemp("run"), [host(state)]
@@ -160,5 +162,5 @@ def test_lots_that_no_key_changes_or_with_no_end_of_life_stay(layout, life, expe
 
 
 def test_a_negative_life_is_refused():
-    with pytest.raises(ValueError, match="lot_life must not be negative, not -1"):
+    with pytest.raises(ValueError, match="lot_life must be at least 0, not -1"):
         dataclasses.replace(CONFIG, lot_life=-1)
