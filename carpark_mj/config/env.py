@@ -40,31 +40,30 @@ class EnvConfig:
             bays), `compact` (the same with 2.5 m x 5.0 m bays), or a family with its
             default settings: `street`, `street_parallel`, `angled`, `lot`,
             `garage_row`, `dead_end`, `mixture`. Or a layout file (.json, or a TPCAP
-            case as .csv). Several, with commas between, are a mixture of them. From
-            Python also the config of a family, see
-            `carpark_mj.layouts`.
+            case as .csv). A comma-separated list is a mixture. From Python also the
+            config of a family, see `carpark_mj.layouts`.
         vehicle: name of a preset in `carpark_mj.vehicle`.
-        num_agents: cars that act.
-        num_parked_cars: cars standing in bays.
+        num_agents: number of agents, the cars that act.
+        num_parked_cars: number of parked cars.
         occupancy: share of the lot's bays that hold a parked car, drawn from this range
-            when the lot is reset; `num_parked_cars` is then the most there can be.
+            when the lot is reset; `num_parked_cars` is then the maximum.
         fleet: presets that cars are drawn from instead of `vehicle`.
-        jitter: how untidily parked cars stand, and their sizes.
-        physics: back end. `mjx`: every car alone, crashes by box tests. `scene`: the
-            whole lot in one C MuJoCo world, crashes by its contacts; slow. `bicycle`:
-            kinematic cars whose tyres never slip. `grid`: the grid world of the study,
-            with whole numbers for actions.
+        jitter: variation of parked cars' poses in their bays, and of their sizes.
+        physics: back end. `mjx`: every car is simulated on its own, crashes are found
+            by box tests. `scene`: the whole lot in one C MuJoCo world, crashes are its
+            contacts; slow. `bicycle`: kinematic cars whose tyres never slip. `grid`:
+            the grid world of the study, with integer actions.
         sim: time steps and ground.
         grid: granularities of `grid` physics.
-        goals: who decides the goals.
+        goals: whether the environment or the agents choose the goals.
         giving_way: when agents that choose goals should give them up.
         spawn: where episodes start.
-        episode: when they end.
+        episode: when episodes end.
         reward: reward weights.
         observation: what agents observe; one config per encoding.
-        randomization: what differs between cars.
-        sensors: errors of what agents observe.
-        metrics: what is measured beside the outcomes.
+        randomization: parameters that differ between cars.
+        sensors: noise and delay of what agents observe.
+        metrics: optional measurements.
     """
 
     layout: LayoutChoice = "tanner"
@@ -160,5 +159,5 @@ class EnvConfig:
 
     @property
     def varies(self) -> bool:
-        """Whether there is more than one kind of car, always as many, neatly parked."""
+        """Whether the number, kinds, poses in bays or sizes of parked cars vary."""
         return self.fleet.is_on or self.jitter.is_on or self.occupancy is not None

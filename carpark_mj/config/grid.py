@@ -19,8 +19,8 @@ class GridConfig:
         headings: equally spaced headings, the first along +y (G_theta).
         max_forward: highest level of speed forwards.
         max_reverse: highest level of speed in reverse.
-        max_acceleration: levels of speed by which one action changes it at most.
-        max_turn: headings by which one action turns at most.
+        max_acceleration: most levels of speed by which one action changes the speed.
+        max_turn: most headings by which one action turns the car.
     """
 
     points: int = 16

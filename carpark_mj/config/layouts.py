@@ -39,10 +39,10 @@ class LayoutConfig:
 
     @property
     def entries(self) -> tuple[Any, ...]:
-        """The roomiest ways into bays, `carpark_mj.layouts.turning.Entry`.
+        """The widest entries into bays, `carpark_mj.layouts.turning.Entry`.
 
-        Whoever gets into a bay in none of these gets into none of the lots that there
-        can be; empty where that is not known.
+        A car that can enter a bay in none of these can enter none in any lot of this
+        config; empty if unknown.
         """
         return ()
 

@@ -18,13 +18,13 @@ class SimConfig:
     Attributes:
         sim_dt: physics substep [s]; 0.01 for training, 0.005 as a reference.
         ctrl_dt: control period [s], a multiple of `sim_dt`.
-        trace_dt: longest time between two collision checks within a step [s].
+        trace_dt: longest time between two collision tests within a control step [s].
         grade_x: slope of the ground along world x, rise over run; 0.05 = 5 % uphill.
-        grade_y: slope of the ground along world y.
-        tyres: `brush`, or `contact`: MuJoCo's own contacts, for cross-checks; they
-            need a `sim_dt` of at most 0.004 s.
-        suspension: springs between contact tyres and car; brush tyres have them anyway.
-        surface: how well tyres grip, `carpark_mj.vehicle.surfaces`.
+        grade_y: slope of the ground along world y, rise over run.
+        tyres: tyre model: `brush`, or `contact`: MuJoCo's own contacts, for
+            cross-checks; they need a `sim_dt` of at most 0.004 s.
+        suspension: springs between contact tyres and car; brush tyres always have them.
+        surface: road surface, which sets the grip, `carpark_mj.vehicle.surfaces`.
     """
 
     sim_dt: float = 0.01
