@@ -1,4 +1,4 @@
-"""Drives the validation suite of vehicle dynamics and writes the report.
+"""Runs the validation suite of vehicle dynamics and writes the report.
 
 python eval/physics_report.py
 python eval/physics_report.py --presets compact --tyres brush --quick --out runs/physics

@@ -87,7 +87,7 @@ def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layou
 
 
 def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """What is wrong with the lots of so many keys, a sentence each."""
+    """Problems of the lots of `num_keys` keys, a sentence each."""
     config = layout_config(layout)
     car: DesignCar = getattr(config, "car", DesignCar())
     found = []
@@ -101,7 +101,7 @@ def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
 
 
 def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """What MuJoCo warns of while the scenes of so many keys run, a sentence each."""
+    """MuJoCo's warnings while the scenes of `num_keys` keys run, a sentence each."""
     return [
         f"key {number}: {warning}"
         for number, drawn in enumerate(draw(layout, num_keys, seed))
@@ -110,7 +110,7 @@ def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
 
 
 def run_scene(layout: Layout) -> list[str]:
-    """What MuJoCo warns of while the scene of one lot runs for a second.
+    """MuJoCo's warnings while the scene of one lot runs for a second.
 
     Every bay holds a parked car; cars to drive stand in the first spawn regions.
     """
@@ -151,7 +151,7 @@ class LayoutsConfig:
 
 
 def look(config: LayoutsConfig) -> bool:
-    """Draws, checks and runs; whether all is sound.
+    """Draws, checks and runs; returns whether there were no problems.
 
     Raises:
         ValueError: unknown layouts, or files that are none.
@@ -179,7 +179,7 @@ def look(config: LayoutsConfig) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code, 1 if a layout is not sound."""
+    """Runs the command; returns the exit code, 1 if a layout has a problem."""
 
     def command() -> int:
         config = read_flags(LayoutsConfig, arguments, description=__doc__, prog=PROGRAM)

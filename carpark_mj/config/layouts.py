@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any, Literal
 
-# Layouts that need no more than a name; `carpark_mj.layouts` knows what they mean.
+# Layouts given by name alone; `carpark_mj.layouts` defines them.
 LayoutName = Literal[
     "angled",
     "compact",

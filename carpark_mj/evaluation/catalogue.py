@@ -22,7 +22,9 @@ POOLS: dict[Pool, str] = {
     "least": "median, 5 % quantile and minimum over episodes",
     "most": "median, 95 % quantile and maximum over episodes",
 }
-START_STEPS = 2  # a crash so early is laid to the spawn, not to the driver (Tanner)
+START_STEPS = (
+    2  # a crash this early is attributed to the spawn, not the policy (Tanner)
+)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -89,7 +89,7 @@ def relocate_parked_cars(
 ) -> ParkedCars:
     """Moves a parked car into every bay where an agent has just parked.
 
-    The car farthest from all agents moves, so that no agent sees it go; or, by
+    The car farthest from all agents moves, so that no agent sees it move; or, by
     `SpawnConfig.evolution`, a random one that no agent tracks, and any if they track
     them all. No car moves twice in a step. Of cars that differ in size only those move
     that fit into the bay.
@@ -129,7 +129,7 @@ def relocate_parked_cars(
         moved = jnp.where(moves, moved.at[car].set(True), moved)
         return bay, moved, waiting.at[agent].set(False)
 
-    # A loop over those who have parked only: in most steps nobody has.
+    # A loop over agents that have parked only: in most steps there are none.
     bay, *_ = jax.lax.while_loop(
         lambda carry: carry[2].any(), move, (cars.bay, none, events.parked)
     )

@@ -13,7 +13,7 @@ from benchmarking.records import Job, Measurement
 
 
 class WorkerError(Exception):
-    """A measurement that failed, out of memory perhaps."""
+    """A measurement failed, possibly out of memory."""
 
 
 def run_job(job: Job, checkout: Checkout) -> Measurement:

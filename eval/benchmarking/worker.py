@@ -54,7 +54,7 @@ class Subject:
 
 
 def env_subject(job: Job) -> Subject:
-    """Steps of `ParkingEnv` with random actions; who has finished respawns."""
+    """Steps of `ParkingEnv` with random actions and respawning agents."""
     from carpark_mj.config import EnvConfig
     from carpark_mj.env import ParkingEnv
 

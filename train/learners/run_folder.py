@@ -90,7 +90,7 @@ def _new_folder(config: RunConfig) -> Path:
         except FileExistsError:
             if config.name:
                 raise ValueError(
-                    f"{folder} exists: choose another --name, or go on with "
+                    f"{folder} exists: choose another --name, or continue with "
                     f"--resume {folder}"
                 ) from None
             number += 1  # an unnamed run never touches an older one
