@@ -104,10 +104,10 @@ class ReportConfig:
     """Settings of `python eval/physics_report.py`.
 
     Attributes:
-        presets: cars; default: all.
-        tyres: tyre models.
+        presets: vehicle presets to test; default: all.
+        tyres: tyre models to test.
         out: folder of the report.
-        quick: fewer cases, shorter runs.
+        quick: run fewer cases, with shorter runs.
     """
 
     presets: tuple[str, ...] = ()

@@ -33,8 +33,8 @@ class EvaluateConfig:
         physics: back end; default: that of the run. With `scene`, crashes are contacts
             in one MuJoCo world.
         stochastic: sample actions instead of taking the distribution's mode.
-        out: folder of the CSV and JSON; default: the run folder, or `runs/NAME` for
-            a baseline.
+        out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
+            for a baseline.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""

@@ -1,4 +1,4 @@
-"""Looks at layouts: pictures, checks of their plans, trial runs of their scenes.
+"""Inspects layouts: pictures, checks of their plans, test runs of their scenes.
 
 python -m carpark_mj.layouts --plot lots.png
 python -m carpark_mj.layouts --check 1000 --run 20
@@ -128,10 +128,10 @@ class LayoutsConfig:
 
     Attributes:
         layouts: names or layout files; all families if none.
-        plot: picture to write, with two lots of each.
-        check: how many keys of each to check.
-        run: how many scenes of each to run.
-        seed: of the keys.
+        plot: picture to write, with two lots of each layout.
+        check: number of keys of each layout to check.
+        run: number of scenes of each layout to run.
+        seed: seed of the keys.
     """
 
     layouts: Annotated[

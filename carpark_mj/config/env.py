@@ -125,7 +125,7 @@ class EnvConfig:
         if self.fleet.agents and not sees_own_car:
             raise ValueError(
                 "fleet.agents needs observation.own_car = True of the encoding "
-                "'continuous': agents that are not all alike must know what they drive"
+                "'continuous': agents with different cars must observe their own car"
             )
         if isinstance(observation, IndexObservation):
             if self.physics != "grid":

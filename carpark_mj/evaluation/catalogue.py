@@ -33,11 +33,11 @@ class Metric:
 
     Attributes:
         name: column of the table of episodes.
-        unit: of its numbers there; empty for counts, flags and shares.
-        meaning: what it is.
-        pool: how episodes add up.
-        study: what it is called in tables C.3 and C.4 of Tanner 2022.
-        ratio: columns that it is the quotient of; None if it is no quotient.
+        unit: unit of the column; empty for counts, flags and shares.
+        meaning: its definition.
+        pool: how episodes are aggregated, a key of `POOLS`.
+        study: its name in tables C.3 and C.4 of Tanner 2022.
+        ratio: numerator and denominator columns; None if it is not a ratio.
     """
 
     name: str
@@ -209,7 +209,7 @@ GOALS = (
         Metric(
             f"conformity_{name}",
             "",
-            f"of the steps in which {when}: share in which the goal was let go of",
+            f"of the steps in which {when}: share in which the goal was given up",
             "steps",
             study,
             (f"gave_way_{name}", f"met_{name}"),

@@ -26,8 +26,8 @@ class NetworkConfig:
     """Sizes of the networks; activations are swish.
 
     Attributes:
-        policy_layers: hidden layers of the actor.
-        value_layers: hidden layers of the critic.
+        policy_layers: sizes of the actor's hidden layers.
+        value_layers: sizes of the critic's hidden layers.
     """
 
     policy_layers: tuple[int, ...] = (128, 128)

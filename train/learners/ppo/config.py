@@ -45,7 +45,8 @@ class PPOConfig(RunConfig):
     The settings of `RunConfig` come first.
 
     Attributes:
-        preset: settings the other flags start from; `auto` asks JAX for a GPU.
+        preset: settings the other flags start from; `auto` is `gpu` if there is a GPU,
+            else `cpu`.
         num_steps: total number of agent steps.
         num_lots: number of lots simulated in parallel.
         lot_life: most updates for which a random lot is kept; a few lots are drawn
