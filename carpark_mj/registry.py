@@ -4,8 +4,8 @@ Tables are those of the study's appendix C. Where its text and the reference
 implementation disagree, or do not say, the choice is:
 
 - grid points per world unit: the position granularity squared, so 74 x 74 for 1.
-- cars' boxes and walls: the colliders of the reference implementation, not the drawing,
-  which is 0.1 larger.
+- cars' boxes and walls: the colliders of the reference implementation, which differ
+  from the drawing; cars are 0.1 world units smaller than drawn.
 - no turning at standstill, all headings are drawn at spawns, and ring k has diameter k:
   as in the reference implementation, without its two bugs.
 - weights of the table's defaults, time 0.5 and approach 1: they break the study's own
