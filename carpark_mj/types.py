@@ -332,8 +332,9 @@ class TimeStep:
         motion: at the end of the step, before any respawn.
         goal: (num_agents,) int32 goals held during the step.
         goal_events: what happened to the goals; None while they are fixed.
-        final_observation: (num_agents, observation_size) what agents saw at the end of
-            the step, before any respawn; None unless `EpisodeConfig.final_observation`.
+        final_observation: (num_agents, observation_size) what agents that are done saw
+            at the end of the step, before any respawn or relocation; meaningless for
+            the others; None unless `EpisodeConfig.final_observation`.
     """
 
     observation: jax.Array

@@ -3,7 +3,13 @@
 import dataclasses
 from typing import Literal, get_args
 
-from carpark_mj.config.checks import Range, at_least, choose, require_range
+from carpark_mj.config.checks import (
+    Range,
+    choose,
+    require_kinds,
+    require_range,
+    whole,
+)
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
@@ -99,8 +105,24 @@ class EnvConfig:
                     f"({', '.join(LAYOUT_FILES)})"
                 )
         choose("physics", self.physics, PhysicsName)
-        at_least(self, 1, "num_agents")
-        at_least(self, 0, "num_parked_cars")
+        require_kinds(
+            self,
+            fleet=FleetConfig,
+            jitter=JitterConfig,
+            sim=SimConfig,
+            grid=GridConfig,
+            goals=GoalConfig,
+            giving_way=GivingWayConfig,
+            spawn=SpawnConfig,
+            episode=EpisodeConfig,
+            reward=RewardConfig,
+            observation=Observation,
+            randomization=RandomizationConfig,
+            sensors=SensorConfig,
+            metrics=MetricsConfig,
+        )
+        whole(self, 1, "num_agents")
+        whole(self, 0, "num_parked_cars")
         if self.occupancy is not None:
             require_range("occupancy", self.occupancy, 0.0, 1.0)
         if self.giving_way.scheme is not None and not self.goals.dynamic:
@@ -110,6 +132,16 @@ class EnvConfig:
             )
         if self.goals.dynamic:
             self.reward.goals.check()
+        elif self.goals.num_tracked_bays != GoalConfig.num_tracked_bays:
+            raise ValueError(
+                f"goals.num_tracked_bays {self.goals.num_tracked_bays} needs dynamic "
+                "goals, goals.dynamic = True"
+            )
+        if self.physics == "grid" and self.randomization.is_on:
+            raise ValueError(
+                "randomization has no effect on the grid, whose cars have no "
+                "parameters: leave it off, or use another physics"
+            )
         self._check_observation()
 
     def _check_observation(self) -> None:
@@ -145,6 +177,17 @@ class EnvConfig:
             raise ValueError(
                 f"giving_way.scheme {scheme!r} needs observation.global_information = "
                 f"{wanted}, not {observation.global_information}"
+            )
+        tracked = (
+            observation.tracked_cars
+            if isinstance(observation, TannerObservation)
+            else observation.tracked_agents
+        )
+        context = self.giving_way.context or ""
+        if context.startswith("local") and not tracked:
+            raise ValueError(
+                f"giving_way.scheme {scheme!r} is about tracked agents: observation "
+                "must track at least 1, not 0"
             )
         others = self.num_agents - 1 + self.num_parked_cars
         if (

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import whole
 
 TOLERANCE = 1e-9  # by which (3.5) may fail, for 0.1 + 0.2 is not 0.3
 
@@ -22,7 +22,7 @@ class GoalConfig:
     num_tracked_bays: int = 1
 
     def __post_init__(self) -> None:
-        at_least(self, 1, "num_tracked_bays")
+        whole(self, 1, "num_tracked_bays")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import whole
 
 WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
 
@@ -32,7 +32,7 @@ class GridConfig:
     max_turn: int = 3
 
     def __post_init__(self) -> None:
-        at_least(self, 1, *(f.name for f in dataclasses.fields(self)))
+        whole(self, 1, *(f.name for f in dataclasses.fields(self)))
         if 2 * self.max_turn >= self.headings:
             raise ValueError(
                 f"max_turn must be less than half of {self.headings} headings, not "

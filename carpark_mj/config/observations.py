@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose, positive
+from carpark_mj.config.checks import choose, positive, whole
 from carpark_mj.config.grid import WORLD_UNIT
 
 BayPart = Literal["heading", "distance", "bearing"]
@@ -34,8 +34,8 @@ class RingConfig:
         if len({f"{d:g}" for d in self.diameters}) < len(self.diameters):
             # Fields are named by the diameters.
             raise ValueError(f"ring diameters must be different, not {self.diameters}")
-        at_least(self, 1, "cap")
-        at_least(self, 0, "history")
+        whole(self, 1, "cap")
+        whole(self, 0, "history")
         if self.history and not self.diameters:
             raise ValueError(f"ring history {self.history} needs ring diameters")
 
@@ -103,7 +103,7 @@ class RayConfig:
     reach: float = 10.0
 
     def __post_init__(self) -> None:
-        at_least(self, 0, "count")
+        whole(self, 0, "count")
         positive(self, "reach")
 
 
@@ -141,7 +141,7 @@ class ContinuousObservation:
 
     def __post_init__(self) -> None:
         choose("encoding", self.encoding, Literal["continuous"])
-        at_least(self, 0, "tracked_agents", "tracked_parked_cars")
+        whole(self, 0, "tracked_agents", "tracked_parked_cars")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,7 +173,7 @@ class TannerObservation:
 
     def __post_init__(self) -> None:
         choose("encoding", self.encoding, Literal["tanner"])
-        at_least(self, 0, "tracked_cars")
+        whole(self, 0, "tracked_cars")
         for part in self.bay_parts:
             choose("bay part", part, BayPart)
         if len(set(self.bay_parts)) < len(self.bay_parts):

@@ -9,6 +9,7 @@ Surface = Literal["dry", "wet", "ice"]
 TyresName = Literal["brush", "contact"]
 
 CONTACT_SIM_DT = 0.004  # s
+MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +46,11 @@ class SimConfig:
             raise ValueError(
                 f"ctrl_dt must be a multiple of sim_dt, not {self.ctrl_dt} s with a "
                 f"sim_dt of {self.sim_dt} s"
+            )
+        if self.num_substeps > MAX_SUBSTEPS:
+            raise ValueError(
+                f"sim_dt must be at least ctrl_dt / {MAX_SUBSTEPS}, "
+                f"{self.ctrl_dt / MAX_SUBSTEPS:g} s, not {self.sim_dt}"
             )
         if self.trace_dt < self.sim_dt:
             raise ValueError(

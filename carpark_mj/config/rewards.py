@@ -63,7 +63,8 @@ class RewardConfig:
     goals: GoalRewards = dataclasses.field(default_factory=GoalRewards)
 
     def __post_init__(self) -> None:
-        names = [f.name for f in dataclasses.fields(self) if f.name != "goals"]
+        other = ("goals", "smoothness_by_speed")
+        names = [f.name for f in dataclasses.fields(self) if f.name not in other]
         at_least(self, 0.0, *names)
         positive(self, "alignment_range", "closeness_range")
 

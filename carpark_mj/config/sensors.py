@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import at_least, whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,8 +26,8 @@ class SensorConfig:
 
     def __post_init__(self) -> None:
         at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
-        at_least(self, 0, "delay_min")
-        at_least(self, self.delay_min, "delay_max")
+        whole(self, 0, "delay_min")
+        whole(self, self.delay_min, "delay_max")
 
     @property
     def is_on(self) -> bool:

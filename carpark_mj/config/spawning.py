@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose, ratio
+from carpark_mj.config.checks import at_least, choose, ratio, whole
 
 EvolutionRule = Literal["furthest", "random"]
 
@@ -48,5 +48,5 @@ class SpawnConfig:
             )
         distances = ("close_distance", "crash_distance", "min_distance", "spacing")
         at_least(self, 0.0, *distances)
-        at_least(self, 1, "num_candidates")
+        whole(self, 1, "num_candidates")
         choose("evolution", self.evolution, EvolutionRule)

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose
+from carpark_mj.config.checks import choose, whole
 from carpark_mj.config.grid import WORLD_UNIT
 
 ParkedRule = Literal["tanner", "strict", "precise"]
@@ -76,4 +76,4 @@ class EpisodeConfig:
 
     def __post_init__(self) -> None:
         choose("parked_rule", self.parked_rule, ParkedRule)
-        at_least(self, 1, "max_steps")
+        whole(self, 1, "max_steps")

@@ -105,6 +105,8 @@ def relocate_parked_cars(
         return cars
     # All of one size fit where one of them stands.
     parked_fits = fits(layout.bay_size, cars.size) if config.varies else None
+    gap = cars.pose_w[:, None, :2] - state.motion.xy
+    distance = jnp.linalg.norm(gap, axis=-1).min(axis=-1)
     none = tracked = jnp.zeros(cars.bay.shape, bool)
     if rule == "random":
         tracked = tracks_parked_cars(config, state).any(axis=0)
@@ -118,8 +120,7 @@ def relocate_parked_cars(
             score = jax.random.uniform(agent_key, bay.shape)
             score = score + jnp.where(tracked, 0.0, 1.0)
         else:
-            gap = layout.bay_pose[bay, None, :2] - state.motion.xy
-            score = jnp.linalg.norm(gap, axis=-1).min(axis=-1)
+            score = distance
         able = ~moved
         if parked_fits is not None:
             able = able & parked_fits[:, goal] & (bay != NO_BAY)
