@@ -12,7 +12,7 @@ implementation disagree, or do not say, the choice is:
   rule (approach below time), but only they give the returns it reports.
 - leaving the world counts as a crash: the outer walls are hit first.
 - when an agent parks, the parked car farthest from all agents moves (text), not a
-  random one (implementation); `SpawnConfig.evolution` has both.
+  random one (implementation); `SpawnConfig.relocation` has both.
 - an agent loses its goal when the bay is no longer among the num_tracked_bays nearest,
   not the n_track nearest (text). This has the reward of giving the goal up, and losing
   it to another agent that parks there has none (implementation; not in the text).

@@ -30,7 +30,7 @@ from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresN
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import REWARDS, RewardConfig, RewardName, reward_preset
 from carpark_mj.config.sensors import SensorConfig
-from carpark_mj.config.spawning import EvolutionRule, SpawnConfig
+from carpark_mj.config.spawning import RelocationRule, SpawnConfig
 from carpark_mj.config.terminations import (
     PARKED_RULES,
     EpisodeConfig,
@@ -49,7 +49,6 @@ __all__ = [
     "ContinuousObservation",
     "EnvConfig",
     "EpisodeConfig",
-    "EvolutionRule",
     "FleetConfig",
     "GivingWayConfig",
     "GoalConfig",
@@ -67,6 +66,7 @@ __all__ = [
     "PhysicsName",
     "RandomizationConfig",
     "RayConfig",
+    "RelocationRule",
     "RewardConfig",
     "RewardName",
     "RingConfig",

@@ -5,7 +5,7 @@ from typing import Literal
 
 from carpark_mj.config.checks import at_least, choose, ratio, whole
 
-EvolutionRule = Literal["furthest", "random"]
+RelocationRule = Literal["furthest", "random"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +26,7 @@ class SpawnConfig:
             taken, or the one farthest from the other agents if none does.
         spacing: spacing of the grid of start positions [m], centred in a spawn region
             and including its edges; 0 = anywhere.
-        evolution: which parked car moves into a bay where an agent has parked: the one
+        relocation: which parked car moves into a bay where an agent has parked: the one
             `furthest` from all agents, or a `random` one that no agent tracks.
     """
 
@@ -37,7 +37,7 @@ class SpawnConfig:
     min_distance: float = 7.38
     num_candidates: int = 16
     spacing: float = 0.0
-    evolution: EvolutionRule = "furthest"
+    relocation: RelocationRule = "furthest"
 
     def __post_init__(self) -> None:
         ratio(self, "close_ratio", "crash_ratio")
@@ -49,4 +49,4 @@ class SpawnConfig:
         distances = ("close_distance", "crash_distance", "min_distance", "spacing")
         at_least(self, 0.0, *distances)
         whole(self, 1, "num_candidates")
-        choose("evolution", self.evolution, EvolutionRule)
+        choose("relocation", self.relocation, RelocationRule)

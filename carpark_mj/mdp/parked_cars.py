@@ -90,7 +90,7 @@ def relocate_parked_cars(
     """Moves a parked car into every bay where an agent has just parked.
 
     The car farthest from all agents moves, so that no agent sees it move; or, by
-    `SpawnConfig.evolution`, a random one that no agent tracks, and any if they track
+    `SpawnConfig.relocation`, a random one that no agent tracks, and any if they track
     them all. No car moves twice in a step. Of cars that differ in size only those move
     that fit into the bay.
 
@@ -100,7 +100,7 @@ def relocate_parked_cars(
         events: of the step.
         key: consumed.
     """
-    cars, layout, rule = state.parked_cars, state.layout, config.spawn.evolution
+    cars, layout, rule = state.parked_cars, state.layout, config.spawn.relocation
     if cars.bay.shape[0] == 0:
         return cars
     # All of one size fit where one of them stands.

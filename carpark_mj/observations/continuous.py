@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import ContinuousObservation
 from carpark_mj.geometry import to_local
-from carpark_mj.observations import ego, lane, localised, tracked_bays
+from carpark_mj.observations import bay_fields, ego, lane, localised
 from carpark_mj.observations.fields import FAR, Field, repeated, repeated_values
 from carpark_mj.observations.rays import cast_rays, ray_fields
 from carpark_mj.observations.rings import ring_counts, ring_fields
@@ -19,11 +19,11 @@ def continuous_fields(
 ) -> list[Field]:
     """Lists the fields in order; `num_tracked_bays` is 0 while goals are fixed."""
     fields = [*ego.MOTION_FIELDS, *ego.GOAL_FIELDS]
-    rivals = tracked_bays.RIVAL_FIELDS if config.global_information else ()
+    rivals = bay_fields.RIVAL_FIELDS if config.global_information else ()
     if num_tracked_bays:
         meaning = "one-hot: exploring, or which tracked bay is the goal"
         fields.append(Field("goal_choice", num_tracked_bays + 1, 0.0, 1.0, meaning))
-        bay = (*tracked_bays.BAY_FIELDS, *rivals)
+        bay = (*bay_fields.BAY_FIELDS, *rivals)
         fields += repeated("bay", num_tracked_bays, bay)
     else:
         fields += [
@@ -53,16 +53,16 @@ def continuous_values(
     if bays is not None:
         has_goal = ~state.exploring[:, None]
         own_goal = {k: jnp.where(has_goal, v, 0.0) for k, v in own_goal.items()}
-        choice = tracked_bays.goal_code(goal[:, None], bays)[:, 0]
+        choice = bay_fields.goal_code(goal[:, None], bays)[:, 0]
         values["goal_choice"] = jax.nn.one_hot(choice, bays.shape[1] + 1)
         seen = in_view(config.view, motion.pose_w, layout.bay_pose[bays, :2])
         bays = jnp.where(seen, bays, NO_BAY)
-        described = tracked_bays.localise_bays(layout, motion, bays)
+        described = bay_fields.localise_bays(layout, motion, bays)
         if config.global_information:
-            described |= tracked_bays.rival_values(layout, own_xy, goal, bays)
+            described |= bay_fields.rival_values(layout, own_xy, goal, bays)
         values |= repeated_values("bay", described)
     elif config.global_information:
-        rivals = tracked_bays.rival_values(layout, own_xy, goal, goal[:, None])
+        rivals = bay_fields.rival_values(layout, own_xy, goal, goal[:, None])
         values |= {f"goal_{name}": value[:, 0] for name, value in rivals.items()}
     values |= own_goal
     if config.own_car:
@@ -128,7 +128,7 @@ def _shared_values(
         max_speed = state.physics.vehicle.max_speed
         shared["speed"] = (motion.speed[index] / max_speed[:, None])[..., None]
     if config.share.goals and bays is not None:
-        code = tracked_bays.goal_code(state.goal[index], bays)
+        code = bay_fields.goal_code(state.goal[index], bays)
         shared["goal"] = jax.nn.one_hot(code, bays.shape[1] + 2)
     elif config.share.goals:
         goal_pose = state.layout.bay_pose[state.goal]

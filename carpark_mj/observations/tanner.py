@@ -30,10 +30,10 @@ import jax.numpy as jnp
 from carpark_mj.config import WORLD_UNIT, GridConfig, TannerObservation
 from carpark_mj.config.observations import BAY_PARTS
 from carpark_mj.geometry import to_local
+from carpark_mj.observations.bay_fields import goal_code, rivals
 from carpark_mj.observations.fields import Field, repeated, repeated_values
 from carpark_mj.observations.rings import ring_counts, ring_fields
 from carpark_mj.observations.sensors import observed
-from carpark_mj.observations.tracked_bays import goal_code, rivals
 from carpark_mj.observations.tracking import in_view, track_cars
 from carpark_mj.types import NO_BAY, State
 

@@ -60,7 +60,11 @@ IMPOSSIBLE = [
     (SpawnConfig, {"crash_ratio": 0.9}, r"close_ratio \+ crash_ratio .* 1, not 0.2 \+"),
     (SpawnConfig, {"crash_distance": math.nan}, "crash_distance must be .* not nan"),
     (SpawnConfig, {"spacing": -0.1}, "spacing must be at least 0.0, not -0.1"),
-    (SpawnConfig, {"evolution": "nearest"}, "unknown evolution 'nearest'; choose from"),
+    (
+        SpawnConfig,
+        {"relocation": "nearest"},
+        "unknown relocation 'nearest'; choose from",
+    ),
     (RewardConfig, {"final_speed": -1.0}, "final_speed must be at least 0.0, not -1.0"),
     (RewardConfig, {"timeout": math.inf}, "timeout must be at least 0.0, not inf"),
     (EpisodeConfig, {"parked_rule": "lax"}, "unknown parked_rule 'lax'"),

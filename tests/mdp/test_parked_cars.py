@@ -131,7 +131,7 @@ def random_rule(num_tracked, tanner=False):
     observation = ContinuousObservation(tracked_parked_cars=num_tracked)
     if tanner:
         observation = TannerObservation(tracked_cars=num_tracked)
-    return EnvConfig(spawn=SpawnConfig(evolution="random"), observation=observation)
+    return EnvConfig(spawn=SpawnConfig(relocation="random"), observation=observation)
 
 
 def row_of(goal, bay, x):
