@@ -17,16 +17,14 @@ import dataclasses
 import signal
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import get_args
 
-import tyro
-
-from benchmarking.checkouts import Checkout, here, other_checkout
+from benchmarking.checkouts import here, other_checkout
 from benchmarking.records import Clock, Job, What
-from benchmarking.report import Row, markdown, write_csv
-from benchmarking.run import WorkerError, run_job
-from carpark_mj.cli.common import USER_ERRORS, one_line
+from benchmarking.report import markdown
+from benchmarking.run import WorkerError, measure
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import EnvConfig
 
 TYRES = ("brush", "contact")
@@ -100,53 +98,27 @@ class BenchmarkConfig:
         ]
 
 
-def measure(config: BenchmarkConfig, measured: Sequence[Checkout]) -> list[Row]:
-    """Measures all jobs in all checkouts, which take turns, over some rounds.
-
-    Raises:
-        ValueError: impossible settings.
-        WorkerError: a process failed.
-        OSError: the CSV cannot be written.
-    """
-    rows: list[Row] = []
-    if config.out:  # refuses an impossible path before anything is measured
-        write_csv(Path(config.out), rows)
-    for number in range(1, config.repeats + 1):
-        for job in config.jobs():
-            for checkout in measured:
-                result = run_job(job, checkout)
-                rows.append(Row(job, checkout, number, result))
-                if config.out:
-                    write_csv(Path(config.out), rows)
-                print(
-                    f"round {number} of {config.repeats}, {checkout.name}: "
-                    f"{result.what} {result.layout}, {job.lots:,} lots: "
-                    f"{result.rate:,.0f} {result.unit}, "
-                    f"compiled in {result.compile_s:.1f} s",
-                    file=sys.stderr,
-                )
-    return rows
+def run(config: BenchmarkConfig) -> int:
+    """Measures and prints the table; returns 1 if a process failed."""
+    with contextlib.ExitStack() as stack:
+        measured = [here()]
+        if config.against:
+            measured.append(stack.enter_context(other_checkout(config.against)))
+        try:
+            rows = measure(config.jobs(), measured, config.repeats, config.out)
+        except WorkerError as error:
+            print(f"benchmark: {error}", file=sys.stderr)
+            return 1
+    print(markdown(rows))
+    return 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    try:
-        config = tyro.cli(BenchmarkConfig, args=arguments, description=__doc__)
-        with contextlib.ExitStack() as stack:
-            measured = [here()]
-            if config.against:
-                measured.append(stack.enter_context(other_checkout(config.against)))
-            print(markdown(measure(config, measured)))
-    except USER_ERRORS as error:
-        print(f"benchmark: {one_line(error)}", file=sys.stderr)
-        return 2
-    except WorkerError as error:
-        print(f"benchmark: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("benchmark: stopped", file=sys.stderr)
-        return 130
-    return 0
+    return run_command(
+        "benchmark",
+        lambda: run(read_flags(BenchmarkConfig, arguments, description=__doc__)),
+    )
 
 
 if __name__ == "__main__":

@@ -12,33 +12,27 @@ figures of one run.
 
 import dataclasses
 import sys
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Sequence
 
 import jax
-import tyro
 from rich.console import Console
 from rich.table import Table
 
-from benchmarking.timing import best_time
-from carpark_mj.cli.common import USER_ERRORS, one_line
-from carpark_mj.config import EnvConfig, RayConfig
-from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.mdp.clearance import clearances
-from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.metrics.collision_time import collision_times
-from carpark_mj.observations import observe
-from carpark_mj.types import State
+from benchmarking.broad_phase import SCENES, make_env, measure
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
 
-SCENES = {
-    "square": EnvConfig(num_agents=7, num_parked_cars=16),
-    "large": EnvConfig(
-        layout=LotConfig(num_aisles=(8, 8), bays_per_row=(26, 26), pillar_every=5),
-        num_agents=50,
-        num_parked_cars=300,
-    ),
-}
+COLUMNS = (
+    "scene",
+    "agents",
+    "bays",
+    "walls",
+    "discs",
+    "collisions",
+    "observations",
+    "safety",
+    "whole step",
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,84 +59,41 @@ class BroadPhaseConfig:
                 raise ValueError(
                     f"{name} must be at least 1, not {getattr(self, name)}"
                 )
+        if not self.scenes:
+            raise ValueError("scenes must name at least one")
         if unknown := set(self.scenes) - set(SCENES):
             raise ValueError(
                 f"unknown scenes {sorted(unknown)}; choose from {sorted(SCENES)}"
             )
 
 
-def milliseconds(
-    config: BroadPhaseConfig, function: Callable[..., Any], *args: Any
-) -> float:
-    """Of the fastest call after the first, which compiles."""
-    jax.block_until_ready(function(*args))
-    return 1e3 * best_time(lambda: function(*args), config.repeats)
-
-
-def measure(config: BroadPhaseConfig, env: ParkingEnv) -> dict[str, float]:
-    """Milliseconds of a control step of all lots, by what is done in it."""
-    reset_key, action_key = jax.random.split(jax.random.key(0))
-    shape = (config.steps, config.lots, env.num_agents, 2)
-    actions = jax.random.uniform(action_key, shape, minval=-1.0)
-
-    def safety(state: State) -> Any:
-        where = state.layout, state.motion, state.parked_cars
-        return clearances(*where), collision_times(*where)
-
-    @jax.jit
-    def drive(state: State) -> State:
-        step = jax.vmap(env.step)
-        return jax.lax.scan(lambda s, a: (step(s, a)[0], None), state, actions)[0]
-
-    keys = jax.random.split(reset_key, config.lots)
-    state = drive(jax.jit(jax.vmap(env.reset))(keys)[0])
-    see = jax.jit(jax.vmap(lambda state: observe(env.config, state)))
-    return {
-        "collisions": milliseconds(config, jax.jit(jax.vmap(find_hits)), state),
-        "observations": milliseconds(config, see, state),
-        "safety": milliseconds(config, jax.jit(jax.vmap(safety)), state),
-        "whole step": milliseconds(config, drive, state) / config.steps,
-    }
-
-
-def main(config: BroadPhaseConfig) -> None:
+def run(config: BroadPhaseConfig) -> None:
     """Measures and prints the table."""
     device = jax.devices()[0].device_kind
     table = Table(title=f"ms a control step of {config.lots} lots on {device}")
-    for name in (
-        "scene",
-        "agents",
-        "bays",
-        "walls",
-        "discs",
-        "collisions",
-        "observations",
-        "safety",
-        "whole step",
-    ):
+    for name in COLUMNS:
         table.add_column(name, justify="left" if name == "scene" else "right")
     for name in config.scenes:
-        env_config = SCENES[name]
-        if config.rays:
-            seen = dataclasses.replace(
-                env_config.observation, rays=RayConfig(config.rays)
-            )
-            env_config = dataclasses.replace(env_config, observation=seen)
-        env = ParkingEnv(env_config)
+        env = make_env(name, config.rays)
         layout = jax.eval_shape(env.draw_layout, jax.random.key(0))
         rows = (layout.bay_mask, layout.wall_mask, layout.disc_mask)
+        times = measure(env, config.lots, config.steps, config.repeats)
         table.add_row(
             name,
             str(env.num_agents),
             *(str(mask.shape[0]) for mask in rows),
-            *(f"{value:.2f}" for value in measure(config, env).values()),
+            *(f"{value:.2f}" for value in times.values()),
         )
     Console().print(table)
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command(
+        "broad_phase",
+        lambda: run(read_flags(BroadPhaseConfig, arguments, description=__doc__)),
+    )
+
+
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(BroadPhaseConfig, description=__doc__))
-    except USER_ERRORS as error:
-        print(f"broad_phase: {one_line(error)}", file=sys.stderr)
-        sys.exit(2)
+    sys.exit(main())

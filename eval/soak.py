@@ -12,40 +12,18 @@ car for one episode, and its number determines everything about it.
 import dataclasses
 import sys
 import time
-from functools import partial
-from typing import TypeVar
+from collections.abc import Sequence
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import tyro
-from flax import struct
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from carpark_mj.config import RandomizationConfig, SimConfig
-from carpark_mj.fleet.randomization import randomize
-from carpark_mj.mdp.actions import sanitize_numbers
-from carpark_mj.physics.mjx import CarState, MjxPhysics
-from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
-
-ArrayOrNumpy = TypeVar("ArrayOrNumpy", jax.Array, np.ndarray)
-
-HOLD = 10  # control steps of 20 ms for which an action is held, as in the environment
-ROUNDS = 60  # actions of an episode: 12 s
-RANDOMISATION = RandomizationConfig(
-    mass=(0.75, 1.25),
-    cg_x=(0.89, 1.11),  # 0.15 m or more in every preset
-    cg_height=(0.8, 1.2),
-    friction=(0.13, 1.2),  # 0.12 (ice) to 1.08
-    tyre_stiffness=(0.7, 1.3),
-    brake_gain=(0.5, 1.5),
-    steering_offset=(-0.03, 0.03),
-    steering_lag=(0.0, 0.3),
-)
-PATTERNS = ("random", "held", "lock to lock", "brake to throttle", "flip", "invalid")
-INVALID = (np.nan, np.inf, -np.inf, 1e30, -5.0, 1.0001, 1.0, -1.0, 0.5, 0.0)
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.config import SimConfig
+from carpark_mj.vehicle import PRESETS
+from vehicle_suite import soak
+from vehicle_suite.soak import HOLD, PATTERNS, ROUNDS, Soak, Worst
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,170 +58,26 @@ class SoakConfig:
             raise ValueError(f"first_case must be at least 0, not {self.first_case}")
 
 
-@struct.dataclass
-class Worst:
-    """The worst of each case; all (n,).
-
-    Attributes:
-        broken: steps that produced a non-finite number.
-        hop: of a tyre above the ground [m]; negative while its spring is loaded.
-        energy: per mass [J/kg].
-        invalid: actions that had to be sanitized.
-    """
-
-    broken: jax.Array
-    hop: jax.Array
-    energy: jax.Array
-    invalid: jax.Array
-
-
-class Soak:
-    """Compiled cases."""
-
-    def __init__(self, sim: SimConfig) -> None:
-        """Prepares the physics and the nominal cars."""
-        self.physics = MjxPhysics(dataclasses.replace(sim, ctrl_dt=0.02, trace_dt=0.02))
-        cars = [make_vehicle(params) for params in PRESETS.values()]
-        self._nominal: Vehicle = jax.tree.map(lambda *x: jnp.stack(x), *cars)
-        self.run = jax.jit(self._run)
-
-    def _run(self, cases: jax.Array) -> Worst:
-        """Runs cases (n,) of int32 for an episode each."""
-        keys = jax.vmap(jax.random.key)(cases)
-        preset, pattern = preset_of(cases), pattern_of(cases)
-
-        def spawn(preset: jax.Array, key: jax.Array) -> tuple[Vehicle, jax.Array]:
-            car_key, yaw_key = jax.random.split(key)
-            nominal = jax.tree.map(lambda x: x[preset], self._nominal)
-            yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
-            return randomize(RANDOMISATION, nominal, car_key), yaw
-
-        fleet, yaw = jax.vmap(spawn)(preset, keys)
-        pose = jnp.pad(yaw[:, None], ((0, 0), (2, 0)))
-        zero = jnp.zeros(cases.shape, jnp.float32)
-        carry = self.physics.init(pose, fleet), Worst(zero, zero - jnp.inf, zero, zero)
-
-        def act(carry, step: jax.Array):
-            draw = partial(draw_action, step)
-            action = jax.vmap(draw)(pattern, fleet, keys)
-            action, invalid = sanitize_numbers(action)
-            state, worst = carry
-            worst = dataclasses.replace(worst, invalid=worst.invalid + invalid)
-            hold = partial(self._hold, action)
-            return jax.lax.scan(hold, (state, worst), length=HOLD)
-
-        (_, worst), _ = jax.lax.scan(act, carry, jnp.arange(ROUNDS))
-        return worst
-
-    def _hold(self, action: jax.Array, carry: tuple[CarState, Worst], _: None):
-        state, worst = carry
-        state = self.physics.step(state, action)
-        worst = dataclasses.replace(
-            worst,
-            broken=worst.broken + ~state.finite,
-            hop=jnp.maximum(worst.hop, hops(state).max(axis=-1)),
-            energy=jnp.maximum(worst.energy, energy_per_mass(state)),
-        )
-        return (state, worst), None
-
-
-def preset_of(case: ArrayOrNumpy) -> ArrayOrNumpy:
-    """Index of a case's car in `PRESETS`."""
-    return case % len(PRESETS)
-
-
-def pattern_of(case: ArrayOrNumpy) -> ArrayOrNumpy:
-    """Index of a case's inputs in `PATTERNS`."""
-    return case // len(PRESETS) % len(PATTERNS)
-
-
-def draw_action(
-    step: jax.Array, pattern: jax.Array, vehicle: Vehicle, key: jax.Array
-) -> jax.Array:
-    """The action (2,) of one case at action number `step`, possibly invalid."""
-    wave_key, noise_key = jax.random.split(jax.random.fold_in(key, 1))
-    half = jax.random.randint(wave_key, (), 1, 13)  # half a period of 0.2 to 2.4 s
-    square = jnp.where(step // half % 2 == 0, 1.0, -1.0)
-    flip = jnp.where(step % 2 == 0, 1.0, -1.0)
-
-    def uniform(number: jax.Array) -> jax.Array:
-        noise = jax.random.fold_in(noise_key, number)
-        return jax.random.uniform(noise, (2,), minval=-1.0, maxval=1.0)
-
-    held, noise = uniform(step // half), uniform(step)
-    # As long as the wheels take from one lock to the other at the rate limit.
-    turn = jnp.ceil(2 * vehicle.max_steering / vehicle.steering_rate / 0.2)
-    lock = jnp.where(step // turn.astype(int) % 2 == 0, 1.0, -1.0)
-    wild = jax.random.choice(
-        jax.random.fold_in(noise_key, step + ROUNDS), jnp.array(INVALID), (2,)
-    )
-    actions = [
-        noise,
-        held,
-        jnp.stack([lock, held[1]]),
-        jnp.stack([held[0], square]),
-        jnp.stack([flip, flip]),
-        wild,
-    ]
-    return jnp.stack(actions)[pattern]
-
-
-def wheel_heights(state: CarState) -> jax.Array:
-    """How far the wheels (..., 4) are above where they rest [m]."""
-    w, x, y, z = jnp.moveaxis(state.qpos[..., 3:7], -1, 0)
-    across = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x)], axis=-1)
-    rise = jnp.sum(state.vehicle.hub * across[..., None, :], axis=-1)
-    return state.qpos[..., 2, None] + rise
-
-
-def hops(state: CarState) -> jax.Array:
-    """How far the tyres (..., 4) are above the ground [m]; negative: they carry."""
-    tyres = state.vehicle.tyres
-    droop = tyres.static_load / tyres.vertical_stiffness[..., None]
-    return wheel_heights(state) - droop
-
-
-def energy_per_mass(state: CarState) -> jax.Array:
-    """Kinetic and spring energy (...) over mass [J/kg], of the wheels their spin."""
-    vehicle = state.vehicle
-    linear, angular = state.qvel[..., :3], state.qvel[..., 3:6]
-    spin = state.qvel[..., [7, 9, 10, 11]]
-    turning = vehicle.body_inertia[..., 1, :] * angular**2
-    spinning = vehicle.wheel_inertia[..., None] * spin**2
-    sprung = vehicle.tyres.vertical_stiffness[..., None] * wheel_heights(state) ** 2
-    rest = turning.sum(-1) + spinning.sum(-1) + sprung.sum(-1)
-    return 0.5 * (jnp.sum(linear**2, axis=-1) + rest / vehicle.mass)
-
-
-def main(config: SoakConfig) -> bool:
-    """Runs the cases and prints the table; returns whether all held."""
-    soak = Soak(config.sim)
-    substeps = ROUNDS * HOLD * soak.physics.sim.num_substeps
-    batches = -(-config.car_steps // (substeps * config.num_cars))
+def run(config: SoakConfig) -> int:
+    """Runs the cases and prints the table; returns 1 if a case broke a limit."""
+    cars = Soak(config.sim)
+    substeps = ROUNDS * HOLD * cars.physics.sim.num_substeps
+    num_batches = -(-config.car_steps // (substeps * config.num_cars))
     begun = time.monotonic()
-    worst: list[Worst] = []
-    for batch in track(range(batches), "soaking", transient=True):
-        first = config.first_case + batch * config.num_cars
-        cases = jnp.arange(first, first + config.num_cars, dtype=jnp.int32)
-        worst.append(jax.device_get(soak.run(cases)))
-    total = jax.tree.map(lambda *x: np.concatenate(x), *worst)
-    count = batches * config.num_cars
-    print_table(config, total, np.arange(config.first_case, config.first_case + count))
-    elapsed = time.monotonic() - begun
-    steps = count * substeps
-    bad = breaches(config, total)
+    cases, worst = cars.run_batches(config.first_case, num_batches, config.num_cars)
+    print_table(config, worst, cases)
+    bad = soak.breaches(worst, config.max_hop, config.max_energy)
     print(
-        f"{steps:.3g} car-steps of {soak.physics.sim.sim_dt:g} s in {elapsed:.0f} s, "
-        f"{int(total.invalid.sum())} actions sanitized; "
-        + (f"{bad.sum()} of {count} cases broke a limit" if bad.any() else "all held")
+        f"{len(cases) * substeps:.3g} car-steps of {cars.physics.sim.sim_dt:g} s in "
+        f"{time.monotonic() - begun:.0f} s, "
+        f"{int(worst.invalid.sum())} actions sanitized; "
+        + (
+            f"{bad.sum()} of {len(cases)} cases broke a limit"
+            if bad.any()
+            else "all held"
+        )
     )
-    return not bad.any()
-
-
-def breaches(config: SoakConfig, worst: Worst) -> np.ndarray:
-    """(n,) bool, the cases that broke a limit; a NaN breaks it too."""
-    held = (worst.hop <= config.max_hop) & (worst.energy <= config.max_energy)
-    return ~np.asarray(held) | (np.asarray(worst.broken) > 0)
+    return int(bad.any())
 
 
 def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
@@ -253,8 +87,8 @@ def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
         table.add_column(column)
     table.add_column(f"tyre off the ground, mm (<= {1e3 * config.max_hop:g})")
     table.add_column(f"energy, J/kg (<= {config.max_energy:g})")
-    groups = [(name, preset_of(cases) == k) for k, name in enumerate(PRESETS)]
-    groups += [(name, pattern_of(cases) == k) for k, name in enumerate(PATTERNS)]
+    groups = [(name, soak.preset_of(cases) == k) for k, name in enumerate(PRESETS)]
+    groups += [(name, soak.pattern_of(cases) == k) for k, name in enumerate(PATTERNS)]
     for name, mask in groups:
         if mask.any():
             where = np.flatnonzero(mask)
@@ -268,10 +102,13 @@ def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
     Console().print(table)
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command(
+        "soak",
+        lambda: run(read_flags(SoakConfig, arguments, description=__doc__)),
+    )
+
+
 if __name__ == "__main__":
-    try:
-        good = main(tyro.cli(SoakConfig, description=__doc__))
-    except ValueError as error:
-        print(f"soak: {error}", file=sys.stderr)
-        sys.exit(2)
-    sys.exit(0 if good else 1)
+    sys.exit(main())

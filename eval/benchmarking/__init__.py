@@ -1,1 +1,1 @@
-"""What `eval/benchmark.py` consists of: jobs, the worker, checkouts, the report."""
+"""What the scripts that measure speed consist of: jobs, worker, checkouts, report."""

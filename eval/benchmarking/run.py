@@ -1,4 +1,4 @@
-"""Runs jobs in processes of their own, in one checkout or another."""
+"""Runs jobs in processes of their own; checkouts take turns."""
 
 import dataclasses
 import json
@@ -6,14 +6,52 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarking.checkouts import Checkout
 from benchmarking.records import Job, Measurement
+from benchmarking.report import Row, write_csv
 
 
 class WorkerError(Exception):
     """A measurement failed, possibly out of memory."""
+
+
+def measure(
+    jobs: Sequence[Job], measured: Sequence[Checkout], repeats: int, out: str = ""
+) -> list[Row]:
+    """Measures all jobs in all checkouts, which take turns; says so on stderr.
+
+    Args:
+        jobs: of each round.
+        measured: checkouts.
+        repeats: rounds.
+        out: CSV file of all measurements, written after each; empty = none.
+
+    Raises:
+        ValueError: impossible settings.
+        WorkerError: a process failed.
+        OSError: the CSV cannot be written.
+    """
+    rows: list[Row] = []
+    if out:  # refuses an impossible path before anything is measured
+        write_csv(Path(out), rows)
+    for number in range(1, repeats + 1):
+        for job in jobs:
+            for checkout in measured:
+                result = run_job(job, checkout)
+                rows.append(Row(job, checkout, number, result))
+                if out:
+                    write_csv(Path(out), rows)
+                print(
+                    f"round {number} of {repeats}, {checkout.name}: "
+                    f"{result.what} {result.layout}, {job.lots:,} lots: "
+                    f"{result.rate:,.0f} {result.unit}, "
+                    f"compiled in {result.compile_s:.1f} s",
+                    file=sys.stderr,
+                )
+    return rows
 
 
 def run_job(job: Job, checkout: Checkout) -> Measurement:

@@ -1,1 +1,1 @@
-"""Manoeuvres, formulas and tables of `python eval/physics_report.py`."""
+"""What the scripts about the physics consist of: manoeuvres, formulas, tables."""

@@ -90,11 +90,11 @@ def test_checkouts_take_turns_and_an_interrupted_run_keeps_its_rows(
         asked.append((job.lots, checkout.name))
         return dataclasses.replace(measured(1.0), lots=job.lots)
 
-    monkeypatch.setattr(benchmark, "run_job", run_job)
+    monkeypatch.setattr(run, "run_job", run_job)
     out = tmp_path / "benchmark.csv"
-    config = benchmark.BenchmarkConfig(what=("env",), batches=(4, 8), out=str(out))
+    jobs = [dataclasses.replace(JOB, lots=lots) for lots in (4, 8)]
     with pytest.raises(KeyboardInterrupt):
-        benchmark.measure(config, [OURS, THEIRS])
+        run.measure(jobs, [OURS, THEIRS], repeats=3, out=str(out))
     turns = [(4, "here"), (4, "main~1"), (8, "here"), (8, "main~1")]
     assert asked == turns + turns[:2]
     with out.open(newline="") as file:
@@ -185,13 +185,6 @@ def test_a_job_is_measured_in_a_process_of_its_own_without_compiled_programs(
     environment = run.worker_environment(Path("other"))
     assert "JAX_COMPILATION_CACHE_DIR" not in environment
     assert environment["PYTHONPATH"].split(":")[:2] == ["other", "other/train"]
-
-
-def test_a_batch_of_no_lots_is_refused_on_the_command_line(capsys):
-    with pytest.raises(SystemExit) as stopped:
-        benchmark.main(["--batches", "0"])
-    assert stopped.value.code == 2
-    assert "batches must be positive, not (0,)" in capsys.readouterr().err
 
 
 def test_what_a_checkout_refuses_is_said_in_its_words(monkeypatch, capsys):

@@ -17,6 +17,7 @@ from vehicle_suite import (
     numerics,
     statics,
     steady_turn,
+    suites,
     turning,
 )
 from vehicle_suite.contact import ContactTestbed
@@ -273,9 +274,9 @@ def one_row(tolerance: float):
 
 @pytest.mark.parametrize(("tolerance", "code"), [(2.0, 0), (0.5, 1)])
 def test_a_missed_row_makes_exit_code_1(tolerance, code, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(physics_report, "SUITES", {"brush": (one_row(tolerance),)})
+    monkeypatch.setattr(suites, "SUITES", {"brush": (one_row(tolerance),)})
     flags = ["--presets", "compact", "--tyres", "brush"]
-    assert physics_report.command_line([*flags, "--out", str(tmp_path)]) == code
+    assert physics_report.main([*flags, "--out", str(tmp_path)]) == code
     printed = capsys.readouterr().out
     assert ("wrong: MISS" in printed) == bool(code)
     assert f"1 rows, {code} missed" in printed
@@ -283,10 +284,3 @@ def test_a_missed_row_makes_exit_code_1(tolerance, code, tmp_path, monkeypatch, 
     assert ("Outside their tolerance" in report) == bool(code)
     assert f"`python eval/physics_report.py {' '.join(flags)}`" in report
     assert (tmp_path / "stops.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_bad_flags_are_one_clear_line(capsys):
-    assert physics_report.command_line(["--presets", "tank"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("physics_report: unknown vehicle 'tank'; choose from")
-    assert error.count("\n") == 1

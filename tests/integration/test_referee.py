@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-import referee
-from vehicle_suite import commonroad
+from vehicle_suite import commonroad, referee
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,38 @@
+"""The scripts' flags: bad input ends each of them alike."""
+
+import pytest
+
+import benchmark
+import broad_phase
+import physics_report
+import referee
+import soak
+
+
+@pytest.mark.parametrize(
+    ("script", "flags", "said"),
+    [
+        (benchmark, ["--batch", "4"], "Unrecognized options: --batch, 4"),
+        (benchmark, ["--batches", "0"], "batches must be positive, not (0,)"),
+        (benchmark, ["--steps", "many"], "many"),
+        (broad_phase, ["--lot", "4"], "Unrecognized options: --lot, 4"),
+        (broad_phase, ["--lots", "0"], "lots must be at least 1, not 0"),
+        (broad_phase, ["--scenes", "sea"], "unknown scenes ['sea']; choose from"),
+        (broad_phase, ["--scenes"], "scenes must name at least one"),
+        (physics_report, ["--preset", "tank"], "Unrecognized options: --preset"),
+        (physics_report, ["--presets", "tank"], "unknown vehicle 'tank'; choose from"),
+        (physics_report, ["--tyres", "square"], "square"),
+        (physics_report, ["--tyres"], "tyres must name at least one"),
+        (referee, ["--output", "folder"], "Unrecognized options: --output, folder"),
+        (referee, ["--out"], "--out"),
+        (soak, ["--cars", "3"], "Unrecognized options: --cars, 3"),
+        (soak, ["--num-cars", "0"], "num_cars must be at least 1, not 0"),
+        (soak, ["--sim.sim-dt", "0"], "sim_dt"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(script, flags, said, capsys):
+    assert script.main(flags) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"{script.__name__}: ")
+    assert said in error
+    assert error.count("\n") == 1
