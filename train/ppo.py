@@ -32,13 +32,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
     from learners.memory import require_memory
     from learners.ppo.config import RUN_SETTINGS
     from learners.ppo.learner import Learner
-    from learners.ppo.presets import PRESETS
+    from learners.ppo.presets import PRESETS, SUMMARIES
     from learners.ppo.train import TrainingDivergedError, finish, train
     from learners.run_folder import open_run
     from learners.settings import read_settings
 
     hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
-    config = read_settings(PRESETS[hardware], PRESETS, arguments, __doc__, RUN_SETTINGS)
+    config = read_settings(
+        PRESETS[hardware], PRESETS, arguments, __doc__, RUN_SETTINGS, SUMMARIES
+    )
     learner = Learner(config)  # refuses impossible lots before a folder is made
     require_memory(learner.least_memory())
     try:

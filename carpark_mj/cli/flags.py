@@ -13,11 +13,51 @@ from collections.abc import Generator, Sequence
 from typing import Any, TypeVar
 
 import tyro
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    UnsupportedTypeAnnotationError,
+)
+
+from carpark_mj.config.checks import Range
 
 Config = TypeVar("Config")
 
 # A union of dataclasses gives the flags of the member that is the default.
 _MARKERS = (tyro.conf.AvoidSubcommands,)
+
+_HELP_MARKERS = (*_MARKERS, tyro.conf.SuppressFixed)
+
+
+def _range(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Range] | None:
+    """Two numbers that the help calls LOW HIGH."""
+    if typing.get_origin(info.type) is not tuple:  # tuple or typing.Tuple
+        return None
+    if typing.get_args(info.type) != typing.get_args(Range):
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=2,
+        metavar="LOW HIGH",
+        instance_from_str=lambda words: (float(words[0]), float(words[1])),
+        is_instance=lambda value: isinstance(value, tuple) and len(value) == 2,
+        str_from_instance=lambda value: [str(number) for number in value],
+    )
+
+
+def _tag(info: PrimitiveTypeInfo) -> UnsupportedTypeAnnotationError | None:
+    """No flag in the help for the tag of a union's member, which has one value."""
+    if typing.get_origin(info.type) is not typing.Literal:
+        return None
+    if len(typing.get_args(info.type)) > 1:
+        return None
+    return UnsupportedTypeAnnotationError(())
+
+
+_REGISTRY, _HELP_REGISTRY = ConstructorRegistry(), ConstructorRegistry()
+_REGISTRY.primitive_rule(_range)
+_HELP_REGISTRY.primitive_rule(_range)
+_HELP_REGISTRY.primitive_rule(_tag)
 
 
 def read_flags(
@@ -51,10 +91,13 @@ def read_flags(
     if default is not None:
         options["default"] = default
     if {"-h", "--help"} & {*arguments}:
-        return tyro.cli(cls, args=["--help"], config=_MARKERS, **options)
+        options["registry"] = _HELP_REGISTRY
+        return tyro.cli(cls, args=["--help"], config=_HELP_MARKERS, **options)
     with _stderr_as_text() as box:
         try:
-            return tyro.cli(cls, args=arguments, config=_MARKERS, **options)
+            return tyro.cli(
+                cls, args=arguments, config=_MARKERS, registry=_REGISTRY, **options
+            )
         except SystemExit:
             if not box.getvalue():
                 raise

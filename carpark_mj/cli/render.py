@@ -14,7 +14,7 @@ from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import ContinuousObservation, EnvConfig, PhysicsName
 from carpark_mj.config.checks import positive
 from carpark_mj.env import ParkingEnv
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.policy.checkpoints import require_writable, write_atomically
 from carpark_mj.rendering.gallery import (
     FAMILIES,
     cell_size,
@@ -183,6 +183,7 @@ def _open_output(config: RenderConfig, folder: Path) -> Path:
     if missing_gl:
         raise RenderingError(missing_gl)
     out.parent.mkdir(parents=True, exist_ok=True)
+    require_writable(out)
     return out
 
 

@@ -14,6 +14,7 @@ from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import complete
+from carpark_mj.config.checks import Range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,10 +40,14 @@ class Settings:
     Attributes:
         count: how many there are.
         eye: what is seen.
+        span: from where to where.
+        part: of the span.
     """
 
     count: int = 3
     eye: Near | Far = dataclasses.field(default_factory=Near)
+    span: Range = (0.0, 1.0)
+    part: Range | None = None
 
 
 def test_the_flags_of_a_union_are_those_of_the_default():
@@ -79,18 +84,31 @@ def test_a_bad_flag_is_one_sentence(case, encoding, monkeypatch):
     assert not re.search(r"[\n│╭─]|---|helptext", told)
 
 
+def test_a_range_is_two_numbers():
+    read = read_flags(Settings, ["--span", "-1", "2", "--part", "0.5", "1"])
+    assert (read.span, read.part) == ((-1.0, 2.0), (0.5, 1.0))
+    assert read_flags(Settings, ["--part", "None"], read).part is None
+    for words in (["1"], ["1", "a"]):
+        with pytest.raises(ValueError, match="--span"):
+            read_flags(Settings, ["--span", *words])
+
+
 def test_a_short_help_lists_some_and_names_the_others(capsys):
     with pytest.raises(SystemExit) as stop:
         read_flags(Settings, ["-h"], short=("count",))
     assert stop.value.code == 0
     printed = capsys.readouterr().out
     assert "how many there are" in printed
-    assert "which --help-all explains: --eye.*\n" in printed
+    assert "which --help-all explains: --eye.*, --span, --part\n" in printed
     assert "--eye.reach" not in printed
     for arguments, short in ((["--help-all"], ("count",)), (["--help"], ())):
         with pytest.raises(SystemExit):
             read_flags(Settings, arguments, short=short)
-        assert "--eye.reach" in capsys.readouterr().out
+        printed = capsys.readouterr().out
+        assert "--eye.reach" in printed
+        assert "--eye.kind" not in printed  # a tag has one value
+        assert "--span LOW HIGH" in printed
+        assert "--part {None}|{LOW HIGH}" in printed
 
 
 def test_what_the_user_can_mend_is_one_line_and_exit_code_2(capsys):

@@ -1,17 +1,20 @@
 """Run folders: their names, their lock, and settings no run can have."""
 
 import dataclasses
+import fcntl
 import json
 import math
 
 import pytest
+from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.runs import latest_checkpoint, save_checkpoint
 from learners.memory import device_memory, require_memory
 from learners.ppo.config import PPOConfig
 from learners.q_learning.config import QLearningConfig
-from learners.run_folder import open_run
+from learners.run_folder import LOCK, open_run
 from learners.settings import read_config
 
 TRAINERS = (PPOConfig, QLearningConfig)
@@ -81,6 +84,60 @@ def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):
     with pytest.raises(ValueError, match=r"mine exists.*--resume"):
         opened("mine")
     assert [opened() for _ in range(3)] == ["cpu-0", "cpu-0-2", "cpu-0-3"]
+
+
+ERRORS = (
+    ValueError("sizes"),
+    MemoryError(),
+    OSError(28, "No space left on device"),
+    JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"),
+)
+
+
+def fail(config, error, write):
+    """A run that writes something and then fails."""
+    with open_run(config) as folder:
+        write(folder)
+        raise error
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_a_run_that_fails_before_its_first_checkpoint_leaves_no_folder(tmp_path, error):
+    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
+    for _ in range(2):  # the name is free again
+        with pytest.raises(type(error)):
+            fail(config, error, lambda folder: (folder / "tensorboard").mkdir())
+        assert not list(tmp_path.iterdir())
+
+
+def test_what_was_trained_or_interrupted_or_resumed_is_kept(tmp_path):
+    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
+    with pytest.raises(KeyboardInterrupt), open_run(config) as folder:
+        raise KeyboardInterrupt
+    with (
+        pytest.raises(MemoryError),
+        open_run(dataclasses.replace(config, resume=str(folder))),
+    ):
+        raise MemoryError
+    assert read_config(PPOConfig, folder) == config
+    other = dataclasses.replace(config, name="other")
+    with pytest.raises(MemoryError):
+        fail(other, MemoryError(), lambda folder: save_checkpoint(folder, {}, {}, 1))
+    assert read_config(PPOConfig, tmp_path / "other") == other
+    assert latest_checkpoint(tmp_path / "other").is_file()
+
+
+def test_the_lock_of_a_removed_folder_cannot_be_taken(tmp_path, monkeypatch):
+    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
+    with open_run(config) as folder:
+        pass
+    # Between the opening of the file and its lock, the holder removes the folder.
+    monkeypatch.setattr(fcntl, "flock", lambda *_: (folder / LOCK).unlink())
+    with (
+        pytest.raises(ValueError, match=f"{folder} was just removed"),
+        open_run(dataclasses.replace(config, resume=str(folder))),
+    ):
+        pass
 
 
 def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_path):

@@ -1,18 +1,21 @@
 """Flags of the trainers: presets give defaults, wherever in the line they stand."""
 
 import dataclasses
+import re
 
 import pytest
 
 from carpark_mj.registry import TANNER_FIXED
 from learners.ppo.config import RUN_SETTINGS
-from learners.ppo.presets import PRESETS
-from learners.q_learning.presets import Q_PRESETS
+from learners.ppo.presets import PRESETS, SUMMARIES
+from learners.q_learning.presets import Q_PRESETS, Q_SUMMARIES
 from learners.settings import read_settings
 
 
 def read(*arguments):
-    return read_settings(PRESETS["cpu"], PRESETS, arguments, None, RUN_SETTINGS)
+    return read_settings(
+        PRESETS["cpu"], PRESETS, arguments, None, RUN_SETTINGS, SUMMARIES
+    )
 
 
 def test_a_preset_gives_the_defaults_and_flags_change_them():
@@ -37,10 +40,10 @@ def test_settings_need_to_fit_the_named_preset_only():
 def test_other_trainers_have_their_own_presets():
     default = Q_PRESETS["tanner-qlearning"]
     name = "tanner-qlearning-rings"
-    arguments = (default, Q_PRESETS, ["--preset", name], None, ())
+    arguments = (default, Q_PRESETS, ["--preset", name], None, (), Q_SUMMARIES)
     assert read_settings(*arguments) == Q_PRESETS[name]
     with pytest.raises(ValueError, match=r"'cpu' .*tanner-qlearning-rings"):
-        read_settings(default, Q_PRESETS, ["--preset", "cpu"], None, ())
+        read_settings(default, Q_PRESETS, ["--preset", "cpu"], None, (), Q_SUMMARIES)
 
 
 def test_the_help_is_of_the_named_preset(capsys):
@@ -62,6 +65,16 @@ def test_the_short_help_lists_the_run_and_names_the_rest(capsys):
         assert "where runs are kept" in printed
         assert all(f"\n    {name} " in printed for name in PRESETS)
         assert "--env.num-agents" not in printed
+
+
+def test_the_help_tells_presets_apart_and_what_no_preset_means(capsys):
+    with pytest.raises(SystemExit):
+        read("--help")
+    printed = capsys.readouterr().out
+    table = printed.partition("Presets:\n")[2].partition("\n\n")[0].splitlines()
+    assert len({line.split(maxsplit=1)[1] for line in table}) == len(PRESETS)
+    words = " ".join(re.sub("[│ \n]+", " ", printed).split())
+    assert "(default: auto, which is gpu where JAX finds one, else cpu)" in words
 
 
 def test_the_whole_help_lists_every_setting(capsys):

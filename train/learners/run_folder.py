@@ -3,14 +3,18 @@
 import contextlib
 import dataclasses
 import fcntl
+import os
 import platform
+import shutil
 from collections.abc import Generator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import jax
+from jax.errors import JaxRuntimeError
 
+from carpark_mj.cli.common import USER_ERRORS
 from carpark_mj.config.checks import at_least, positive
 from carpark_mj.policy import runs
 
@@ -66,7 +70,8 @@ def _is_folder_name(name: str) -> bool:
 def open_run(config: RunConfig) -> Generator[Path]:
     """Opens and locks the folder of a run.
 
-    It is a new one with `config.json`, or the one to resume.
+    It is a new one with `config.json`, or the one to resume. A new one is removed if an
+    error ends the run before its first checkpoint, so that its name is free again.
 
     Raises:
         ValueError: the given name is taken, or another process trains in the folder.
@@ -74,9 +79,14 @@ def open_run(config: RunConfig) -> Generator[Path]:
     """
     folder = Path(config.resume) if config.resume else _new_folder(config)
     with _lock(folder):
-        if not config.resume:
-            runs.write_json(folder / "config.json", describe(config))
-        yield folder
+        try:
+            if not config.resume:
+                runs.write_json(folder / "config.json", describe(config))
+            yield folder
+        except (*USER_ERRORS, JaxRuntimeError):
+            if not config.resume and not runs.checkpoint_files(folder):
+                _remove(folder)
+            raise
 
 
 def _new_folder(config: RunConfig) -> Path:
@@ -99,6 +109,13 @@ def _new_folder(config: RunConfig) -> Path:
             return folder
 
 
+def _remove(folder: Path) -> None:
+    """Removes a locked folder; renamed first, so that nobody opens what is left."""
+    removed = folder.with_name(f".{folder.name}.{os.getpid()}")
+    with contextlib.suppress(OSError):  # what ended the run is the error to report
+        shutil.rmtree(folder.rename(removed))
+
+
 @contextlib.contextmanager
 def _lock(folder: Path) -> Generator[None]:
     """Locks the folder; the lock of a killed process is released."""
@@ -109,6 +126,8 @@ def _lock(folder: Path) -> Generator[None]:
             raise ValueError(
                 f"another process trains in {folder}: stop it or wait for its end"
             ) from None
+        if not os.fstat(file.fileno()).st_nlink:  # by the run that held the lock
+            raise ValueError(f"{folder} was just removed: its run failed")
         yield
 
 

@@ -24,6 +24,7 @@ def read_settings(
     arguments: Sequence[str] | None,
     description: str | None,
     short: Sequence[str],
+    summaries: Mapping[str, str],
 ) -> Config:
     """Reads the flags of a trainer.
 
@@ -33,6 +34,7 @@ def read_settings(
         arguments: of the command line; None = those of the program.
         description: at the head of the help.
         short: settings that the short help lists.
+        summaries: by preset, what it is for; stands in the help.
 
     Raises:
         ValueError: impossible settings.
@@ -41,7 +43,7 @@ def read_settings(
     arguments = sys.argv[1:] if arguments is None else arguments
     # The preset is read first: settings may be valid only on top of the one named.
     preset = presets.get(_named_preset(arguments), default)
-    text = f"{description or ''}\nPresets:\n{_preset_table(presets)}\n"
+    text = f"{description or ''}\nPresets:\n{_preset_table(presets, summaries)}\n"
     config = read_flags(type(default), arguments, preset, text, short)
     if not config.resume:
         return dataclasses.replace(config, preset=preset.preset)
@@ -93,7 +95,7 @@ def _named_preset(arguments: Sequence[str]) -> str:
     return name
 
 
-def _preset_table(presets: Mapping[str, Any]) -> str:
+def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> str:
     """A line per preset that says what is trained."""
     width = max(map(len, presets))
     lines: list[str] = []
@@ -101,7 +103,8 @@ def _preset_table(presets: Mapping[str, Any]) -> str:
         env: EnvConfig = config.env
         goals = "dynamic" if env.goals.dynamic else "fixed"
         lines.append(
-            f"    {name:{width}}  {env.layout} lot, {env.num_agents} agents, "
-            f"{goals} goals, {env.physics} physics"
+            f"    {name:{width}}  {summaries[name]}: {env.num_agents} "
+            f"{'agent' if env.num_agents == 1 else 'agents'}, {goals} goals, "
+            f"{env.layout} lot, {env.physics} physics"
         )
     return "\n".join(lines)

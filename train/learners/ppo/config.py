@@ -1,7 +1,9 @@
 """Settings of PPO training."""
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig
@@ -21,6 +23,10 @@ PresetName = Literal[
     "tanner-fixed-original",
     "tanner-dynamic",
 ]
+
+_BY_HARDWARE = tyro.conf.arg(
+    help_behavior_hint="(default: auto, which is gpu where JAX finds one, else cpu)"
+)
 
 # What the short help lists.
 RUN_SETTINGS = (
@@ -45,8 +51,7 @@ class PPOConfig(RunConfig):
     The settings of `RunConfig` come first.
 
     Attributes:
-        preset: settings the other flags start from; `auto` is `gpu` if there is a GPU,
-            else `cpu`.
+        preset: settings the other flags start from.
         num_steps: total number of agent steps.
         num_lots: number of lots simulated in parallel.
         lot_life: most updates for which a random lot is kept; a few lots are drawn
@@ -76,7 +81,7 @@ class PPOConfig(RunConfig):
         env: the environment.
     """
 
-    preset: PresetName = "auto"
+    preset: Annotated[PresetName, _BY_HARDWARE] = "auto"
     num_steps: int = 10_000_000
     num_lots: int = 64
     lot_life: int = 16

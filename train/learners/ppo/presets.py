@@ -125,3 +125,13 @@ PRESETS: dict[str, PPOConfig] = {
         _STUDY, preset="tanner-dynamic", env=TANNER_DYNAMIC
     ),
 }
+
+_HARDWARE = {
+    name: "CPU" if name in ("cpu", "cpu-mixture") else "GPU" for name in PRESETS
+}
+_HARDWARE["tanner-fixed-original"] += ", hyperparameters of the study"
+
+SUMMARIES = {
+    name: f"{_HARDWARE[name]}, {config.num_steps / 1e6:g} M steps"
+    for name, config in PRESETS.items()
+}

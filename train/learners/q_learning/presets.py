@@ -13,3 +13,11 @@ Q_PRESETS: dict[str, QLearningConfig] = {
         env=TANNER_QLEARNING_RINGS,
     ),
 }
+
+Q_SUMMARIES = {
+    name: f"{figure}, {Q_PRESETS[name].total_episodes:,} episodes"
+    for name, figure in (
+        ("tanner-qlearning", "figure 5.1"),
+        ("tanner-qlearning-rings", "figure 5.2"),
+    )
+}
