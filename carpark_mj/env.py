@@ -44,7 +44,7 @@ class ParkingEnv:
       explore, k = head for the k-th of the tracked bays. See `action_spec`.
     - reward: (num_agents,), `mdp.rewards`.
     - episodes belong to agents: one that parks, crashes or times out respawns alone
-      (or stays put, `EpisodeConfig.respawn`) while the others drive on.
+      (or stays put, `EpisodeConfig.respawn`) while the others continue.
 
     >>> env = ParkingEnv(EnvConfig(num_agents=2))
     >>> state, observation = jax.jit(env.reset)(jax.random.key(0))
@@ -52,10 +52,10 @@ class ParkingEnv:
 
     Attributes:
         config: what was configured.
-        vehicle: parameters of the car that `config.vehicle` names, or one's own.
+        vehicle: parameters of the car that `config.vehicle` names, or a custom car.
         fleet: what the cars are drawn from.
         layout_config: the lot, or the family it is drawn from.
-        goals: who decides them.
+        goals: how goals are decided.
         physics: the back end.
     """
 
@@ -70,7 +70,7 @@ class ParkingEnv:
         Args:
             config: the environment; defaults to `EnvConfig()`.
             physics: back end; defaults to the one that `config.physics` names.
-            vehicle: a car of one's own instead of the preset `config.vehicle`.
+            vehicle: a custom car instead of the preset `config.vehicle`.
 
         Raises:
             ValueError: the lot cannot hold the cars asked for, the randomization
@@ -137,7 +137,7 @@ class ParkingEnv:
     def reset_to_layout(
         self, layout: Layout, key: jax.Array
     ) -> tuple[State, jax.Array]:
-        """Starts a given lot, which must have bays enough for cars and goals."""
+        """Starts a given lot, which must have enough bays for cars and goals."""
         state = self._episodes.begin_lot(layout, key)
         return state, observe(self.config, state)
 
@@ -155,7 +155,7 @@ class ParkingEnv:
             hitbox_scale: see `find_hits`; None = 1.
 
         Returns:
-            The next state and what the agents learn.
+            The next state, and what agents get from the step.
         """
         config, before, keys = self.config, state, self._episodes.split_keys(state.key)
         act = actions.parse(config, self._stop_finished(before, action))
@@ -221,7 +221,7 @@ class ParkingEnv:
     def _stop_finished(self, state: State, action: jax.Array) -> jax.Array:
         """Actions (num_agents, size) with those of finished agents on the brake."""
         spec = self.action_spec
-        if not spec.continuous:  # on the grid who has finished is frozen in any case
+        if not spec.continuous:  # on the grid finished agents are frozen anyway
             return action
         stop = drive.stopping_action(state.motion.speed)
         stop = jnp.pad(stop, ((0, 0), (0, len(spec.choices))))

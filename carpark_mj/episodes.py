@@ -1,4 +1,4 @@
-"""Episodes of a lot: how they begin, all at once or some while other agents drive on.
+"""Episodes of a lot: how they begin, all at once or some while other agents continue.
 
 An `Episodes` holds constants only, those of a `ParkingEnv`.
 """
@@ -91,9 +91,10 @@ class Episodes:
         return self._goals.begin(state, placing, everybody, None)
 
     def end(self, state: State, events: Events, keys: StepKeys) -> State:
-        """Where agents respawn a parked car takes the place of each that has parked.
+        """Ends the episodes of agents that are done.
 
-        Otherwise those that are done stay where they are and are no longer active.
+        If agents respawn, a parked car takes the bay of each that has parked. Otherwise
+        those that are done stay where they are and are no longer active.
         """
         if not self._config.episode.respawn:
             return dataclasses.replace(state, active=state.active & ~events.done)
@@ -111,7 +112,7 @@ class Episodes:
             state.goal, state.parked_cars.bay, state.motion.pose_w, begun
         )
         placing = place_waiting(self._goals.place, inputs, placing, keys.spawn)
-        if self._fleet.mixed:  # who finds no bay for the new car keeps goal and car
+        if self._fleet.mixed:  # without a bay for the new car, goal and car are kept
             vehicles = where_cars(placing.found, vehicles, old)
         physics = self._physics.place(state.physics, begun, placing.pose_w, vehicles)
         parked_cars = in_bays(layout, state.parked_cars, placing.parked_bay)

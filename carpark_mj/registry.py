@@ -1,26 +1,27 @@
 """Environments by name: those of the study behind this gym, Tanner 2022.
 
-Tables are those of the study's appendix C. Where its text and its program disagree, or
-where both are silent, the choice is:
+Tables are those of the study's appendix C. Where its text and the reference
+implementation disagree, or do not say, the choice is:
 
 - grid points per world unit: the position granularity squared, so 74 x 74 for 1.
-- cars' boxes and walls: the colliders of his scene, not the drawing, 0.1 larger.
-- no turning while standing still, the last of all headings is drawn at spawns too, and
-  ring k has diameter k: as in his program, but without its two slips.
-- weights of the table's defaults, time 0.5 and approach 1: they break his own rule
-  (approach below time), but only they give the returns he recorded.
-- leaving the world counts as a crash: the outer walls are hit before.
-- an agent that parks frees the parked car farthest from all agents (text), not a random
-  one (program); `SpawnConfig.evolution` has both.
-- the goal of an agent is lost when its bay is no longer among the num_tracked_bays
-  nearest, not the n_track nearest (text); that pays what giving it up pays (program,
-  silent in the text), a goal that another agent has parked in pays nothing (program).
-- tracked bays keep their slots (text), where the program numbers them by distance.
-- starts on a collision course: the other agent's way to its own goal is what must be
-  long enough; who starts has no place yet. At a reset goals are not drawn anew.
-- hitboxes larger in training: until a number of agent steps, the counter that ends the
-  training (his compares another one, and probably never switched back).
-- parking and crashing are terminal, a time-out is not: see `train/q_learning.py`.
+- cars' boxes and walls: the colliders of the reference implementation, which differ
+  from the drawing; cars are 0.1 world units smaller than drawn.
+- no turning at standstill, all headings are drawn at spawns, and ring k has diameter k:
+  as in the reference implementation, without its two bugs.
+- weights of the table's defaults, time 0.5 and approach 1: they break the study's own
+  rule (approach below time), but only they give the returns it reports.
+- leaving the world counts as a crash: the outer walls are hit first.
+- when an agent parks, the parked car farthest from all agents moves (text), not a
+  random one (implementation); `SpawnConfig.evolution` has both.
+- an agent loses its goal when the bay is no longer among the num_tracked_bays nearest,
+  not the n_track nearest (text). This has the reward of giving the goal up, and losing
+  it to another agent that parks there has none (implementation; not in the text).
+- tracked bays keep their slots (text); the implementation orders them by distance.
+- starts on a collision course: the other agent's distance to its own goal must be long
+  enough, as the starting agent has no position yet. At a reset goals are not redrawn.
+- larger hitboxes in training: until a number of agent steps, the counter that ends the
+  training (the implementation compares another one and probably never switches back).
+- parking and crashing are terminal, a timeout is not: see `train/q_learning.py`.
 """
 
 import dataclasses

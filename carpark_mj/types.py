@@ -1,4 +1,4 @@
-"""State of a lot and what a step makes of it. All are pytrees.
+"""State of a lot, and the results of a step. All are pytrees.
 
 Suffix `_w` marks the world frame, `_b` the body frame of the car (x forward, y left).
 Units are SI and radians; poses are (x [m], y [m], yaw [rad]) of a footprint's centre.
@@ -24,7 +24,7 @@ NO_BAY = 2**31 - 1
 
 @struct.dataclass
 class Motion:
-    """What the task may know of the cars' motion; any leading batch shape `(...)`.
+    """Motion of the cars, as the task reads it; any leading batch shape `(...)`.
 
     Attributes:
         pose_w: (..., 3) yaw in [-pi, pi).
@@ -163,7 +163,7 @@ class Sensors:
 
 @struct.dataclass
 class EpisodeStats:
-    """What is known of the running episodes; all (num_agents,) float32.
+    """Statistics of the running episodes; all (num_agents,) float32.
 
     Attributes:
         episode_return: sum of rewards, undiscounted.
@@ -252,7 +252,7 @@ class Events:
 
 @struct.dataclass
 class GoalEvents:
-    """What became of goals that agents choose, in a step; all (num_agents,) bool.
+    """What happened to dynamic goals in a step; all (num_agents,) bool.
 
     Exactly one of the first five, which the agent chose, holds for an active agent. The
     next two exclude each other and come after the choice.
@@ -262,7 +262,7 @@ class GoalEvents:
         stop_explore: took a goal.
         continue_goal: kept its goal.
         change_goal: took another goal.
-        stop_goal: gave its goal up.
+        stop_goal: gave up its goal.
         lost_untracked: lost its goal, which is no longer among the tracked bays.
         lost_taken: lost its goal, where another agent has parked.
         contexts: situations in which the agent should give way, by name; see
@@ -295,7 +295,7 @@ class Transition:
         target_pose: (num_agents, 3) poses of the goals held during the step; of an
             exploring agent that of the nearest bay it tracked.
         events: how episodes stand after the step.
-        goal_events: what became of the goals; None while they are fixed.
+        goal_events: what happened to the goals; None while they are fixed.
         wrong_way: (num_agents,) bool, drives against the lanes; None in lots that never
             have lanes.
         invalid_action: (num_agents,) bool, the action was NaN or out of range.
@@ -317,7 +317,7 @@ class Transition:
 
 @struct.dataclass
 class TimeStep:
-    """What a step tells the agents; all leading dimension (num_agents,).
+    """What agents get from a step; all with leading dimension (num_agents,).
 
     Attributes:
         observation: (num_agents, observation_size); of the new episode where an agent
@@ -331,9 +331,10 @@ class TimeStep:
         reward_terms: the reward by term.
         motion: at the end of the step, before any respawn.
         goal: (num_agents,) int32 goals held during the step.
-        goal_events: what became of the goals; None while they are fixed.
-        final_observation: (num_agents, observation_size) what agents saw at the end of
-            the step, before any respawn; None unless `EpisodeConfig.final_observation`.
+        goal_events: what happened to the goals; None while they are fixed.
+        final_observation: (num_agents, observation_size) what agents that are done saw
+            at the end of the step, before any respawn or relocation; meaningless for
+            the others; None unless `EpisodeConfig.final_observation`.
     """
 
     observation: jax.Array

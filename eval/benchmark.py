@@ -1,4 +1,4 @@
-"""Measures what users feel: steps, training, physics, compilation and memory.
+"""Measures performance: steps, training, physics, compilation and memory.
 
 python eval/benchmark.py                                   # this checkout
 python eval/benchmark.py --what env --batches 512 4096
@@ -35,21 +35,21 @@ class BenchmarkConfig:
     """Settings of `python eval/benchmark.py`.
 
     Attributes:
-        what: is measured.
+        what: what to measure.
         against: another checkout to take turns with: its folder, or a commit, branch
             or tag of this repository; empty = none.
-        batches: lots simulated at once; for `physics`, cars.
-        layouts: of `env`, by name.
-        num_agents: in each lot of `env`.
-        num_parked_cars: likewise.
-        preset: of `ppo`, whose number of lots is that of the batch; `auto` asks JAX
-            for a GPU.
+        batches: numbers of lots simulated in parallel; for `physics`, of cars.
+        layouts: names of the layouts of `env`.
+        num_agents: number of agents in each lot of `env`.
+        num_parked_cars: number of parked cars in each lot of `env`.
+        preset: preset of `ppo`, with the batch as its number of lots; `auto` chooses by
+            whether there is a GPU.
         steps: control steps of 0.2 s per timing of `env` and `physics`; `ppo` times
             updates.
-        timings: in each process, of which the best counts.
-        clock: `wall`, or `cpu`: seconds of all threads of the process, to compare
-            checkouts on a CPU that has other work to do.
-        repeats: rounds, in each of which everything is measured once.
+        timings: timings in each process; the best is reported.
+        clock: `wall`, or `cpu`: CPU seconds of all threads of the process, to compare
+            checkouts on a busy machine.
+        repeats: number of rounds; each measures everything once.
         out: CSV file of all measurements, written after each; empty = none.
     """
 

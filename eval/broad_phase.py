@@ -40,11 +40,11 @@ class BroadPhaseConfig:
     """Settings of `python eval/broad_phase.py`.
 
     Attributes:
-        scenes: of `square` and `large`.
-        lots: in a batch.
+        scenes: scenes to measure, `square` and `large`.
+        lots: number of lots in a batch.
         steps: control steps driven before and during a timing.
-        repeats: timings, of which the best counts.
-        rays: bearings of the observation `rays`; 0 leaves it out.
+        repeats: number of timings; the best is reported.
+        rays: number of rays observed; 0 = none.
     """
 
     scenes: tuple[str, ...] = tuple(SCENES)

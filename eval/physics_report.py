@@ -1,4 +1,4 @@
-"""Drives the validation suite of vehicle dynamics and writes the report.
+"""Runs the validation suite of vehicle dynamics and writes the report.
 
 python eval/physics_report.py
 python eval/physics_report.py --presets compact --tyres brush --quick --out runs/physics
@@ -26,10 +26,10 @@ class ReportConfig:
     """Settings of `python eval/physics_report.py`.
 
     Attributes:
-        presets: cars; default: all.
-        tyres: tyre models.
+        presets: vehicle presets to test; default: all.
+        tyres: tyre models to test.
         out: folder of the report.
-        quick: fewer cases, shorter runs.
+        quick: run fewer cases, with shorter runs.
     """
 
     presets: tuple[str, ...] = ()

@@ -31,12 +31,12 @@ class SoakConfig:
     """Settings of `python eval/soak.py`.
 
     Attributes:
-        car_steps: substeps of a car in all, rounded up to whole batches.
-        num_cars: cars simulated at once.
+        car_steps: total number of substeps of cars, rounded up to full batches.
+        num_cars: number of cars simulated in parallel.
         first_case: number of the first case.
-        max_hop: how far a tyre may leave the ground, at full droop of its spring [m].
-        max_energy: kinetic and spring energy per mass [J/kg]; a car at its speed
-            limit of 3 m/s has 4.5.
+        max_hop: largest allowed gap between tyre and ground, at full droop [m].
+        max_energy: largest allowed kinetic and spring energy per mass [J/kg]; a car at
+            its speed limit of 3 m/s has 4.5.
         sim: time step, slope and surface; `ctrl_dt` is 20 ms whatever it says, so that
             hops are seen.
     """

@@ -1,7 +1,7 @@
 """Trains one shared parking policy for all agents with PPO (IPPO).
 
     python train/ppo.py                        # preset by hardware, runs/cpu-0 or gpu-0
-    python train/ppo.py --resume runs/cpu-0    # goes on exactly where it was
+    python train/ppo.py --resume runs/cpu-0    # continues exactly where it stopped
     python train/ppo.py --preset tanner-fixed  # the study's grid world
     python train/ppo.py --help-all             # every setting
 
@@ -44,7 +44,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     try:
         with open_run(config) as folder:
             if not train(config, learner, folder):
-                print(f"stopped; go on with: python train/ppo.py --resume {folder}")
+                print(f"stopped; continue with: python train/ppo.py --resume {folder}")
                 return 0
             finish(config, folder)
     except TrainingDivergedError as error:

@@ -2,7 +2,7 @@
 
     python train/q_learning.py                                    # figure 5.1
     python train/q_learning.py --preset tanner-qlearning-rings    # figure 5.2
-    python train/q_learning.py --resume runs/tanner-qlearning-0   # goes on where it was
+    python train/q_learning.py --resume runs/tanner-qlearning-0   # continues a run
     python train/q_learning.py --help-all                         # every setting
 
 Independent Q-learning with one table for all agents, several seeds side by side. In
@@ -34,7 +34,9 @@ def run(arguments: Sequence[str] | None = None) -> None:
         if train(config, learner, folder):
             print(f"done: {folder}; see {folder / 'learning_curve.png'}")
         else:
-            print(f"stopped; go on with: python train/q_learning.py --resume {folder}")
+            print(
+                f"stopped; continue with: python train/q_learning.py --resume {folder}"
+            )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,1 +1,1 @@
-"""What the commands do; the scripts only call it."""
+"""Implementation of the commands; the scripts only call it."""

@@ -12,11 +12,11 @@ INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
 
 
 def one_line(error: BaseException) -> str:
-    """What went wrong, in a line that names the file or the value."""
+    """An error as one line that names the file or the value."""
     if isinstance(error, OSError) and error.filename and error.strerror:
         return f"cannot use {error.filename}: {error.strerror}"
     if isinstance(error, OverflowError):
-        return f"a number is too large, the seed perhaps: {error}"
+        return f"a number is too large, possibly the seed: {error}"
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         reason = str(error).partition("\n")[0] or "allocation failed"
         return f"not enough memory, choose smaller sizes: {reason}"
@@ -28,7 +28,7 @@ def run_command(
     command: Callable[[], object],
     errors: tuple[type[Exception], ...] = (),
 ) -> int:
-    """Runs a command; what the user can mend ends it with one line on stderr.
+    """Runs a command; errors that the user can fix end it with one line on stderr.
 
     Args:
         program: name before the line.

@@ -1,4 +1,4 @@
-"""Who drives in an evaluation or a video, and in which environment."""
+"""The policy of an evaluation or a video, and its environment."""
 
 import dataclasses
 from collections.abc import Callable
@@ -17,11 +17,11 @@ BASELINES = {"zero": zero_policy, "random": random_policy}
 
 @dataclasses.dataclass(frozen=True)
 class Driver:
-    """Who is to drive, and where.
+    """A policy and its environment.
 
     Attributes:
-        env: the environment, of a run the one it was trained in.
-        folder: where files about it go.
+        env: the environment; for a run, the one it was trained in.
+        folder: folder of its output files.
         policy: makes the acting function for an environment.
     """
 
@@ -55,7 +55,7 @@ def find_driver(name: str, named: str, deterministic: bool = True) -> Driver:
 
 
 def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> EnvConfig:
-    """The environment with other settings, where they are not None."""
+    """The environment with the settings that are not None replaced."""
     if rule is not None:
         changes["episode"] = dataclasses.replace(env.episode, parked_rule=rule)
     given = {name: value for name, value in changes.items() if value is not None}
@@ -63,6 +63,6 @@ def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> Env
     if (physics == "grid") != (env.physics == "grid"):
         raise ValueError(
             f"a policy for {env.physics} physics cannot drive on {physics}: actions "
-            "are whole numbers on the grid and continuous elsewhere"
+            "are integers on the grid and continuous elsewhere"
         )
     return dataclasses.replace(env, **given)

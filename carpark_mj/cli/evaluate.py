@@ -21,20 +21,20 @@ class EvaluateConfig:
     Attributes:
         run: run folder or checkpoint file; or give `--policy`.
         policy: `zero`, `random`, or a run folder or checkpoint file.
-        environment: of `zero` and `random`, by name, `tanner-fixed` for example; see
-            `carpark_mj.registry`.
-        episodes: whole episodes, rounded up to the same number per agent.
-        seed: of the held-out lots; training never uses these keys.
-        rule: judge by another parked rule than the run was trained under.
-        num_agents: another number of agents than the run was trained with.
-        layout: another lot than the run was trained in: a name or a layout file, or
-            several with commas between.
-        num_parked_cars: another number of parked cars.
-        physics: another back end: `scene` judges crashes by the contacts of one MuJoCo
-            world.
+        environment: name of the environment of `zero` and `random`, for example
+            `tanner-fixed`; see `carpark_mj.registry`.
+        episodes: number of episodes, rounded up to the same number per agent.
+        seed: seed of the held-out lots; training never uses these keys.
+        rule: parked rule to evaluate under; default: that of the run.
+        num_agents: number of agents; default: that of the run.
+        layout: the lot, a name or a layout file, or a comma-separated list of them;
+            default: that of the run.
+        num_parked_cars: number of parked cars; default: that of the run.
+        physics: back end; default: that of the run. With `scene`, crashes are contacts
+            in one MuJoCo world.
         stochastic: sample actions instead of taking the distribution's mode.
-        out: folder of the CSV and JSON; default: the run folder, or `runs/NAME` for
-            a baseline.
+        out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
+            for a baseline.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""

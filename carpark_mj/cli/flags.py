@@ -1,4 +1,4 @@
-"""Flags from frozen dataclasses, through tyro; a bad one is a sentence, not a box."""
+"""Flags from frozen dataclasses, through tyro; errors are one sentence, not a box."""
 
 import contextlib
 import dataclasses

@@ -1,4 +1,4 @@
-"""Looks at layouts: pictures, checks of their plans, trial runs of their scenes.
+"""Inspects layouts: pictures, checks of their plans, test runs of their scenes.
 
 python -m carpark_mj.layouts --plot lots.png
 python -m carpark_mj.layouts --check 1000 --run 20
@@ -87,7 +87,7 @@ def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layou
 
 
 def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """What is wrong with the lots of so many keys, a sentence each."""
+    """Problems of the lots of `num_keys` keys, a sentence each."""
     config = layout_config(layout)
     car: DesignCar = getattr(config, "car", DesignCar())
     found = []
@@ -101,7 +101,7 @@ def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
 
 
 def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """What MuJoCo warns of while the scenes of so many keys run, a sentence each."""
+    """MuJoCo's warnings while the scenes of `num_keys` keys run, a sentence each."""
     return [
         f"key {number}: {warning}"
         for number, drawn in enumerate(draw(layout, num_keys, seed))
@@ -110,7 +110,7 @@ def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
 
 
 def run_scene(layout: Layout) -> list[str]:
-    """What MuJoCo warns of while the scene of one lot runs for a second.
+    """MuJoCo's warnings while the scene of one lot runs for a second.
 
     Every bay holds a parked car; cars to drive stand in the first spawn regions.
     """
@@ -128,10 +128,10 @@ class LayoutsConfig:
 
     Attributes:
         layouts: names or layout files; all families if none.
-        plot: picture to write, with two lots of each.
-        check: how many keys of each to check.
-        run: how many scenes of each to run.
-        seed: of the keys.
+        plot: picture to write, with two lots of each layout.
+        check: number of keys of each layout to check.
+        run: number of scenes of each layout to run.
+        seed: seed of the keys.
     """
 
     layouts: Annotated[
@@ -151,7 +151,7 @@ class LayoutsConfig:
 
 
 def look(config: LayoutsConfig) -> bool:
-    """Draws, checks and runs; whether all is sound.
+    """Draws, checks and runs; returns whether there were no problems.
 
     Raises:
         ValueError: unknown layouts, or files that are none.
@@ -179,7 +179,7 @@ def look(config: LayoutsConfig) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code, 1 if a layout is not sound."""
+    """Runs the command; returns the exit code, 1 if a layout has a problem."""
 
     def command() -> int:
         config = read_flags(LayoutsConfig, arguments, description=__doc__, prog=PROGRAM)

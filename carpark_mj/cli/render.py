@@ -1,4 +1,4 @@
-"""What `python eval/render.py` does: drives off-screen and writes what was seen."""
+"""What `python eval/render.py` does: records episodes and renders them off-screen."""
 
 import dataclasses
 import time
@@ -41,25 +41,26 @@ class RenderConfig:
 
     Attributes:
         run: run folder, checkpoint file, or `zero` or `random`.
-        environment: of `zero` and `random`, by name; see `carpark_mj.registry`.
+        environment: name of the environment of `zero` and `random`; see
+            `carpark_mj.registry`.
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
             `frame.png` in the run folder, `gallery.png` here for the gallery.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
             wheel, or `split:K`: topdown and chase:K side by side.
-        show: extras, with commas between: `tracked` links every agent to the cars it
-            tracks, `rings` draws the circles in which it counts walls.
+        show: comma-separated extras: `tracked` links every agent to the cars it tracks,
+            `rings` draws the circles in which it counts walls.
         seconds: length of the video [s].
         fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
         frame: write a still at this time [s] instead of a video.
         gallery: write a contact sheet instead, `width` wide: two lots of every family,
             from `overview`, with seeds from `seed` on. It needs no run.
-        width: of a frame [pixels], even.
-        height: of a frame [pixels], even.
-        seed: of the held-out lot.
-        num_agents: another number of agents than the run was trained with.
-        num_parked_cars: another number of parked cars.
-        layout: another lot than the run's: a name or a layout file.
-        physics: another back end than the run's: in `scene` crashed cars push each
+        width: width of a frame [pixels], even.
+        height: height of a frame [pixels], even.
+        seed: seed of the held-out lot.
+        num_agents: number of agents; default: that of the run.
+        num_parked_cars: number of parked cars; default: that of the run.
+        layout: the lot, a name or a layout file; default: that of the run.
+        physics: back end; default: that of the run. In `scene` crashed cars push each
             other, spin and stop.
         respawn: whether finished agents start anew; `false` = one episode per agent.
     """
@@ -172,7 +173,7 @@ def main(config: RenderConfig) -> Path:
 
 
 def _open_output(config: RenderConfig, folder: Path) -> Path:
-    """The file to write, its folder made; refused before the work if it cannot be."""
+    """The file to write, in a folder that exists; checked before the work."""
     out = Path(config.out) if config.out else folder / config.file
     if out.suffix not in config.suffixes:
         raise ValueError(

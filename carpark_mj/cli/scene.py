@@ -56,13 +56,13 @@ class SceneConfig:
         view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
             a page on this machine for a browser.
         policy: run folder or checkpoint whose policy drives; in the browser only.
-        num_agents: cars to drive; default 2, or as the policy was trained.
-        num_parked_cars: cars standing in bays; default 16, or as many as the bays of
-            a smaller lot allow, or as the policy was trained.
+        num_agents: number of cars to drive; default 2, or as the policy was trained.
+        num_parked_cars: number of parked cars; default 16, or as many as a smaller lot
+            has room for, or as the policy was trained.
         vehicle: preset of all cars; default `compact`, or the policy's.
         suspension: springs between the wheels and the cars to drive.
-        seed: of what stands where.
-        port: of the page.
+        seed: random seed of the lot and its cars.
+        port: port of the browser page.
     """
 
     layout: str | None = None
@@ -88,7 +88,7 @@ class SceneConfig:
 
 
 def env_config(config: SceneConfig, base: EnvConfig) -> EnvConfig:
-    """The environment with what the settings name in place of its own."""
+    """The environment `base` with the values that the settings give."""
     given = {
         name: getattr(config, name)
         for name in ("layout", "vehicle", "num_agents", "num_parked_cars")

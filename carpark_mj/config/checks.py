@@ -1,6 +1,7 @@
 """Refusals in one sentence, shared by the configs."""
 
 import math
+import numbers
 from typing import Any, get_args
 
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
@@ -14,11 +15,22 @@ def choose(name: str, value: str, literal: object) -> None:
         )
 
 
-def at_least(config: object, minimum: float, *names: str) -> None:
-    """Refuses attributes below a minimum, infinite or NaN."""
+def whole(config: object, minimum: int, *names: str) -> None:
+    """Refuses attributes that are not whole numbers of at least a minimum."""
     for name in names:
         value = getattr(config, name)
-        if not (math.isfinite(value) and value >= minimum):
+        integral = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+        if not integral:
+            raise ValueError(f"{name} must be a whole number, not {value!r}")
+        if value < minimum:
+            raise ValueError(f"{name} must be at least {minimum}, not {value}")
+
+
+def at_least(config: object, minimum: float, *names: str) -> None:
+    """Refuses attributes below a minimum, infinite, NaN or no numbers."""
+    for name in names:
+        value = getattr(config, name)
+        if not (_is_finite(value) and value >= minimum):
             raise ValueError(f"{name} must be at least {minimum}, not {value}")
 
 
@@ -26,7 +38,7 @@ def positive(config: object, *names: str) -> None:
     """Refuses attributes that are not positive and finite."""
     for name in names:
         value = getattr(config, name)
-        if not (math.isfinite(value) and value > 0):
+        if not (_is_finite(value) and value > 0):
             raise ValueError(f"{name} must be positive, not {value}")
 
 
@@ -34,7 +46,7 @@ def ratio(config: object, *names: str) -> None:
     """Refuses attributes outside [0, 1]."""
     for name in names:
         value = getattr(config, name)
-        if not 0.0 <= value <= 1.0:
+        if not (_is_finite(value) and 0.0 <= value <= 1.0):
             raise ValueError(f"{name} must lie in [0, 1], not {value}")
 
 
@@ -52,3 +64,23 @@ def require_range(name: str, value: Any, least: float, most: float) -> None:
         raise ValueError(
             f"{name} must be a lowest and a highest number{within}, not {value!r}"
         )
+
+
+def require_kinds(config: object, **kinds: Any) -> None:
+    """Refuses attributes that are no instances of the named types.
+
+    Raises:
+        ValueError: naming the attribute, its value and the type.
+    """
+    for name, kind in kinds.items():
+        value = getattr(config, name)
+        if not isinstance(value, kind):
+            known = kind.__args__ if hasattr(kind, "__args__") else (kind,)
+            allowed = " or ".join(cls.__name__ for cls in known)
+            raise ValueError(f"{name} must be of {allowed}, not {value!r}")
+
+
+def _is_finite(value: object) -> bool:
+    """Whether a value is a finite number."""
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    return number and math.isfinite(value)

@@ -3,7 +3,13 @@
 import dataclasses
 from typing import Literal, get_args
 
-from carpark_mj.config.checks import Range, at_least, choose, require_range
+from carpark_mj.config.checks import (
+    Range,
+    choose,
+    require_kinds,
+    require_range,
+    whole,
+)
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
@@ -40,31 +46,30 @@ class EnvConfig:
             bays), `compact` (the same with 2.5 m x 5.0 m bays), or a family with its
             default settings: `street`, `street_parallel`, `angled`, `lot`,
             `garage_row`, `dead_end`, `mixture`. Or a layout file (.json, or a TPCAP
-            case as .csv). Several, with commas between, are a mixture of them. From
-            Python also the config of a family, see
-            `carpark_mj.layouts`.
+            case as .csv). A comma-separated list is a mixture. From Python also the
+            config of a family, see `carpark_mj.layouts`.
         vehicle: name of a preset in `carpark_mj.vehicle`.
-        num_agents: cars that act.
-        num_parked_cars: cars standing in bays.
+        num_agents: number of agents, the cars that act.
+        num_parked_cars: number of parked cars.
         occupancy: share of the lot's bays that hold a parked car, drawn from this range
-            when the lot is reset; `num_parked_cars` is then the most there can be.
+            when the lot is reset; `num_parked_cars` is then the maximum.
         fleet: presets that cars are drawn from instead of `vehicle`.
-        jitter: how untidily parked cars stand, and their sizes.
-        physics: back end. `mjx`: every car alone, crashes by box tests. `scene`: the
-            whole lot in one C MuJoCo world, crashes by its contacts; slow. `bicycle`:
-            kinematic cars whose tyres never slip. `grid`: the grid world of the study,
-            with whole numbers for actions.
+        jitter: variation of parked cars' poses in their bays, and of their sizes.
+        physics: back end. `mjx`: every car is simulated on its own, crashes are found
+            by box tests. `scene`: the whole lot in one C MuJoCo world, crashes are its
+            contacts; slow. `bicycle`: kinematic cars whose tyres never slip. `grid`:
+            the grid world of the study, with integer actions.
         sim: time steps and ground.
         grid: granularities of `grid` physics.
-        goals: who decides the goals.
+        goals: whether the environment or the agents choose the goals.
         giving_way: when agents that choose goals should give them up.
         spawn: where episodes start.
-        episode: when they end.
+        episode: when episodes end.
         reward: reward weights.
         observation: what agents observe; one config per encoding.
-        randomization: what differs between cars.
-        sensors: errors of what agents observe.
-        metrics: what is measured beside the outcomes.
+        randomization: parameters that differ between cars.
+        sensors: noise and delay of what agents observe.
+        metrics: optional measurements.
     """
 
     layout: LayoutChoice = "tanner"
@@ -100,8 +105,24 @@ class EnvConfig:
                     f"({', '.join(LAYOUT_FILES)})"
                 )
         choose("physics", self.physics, PhysicsName)
-        at_least(self, 1, "num_agents")
-        at_least(self, 0, "num_parked_cars")
+        require_kinds(
+            self,
+            fleet=FleetConfig,
+            jitter=JitterConfig,
+            sim=SimConfig,
+            grid=GridConfig,
+            goals=GoalConfig,
+            giving_way=GivingWayConfig,
+            spawn=SpawnConfig,
+            episode=EpisodeConfig,
+            reward=RewardConfig,
+            observation=Observation,
+            randomization=RandomizationConfig,
+            sensors=SensorConfig,
+            metrics=MetricsConfig,
+        )
+        whole(self, 1, "num_agents")
+        whole(self, 0, "num_parked_cars")
         if self.occupancy is not None:
             require_range("occupancy", self.occupancy, 0.0, 1.0)
         if self.giving_way.scheme is not None and not self.goals.dynamic:
@@ -111,6 +132,16 @@ class EnvConfig:
             )
         if self.goals.dynamic:
             self.reward.goals.check()
+        elif self.goals.num_tracked_bays != GoalConfig.num_tracked_bays:
+            raise ValueError(
+                f"goals.num_tracked_bays {self.goals.num_tracked_bays} needs dynamic "
+                "goals, goals.dynamic = True"
+            )
+        if self.physics == "grid" and self.randomization.is_on:
+            raise ValueError(
+                "randomization has no effect on the grid, whose cars have no "
+                "parameters: leave it off, or use another physics"
+            )
         self._check_observation()
 
     def _check_observation(self) -> None:
@@ -126,7 +157,7 @@ class EnvConfig:
         if self.fleet.agents and not sees_own_car:
             raise ValueError(
                 "fleet.agents needs observation.own_car = True of the encoding "
-                "'continuous': agents that are not all alike must know what they drive"
+                "'continuous': agents with different cars must observe their own car"
             )
         if isinstance(observation, IndexObservation):
             if self.physics != "grid":
@@ -147,6 +178,17 @@ class EnvConfig:
                 f"giving_way.scheme {scheme!r} needs observation.global_information = "
                 f"{wanted}, not {observation.global_information}"
             )
+        tracked = (
+            observation.tracked_cars
+            if isinstance(observation, TannerObservation)
+            else observation.tracked_agents
+        )
+        context = self.giving_way.context or ""
+        if context.startswith("local") and not tracked:
+            raise ValueError(
+                f"giving_way.scheme {scheme!r} is about tracked agents: observation "
+                "must track at least 1, not 0"
+            )
         others = self.num_agents - 1 + self.num_parked_cars
         if (
             isinstance(observation, TannerObservation)
@@ -160,5 +202,5 @@ class EnvConfig:
 
     @property
     def varies(self) -> bool:
-        """Whether there is more than one kind of car, always as many, neatly parked."""
+        """Whether the number, kinds, poses in bays or sizes of parked cars vary."""
         return self.fleet.is_on or self.jitter.is_on or self.occupancy is not None

@@ -12,9 +12,9 @@ class FleetConfig:
 
     Attributes:
         agents: presets of the agents, drawn anew at every spawn.
-        agent_weights: how often each is drawn, in proportion; empty = equally often.
+        agent_weights: relative frequencies of `agents`; empty = equally often.
         parked_cars: presets of the parked cars, drawn when the lot is reset.
-        parked_weights: the same for them.
+        parked_weights: relative frequencies of `parked_cars`; empty = equally often.
     """
 
     agents: tuple[str, ...] = ()
@@ -44,16 +44,16 @@ class FleetConfig:
 
 @dataclasses.dataclass(frozen=True)
 class JitterConfig:
-    """Ranges by which parked cars differ from neat ones; nothing by default.
+    """Ranges of parked cars' poses in their bays and of their sizes; none by default.
 
     Drawn for every parked car when the lot is reset and kept when it changes its bay.
     A car that fits into its bay stays within the lines, whatever is drawn.
 
     Attributes:
-        along: from the bay's centre along its heading [m].
-        across: from the bay's centre to the left of its heading [m].
-        heading: from the bay's heading [rad], counter-clockwise.
-        scale: factor on length and width.
+        along: offset from the bay's centre along its heading [m].
+        across: offset from the bay's centre to the left of its heading [m].
+        heading: offset from the bay's heading [rad], counter-clockwise.
+        scale: factor on the car's length and width.
     """
 
     along: Range = (0.0, 0.0)
@@ -62,8 +62,8 @@ class JitterConfig:
     scale: Range = (1.0, 1.0)
 
     def __post_init__(self) -> None:
-        # Beyond a quarter turn a car stands the other way round; half or double its
-        # size it is no such car any more.
+        # Beyond a quarter turn a car faces the other way; below half or above twice
+        # its size it is another kind of car.
         for name, least, most in (
             ("along", -math.inf, math.inf),
             ("across", -math.inf, math.inf),

@@ -1,4 +1,4 @@
-"""Giving way: what agents know of each other, and what is asked of them."""
+"""Giving way: what agents know of each other, and when they should give up a goal."""
 
 import dataclasses
 import math
@@ -40,8 +40,8 @@ class GivingWayConfig:
     Attributes:
         scheme: "a,b,c", one of the six of the study: "L,L,S", "L,L,A", "G,L,S",
             "G,L,A", "G,G,S", "G,G,A"; None = nothing is enforced. Needs dynamic goals.
-        bad_goal: reward of a step that keeps a bad goal, paid instead of the one for
-            keeping a goal; at most 0. The study sweeps 0 to -0.2.
+        bad_goal: reward for keeping a bad goal, in place of `continue_goal`; at most 0.
+            The study sweeps 0 to -0.2.
     """
 
     scheme: Scheme | None = None

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import whole
 
 TOLERANCE = 1e-9  # by which (3.5) may fail, for 0.1 + 0.2 is not 0.3
 
@@ -22,27 +22,27 @@ class GoalConfig:
     num_tracked_bays: int = 1
 
     def __post_init__(self) -> None:
-        at_least(self, 1, "num_tracked_bays")
+        whole(self, 1, "num_tracked_bays")
 
 
 @dataclasses.dataclass(frozen=True)
 class GoalRewards:
-    """What steps pay with dynamic goals, by what becomes of the goal in them.
+    """Rewards for what agents do with dynamic goals.
 
-    Signed, paid whole in each such step; the defaults are those of Tanner 2022, table
-    C.10 (e is exploring, p and p' are bays).
+    They are signed rewards of a step, not divided by the episode length. The defaults
+    are those of Tanner 2022, table C.10 (e is exploring, p and p' are bays).
 
     Attributes:
-        continue_explore: of exploring on, r(e->e).
-        stop_explore: of choosing a bay while exploring, r(e->p).
-        continue_goal: of keeping the bay, r(p->p).
-        change_goal: of choosing another bay, r(p->p').
-        stop_goal: of giving up the bay to explore, r(p->e); None = r(p->p') - r(e->p),
-            which the study's rule (3.5) asks for.
-        lost_goal: paid besides when the goal is no longer among the tracked bays; None
-            = r(p->e), as in the reference implementation.
-        taken_goal: paid besides when somebody else has parked there; nothing in the
-            reference implementation.
+        continue_explore: reward for continuing to explore, r(e->e).
+        stop_explore: reward for choosing a bay while exploring, r(e->p).
+        continue_goal: reward for keeping the bay, r(p->p).
+        change_goal: reward for choosing another bay, r(p->p').
+        stop_goal: reward for giving up the bay to explore, r(p->e); None = r(p->p') -
+            r(e->p), which the study's rule (3.5) requires.
+        lost_goal: added when the goal is no longer among the tracked bays; None =
+            r(p->e), as in the reference implementation.
+        taken_goal: added when another agent has parked in the goal; 0 in the reference
+            implementation.
     """
 
     continue_explore: float = -0.002
@@ -68,11 +68,11 @@ class GoalRewards:
 
     @property
     def lost(self) -> float:
-        """What losing a goal pays, given or computed."""
+        """Reward for losing a goal, given or computed."""
         return self.stop if self.lost_goal is None else self.lost_goal
 
     def check(self) -> None:
-        """Refuses what rewards exploring for ever or changing goals by a detour.
+        """Refuses rewards for exploring for ever or changing goals by a detour.
 
         Raises:
             ValueError: (3.5), and with it (3.6), or a sign is violated.

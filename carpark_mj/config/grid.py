@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import whole
 
 WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
 
@@ -19,8 +19,8 @@ class GridConfig:
         headings: equally spaced headings, the first along +y (G_theta).
         max_forward: highest level of speed forwards.
         max_reverse: highest level of speed in reverse.
-        max_acceleration: levels of speed by which one action changes it at most.
-        max_turn: headings by which one action turns at most.
+        max_acceleration: most levels of speed by which one action changes the speed.
+        max_turn: most headings by which one action turns the car.
     """
 
     points: int = 16
@@ -32,7 +32,7 @@ class GridConfig:
     max_turn: int = 3
 
     def __post_init__(self) -> None:
-        at_least(self, 1, *(f.name for f in dataclasses.fields(self)))
+        whole(self, 1, *(f.name for f in dataclasses.fields(self)))
         if 2 * self.max_turn >= self.headings:
             raise ValueError(
                 f"max_turn must be less than half of {self.headings} headings, not "

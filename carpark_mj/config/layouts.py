@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any, Literal
 
-# Layouts that need no more than a name; `carpark_mj.layouts` knows what they mean.
+# Layouts given by name alone; `carpark_mj.layouts` defines them.
 LayoutName = Literal[
     "angled",
     "compact",
@@ -39,10 +39,10 @@ class LayoutConfig:
 
     @property
     def entries(self) -> tuple[Any, ...]:
-        """The roomiest ways into bays, `carpark_mj.layouts.turning.Entry`.
+        """The widest entries into bays, `carpark_mj.layouts.turning.Entry`.
 
-        Whoever gets into a bay in none of these gets into none of the lots that there
-        can be; empty where that is not known.
+        A car that can enter a bay in none of these can enter none in any lot of this
+        config; empty if unknown.
         """
         return ()
 

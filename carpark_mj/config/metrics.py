@@ -1,18 +1,18 @@
-"""What is measured of an episode beside its outcome."""
+"""Optional measurements of an episode."""
 
 import dataclasses
 
 
 @dataclasses.dataclass(frozen=True)
 class MetricsConfig:
-    """Measurements that cost time in every step; `docs/metrics.md` defines each.
+    """Optional measurements, which cost time in every step; see `docs/metrics.md`.
 
-    The outcome, return, length, path and final errors are always there. Evaluation
-    takes everything, training nothing unless asked.
+    The outcome, return, length, path and final errors are always measured. Evaluation
+    enables all of these, training none by default.
 
     Attributes:
-        driving: speed, turning, the nearest car, steps towards the goal.
-        safety: clearance, time to collision, acceleration and jerk.
+        driving: measure speed, turning, the nearest car, and steps towards the goal.
+        safety: measure clearance, time to collision, acceleration and jerk.
     """
 
     driving: bool = False

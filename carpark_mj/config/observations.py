@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose, positive
+from carpark_mj.config.checks import choose, positive, whole
 from carpark_mj.config.grid import WORLD_UNIT
 
 BayPart = Literal["heading", "distance", "bearing"]
@@ -16,11 +16,11 @@ class RingConfig:
     """Circles about the car that count the objects they touch; none by default.
 
     Attributes:
-        diameters: of the circles [m].
+        diameters: diameters of the circles [m].
         cap: largest count a ring reports.
-        cars: count parked cars and other agents beside walls and discs.
-        history: past counts of every ring that are observed (n_h), zero before the
-            episode.
+        cars: also count parked cars and other agents, not only walls and discs.
+        history: number of past counts of every ring that are observed (n_h); zero
+            before the episode.
     """
 
     diameters: tuple[float, ...] = ()
@@ -34,8 +34,8 @@ class RingConfig:
         if len({f"{d:g}" for d in self.diameters}) < len(self.diameters):
             # Fields are named by the diameters.
             raise ValueError(f"ring diameters must be different, not {self.diameters}")
-        at_least(self, 1, "cap")
-        at_least(self, 0, "history")
+        whole(self, 1, "cap")
+        whole(self, 0, "history")
         if self.history and not self.diameters:
             raise ValueError(f"ring history {self.history} needs ring diameters")
 
@@ -45,8 +45,9 @@ class ViewConfig:
     """Where other cars and free bays are tracked; in the whole lot by default.
 
     Attributes:
-        field_of_view: full angle about the own heading [deg].
-        diameter: of the circle about the car [m]; None = the whole lot.
+        field_of_view: full angle of view about the own heading [deg].
+        diameter: diameter of the circle about the car that is in view [m]; None = the
+            whole lot.
     """
 
     field_of_view: float = 360.0
@@ -69,13 +70,13 @@ class ViewConfig:
 
 @dataclasses.dataclass(frozen=True)
 class ShareConfig:
-    """What agents know of the other agents they track, beside their poses.
+    """What agents observe of the other agents they track, in addition to their poses.
 
     Attributes:
-        speeds: their speeds.
-        goals: their goals: where they are or, where agents choose them, which of the
-            observer's tracked bays.
-        goal_headings: the headings of their goals too; fixed goals only.
+        speeds: observe the speeds of tracked agents.
+        goals: observe the goals of tracked agents: positions of fixed goals, and which
+            of the observer's tracked bays a dynamic goal is.
+        goal_headings: also observe the headings of their goals; fixed goals only.
     """
 
     speeds: bool = True
@@ -92,16 +93,17 @@ class RayConfig:
     """Bearings along which the free way is observed; none by default.
 
     Attributes:
-        count: evenly spaced about the car from straight ahead; 0 = none. Each is the
-            way from the car's outline to the nearest wall, disc, parked car or agent.
-        reach: longest way observed [m].
+        count: number of rays, evenly spaced about the car from straight ahead; 0 =
+            none. Each measures the distance from the car's outline to the nearest wall,
+            disc, parked car or agent.
+        reach: longest distance measured [m].
     """
 
     count: int = 0
     reach: float = 10.0
 
     def __post_init__(self) -> None:
-        at_least(self, 0, "count")
+        whole(self, 0, "count")
         positive(self, "reach")
 
 
@@ -110,13 +112,13 @@ class ContinuousObservation:
     """Real numbers of order 1, listed in `carpark_mj.observations.continuous`.
 
     Attributes:
-        tracked_agents: nearest other agents observed.
-        tracked_parked_cars: nearest parked cars observed.
-        view: where they are tracked, and free bays.
-        share: what is known of tracked agents.
-        global_information: observe, of the goal or of every tracked bay, how near the
-            nearest of all agents is, and the nearest that has it as goal.
-        own_car: observe the own size, axles and turning radius; needed where agents are
+        tracked_agents: number of nearest other agents observed.
+        tracked_parked_cars: number of nearest parked cars observed.
+        view: region in which cars and free bays are tracked.
+        share: what is observed of tracked agents in addition to their poses.
+        global_information: observe, for the goal or every tracked bay, the distances to
+            the nearest agent and to the nearest agent that has it as its goal.
+        own_car: observe the own size, axles and turning radius; required if agents are
             drawn from a fleet.
         rings: circles that count objects.
         rays: bearings along which the free way is observed.
@@ -139,7 +141,7 @@ class ContinuousObservation:
 
     def __post_init__(self) -> None:
         choose("encoding", self.encoding, Literal["continuous"])
-        at_least(self, 0, "tracked_agents", "tracked_parked_cars")
+        whole(self, 0, "tracked_agents", "tracked_parked_cars")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,11 +151,11 @@ class TannerObservation:
     The defaults are those of tables C.9 and C.10: 11 numbers.
 
     Attributes:
-        tracked_cars: nearest cars observed, agents and parked cars in one list
-            (n_track).
+        tracked_cars: number of nearest cars observed, agents and parked cars in one
+            list (n_track).
         bay_parts: what is observed of the goal, or of every tracked bay.
-        view: where cars and free bays are tracked.
-        share: what is known of tracked agents.
+        view: region in which cars and free bays are tracked.
+        share: what is observed of tracked agents in addition to their poses.
         global_information: as in `ContinuousObservation`.
         rings: circles that count objects.
         encoding: tag of this config.
@@ -171,7 +173,7 @@ class TannerObservation:
 
     def __post_init__(self) -> None:
         choose("encoding", self.encoding, Literal["tanner"])
-        at_least(self, 0, "tracked_cars")
+        whole(self, 0, "tracked_cars")
         for part in self.bay_parts:
             choose("bay part", part, BayPart)
         if len(set(self.bay_parts)) < len(self.bay_parts):
@@ -180,7 +182,7 @@ class TannerObservation:
 
 @dataclasses.dataclass(frozen=True)
 class IndexObservation:
-    """Whole numbers for a table, as in the study's Q-learning on the grid.
+    """Integers that index a table, as in the study's Q-learning on the grid.
 
     See `carpark_mj.observations.indices`. Goals must be fixed.
 

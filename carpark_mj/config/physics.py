@@ -9,6 +9,7 @@ Surface = Literal["dry", "wet", "ice"]
 TyresName = Literal["brush", "contact"]
 
 CONTACT_SIM_DT = 0.004  # s
+MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,13 +19,13 @@ class SimConfig:
     Attributes:
         sim_dt: physics substep [s]; 0.01 for training, 0.005 as a reference.
         ctrl_dt: control period [s], a multiple of `sim_dt`.
-        trace_dt: longest time between two collision checks within a step [s].
+        trace_dt: longest time between two collision tests within a control step [s].
         grade_x: slope of the ground along world x, rise over run; 0.05 = 5 % uphill.
-        grade_y: slope of the ground along world y.
-        tyres: `brush`, or `contact`: MuJoCo's own contacts, for cross-checks; they
-            need a `sim_dt` of at most 0.004 s.
-        suspension: springs between contact tyres and car; brush tyres have them anyway.
-        surface: how well tyres grip, `carpark_mj.vehicle.surfaces`.
+        grade_y: slope of the ground along world y, rise over run.
+        tyres: tyre model: `brush`, or `contact`: MuJoCo's own contacts, for
+            cross-checks; they need a `sim_dt` of at most 0.004 s.
+        suspension: springs between contact tyres and car; brush tyres always have them.
+        surface: road surface, which sets the grip, `carpark_mj.vehicle.surfaces`.
     """
 
     sim_dt: float = 0.01
@@ -45,6 +46,11 @@ class SimConfig:
             raise ValueError(
                 f"ctrl_dt must be a multiple of sim_dt, not {self.ctrl_dt} s with a "
                 f"sim_dt of {self.sim_dt} s"
+            )
+        if self.num_substeps > MAX_SUBSTEPS:
+            raise ValueError(
+                f"sim_dt must be at least ctrl_dt / {MAX_SUBSTEPS}, "
+                f"{self.ctrl_dt / MAX_SUBSTEPS:g} s, not {self.sim_dt}"
             )
         if self.trace_dt < self.sim_dt:
             raise ValueError(

@@ -13,14 +13,14 @@ class RandomizationConfig:
     """Ranges of what differs between cars, drawn at every spawn; nothing by default.
 
     Attributes:
-        mass: factor on the mass of the whole car; torques stay, so a loaded car is
-            slower.
-        cg_x: factor on how far the centre of gravity is ahead of the rear axle.
-        cg_height: factor on its height above the ground.
+        mass: factor on the mass of the whole car; torques are unchanged, so a loaded
+            car accelerates more slowly.
+        cg_x: factor on the distance of the centre of gravity ahead of the rear axle.
+        cg_height: factor on the height of the centre of gravity above the ground.
         friction: factor on the tyres' friction.
         tyre_stiffness: factor on cornering and slip stiffness.
         brake_gain: factor on all brake torques.
-        steering_offset: steered but not commanded [rad], left positive.
+        steering_offset: added to the commanded steering angle [rad], left positive.
         steering_lag: added to the steering's time constant [s].
     """
 
@@ -38,7 +38,7 @@ class RandomizationConfig:
             require_range(f"randomization.{name}", value, -math.inf, math.inf)
 
     def ranges(self) -> dict[str, Range]:
-        """By name, in a fixed order."""
+        """Ranges by name, in a fixed order."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
     def varies(self, name: str) -> bool:

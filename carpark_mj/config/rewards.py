@@ -11,32 +11,37 @@ RewardName = Literal["shaped", "tanner"]
 
 @dataclasses.dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the terms of `carpark_mj.mdp.rewards`; a weight of 0 drops a term.
+    """Weights of the terms of `carpark_mj.mdp.rewards`.
+
+    All weights are non-negative, and 0 disables a term. Each says whether its term is a
+    reward (added) or a penalty (subtracted). "Per step" weights are divided by
+    `EpisodeConfig.max_steps`, so that they add up to the weight over a full episode.
 
     Attributes:
-        park: paid once when the agent parks.
-        final_speed: taken from it, times the share of the top speed still driven.
-        final_heading: taken from it, times the misalignment with the bay's axis either
-            way round: 0 along it, 1 across it.
-        crash: taken once when it crashes.
-        timeout: taken once when it times out.
-        time: taken over a whole episode of `max_steps`, a share each step.
-        progress: per metre gained towards the goal.
-        alignment: per radian of misalignment with the goal's axis removed, fading
-            with the distance to the goal.
-        alignment_range: distance at which the alignment term has faded to 1/e [m].
-        approach: over a whole episode, for each step that ends nearer to the goal;
-            taken when it does not (Tanner's "move towards goal").
-        smoothness: taken over a whole episode, times the steering change used; on the
-            grid times the turn, of which there is none while standing.
-        smoothness_by_speed: whether that counts times the share of the top speed.
-        reverse: taken over a whole episode, for each step in reverse.
-        wrong_way: taken over a whole episode, for each step driven against the lanes
+        park: reward for parking, once.
+        final_speed: penalty on parking, times the speed as a share of the top speed.
+        final_heading: penalty on parking, times the misalignment with the bay's axis,
+            either way round: 0 = along it, 1 = across it.
+        crash: penalty for crashing, once.
+        timeout: penalty for timing out, once.
+        time: penalty per step.
+        progress: reward per metre gained towards the goal; negative when moving away.
+        alignment: reward per radian of misalignment with the goal's axis removed,
+            fading with the distance to the goal; negative when it grows.
+        alignment_range: distance at which the alignment reward has faded to 1/e [m].
+        approach: reward per step that ends nearer to the goal, penalty per step that
+            does not (Tanner's "move towards goal").
+        smoothness: penalty per step, times the steering change as a share of the
+            largest; on the grid times the turn, which is 0 at standstill.
+        smoothness_by_speed: multiply the smoothness penalty by the share of the top
+            speed.
+        reverse: penalty per step in reverse.
+        wrong_way: penalty per step driven against the lanes
             (`carpark_mj.mdp.wrong_way`); no term in lots that never have lanes.
-        closeness: taken over a whole episode, for each step times the share of
-            `closeness_range` by which the nearest other agent is too close.
-        closeness_range: clearance between agents at which closeness begins [m].
-        goals: paid for what becomes of dynamic goals.
+        closeness: penalty per step, times the share of `closeness_range` by which the
+            nearest other agent is too close.
+        closeness_range: clearance between agents below which they are too close [m].
+        goals: signed rewards for choosing and losing goals; dynamic goals only.
     """
 
     park: float = 4.0
@@ -58,7 +63,8 @@ class RewardConfig:
     goals: GoalRewards = dataclasses.field(default_factory=GoalRewards)
 
     def __post_init__(self) -> None:
-        names = [f.name for f in dataclasses.fields(self) if f.name != "goals"]
+        other = ("goals", "smoothness_by_speed")
+        names = [f.name for f in dataclasses.fields(self) if f.name not in other]
         at_least(self, 0.0, *names)
         positive(self, "alignment_range", "closeness_range")
 

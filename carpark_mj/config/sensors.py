@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import at_least, whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -10,11 +10,12 @@ class SensorConfig:
     """Errors of what agents observe of the cars' motion; none by default.
 
     Attributes:
-        position_noise: standard deviation of x and of y [m], white.
-        heading_noise: of the yaw [rad], white.
-        speed_noise: of the velocity, forward and left [m/s], white.
-        delay_min: control steps by which a car's measurements are late, at least.
-        delay_max: at most; drawn at every spawn.
+        position_noise: standard deviation of the white noise on x and y [m].
+        heading_noise: standard deviation of the white noise on the yaw [rad].
+        speed_noise: standard deviation of the white noise on the velocity, forward and
+            left [m/s].
+        delay_min: shortest delay of a car's measurements [control steps].
+        delay_max: longest delay [control steps]; the delay is drawn at every spawn.
     """
 
     position_noise: float = 0.0
@@ -25,10 +26,10 @@ class SensorConfig:
 
     def __post_init__(self) -> None:
         at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
-        at_least(self, 0, "delay_min")
-        at_least(self, self.delay_min, "delay_max")
+        whole(self, 0, "delay_min")
+        whole(self, self.delay_min, "delay_max")
 
     @property
     def is_on(self) -> bool:
-        """Whether what is observed differs from what is."""
+        """Whether observations differ from the true motion."""
         return self != SensorConfig()

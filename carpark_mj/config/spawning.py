@@ -3,28 +3,29 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose, ratio
+from carpark_mj.config.checks import at_least, choose, ratio, whole
 
 EvolutionRule = Literal["furthest", "random"]
 
 
 @dataclasses.dataclass(frozen=True)
 class SpawnConfig:
-    """Where agents start an episode, and how the lot goes on when one has parked.
+    """Where agents start an episode, and which parked car moves when one has parked.
 
     Attributes:
         close_ratio: share of spawns next to the goal.
-        close_distance: longest walk from the point nearest to the goal [m].
-        crash_ratio: share of spawns on course for a collision with another agent; what
-            is neither close nor this is random.
-        crash_distance: least way of that other agent to its goal, and from the point
-            where they would meet to that goal [m].
-        min_distance: wanted distance to other agents' centres [m]; 7.38 m is Tanner's
+        close_distance: longest walk of a close spawn from the point nearest to the goal
+            [m].
+        crash_ratio: share of spawns on course for a collision with another agent; all
+            remaining spawns are random.
+        crash_distance: on a collision course, shortest distance of the other agent to
+            its goal, and from the meeting point to that goal [m].
+        min_distance: desired distance to other agents' centres [m]; 7.38 m is Tanner's
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
             taken, or the one farthest from the other agents if none does.
-        spacing: of the grid on which starts lie [m], about the middle of a spawn region
-            and up to its edges; 0 = anywhere.
+        spacing: spacing of the grid of start positions [m], centred in a spawn region
+            and including its edges; 0 = anywhere.
         evolution: which parked car moves into a bay where an agent has parked: the one
             `furthest` from all agents, or a `random` one that no agent tracks.
     """
@@ -47,5 +48,5 @@ class SpawnConfig:
             )
         distances = ("close_distance", "crash_distance", "min_distance", "spacing")
         at_least(self, 0.0, *distances)
-        at_least(self, 1, "num_candidates")
+        whole(self, 1, "num_candidates")
         choose("evolution", self.evolution, EvolutionRule)

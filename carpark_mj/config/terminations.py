@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose
+from carpark_mj.config.checks import choose, whole
 from carpark_mj.config.grid import WORLD_UNIT
 
 ParkedRule = Literal["tanner", "strict", "precise"]
@@ -21,9 +21,10 @@ class ParkedLimits:
         heading: largest angle to the bay's axis, either way round [rad].
         speed: highest speed [m/s].
         before_crash: an agent that parks in a step cannot crash in it.
-        slack: least room beyond the car, along and across, that makes a bay a goal for
-            a car of a fleet [m]. To end within the lines takes some room to steer.
-        source: of the limits.
+        slack: smallest margin of a bay's length and width over those of a fleet's car
+            for the bay to be its goal [m]; ending within the lines takes some room to
+            steer.
+        source: where the limits come from.
     """
 
     offset: float | None = None
@@ -61,11 +62,11 @@ class EpisodeConfig:
     Attributes:
         parked_rule: what "parked" means, by name, see
             `carpark_mj.config.PARKED_RULES`.
-        max_steps: control steps until an episode is cut off (truncated).
-        respawn: an agent whose episode ends starts a new one at once; otherwise it
-            stays where it is, on the brake, until the lot is reset.
-        final_observation: `TimeStep` carries what agents saw at the end of a step,
-            before any respawn; off-policy learners need it.
+        max_steps: control steps until an episode is truncated (timeout).
+        respawn: whether an agent whose episode ends starts a new one at once; otherwise
+            it brakes and stays where it is until the lot is reset.
+        final_observation: whether `TimeStep` also carries the observation at the end of
+            a step, before any respawn; off-policy learners need it.
     """
 
     parked_rule: ParkedRule = "strict"
@@ -75,4 +76,4 @@ class EpisodeConfig:
 
     def __post_init__(self) -> None:
         choose("parked_rule", self.parked_rule, ParkedRule)
-        at_least(self, 1, "max_steps")
+        whole(self, 1, "max_steps")

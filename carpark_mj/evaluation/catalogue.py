@@ -22,7 +22,9 @@ POOLS: dict[Pool, str] = {
     "least": "median, 5 % quantile and minimum over episodes",
     "most": "median, 95 % quantile and maximum over episodes",
 }
-START_STEPS = 2  # a crash so early is laid to the spawn, not to the driver (Tanner)
+START_STEPS = (
+    2  # a crash this early is attributed to the spawn, not the policy (Tanner)
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,11 +33,11 @@ class Metric:
 
     Attributes:
         name: column of the table of episodes.
-        unit: of its numbers there; empty for counts, flags and shares.
-        meaning: what it is.
-        pool: how episodes add up.
-        study: what it is called in tables C.3 and C.4 of Tanner 2022.
-        ratio: columns that it is the quotient of; None if it is no quotient.
+        unit: unit of the column; empty for counts, flags and shares.
+        meaning: its definition.
+        pool: how episodes are aggregated, a key of `POOLS`.
+        study: its name in tables C.3 and C.4 of Tanner 2022.
+        ratio: numerator and denominator columns; None if it is not a ratio.
     """
 
     name: str
@@ -207,7 +209,7 @@ GOALS = (
         Metric(
             f"conformity_{name}",
             "",
-            f"of the steps in which {when}: share in which the goal was let go of",
+            f"of the steps in which {when}: share in which the goal was given up",
             "steps",
             study,
             (f"gave_way_{name}", f"met_{name}"),

@@ -1,8 +1,8 @@
 """Evaluation of a policy: whole episodes on held-out seeds, rates with intervals.
 
-Of every agent the first few episodes count, however long they are, so that short
-episodes are not over-represented. Every member of a mixture gets its share of the lots
-exactly, not by chance.
+The first few episodes of every agent count, however long they are, so that short
+episodes are not over-represented. Every member of a mixture gets its exact share of the
+lots.
 """
 
 import dataclasses
@@ -24,14 +24,14 @@ CHUNK = 50  # control steps per compiled call
 def evaluation_key(seed: int) -> jax.Array:
     """The key of an evaluation; training uses `fold_in(..., 0)`, so they never meet.
 
-    Random layouts come from the `test` split besides (`carpark_mj.layouts.splits`).
+    Random layouts also come from the `test` split (`carpark_mj.layouts.splits`).
     """
     return jax.random.fold_in(jax.random.key(seed), 1)
 
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """What an evaluation found.
+    """Results of an evaluation.
 
     Attributes:
         episodes: a row per episode: lot, agent, episode, its metrics (see
@@ -49,7 +49,7 @@ class Evaluation:
 def evaluate(
     env: ParkingEnv, policy: Policy, num_episodes: int, seed: int, num_lots: int = 128
 ) -> Evaluation:
-    """Runs at least `num_episodes` whole episodes and sums them up.
+    """Runs at least `num_episodes` whole episodes and summarises them.
 
     Args:
         env: with respawning agents; `MetricsConfig` says what is measured.

@@ -1,4 +1,4 @@
-"""Refuses cars that cannot drive or stand in a lot, and more than it has room for."""
+"""Refuses cars that cannot drive or park in a lot, and more than it has room for."""
 
 import math
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
 
 
 def check_occupancy(config: EnvConfig, lot: LayoutConfig) -> None:
-    """Refuses fewer parked cars than the share of bays to be occupied asks for.
+    """Refuses fewer parked cars than `EnvConfig.occupancy` requires.
 
     Raises:
         ValueError: naming the number needed.
@@ -63,9 +63,9 @@ def check_occupancy(config: EnvConfig, lot: LayoutConfig) -> None:
 def check_cars(
     config: EnvConfig, fleet: Fleet, lot: LayoutConfig, layout: Layout | None
 ) -> None:
-    """Refuses cars that get into no bay from the aisle, or fit into none.
+    """Refuses cars that cannot enter any bay from the aisle, or fit into none.
 
-    On the grid, where cars turn on the spot, they need not get in.
+    On the grid cars turn on the spot, so only the fit is checked.
 
     Args:
         config: of the environment.
@@ -117,7 +117,7 @@ def _sample(lot: LayoutConfig) -> list[Layout]:
 def _require_entry(
     name: str, params: VehicleParameters, entries: Sequence[Entry]
 ) -> None:
-    """Refuses a car that gets into no bay of a lot, as families refuse their own."""
+    """Refuses a car that can enter no bay of a lot, as families refuse their own."""
     car = DesignCar(
         params.length,
         params.width,

@@ -115,7 +115,7 @@ class Fleet:
         return Start(goal, _in_bays(layout, bay, size, offset), self._of_kind(kind))
 
     def draw_agents(self, key: jax.Array) -> tuple[Vehicle, jax.Array]:
-        """Nominal parameters (num_agents,) of cars drawn by weight, and a key to go on.
+        """Nominal parameters (num_agents,) of cars drawn by weight, and the next key.
 
         Without a fleet of agents they are all of the one kind and nothing is drawn.
         """

@@ -1,7 +1,7 @@
 """Domain randomization: every car gets its own parameters when it spawns.
 
-What is drawn is data in the car's `Vehicle`, so nothing recompiles. The footprint, and
-with it every judgement of the task, stays as it is.
+What is drawn is data in the car's `Vehicle`, so nothing recompiles. The footprint is
+unchanged, and so are collisions and the parked rule.
 """
 
 import dataclasses

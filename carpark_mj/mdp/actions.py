@@ -17,9 +17,9 @@ class ActionSpec:
     """What an agent's action consists of: numbers in [-1, 1], then indices.
 
     Attributes:
-        continuous: how many numbers in [-1, 1] come first.
-        choices: how many there are to choose from in each branch of indices, which
-            follow. An action of indices only is int32, any other float32.
+        continuous: number of continuous entries, in [-1, 1], which come first.
+        choices: number of choices of each index that follows. An action of indices only
+            is int32, any other float32.
     """
 
     continuous: int
@@ -32,7 +32,7 @@ class ActionSpec:
 
     @property
     def dtype(self) -> Any:
-        """Of arrays of actions."""
+        """Dtype of arrays of actions."""
         return jnp.float32 if self.continuous else jnp.int32
 
     @property
@@ -114,7 +114,7 @@ def sanitize_indices(
 
     Args:
         indices: any numbers.
-        choices: how many there are to choose from in each of the k branches.
+        choices: number of choices in each of the k branches.
 
     Returns:
         Indices (..., k) int32, the middle one for NaN and the nearest for others that

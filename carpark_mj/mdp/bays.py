@@ -48,13 +48,13 @@ def shuffled_bays(layout: Layout, key: jax.Array) -> jax.Array:
 
 
 class Wanted(NamedTuple):
-    """Cars of several kinds in want of bays.
+    """Cars of several kinds that need bays.
 
     Attributes:
         fits: (cars, kinds, bays) bool.
         weights: (kinds,) > 0, how often each kind is drawn, in proportion.
-        cars: (cars,) bool, the cars that want one.
-        anywhere: whether a car that fits nowhere gets a free bay all the same.
+        cars: (cars,) bool, the cars that need one.
+        anywhere: whether a car that fits nowhere still gets a free bay.
     """
 
     fits: jax.Array

@@ -1,7 +1,7 @@
 """Goals that agents choose themselves: explore, or head for a bay they track.
 
-A step begins with everybody's choice, made from what was observed last; what an agent
-can choose depends on nobody else, so that choosing in turn or at once is the same. It
+A step begins with every agent's choice, made from its last observation; what an agent
+can choose is independent of the others, so the order of choices does not matter. It
 ends with goals that are lost: because another agent has parked there, or, once tracked
 bays are updated, because the bay is no longer among them.
 """
@@ -77,7 +77,7 @@ class ChosenGoals:
     def update(
         self, before: State, after: State, events: Events
     ) -> tuple[State, GoalEvents]:
-        """Goals are lost, and tracked bays updated, at the end of a step."""
+        """Updates tracked bays and drops lost goals at the end of a step."""
         taken = taken_by_others(after.goal, events.parked) & ~events.done
         # Where finished agents stay, those that have parked stand in their bays.
         respawn = self._config.episode.respawn
@@ -91,7 +91,7 @@ class ChosenGoals:
     def _name_events(
         self, before: State, chosen: jax.Array, taken: jax.Array, lost: jax.Array
     ) -> GoalEvents:
-        """Names what became of goals; nothing for agents that had finished."""
+        """What happened to goals; all False for agents that had finished."""
         old, active = before.goal, before.active
         had, has = active & (old != NO_BAY), active & (chosen != NO_BAY)
         return GoalEvents(
@@ -151,11 +151,19 @@ def choose_goals(
 
 
 def taken_by_others(goal: jax.Array, parked: jax.Array) -> jax.Array:
-    """Whose goal is a bay where another agent has `parked` in this step; bool."""
+    """Agents whose goal is a bay where another agent has just parked.
+
+    Args:
+        goal: (num_agents,) int32.
+        parked: (num_agents,) bool, parked in this step.
+
+    Returns:
+        (num_agents,) bool.
+    """
     same = (goal[:, None] == goal) & ~jnp.eye(goal.shape[0], dtype=bool)
     return (same & parked).any(axis=1) & ~parked
 
 
 def untracked(goal: jax.Array, tracked_bays: jax.Array) -> jax.Array:
-    """Whose goal (num_agents,) is not among the bays it tracks; bool."""
+    """(num_agents,) bool, agents whose goal is not among the bays they track."""
     return (goal != NO_BAY) & ~(tracked_bays == goal[:, None]).any(axis=1)

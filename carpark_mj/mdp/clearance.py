@@ -15,8 +15,8 @@ from carpark_mj.mdp.collisions import reaches, strays
 from carpark_mj.types import Motion, ParkedCars
 
 KINDS = ("agent", "parked_car", "wall")  # what an agent can hit; discs are walls
-RANGE = 20.0  # m, what is farther away counts as this far: nothing is near
-CHUNK = 2  # pairs per agent worked out at a time: the nearest is among the first
+RANGE = 20.0  # m, largest clearance reported
+CHUNK = 2  # pairs per agent computed at a time: the nearest is among the first
 
 
 def agent_clearance(motion: Motion) -> jax.Array:

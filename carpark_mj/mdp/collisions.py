@@ -1,6 +1,6 @@
 """Collisions: what each agent touched during a step.
 
-Physics with contacts says so itself; otherwise footprints are tested for overlap at
+Physics with contacts reports them; otherwise footprints are tested for overlap at
 every traced instant, of near pairs only where a lot is crowded.
 """
 

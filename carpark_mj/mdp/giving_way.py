@@ -1,7 +1,7 @@
-"""Giving way: who holds a goal that another agent is nearer to, and who lets go of it.
+"""Giving way: which agents have a goal that another agent is nearer to.
 
 An agent with a goal is in a *context* if some other agent is strictly nearer to that
-goal (centres, world distance) and besides, in the letters of Tanner 2022:
+goal (centres, world distance) and also, in the notation of Tanner 2022:
 
 | context | the nearer agent |
 |---|---|
@@ -54,7 +54,7 @@ def find_contexts(
 ) -> dict[ContextName, jax.Array]:
     """In which contexts each agent is, see the table above.
 
-    Agents that have finished give no way, and nobody gives way to them.
+    Agents that have finished do not give way, and no agent gives way to them.
 
     Args:
         before: at the start of the step, goals not chosen yet.
@@ -69,7 +69,7 @@ def find_contexts(
     aim = before.layout.bay_pose[jnp.minimum(goal, before.layout.num_bays - 1), :2]
     distance = jnp.linalg.norm(before.motion.xy - aim[:, None], axis=-1)
     better = distance < jnp.diagonal(distance)[:, None]
-    # One's own distance is not less than itself, but compilers may round twice.
+    # The agent's own distance, computed twice, may round differently.
     own = jnp.eye(goal.shape[0], dtype=bool)
     better = better & ~own & active & active[:, None] & (goal != NO_BAY)[:, None]
     same = met_goal == goal[:, None]

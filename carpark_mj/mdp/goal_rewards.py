@@ -27,13 +27,13 @@ def goal_terms(
 ) -> dict[str, jax.Array]:
     """All terms of a step with chosen goals.
 
-    Agents that keep a bad goal, one that the giving-way scheme in force asks them to
-    let go of, earn `bad_goal` instead of `continue_goal`.
+    Agents that keep a bad goal, one that they should give up by the giving-way scheme,
+    get `bad_goal` instead of `continue_goal`.
 
     Args:
         config: weights and the giving-way scheme.
         transition: the step.
-        goals: what became of the goals.
+        goals: what happened to the goals.
         terms: (num_agents,) those of driving, towards the goals chosen in the step.
 
     Returns:
@@ -62,14 +62,14 @@ def goal_terms(
 
 
 def chosen_progress(config: EnvConfig, transition: Transition) -> jax.Array:
-    """Progress (num_agents,) when goals change: no closed loop pays, nor any switch.
+    """Progress (num_agents,) when goals change, without a profit from any loop.
 
-    Progress is that towards the goal chosen in the step. An agent that explores earns
-    none, but driving away from the nearest bay it tracks costs as much as coming
-    nearer would have paid: otherwise it would come near with a goal, and leave without
-    one, for ever. To take a farther goal costs the way thrown away, a nearer one pays
-    nothing. So all terms of a loop that ends where and with what it began add up to
-    the sum of potential differences, which is 0, less something.
+    Progress is measured towards the goal chosen in the step. Exploring agents get no
+    positive progress, but moving away from the nearest tracked bay costs as much as
+    approaching it would have paid; otherwise an agent could approach with a goal and
+    leave without one, for ever. Changing to a farther goal costs the potential lost, a
+    nearer goal pays nothing. So the terms of a loop that ends in the pose and with the
+    goal it began with add up to at most 0.
     """
     before, layout = transition.before, transition.before.layout
     tracked, weights = before.tracked_bays, config.reward

@@ -1,4 +1,4 @@
-"""Goals: which bay an agent heads for, and who decides it.
+"""Goals: which bay an agent heads for, and how that is decided.
 
 Two ways behind one interface, chosen when an environment is built: `FixedGoals`, drawn
 by the environment for each episode, and `ChosenGoals`, chosen by the agents themselves
@@ -20,7 +20,7 @@ class Goals(Protocol):
     """Who decides which bays agents head for."""
 
     def init_tracked_bays(self) -> jax.Array | None:
-        """Tracked bays of a lot in which nobody tracks any yet, see `State`."""
+        """Tracked bays of a lot in which no agent tracks any yet, see `State`."""
         ...
 
     def track(self, state: State) -> State:
@@ -72,7 +72,7 @@ class Goals(Protocol):
         """Goals and tracked bays of agents whose episodes have begun.
 
         Args:
-            state: with everybody placed.
+            state: with all agents placed.
             placing: how they were placed.
             begun: (num_agents,) bool, who begins.
             key: consumed; None when the whole lot begins.

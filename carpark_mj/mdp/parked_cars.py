@@ -89,7 +89,7 @@ def relocate_parked_cars(
 ) -> ParkedCars:
     """Moves a parked car into every bay where an agent has just parked.
 
-    The car farthest from all agents moves, so that no agent sees it go; or, by
+    The car farthest from all agents moves, so that no agent sees it move; or, by
     `SpawnConfig.evolution`, a random one that no agent tracks, and any if they track
     them all. No car moves twice in a step. Of cars that differ in size only those move
     that fit into the bay.
@@ -105,6 +105,8 @@ def relocate_parked_cars(
         return cars
     # All of one size fit where one of them stands.
     parked_fits = fits(layout.bay_size, cars.size) if config.varies else None
+    gap = cars.pose_w[:, None, :2] - state.motion.xy
+    distance = jnp.linalg.norm(gap, axis=-1).min(axis=-1)
     none = tracked = jnp.zeros(cars.bay.shape, bool)
     if rule == "random":
         tracked = tracks_parked_cars(config, state).any(axis=0)
@@ -118,8 +120,7 @@ def relocate_parked_cars(
             score = jax.random.uniform(agent_key, bay.shape)
             score = score + jnp.where(tracked, 0.0, 1.0)
         else:
-            gap = layout.bay_pose[bay, None, :2] - state.motion.xy
-            score = jnp.linalg.norm(gap, axis=-1).min(axis=-1)
+            score = distance
         able = ~moved
         if parked_fits is not None:
             able = able & parked_fits[:, goal] & (bay != NO_BAY)
@@ -129,7 +130,7 @@ def relocate_parked_cars(
         moved = jnp.where(moves, moved.at[car].set(True), moved)
         return bay, moved, waiting.at[agent].set(False)
 
-    # A loop over those who have parked only: in most steps nobody has.
+    # A loop over agents that have parked only: in most steps there are none.
     bay, *_ = jax.lax.while_loop(
         lambda carry: carry[2].any(), move, (cars.bay, none, events.parked)
     )

@@ -1,4 +1,4 @@
-"""Progress of a step: a potential, whether it led nearer, and which way cars drove."""
+"""Progress of a step: potential, whether it led nearer, and direction of travel."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ MOVING = 0.05  # m/s, slower cars have no direction of travel
 def goal_potential(
     weights: RewardConfig, pose_w: jax.Array, goal_pose: jax.Array
 ) -> jax.Array:
-    """Potential (...) of a pose: minus the weighted way still to go.
+    """Potential (...) of a pose: minus the weighted distance and misalignment to go.
 
     Progress terms are differences of this (undiscounted), so that no closed loop pays.
     The misalignment with the bay's axis, either way round, counts more the nearer the

@@ -1,7 +1,7 @@
 """Reward terms by name; weights are data (`RewardConfig`).
 
-Terms that are "sums" are paid a share each step so that a whole episode of
-`max_steps` adds up to the weight, as in Tanner 2022.
+Terms that are "sums" are divided by `max_steps`, so that a full episode adds up to the
+weight, as in Tanner 2022.
 """
 
 import math
@@ -68,11 +68,11 @@ def reward_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Arr
 
 
 class Effort(NamedTuple):
-    """What cars did in a step, as shares of the most they can do; (num_agents,) each.
+    """Steering change and speed of a step, as shares of the most; (num_agents,) each.
 
     Attributes:
-        turn: change of steering; on the grid, where none is, of heading.
-        speed: at the end of the step, either way, of the higher of both limits.
+        turn: change of steering over the largest; on the grid, change of heading.
+        speed: absolute speed at the end of the step over the higher of both limits.
     """
 
     turn: jax.Array

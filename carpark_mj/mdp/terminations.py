@@ -46,17 +46,17 @@ def is_parked(
 def judge(
     config: EpisodeConfig, state: State, hitbox_scale: jax.Array | None = None
 ) -> Events:
-    """Decides how each agent's episode stands after a step.
+    """Evaluates whether each agent's episode has ended after a step, and how.
 
-    A diverged car is out before anything else is asked. Under `tanner` an agent that
+    Divergence takes precedence over all other outcomes. Under `tanner` an agent that
     parks cannot crash in the same step (the study's order of checks); under the other
-    rules a touch anywhere in the step is a crash. Nobody parks without a goal, and of
-    two agents in a bay that is the goal of both only the first does.
+    rules a touch anywhere in the step is a crash. Parking requires a goal, and of two
+    agents in a bay that is the goal of both only the first parks.
 
     Args:
         config: rules.
         state: at the end of the step, which its `step` counts.
-        hitbox_scale: of crashes only, see `find_hits`.
+        hitbox_scale: for crashes only, see `find_hits`.
     """
     layout, goal, motion = state.layout, state.goal, state.motion
     hits = find_hits(state, hitbox_scale)

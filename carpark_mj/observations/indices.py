@@ -1,4 +1,4 @@
-"""The observation of Tanner 2022's Q-learning: a few whole numbers, to index a table.
+"""The observation of Tanner 2022's Q-learning: a few integers that index a table.
 
 Own level of speed, counted from the fastest reverse; the bearing of the goal's centre,
 clockwise from the own heading, to the nearest of the grid's headings; and for every
@@ -32,7 +32,7 @@ def index_fields(config: IndexObservation, grid: GridConfig) -> list[Field]:
 def index_values(
     config: IndexObservation, grid: GridConfig, ctrl_dt: float, state: State
 ) -> dict[str, jax.Array]:
-    """Whole numbers (num_agents, 1) by the fields' names.
+    """Integers (num_agents, 1) by the fields' names.
 
     Args:
         config: rings.
@@ -52,7 +52,7 @@ def cardinalities(config: EnvConfig) -> tuple[int, ...]:
     """How many values each number of the observation can have.
 
     Raises:
-        ValueError: the observation is not of whole numbers.
+        ValueError: the encoding is not `indices`.
     """
     observation = config.observation
     if not isinstance(observation, IndexObservation):

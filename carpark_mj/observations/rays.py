@@ -12,7 +12,7 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import Field
 from carpark_mj.types import Motion, ParkedCars
 
-CHUNK = 8  # obstacles whose rays are worked out at a time in a crowded lot
+CHUNK = 8  # obstacles whose rays are computed at a time in a crowded lot
 
 
 def ray_fields(config: RayConfig) -> list[Field]:

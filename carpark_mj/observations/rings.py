@@ -1,7 +1,7 @@
 """Proximity rings: how many objects a circle about the car touches, now and before.
 
-Objects are whole walls, discs and, with `RingConfig.cars`, parked cars and other
-agents.
+Objects are walls, each counted once, discs and, with `RingConfig.cars`, parked cars and
+other agents.
 """
 
 import jax
@@ -31,7 +31,7 @@ def ring_fields(config: RingConfig, high: float, where: str) -> list[Field]:
 def count_rings(config: RingConfig, state: State) -> jax.Array:
     """Counts (num_agents, rings) int32, up to the cap, where agents think they are.
 
-    Every object is looked at: nothing cheaper than this distance could rule it out.
+    Every object is tested: no cheaper test than this distance could rule one out.
     """
     layout, motion, parked_cars = state.layout, observed(state), state.parked_cars
     own_xy = motion.pose_w[:, :2]

@@ -82,7 +82,7 @@ def reset(
 
 
 def observed(state: State) -> Motion:
-    """The motion (num_agents,) as the agents know it; the trace stays the true one."""
+    """The measured motion (num_agents,); the trace is the true one."""
     sensors = state.sensors
     if sensors is None:
         return state.motion

@@ -5,19 +5,19 @@ the rings, and of `RingConfig.history` steps before, the newest last; the tracke
 agents and parked cars in one list, the nearest first; where agents choose it, the own
 goal. Every number is divided by how many values it can have, distances by the diagonal
 of the study's world; angles count clockwise, bearings are rounded to the headings of
-the grid. What there is not is -1. All of it works for physical cars too, whose speeds
-and headings are not rounded.
+the grid. Absent entities are -1. It also works for physical cars, whose speeds and
+headings are not rounded.
 
 Where the study's text and its reference implementation disagree:
 
 - goals: exploring and a goal that the observer does not track have values of their own,
   0 and the last (text); both are -1 in the implementation.
-- a parked car's speed is that of a car that stands (text), not the number 0, which is
-  the fastest reverse. Its goal is -1, as in the implementation.
+- a parked car's speed is that of standstill (text), not the number 0, which is the
+  fastest reverse. Its goal is -1, as in the implementation.
 - a tracked agent's goal is two numbers, bearing and distance as that agent observes
   them (implementation); `ShareConfig.goal_headings` adds the third of the text.
 - global information has the unit of the other distances (text); the implementation's is
-  16 times too small. Whoever heads for the bay counts, the observer too.
+  16 times too small. All agents with this goal count, the observer included.
 - ring k has diameter k (text), and its count is capped for walls too.
 - bays keep their places in the list while they are tracked (text), see
   `State.tracked_bays`; in the implementation places follow the distances.
@@ -39,7 +39,7 @@ from carpark_mj.types import NO_BAY, State
 
 DIAGONAL = 74 * 2**0.5 * WORLD_UNIT  # m, of the study's world of 74 x 74 world units
 
-# What there is to observe of a bay and of a car: highest value, -1 = no such.
+# Parts of a bay and of a car by name: highest value (-1 = absent) and meaning.
 _PARTS = {
     "heading": (1.0, "heading minus own, clockwise [360 deg]"),
     "distance": (1.5, "to its centre [diagonal]"),
@@ -127,7 +127,7 @@ def bearing_index(grid: GridConfig, local: jax.Array) -> jax.Array:
     """Bearings of poses (..., 3) in the observer's frame to the nearest heading.
 
     Returns:
-        (...) whole numbers in [0, headings), clockwise from ahead.
+        (...) integers in [0, headings), clockwise from ahead.
     """
     clockwise = -jnp.arctan2(local[..., 1], local[..., 0])
     return jnp.mod(jnp.round(clockwise * grid.headings / (2 * jnp.pi)), grid.headings)

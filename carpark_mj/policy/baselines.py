@@ -1,4 +1,4 @@
-"""Policies that look at nothing, to compare others with."""
+"""Baseline policies, which ignore the observation."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from carpark_mj.policy.networks import Policy
 
 
 def zero_policy(action: ActionSpec) -> Policy:
-    """Takes the middle of every range: stands on the brake, or lets things be."""
+    """Takes the middle of every range, with which a standing car stays put."""
 
     def policy(observation: jax.Array, key: jax.Array):
         del key

@@ -1,6 +1,6 @@
 """Checkpoints: one `.npz` file of named arrays and a JSON header, no pickles.
 
-A file appears whole or not at all (written beside its place, then renamed). Reading
+Files are written atomically (to a temporary file, then renamed). Reading
 checks the header, the names, shapes and dtypes; whatever is wrong is one
 `CheckpointError` in one line.
 """
@@ -79,7 +79,7 @@ def save(path: Path, tree: Any, header: dict[str, Any]) -> None:
 def _reason(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    # NumPy's and zipfile's own words are about pickles and magic numbers.
+    # NumPy's and zipfile's messages are about pickles and magic numbers.
     return "it is truncated, or another kind of file"
 
 

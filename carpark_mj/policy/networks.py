@@ -26,8 +26,8 @@ class NetworkConfig:
     """Sizes of the networks; activations are swish.
 
     Attributes:
-        policy_layers: hidden layers of the actor.
-        value_layers: hidden layers of the critic.
+        policy_layers: sizes of the actor's hidden layers.
+        value_layers: sizes of the critic's hidden layers.
     """
 
     policy_layers: tuple[int, ...] = (128, 128)
@@ -46,7 +46,7 @@ def make_networks(
 ) -> ppo_networks.PPONetworks:
     """Builds actor and critic over normalised observations.
 
-    As `ppo_networks.make_ppo_networks` does, which knows no distribution of choices.
+    Like `ppo_networks.make_ppo_networks`, which has no categorical distribution.
     """
     normalize: Any = running_statistics.normalize  # wider than Brax asks for
     distribution = action_distribution(action)

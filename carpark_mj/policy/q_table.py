@@ -1,4 +1,4 @@
-"""A policy that is a table: the best action for every combination of whole numbers."""
+"""A tabular policy: the best action for every combination of integers."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from carpark_mj.policy.networks import Policy
 
 
 def state_index(observation: jax.Array, sizes: Sequence[int]) -> jax.Array:
-    """Rows (...) int32 of a table for observations (..., n) of whole numbers.
+    """Rows (...) int32 of a table for observations (..., n) of integers.
 
     Args:
         observation: `observations.indices`; outside its range the nearest row.

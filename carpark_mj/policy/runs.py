@@ -226,8 +226,8 @@ def _load_table(path: Path, header: dict[str, Any], env: EnvConfig) -> LoadedPol
 def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
     """Loads the policy of a run folder or checkpoint file.
 
-    Of Q-learning it is the table that returned most in the last episodes before the
-    checkpoint; it is deterministic either way.
+    For Q-learning it is the table with the highest return in the last episodes before
+    the checkpoint, which is always deterministic.
 
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.

@@ -1,4 +1,4 @@
-"""A policy driving one lot now, step by step, for a viewer that asks for more."""
+"""A policy driving one lot step by step, for a live viewer."""
 
 from collections.abc import Iterator
 
@@ -19,9 +19,9 @@ class LiveLot:
     Attributes:
         stage: the scene, always at the present instant.
         extent: (2,) half widths of the lot [m].
-        goal_pose: (agents, 3) bays aimed at; NaN for agents that explore.
-        goal_size: (agents, 2) their sizes [m]; likewise.
-        seconds: driven so far.
+        goal_pose: (agents, 3) goal bays; NaN for agents that explore.
+        goal_size: (agents, 2) sizes of goal bays [m]; NaN for agents that explore.
+        seconds: simulated time since the start [s].
     """
 
     def __init__(self, env: ParkingEnv, policy: Policy, seed: int) -> None:
@@ -69,7 +69,7 @@ class LiveLot:
         return seen["pose_w"].shape[0]
 
     def reset(self) -> None:
-        """Starts the lot again, with the same luck."""
+        """Restarts the lot with the same random keys."""
         state, _ = self._carry = self._start
         self._steps = self._trace = 0
         self._seen = None
@@ -86,7 +86,7 @@ class LiveLot:
         )
 
     def step(self) -> bool:
-        """Goes on by one traced pose; True if a control step has begun with it."""
+        """Advances by one traced pose; True if a control step has begun with it."""
         begins = self._seen is None or self._trace == len(self._seen["pose_w"])
         if begins:
             key = jax.random.fold_in(self._key, self._steps)

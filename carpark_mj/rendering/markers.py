@@ -1,4 +1,4 @@
-"""Things drawn into the scene that are not there: goals, ways, links, circles."""
+"""Markers drawn into the scene: goals, paths, links, circles."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""What is written over a frame: agents, goals, what just happened, clock, tallies."""
+"""Text drawn over a frame: agents, goals, recent events, clock, tallies."""
 
 from functools import cache
 from typing import Any

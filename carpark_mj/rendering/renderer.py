@@ -23,7 +23,7 @@ FLASH_COLOURS = {
 
 
 class RenderingError(Exception):
-    """No picture can be made on this machine, or none of what was asked for."""
+    """OpenGL is not available, or there is no such camera."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,7 +131,7 @@ class LotRenderer:
 
 
 def camera_names(camera: str, num_agents: int) -> tuple[str, ...]:
-    """Names in the scene of what a camera flag asks for, left to right.
+    """Names of the scene's cameras for a camera flag, left to right.
 
     `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its wheel, `split`
     (topdown and chase:0) or `split:K`.

@@ -26,12 +26,12 @@ class Recording:
         parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends;
             cars that the lot has not are left out.
         active: (t, agents) bool.
-        parked: (t, agents) bool, parked in this step; likewise the others.
-        crashed: see `parked`.
-        timed_out: see `parked`.
+        parked: (t, agents) bool, the agent parked in this step.
+        crashed: (t, agents) bool, the agent crashed in this step.
+        timed_out: (t, agents) bool, the agent timed out in this step.
         step: (t, agents) control steps made in the episode, this one included.
-        size: (t, agents, 2) footprints during the steps [m]; None if all are alike.
-        parked_size: (parked cars, 2) [m]; None if all are alike.
+        size: (t, agents, 2) footprints during the steps [m]; None if all are equal.
+        parked_size: (parked cars, 2) footprints [m]; None if all are equal.
     """
 
     layout: Layout

@@ -1,4 +1,4 @@
-"""What there is to see at one instant of a recording."""
+"""What is visible at one instant of a recording."""
 
 import dataclasses
 
@@ -40,14 +40,14 @@ class Snapshot:
         seconds: since the start.
         pose_w: (agents, 3) footprint centres.
         steering: (agents,) bicycle angles [rad].
-        goal_pose: (agents, 3) bays aimed at; NaN for agents that explore.
-        goal_size: (agents, 2) their sizes [m]; likewise.
+        goal_pose: (agents, 3) goal bays; NaN for agents that explore.
+        goal_size: (agents, 2) sizes of goal bays [m]; NaN for agents that explore.
         parked_pose: (parked cars, 3) footprint centres.
         active: (agents,) bool, the agent's episode is running.
         state: a word or two per agent: what it does, or how its episode ended.
         tally: episodes ended so far, by outcome.
         flashes: episodes that ended a moment ago.
-        size: (agents, 2) footprints [m]; None if all are alike.
+        size: (agents, 2) footprints [m]; None if all are equal.
     """
 
     seconds: float

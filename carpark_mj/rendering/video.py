@@ -37,7 +37,7 @@ def frame_stride(recording: Recording, fps: float) -> int:
 def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
     """Writes frames as `.mp4` or `.gif` by the path's suffix; returns their number.
 
-    The file appears whole or not at all.
+    The file is written atomically.
 
     Raises:
         ValueError: another suffix.

@@ -70,7 +70,7 @@ def make_viewer(
     viewer.scene.camera_tracking_enabled = False
     server.scene.configure_environment_map(environment_intensity=DAYLIGHT)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
-    # Planes become grids there; asphalt takes the ground's place.
+    # Planes become grids there, so asphalt replaces the ground.
     server.scene.remove_by_name(f"/fixed_bodies/world/{GROUND}")
     server.scene.add_box(
         "/asphalt",

@@ -26,8 +26,8 @@ class BraxParking(Env):
         """Wraps one lot's environment.
 
         Args:
-            env: of one lot.
-            hitbox_scale: of all lots' crashes, see `ParkingEnv.step`; None = 1.
+            env: environment of one lot.
+            hitbox_scale: for crashes in all lots, see `ParkingEnv.step`; None = 1.
         """
         self.env = env
         self._hitbox_scale = hitbox_scale

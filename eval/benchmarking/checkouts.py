@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class GitError(ValueError):
-    """What git refused, in its words."""
+    """A git command failed; the message is git's."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What is asked of one process, and what it answers."""
+"""Jobs and results of measuring processes."""
 
 import dataclasses
 from typing import Literal
@@ -15,8 +15,8 @@ class Job:
         what: environment steps, whole PPO updates, or the physics alone.
         variant: layout of `env`, preset of `ppo`, tyres of `physics`.
         lots: simulated at once; for `physics`, cars.
-        num_agents: in each lot of `env`; the others have their own.
-        num_parked_cars: likewise.
+        num_agents: in each lot of `env`; `ppo` and `physics` have their own.
+        num_parked_cars: in each lot of `env`.
         steps: control steps per timing; `ppo` times updates instead.
         timings: of which the best counts.
         clock: by which they are taken.

@@ -15,7 +15,7 @@ from benchmarking.report import Row, write_csv
 
 
 class WorkerError(Exception):
-    """A measurement that failed, out of memory perhaps."""
+    """A measurement failed, possibly out of memory."""
 
 
 def measure(
@@ -80,8 +80,8 @@ def run_job(job: Job, checkout: Checkout) -> Measurement:
     said = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
     if done.returncode == 2:
         raise ValueError(said[0])
-    if done.returncode < 0:  # what it said before has nothing to do with it
-        said = [f"killed by signal {-done.returncode}, out of memory perhaps"]
+    if done.returncode < 0:  # its stderr does not explain the signal
+        said = [f"killed by signal {-done.returncode}, possibly out of memory"]
     raise WorkerError(
         f"could not measure {job.what} {job.variant} with {job.lots} lots in "
         f"{checkout.name}: {said[0]}"

@@ -36,12 +36,12 @@ class Subject:
 
     Attributes:
         what: name in the table.
-        layout: of its lots.
-        agents: in each of them.
+        layout: layout of its lots.
+        agents: number of agents in each lot.
         unit: what is counted.
-        count: units that a call makes.
+        count: units per call.
         program: jitted `carry -> (carry, outputs)`.
-        carry: before the first call.
+        carry: carry of the first call.
     """
 
     what: str
@@ -54,7 +54,7 @@ class Subject:
 
 
 def env_subject(job: Job) -> Subject:
-    """Steps of `ParkingEnv` with random actions; who has finished respawns."""
+    """Steps of `ParkingEnv` with random actions and respawning agents."""
     from carpark_mj.config import EnvConfig
     from carpark_mj.env import ParkingEnv
 
@@ -227,7 +227,7 @@ def peak_memory() -> int:
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) * 1024
-    raise OSError("the kernel does not tell the peak memory of a process")
+    raise OSError("the kernel does not report the peak memory of a process")
 
 
 def require_checkout(checkout: Path) -> None:

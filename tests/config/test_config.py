@@ -15,6 +15,7 @@ from carpark_mj.config import (
     GoalRewards,
     IndexObservation,
     LayoutName,
+    RandomizationConfig,
     RayConfig,
     RewardConfig,
     RingConfig,
@@ -29,6 +30,17 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import FAMILIES, SQUARES, StreetConfig, layout_config
 
 IMPOSSIBLE = [
+    (SimConfig, {"sim_dt": 1e-12}, "sim_dt must be at least ctrl_dt / 10000, 2e-05 s"),
+    (EnvConfig, {"num_agents": 2.5}, "num_agents must be a whole number, not 2.5"),
+    (EnvConfig, {"num_agents": True}, "num_agents must be a whole number, not True"),
+    (EpisodeConfig, {"max_steps": "9"}, "max_steps must be a whole number, not '9'"),
+    (RewardConfig, {"park": "much"}, "park must be at least 0.0, not much"),
+    (EnvConfig, {"reward": "tanner"}, "reward must be of RewardConfig, not 'tanner'"),
+    (
+        EnvConfig,
+        {"observation": None},
+        "observation must be of ContinuousObservation or .* not None",
+    ),
     (SimConfig, {"sim_dt": 0.0}, "sim_dt must be positive, not 0.0"),
     (SimConfig, {"sim_dt": -0.01}, "sim_dt must be positive, not -0.01"),
     (SimConfig, {"sim_dt": math.nan}, "sim_dt must be positive, not nan"),
@@ -104,6 +116,19 @@ DYNAMIC, GLOBAL = (
     ContinuousObservation(global_information=True),
 )
 CONTRADICTIONS = [
+    ({"goals": GoalConfig(num_tracked_bays=3)}, "num_tracked_bays 3 needs dynamic"),
+    (
+        {"physics": "grid", "randomization": RandomizationConfig(mass=(0.9, 1.1))},
+        "randomization has no effect on the grid",
+    ),
+    (
+        {
+            "giving_way": GivingWayConfig("L,L,S"),
+            "goals": DYNAMIC,
+            "observation": ContinuousObservation(tracked_agents=0),
+        },
+        "'L,L,S' is about tracked agents: observation must track at least 1, not 0",
+    ),
     (
         {"fleet": FleetConfig(("city",))},
         "fleet.agents needs observation.own_car = True",

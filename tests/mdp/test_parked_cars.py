@@ -296,6 +296,14 @@ def test_a_rule_that_always_moves_the_same_car_would_be_a_deadlock():
     assert longest_stays(first_car)[0].max() == 4000
 
 
+def test_the_farthest_car_is_found_where_cars_stand_not_in_their_bays():
+    state = row_of([0], [2, 3], [0.0])
+    # The car of bay 3, 30 m away, has been pushed to 3 m from the agent.
+    pushed = state.parked_cars.pose_w.at[1, 0].set(3.0)
+    state = state.replace(parked_cars=state.parked_cars.replace(pose_w=pushed))
+    assert relocated(FURTHEST, state, [0]).bay.tolist() == [0, 3]
+
+
 def test_nothing_moves_when_nobody_has_parked():
     state = row_of([0, 5], [1, 3, 4], [0, 0])
     after = relocated(FURTHEST, state, [])

@@ -1,4 +1,4 @@
-"""The frame of a learning curve's picture."""
+"""The axes of a learning curve."""
 
 import contextlib
 from collections.abc import Generator

@@ -1,4 +1,4 @@
-"""What every training loop asks between updates: show, save, stop?"""
+"""What every training loop does between updates: progress, checkpoints, stopping."""
 
 import contextlib
 import signal
@@ -40,7 +40,7 @@ class StopRequest:
         print("stopping after this update (again: at once)", file=sys.stderr)
 
     def close(self) -> None:
-        """Puts the old handlers back."""
+        """Restores the previous handlers."""
         for number, handler in self._old:
             signal.signal(number, handler)
 
@@ -88,7 +88,7 @@ class Loop:
 
     @property
     def stopping(self) -> bool:
-        """Whether the time is up or the user asked to stop."""
+        """Whether the time limit is reached or the user asked to stop."""
         limit = self._config.time_limit * 60
         return self._stop.requested or 0 < limit <= self.seconds
 
@@ -99,7 +99,7 @@ class Loop:
         return age > self._config.checkpoint_minutes * 60
 
     def saved(self) -> None:
-        """Says that a checkpoint was just written."""
+        """Records that a checkpoint was just written."""
         self._saved = time.monotonic()
 
     def show(self, done: int, text: str) -> None:

@@ -26,7 +26,7 @@ def require_memory(needed: int) -> None:
     """Refuses what needs more memory than there is.
 
     Args:
-        needed: bytes, at the least.
+        needed: memory needed at least [bytes].
 
     Raises:
         ValueError: there are fewer.

@@ -1,4 +1,4 @@
-"""The folder of a run: its name, its lock, what is written into it first."""
+"""The folder of a run: its name, its lock and its `config.json`."""
 
 import contextlib
 import dataclasses
@@ -26,10 +26,10 @@ class RunConfig:
         preset: settings the other flags start from.
         name: folder under `runs_dir`; empty = preset and seed.
         runs_dir: where runs are kept.
-        resume: folder of a run to continue; its own settings hold.
-        time_limit: stop with a checkpoint after so many minutes; 0 = no limit.
-        seed: of everything.
-        checkpoint_minutes: time between checkpoints.
+        resume: folder of a run to continue with its own settings.
+        time_limit: time after which to save a checkpoint and stop [min]; 0 = no limit.
+        seed: random seed.
+        checkpoint_minutes: time between checkpoints [min].
     """
 
     preset: str = ""
@@ -64,7 +64,7 @@ def _is_folder_name(name: str) -> bool:
 
 @contextlib.contextmanager
 def open_run(config: RunConfig) -> Generator[Path]:
-    """Holds the folder of a run, for this process alone.
+    """Opens and locks the folder of a run.
 
     It is a new one with `config.json`, or the one to resume.
 
@@ -90,7 +90,7 @@ def _new_folder(config: RunConfig) -> Path:
         except FileExistsError:
             if config.name:
                 raise ValueError(
-                    f"{folder} exists: choose another --name, or go on with "
+                    f"{folder} exists: choose another --name, or continue with "
                     f"--resume {folder}"
                 ) from None
             number += 1  # an unnamed run never touches an older one
@@ -101,7 +101,7 @@ def _new_folder(config: RunConfig) -> Path:
 
 @contextlib.contextmanager
 def _lock(folder: Path) -> Generator[None]:
-    """Keeps other processes from training here; a killed process keeps nobody."""
+    """Locks the folder; the lock of a killed process is released."""
     with (folder / LOCK).open("a") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -39,7 +39,7 @@ def read_settings(
         CheckpointError: `--resume` names no run, or one of an older version.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    # By itself first: settings that fit no other preset may fit the one named.
+    # The preset is read first: settings may be valid only on top of the one named.
     preset = presets.get(_named_preset(arguments), default)
     text = f"{description or ''}\nPresets:\n{_preset_table(presets)}\n"
     config = read_flags(type(default), arguments, preset, text, short)

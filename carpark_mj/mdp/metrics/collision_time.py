@@ -1,10 +1,10 @@
-"""Time to collision: how soon each agent would hit something if all went straight on.
+"""Time to collision: when each agent would hit something if all cars drove straight on.
 
 Time to collision as of Hayward 1972 ("Near-miss determination through use of a scale of
 danger": the time until two cars collide "if they continue at their present speed and on
-the same path"), in the plane: every car goes on with the velocity of its rear axle and
-its present heading, and footprints are boxes. Cars that turn are taken to go straight
-on, so a car that is steering clear of a wall has a finite time to it.
+the same path"), in the plane: every car continues with the velocity of its rear axle
+and its present heading, and footprints are boxes. Turning is ignored, so a car that is
+steering clear of a wall has a finite time to it.
 """
 
 import jax
@@ -15,8 +15,8 @@ from carpark_mj.geometry.broad_phase import MARGIN, box_gaps, disc_gaps, least_n
 from carpark_mj.layouts.types import Layout
 from carpark_mj.types import Motion, ParkedCars
 
-HORIZON = 10.0  # s, no collision that soon counts as this long
-CHUNK = 2  # pairs per agent worked out at a time
+HORIZON = 10.0  # s, longest time reported
+CHUNK = 2  # pairs per agent computed at a time
 
 
 def collision_times(
@@ -97,7 +97,7 @@ def _to_discs(layout: Layout, motion: Motion) -> jax.Array:
 def _bound(
     motion: Motion, gap: jax.Array, relative: jax.Array, mask: jax.Array
 ) -> jax.Array:
-    """No pair (num_agents, n) collides sooner [s]: the gap at the relative speed.
+    """Lower bounds (num_agents, n) of the times [s]: the gap over the relative speed.
 
     Args:
         motion: the agents.

@@ -1,4 +1,4 @@
-"""What becomes of goals that agents choose, and who gives way; see `giving_way`."""
+"""How often goals are chosen, kept, lost and given up; see `giving_way`."""
 
 from typing import get_args
 
@@ -22,8 +22,8 @@ COUNTS = (
 def count_goals(events: GoalEvents, transition: Transition) -> dict[str, jax.Array]:
     """The numbers (num_agents,) of a step by the names of `COUNTS`.
 
-    `met_<context>` is 1 in the context, `gave_way_<context>` if the agent besides chose
-    another goal or to explore; goals that are lost are not given way with.
+    `met_<context>` is 1 in the context, `gave_way_<context>` if the agent also chose
+    another goal or to explore; losing a goal does not count as giving way.
     """
     let_go = events.change_goal | events.stop_goal
     counts = {

@@ -41,7 +41,7 @@ def measure_safety(ctrl_dt: float, transition: Transition) -> dict[str, jax.Arra
 def _smoothness(ctrl_dt: float, transition: Transition) -> dict[str, jax.Array]:
     """Acceleration and jerk of the rear axle: differences over control steps.
 
-    Both are vectors in the plane, so that turning counts as braking does.
+    Both are vectors in the plane, so lateral acceleration counts as braking does.
     """
 
     def velocity_w(motion: Motion) -> jax.Array:

@@ -2,10 +2,9 @@
 
 The name says how: `min_...` keeps the least, `peak_...` the largest, `last_...` the
 latest (memory for the next step, not reported), and every other is a sum. Ratios are
-left to who reads the episodes, so that numerators and denominators add up exactly over
-episodes and agents; `carpark_mj.evaluation.catalogue` says which belong together. To
-add a tally, give its first value in `first_tallies` and its value of a step in
-`measure`.
+computed later, so that numerators and denominators add up exactly over episodes and
+agents; `carpark_mj.evaluation.catalogue` says which belong together. To add a tally,
+give its first value in `first_tallies` and its value of a step in `measure`.
 """
 
 import jax

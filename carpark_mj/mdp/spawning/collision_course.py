@@ -1,6 +1,6 @@
 """Starts on course for a collision with another agent (Tanner 2022, fixed goals).
 
-Both would meet after equally long ways if they drove straight to their goals.
+Driving straight to their goals, both would meet after equal distances.
 """
 
 from typing import NamedTuple
@@ -59,7 +59,7 @@ def crash_pose(
 
     Returns:
         (3,) pose of the footprint's centre, and () bool whether the attempt succeeded;
-        otherwise the pose means nothing.
+        otherwise the pose is invalid.
     """
     target_key, way_key, yaw_key = jax.random.split(key, 3)
     ways = jnp.linalg.norm(targets.xy - targets.goal_xy, axis=-1)

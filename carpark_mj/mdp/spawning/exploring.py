@@ -34,14 +34,14 @@ def place_exploring(
 ) -> Placing:
     """Draws where an agent () starts to explore.
 
-    A close start is one draw, see `close_points`, for every bay that is free and
-    nobody's goal; a random one of those counts that keep `min_distance` to every other
-    agent and touch nothing. If there is none, and for all others, it is random.
+    A close start draws one point, see `close_points`, for every free bay that is no
+    agent's goal, and picks a random one of those that keep `min_distance` to every
+    other agent and touch nothing. Without any, and for all other starts, it is random.
 
     Args:
         config: spawning rules.
         inputs: the lot.
-        placing: everybody, this agent exploring.
+        placing: all agents, this one exploring.
         agent: () int32 index.
         key: consumed.
     """
@@ -89,7 +89,7 @@ def first_goals(
 
     After a close start it is the bay next to it with a probability of one half, if the
     agent tracks it; in conflict a random one of the tracked bays that are another
-    agent's goal. Everybody else explores.
+    agent's goal. All others explore.
 
     Args:
         placing: how they were placed.

@@ -1,6 +1,6 @@
 """Agents that begin an episode are placed one after the other, so that they stay apart.
 
-The loop is the same whoever decides the goals; see `carpark_mj.mdp.goals`.
+The loop is the same for fixed and chosen goals; see `carpark_mj.mdp.goals`.
 """
 
 import dataclasses
@@ -27,8 +27,8 @@ class SpawnInputs:
         size: (num_agents, 2) footprints of the cars drawn for agents that begin [m];
             None if all agents drive cars of one kind, which spawn regions have room
             for.
-        old_size: (num_agents, 2) footprints of the cars they drove before [m]; None
-            likewise.
+        old_size: (num_agents, 2) footprints of the cars they drove before [m]; None as
+            for `size`.
         fits: who fits into which bay.
     """
 
@@ -47,7 +47,7 @@ class Placing:
         goal: (num_agents,) int32, see `State.goal`.
         parked_bay: (num_parked_cars,) int32, see `ParkedCars.bay`.
         pose_w: (num_agents, 3).
-        waiting: (num_agents,) bool, who has yet to be placed.
+        waiting: (num_agents,) bool, still to be placed.
         close_bay: (num_agents,) int32 free bay next to which an exploring agent starts,
             else `NO_BAY`.
         conflict: (num_agents,) bool, an exploring agent is to take another agent's goal
@@ -184,7 +184,7 @@ def place_all(
 def place_waiting(
     place: Place, inputs: SpawnInputs, placing: Placing, key: jax.Array
 ) -> Placing:
-    """Places the waiting agents while the others drive on.
+    """Places the waiting agents; the others continue their episodes.
 
     Args:
         place: `Goals.place`.
@@ -199,5 +199,5 @@ def place_waiting(
         waiting = placing.waiting.at[agent].set(False)
         return dataclasses.replace(placing, waiting=waiting)
 
-    # A loop over those who wait only: most steps end nobody's episode.
+    # A loop over waiting agents only: in most steps no episode ends.
     return jax.lax.while_loop(lambda placing: placing.waiting.any(), one, placing)

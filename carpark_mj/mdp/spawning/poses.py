@@ -80,7 +80,7 @@ def spawn_pose(
     random_xy, random_region = _random_points(config, layout, keys)
     count = config.num_candidates
     close_xy, nearest = close_points(config, layout, goal_pose[:2], count, keys.walk)
-    # Close to the goal only if somebody else is not: so does the study.
+    # Close to the goal only if no other agent is, as in the study.
     free = (around.distance(close_xy) > config.min_distance).any()
     close = draw_kind(config, keys.kind).close & free
     xy = jnp.where(close, close_xy, random_xy)

@@ -45,32 +45,34 @@ class PPOConfig(RunConfig):
     The settings of `RunConfig` come first.
 
     Attributes:
-        preset: settings the other flags start from; `auto` asks JAX for a GPU.
-        num_steps: agent steps in all.
-        num_lots: lots simulated at once.
+        preset: settings the other flags start from; `auto` is `gpu` if there is a GPU,
+            else `cpu`.
+        num_steps: total number of agent steps.
+        num_lots: number of lots simulated in parallel.
         lot_life: most updates for which a random lot is kept; a few lots are drawn
-            anew after every update. 0 = kept for ever, as lots that are not random.
+            anew after every update. 0 = never drawn anew; fixed lots never are.
         unroll_length: control steps between updates.
-        num_minibatches: per epoch.
+        num_minibatches: number of minibatches per epoch.
         num_epochs: passes over the data of an update.
-        learning_rate: of Adam at the start.
-        learning_rate_end: at the end; linear in between.
+        learning_rate: Adam's learning rate at the start.
+        learning_rate_end: learning rate at the end; linear in between.
         entropy_cost: weight of the entropy bonus at the start.
-        entropy_cost_end: at the end.
+        entropy_cost_end: weight of the entropy bonus at the end; linear in between.
         clip: PPO's clipping of the probability ratio at the start.
-        clip_end: at the end.
-        discount: per control step.
-        gae_lambda: of generalised advantage estimation.
-        max_grad_norm: gradient clipping.
-        averaged_updates: the policy that is evaluated is the exponential mean over
-            about so many updates; 1 = the last one.
+        clip_end: clipping of the probability ratio at the end; linear in between.
+        discount: discount factor per control step.
+        gae_lambda: lambda of generalised advantage estimation.
+        max_grad_norm: global norm to which gradients are clipped.
+        averaged_updates: the policy that is evaluated is the exponential moving average
+            over about this many updates; 1 = the last one.
         hitbox_scale: factor on the cars' lengths and widths in collision tests during
             the first `hitbox_steps`, so that a margin is learnt; never in evaluations.
-        hitbox_steps: agent steps with it, in whole updates.
-        checkpoint_updates: if positive, updates between checkpoints instead.
+        hitbox_steps: agent steps with `hitbox_scale`, rounded up to updates.
+        checkpoint_updates: updates between checkpoints, instead of minutes; 0 = use
+            `checkpoint_minutes`.
         eval_episodes: episodes of the evaluation at the end; 0 = none.
         video_seconds: length of the video at the end [s]; 0 = none.
-        networks: sizes of actor and critic.
+        networks: hidden layers of actor and critic.
         env: the environment.
     """
 

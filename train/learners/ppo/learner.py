@@ -138,7 +138,7 @@ class Learner:
         return jax.eval_shape(self.build)
 
     def least_memory(self) -> int:
-        """Bytes that training needs at the least, on all devices together.
+        """Bytes that training needs at least, on all devices together.
 
         State, gradients, an unroll's observations before and after the steps, and the
         activations of a minibatch.
@@ -189,8 +189,8 @@ class Learner:
             out_specs=(self._specs(), PartitionSpec()),
             check_vma=False,
         )
-        # Said of the results too, or on one device JAX calls some lots replicated and
-        # compiles the second update anew.
+        # Also given for the results; otherwise on one device JAX treats some lots as
+        # replicated and recompiles for the second update.
         placed = (self._shardings(), NamedSharding(self.mesh, PartitionSpec()))
         return jax.jit(update, donate_argnums=0, out_shardings=placed)
 
@@ -199,8 +199,8 @@ class Learner:
     ) -> tuple[TrainingState, dict[str, jax.Array]]:
         """Collects one unroll of every agent and learns from it (one device's share).
 
-        A result with any non-finite number is dropped whole: parameters, optimiser
-        and statistics stay as they were and `skipped` counts it.
+        An update with any non-finite number is discarded: parameters, optimiser and
+        statistics are unchanged and `skipped` counts it.
         """
         key, act_key, learn_key = jax.random.split(state.key, 3)
         local = jax.lax.axis_index(AXIS)
@@ -265,9 +265,9 @@ class Learner:
     def _renew(self, env_state: Any, update: jax.Array, key: jax.Array) -> Any:
         """Draws the lots that are due anew (one device's share).
 
-        It happens between unrolls, where the value of what comes next is bootstrapped
-        anyway: the episodes cut off are truncated without any further doing. They are
-        not counted among the episodes that ended.
+        It happens between unrolls, where the value is bootstrapped anyway, so the
+        episodes cut off are truncated correctly. They do not count as episodes that
+        ended.
         """
         num_lots = self.config.num_lots // self.mesh.size
         lots = due_lots(update, num_lots, self.config.lot_life)

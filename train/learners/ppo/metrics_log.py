@@ -1,4 +1,4 @@
-"""Where the numbers of a PPO run go: `metrics.csv` and TensorBoard."""
+"""Log of a PPO run: `metrics.csv` and TensorBoard."""
 
 import csv
 import math
@@ -12,8 +12,8 @@ from carpark_mj.policy.runs import write_csv
 class MetricsLog:
     """One row per update in `metrics.csv`, the same as TensorBoard scalars.
 
-    On a resume the rows after the checkpoint are cut, so that the curve has no
-    doubled piece.
+    On a resume the rows after the checkpoint are removed, so that no update appears
+    twice.
     """
 
     def __init__(self, folder: Path, resume_update: int) -> None:

@@ -39,7 +39,7 @@ _GPU = PPOConfig(
     ),
 )
 # A square, streets with perpendicular and with parallel bays, angled bays, all of real
-# size; the streets have 18 bays and more. Bays this tight are hit by chance too rarely
+# size; the streets have 18 bays and more. Exploration finds bays this tight too rarely
 # to begin with: more starts near the goal, more pay for the way into the bay.
 _MIXTURE = EnvConfig(
     layout="mixture",

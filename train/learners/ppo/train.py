@@ -1,4 +1,4 @@
-"""A PPO run: the loop over updates, and what is made when it is done."""
+"""A PPO run: the loop over updates, and the outputs at its end."""
 
 import contextlib
 import dataclasses

@@ -36,15 +36,15 @@ class QLearningConfig(RunConfig):
     Attributes:
         preset: experiment the other flags start from: `tanner-qlearning`, figure 5.1,
             or `tanner-qlearning-rings`, figure 5.2.
-        num_seeds: independent trainings side by side, each with its own table.
-        num_lots: lots that share a table; 1 is faithful to the study, more is faster.
-        episodes: training episodes of each seed, over which the rates fall.
+        num_seeds: independent trainings in parallel, each with its own table.
+        num_lots: lots that share a table; 1 as in the study, more is faster.
+        episodes: training episodes per seed, over which the rates decay.
         eval_episodes: further episodes without random actions, still learning.
         alpha: learning rate at the start.
-        alpha_min: at the end of the training episodes.
-        gamma: discount per control step.
+        alpha_min: learning rate at the end of the training episodes.
+        gamma: discount factor per control step.
         epsilon: share of random actions at the start.
-        epsilon_min: at the end of the training episodes.
+        epsilon_min: share of random actions at the end of the training episodes.
         bootstrap_terminals: bootstrap after parking and crashing too, as the reference
             implementation does by mistake.
         window: episodes over which the plot and the table of metrics average.
@@ -73,5 +73,5 @@ class QLearningConfig(RunConfig):
 
     @property
     def total_episodes(self) -> int:
-        """Of each seed, training and evaluation."""
+        """Episodes of each seed, training and evaluation."""
         return self.episodes + self.eval_episodes

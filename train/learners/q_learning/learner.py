@@ -64,7 +64,7 @@ class QLearner:
         """Builds the environment.
 
         Raises:
-            ValueError: it cannot be built, or gives no whole numbers.
+            ValueError: it cannot be built, or its observations are not integers.
         """
         self.config = config
         if not config.env.episode.respawn:
@@ -125,7 +125,7 @@ class QLearner:
         """Learning rate and share of random actions after a number of episodes.
 
         Both fall linearly over the training episodes. In the evaluation episodes no
-        action is random, and learning goes on at the last rate.
+        action is random, and learning continues at the last rate.
         """
         config = self.config
         share = jnp.minimum(episodes / config.episodes, 1.0)
