@@ -12,6 +12,7 @@ from carpark_mj.config import MetricsConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.report import print_report, write_evaluation
 from carpark_mj.evaluation.rollout import Evaluation, evaluate
+from carpark_mj.policy.checkpoints import require_writable
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +85,8 @@ def main(config: EvaluateConfig) -> Evaluation:
         metrics=MetricsConfig(driving=True, safety=True),
     )
     env = ParkingEnv(env_config)
-    folder.mkdir(parents=True, exist_ok=True)  # unwritable? Say so before the work.
+    folder.mkdir(parents=True, exist_ok=True)
+    require_writable(folder / "evaluation.csv")  # refused before the work
     policy = driver.policy(env)
     result = evaluate(env, policy, config.episodes, config.seed)
     title = f"{name}: {env_config.num_agents} agents, {env_config.episode.parked_rule}"

@@ -261,6 +261,7 @@ EVALUATION_BAD = {
         ("--policy", "zero", "--out", "/proc/x"),
         "/proc/x",
     ),
+    "unwritable folder": (("--policy", "zero", "--out", "/proc"), "/proc/"),
     "unknown rule": (("--policy", "zero", "--rule", "lax"), "strict"),
 }
 
