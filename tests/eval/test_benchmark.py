@@ -11,11 +11,14 @@ import jax
 import pytest
 
 import benchmark
+import carpark_mj
 from benchmarking import checkouts, report, run, worker
 from benchmarking.checkouts import Checkout
 from benchmarking.records import Job, Measurement
 from benchmarking.report import Row
 
+# Where the tests' own carpark_mj lies: installed, or in the checkout.
+IMPORTED = Path(str(carpark_mj.__file__)).parents[1]
 OURS = Checkout("here", Path("ours"), "1234567")
 THEIRS = Checkout("main~1", Path("theirs"), "89abcde")
 JOB = Job("physics", "brush", 3, 2, 16, steps=2, timings=1, clock="wall")
@@ -189,7 +192,7 @@ def test_a_job_is_measured_in_a_process_of_its_own_without_compiled_programs(
 
 def test_what_a_checkout_refuses_is_said_in_its_words(monkeypatch, capsys):
     job = dataclasses.replace(JOB, what="env", variant="nowhere")
-    request = {"job": vars(job), "checkout": str(checkouts.ROOT), "started": 0.0}
+    request = {"job": vars(job), "checkout": str(IMPORTED), "started": 0.0}
     assert worker.main(json.dumps(request)) == 2
     said = capsys.readouterr().err
     assert said.startswith("unknown layout 'nowhere'; choose from")
@@ -219,7 +222,7 @@ def test_a_process_that_fails_is_named_in_one_line(monkeypatch, code, stderr, sa
 
 
 def test_only_the_checkout_that_was_asked_for_is_measured(tmp_path):
-    worker.require_checkout(checkouts.ROOT)
+    worker.require_checkout(IMPORTED)
     with pytest.raises(ValueError, match="not the carpark_mj of"):
         worker.require_checkout(tmp_path)
 
