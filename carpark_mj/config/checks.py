@@ -19,8 +19,7 @@ def whole(config: object, minimum: int, *names: str) -> None:
     """Refuses attributes that are not whole numbers of at least a minimum."""
     for name in names:
         value = getattr(config, name)
-        integral = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-        if not integral:
+        if type(value) is bool or not isinstance(value, numbers.Integral):
             raise ValueError(f"{name} must be a whole number, not {value!r}")
         if value < minimum:
             raise ValueError(f"{name} must be at least {minimum}, not {value}")
@@ -80,7 +79,8 @@ def require_kinds(config: object, **kinds: Any) -> None:
             raise ValueError(f"{name} must be of {allowed}, not {value!r}")
 
 
-def _is_finite(value: object) -> bool:
+def _is_finite(value: Any) -> bool:
     """Whether a value is a finite number."""
-    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    return number and math.isfinite(value)
+    if type(value) is bool or not isinstance(value, numbers.Real):
+        return False
+    return math.isfinite(value)
