@@ -2,10 +2,13 @@
 
 An action is `[steer, pedal]` in [-1, 1]^2. `steer` asks for a road-wheel angle of the
 bicycle model, reached at a limited rate and shared between the front wheels by the
-Ackermann condition. `pedal` asks for an acceleration: against the motion it brakes,
-below `SWITCH_SPEED` it drives the new way, and close to zero at walking pace it holds
-the car on the brake. Steering and drive may follow with a first-order lag. All
-functions are for one car; `jax.vmap` them for more.
+Ackermann condition. `pedal` asks for an acceleration: along the motion, or below
+`SWITCH_SPEED`, it drives; against the motion it brakes; close to zero it lets the car
+coast. A car that is not driven and whose speed or wheels are below `HOLD_SPEED` is held
+on the brake: wheels that stand stay locked, even where the car slides. So from
+`SWITCH_SPEED` up no pedal against the motion slows a car down less than a weaker one.
+Steering and drive may follow with a first-order lag. All functions are for one car;
+`jax.vmap` them for more.
 """
 
 from typing import NamedTuple
@@ -18,7 +21,7 @@ from carpark_mj.vehicle.vehicle import Vehicle
 
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
 HOLD_PEDAL = 0.05  # pedals smaller than this mean "no pedal"
-HOLD_SPEED = 0.3  # m/s, below it "no pedal" holds the car on the brake
+HOLD_SPEED = 0.3  # m/s, of car or wheels; below it the brake holds what is not driven
 SPINNING = 0.5  # m/s of the driven wheels above the car's speed: they spin
 
 
@@ -104,20 +107,32 @@ def demanded_torques(
         () [N m] of all wheels, >= 0, which opposes their rotation.
     """
     pedal = jnp.clip(pedal, -1.0, 1.0)
-    braking = (pedal * speed < 0.0) & (jnp.abs(speed) >= SWITCH_SPEED)
-    holding = (jnp.abs(pedal) < HOLD_PEDAL) & (jnp.abs(speed) < HOLD_SPEED)
+    idle = jnp.abs(pedal) < HOLD_PEDAL
+    opposed = pedal * speed < 0.0
+    braking = opposed & (jnp.abs(speed) >= SWITCH_SPEED)
+    slow = jnp.minimum(jnp.abs(speed), jnp.abs(wheel_speed)) < HOLD_SPEED
+    deceleration = jnp.where(
+        opposed & ~idle, jnp.abs(pedal) * vehicle.max_deceleration, 0.0
+    )
+    deceleration = jnp.where(
+        slow & (opposed | idle),
+        jnp.maximum(deceleration, vehicle.hold_deceleration),
+        deceleration,
+    )
+    # Below SWITCH_SPEED the brake fades as the drive takes over: with a jump the car
+    # would chatter at that speed, on a slope against its drive.
+    fading = jnp.minimum(jnp.abs(speed) / SWITCH_SPEED, 1.0)
+    deceleration = jnp.where(idle, deceleration, fading * deceleration)
     spinning = jnp.abs(wheel_speed) > jnp.abs(speed) + SPINNING
     speed = jnp.where(spinning, wheel_speed, speed)
     # The speed limiter caps the acceleration so that the car closes on its limit
-    # exponentially; beyond the limit it slows the car down (engine braking).
+    # exponentially; beyond the limit it slows the car down (engine braking), without
+    # a pedal and beside the brake, but does not turn wheels that are held.
     headroom = (vehicle.max_speed - speed) / vehicle.speed_limit_time
     reverse_headroom = (-vehicle.max_reverse_speed - speed) / vehicle.speed_limit_time
-    acceleration = jnp.clip(
-        pedal * vehicle.max_acceleration, reverse_headroom, headroom
-    )
-    acceleration = jnp.where(braking | holding, 0.0, acceleration)
-    deceleration = jnp.where(braking, jnp.abs(pedal) * vehicle.max_deceleration, 0.0)
-    deceleration = jnp.where(holding, vehicle.hold_deceleration, deceleration)
+    wanted = jnp.where(braking, 0.0, pedal * vehicle.max_acceleration)
+    acceleration = jnp.clip(wanted, reverse_headroom, headroom)
+    acceleration = jnp.where(slow & (braking | idle), 0.0, acceleration)
     force_to_torque = vehicle.rated_mass * vehicle.wheel_radius
     by_power = vehicle.max_power * vehicle.wheel_radius / jnp.abs(speed)
     most = jnp.minimum(vehicle.max_drive_torque, by_power)

@@ -108,9 +108,7 @@ def test_steering_commands_beyond_the_lock_are_clipped(compact: Vehicle):
 
 
 def test_a_pedal_against_the_motion_brakes_in_proportion(torques):
-    pedal, speed = grid(
-        np.linspace(0.1, 1, 7), np.array([-1.9, -1, -0.3, -SWITCH_SPEED])
-    )
+    pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-1.9, -1, -HOLD_SPEED]))
     for sign in (1, -1):
         drive, brake = torques(sign * pedal, sign * speed)
         expected = pedal * COMPACT.max_deceleration * FORCE_TO_TORQUE
@@ -118,13 +116,78 @@ def test_a_pedal_against_the_motion_brakes_in_proportion(torques):
         assert brake == pytest.approx(expected, abs=TORQUE_TOLERANCE)
 
 
-def test_a_pedal_against_a_crawl_drives_the_new_way(torques):
-    pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-0.099, -0.05, -0.001]))
+def test_a_pedal_against_walking_pace_brakes_as_hard_as_the_hold(torques):
+    pedal, speed = grid(np.linspace(-1, -0.1, 7), np.array([SWITCH_SPEED, 0.2, 0.299]))
+    for sign in (1, -1):
+        drive, brake = torques(sign * pedal, sign * speed)
+        expected = np.full(len(brake), COMPACT.hold_deceleration * FORCE_TO_TORQUE)
+        assert drive.tolist() == [0.0] * len(drive)
+        assert brake == pytest.approx(expected, abs=TORQUE_TOLERANCE)
+
+
+def test_a_pedal_against_a_crawl_drives_the_new_way_while_the_brake_fades(torques):
+    pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-0.099, -0.05, -1e-6]))
     for sign in (1, -1):
         drive, brake = torques(sign * pedal, sign * speed)
         expected = sign * pedal * COMPACT.max_acceleration * FORCE_TO_TORQUE
-        assert brake.tolist() == [0.0] * len(brake)
+        fading = -speed / SWITCH_SPEED * COMPACT.hold_deceleration * FORCE_TO_TORQUE
         assert drive == pytest.approx(expected, abs=TORQUE_TOLERANCE)
+        assert brake == pytest.approx(fading, abs=TORQUE_TOLERANCE)
+    # From a standstill there is nothing to brake.
+    assert torques(-0.5, 0.0)[1] == torques(0.5, -0.0)[1] == 0.0
+
+
+def wheels_at(speed: np.ndarray) -> dict[str, np.ndarray]:
+    """Speeds of driven wheels that roll, slip under the brake, stand or spin."""
+    return {
+        "roll": speed,
+        "slip": 0.8 * speed,
+        "stand": 0.0 * speed,
+        "spin": speed + np.sign(speed),
+    }
+
+
+@pytest.mark.parametrize("wheels", ["roll", "slip", "stand", "spin"])
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("params", PRESETS.values(), ids=PRESETS)
+def test_no_pedal_against_the_motion_retards_less_than_a_weaker_one(
+    params: VehicleParameters, way: int, wheels: str
+):
+    vehicle = make_vehicle(params)
+    pedals = -way * np.array([0.0, 1e-6, 0.01, 0.04, 0.0499, *np.linspace(0.05, 1, 96)])
+    speeds = way * np.array([SWITCH_SPEED, 0.2, 0.299, 0.3, 0.31, 1, 2, 3, 4, 10, 30])
+    speed, pedal = np.float32(np.meshgrid(speeds, pedals))
+    wheel_speed = np.float32(wheels_at(speed)[wheels])
+    drive, brake = demanded_torques(
+        vehicle, jnp.array(pedal), jnp.array(speed), jnp.array(wheel_speed)
+    )
+    retarding = np.asarray(brake, float) - way * np.asarray(drive, float)
+    assert np.diff(retarding, axis=0).min() >= 0.0
+
+
+def test_the_limiter_retards_a_fast_car_whatever_the_pedal_against_its_motion(torques):
+    against = np.array([0.0, 1e-6, 0.04, 0.2, 1.0])
+    for limit in (COMPACT.max_speed, -COMPACT.max_reverse_speed):
+        drive, brake = torques(-np.sign(limit) * against, 1.2 * limit)
+        # 20 % over the limit: 0.2 v / 0.4 s, the same beside every brake.
+        retarded = -0.2 * limit / COMPACT.speed_limit_time * FORCE_TO_TORQUE
+        assert drive == pytest.approx(np.full(5, retarded), rel=1e-5)  # float32
+        assert brake[:3].tolist() == [0.0] * 3  # no pedal
+        assert (np.diff(brake[2:]) > 0).all()
+
+
+def test_wheels_that_stand_stay_on_the_brake_though_the_car_slides(compact: Vehicle):
+    hold = COMPACT.hold_deceleration * FORCE_TO_TORQUE
+    for speed in (-8.0, -1.0, 0.31, 5.0):
+        for against in (0.0, 0.04, 0.1, 1.0):
+            pedal = -np.sign(speed) * against
+            asked = [jnp.array(x, jnp.float32) for x in (pedal, speed, 0.0)]
+            drive, brake = demanded_torques(compact, *asked)
+            assert drive == 0.0  # the limiter does not turn them
+            assert brake == pytest.approx(hold)
+        # The pedal along the motion lets them go.
+        asked = [jnp.array(x, jnp.float32) for x in (np.sign(speed), speed, 0.0)]
+        assert demanded_torques(compact, *asked)[1] == 0.0
 
 
 def test_a_pedal_along_the_motion_accelerates_in_proportion(torques):
