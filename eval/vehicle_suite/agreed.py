@@ -126,6 +126,11 @@ ABSENT = (
         "and step steer show them.",
     ),
     Absent(
+        ("pedals against the motion", "held on a", "creep against the drive"),
+        "contact",
+        "The driver's law is the same on any tyres; it is driven on those of training.",
+    ),
+    Absent(
         ("data of a shared model",),
         "brush",
         "A car on brush tyres has no constraint whose softness could be another car's.",

@@ -4,7 +4,15 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 from carpark_mj.vehicle import VehicleParameters, preset
-from vehicle_suite import braking, energy, handling, numerics, statics, turning
+from vehicle_suite import (
+    braking,
+    energy,
+    handling,
+    numerics,
+    pedals,
+    statics,
+    turning,
+)
 from vehicle_suite.contact import ContactTestbed
 from vehicle_suite.contact_engines import contact_engines
 from vehicle_suite.suspension import suspension
@@ -35,6 +43,9 @@ SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
         handling.understeer,
         handling.step_steer,
         numerics.engines,
+        pedals.harder_is_slower,
+        pedals.hold_on_ice,
+        pedals.creep,
     ),
     "contact": (*COMMON, handling.rolling_turns, contact_engines, suspension),
 }

@@ -15,6 +15,7 @@ from vehicle_suite import (
     formulas,
     handling,
     numerics,
+    pedals,
     statics,
     steady_turn,
     suites,
@@ -180,6 +181,9 @@ def check(study: Study) -> None:
         statics.slip_threshold,
         statics.scrub_torque,
         numerics.engines,
+        pedals.harder_is_slower,
+        pedals.hold_on_ice,
+        pedals.creep,
     ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )

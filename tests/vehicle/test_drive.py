@@ -156,8 +156,8 @@ def test_no_pedal_against_the_motion_retards_less_than_a_weaker_one(
     vehicle = make_vehicle(params)
     pedals = -way * np.array([0.0, 1e-6, 0.01, 0.04, 0.0499, *np.linspace(0.05, 1, 96)])
     speeds = way * np.array([SWITCH_SPEED, 0.2, 0.299, 0.3, 0.31, 1, 2, 3, 4, 10, 30])
-    speed, pedal = np.float32(np.meshgrid(speeds, pedals))
-    wheel_speed = np.float32(wheels_at(speed)[wheels])
+    speed, pedal = np.meshgrid(np.float32(speeds), np.float32(pedals))
+    wheel_speed = wheels_at(speed)[wheels]
     drive, brake = demanded_torques(
         vehicle, jnp.array(pedal), jnp.array(speed), jnp.array(wheel_speed)
     )
