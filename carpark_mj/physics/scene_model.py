@@ -5,6 +5,7 @@ of geoms. Tyres and drivers are not part of it.
 """
 
 import copy
+import math
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -135,8 +136,8 @@ class SceneModel:
         """
         arrays = [np.array(x) for x in (*moving, qfrc, ctrl, *masses)]
         lead = arrays[0].shape[:-2]
-        flat = [x.reshape(-1, *x.shape[len(lead) :]) for x in arrays]
-        count = len(flat[0])
+        count = math.prod(lead)
+        flat = [x.reshape(count, *x.shape[len(lead) :]) for x in arrays]
         touched = np.zeros((count, self._num_agents, 3), bool)
         parts = min(count, os.cpu_count() or 1)
         chunks = np.array_split(np.arange(count), parts)

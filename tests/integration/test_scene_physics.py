@@ -91,6 +91,27 @@ def test_factored_cars_and_the_scene_agree_until_the_first_contact():
     assert judged.touched.any()
 
 
+@pytest.mark.parametrize("agents", [1, 2])
+def test_a_lot_without_parked_cars_drives_like_the_factored_physics(agents):
+    empty = ScenePhysics(SIM, LAYOUT, COMPACT, agents, 0)
+    lots = 3
+    pose = starts(np.random.default_rng(2), lots)[:, :agents]
+    vehicle = jax.tree.map(lambda x: x[:, :agents], fleet(lots))
+    controls = jnp.broadcast_to(jnp.array([0.3, 0.8], jnp.float32), (lots, agents, 2))
+    nobody = jnp.zeros((lots, 0, 3))
+    state = jax.vmap(empty.set_parked_poses)(empty.init(pose, vehicle), nobody)
+    factored = MjxPhysics(SIM)
+    alone = factored.init(pose, vehicle)
+    for _ in range(3):
+        state = jax.vmap(empty.step)(state, controls)
+        alone = factored.step(alone, controls)
+    assert empty.parked_poses(state, nobody).shape == (lots, 0, 3)
+    # As in the lot with parked cars: float32 against a float64 engine.
+    moved = empty.read(state).pose_w
+    np.testing.assert_allclose(moved, factored.read(alone).pose_w, atol=1e-4)
+    assert np.linalg.norm((moved - pose)[..., :2], axis=-1).min() > 0.1
+
+
 @functools.cache
 def configurations():
     """Random cars, tilted a little: boxes and contacts, (10,000 lots x 3 kinds)."""
