@@ -11,10 +11,12 @@ from carpark_mj.scene import build_scene, parts
 from carpark_mj.vehicle.contact_wheels import (
     add_contact_wheels,
     add_controls,
+    rolling_loss,
     set_contact_options,
 )
+from carpark_mj.vehicle.disc_brake import FULL_BRAKE
 from carpark_mj.vehicle.mjcf import add_car
-from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 SETTLING = 5.0  # s, after which a car placed on the ground is at rest
 
@@ -25,10 +27,13 @@ _GUIDE = """
   Sliders of car K (panel "Control"):
     agentK/steer  target angle of the bicycle model's wheel [rad], left positive,
                   reached at {rate:g} rad/s; two joint equalities turn the wheels
-    agentK/drive  {reverse:.2f} to 1: motor torque with engine braking; the car settles
-                  at about this times {speed:g} m/s
-    agentK/brake  0 to 1: a viscous damper on the four wheels, up to {stop:g} m/s^2.
-                  It stops the car on this level ground; on a slope it would creep.
+    agentK/drive  {reverse:.2f} to 1: motor torque with engine braking; the driven
+                  wheels settle at about this times {speed:g} m/s, less
+                  {loss:.2f} m/s for rolling resistance. In a curve front wheels are
+                  faster than the car.
+    agentK/brake  0 to 1: disc brakes on the four wheels, up to the torque of
+                  {brake:.1f} m/s^2. The wheels lock before that: their tyres slide at
+                  {grip:.1f} m/s^2. The brake holds the car on a slope, too.
 
   Contact wheels roll without slip up to a friction of {friction:g}. Cars, parked cars
   (on locked wheels) and walls collide. Cameras: topdown, overview, agentK/chase,
@@ -136,7 +141,9 @@ def scene_xml(spec: mujoco.MjSpec, params: VehicleParameters, name: str) -> str:
         rate=params.steering_rate,
         reverse=-params.max_reverse_speed / params.max_speed,
         speed=params.max_speed,
-        stop=params.max_deceleration,
+        loss=rolling_loss(params),
+        brake=FULL_BRAKE * params.tyre.friction * GRAVITY,
+        grip=params.tyre.friction * GRAVITY,
         friction=params.tyre.friction,
     )
     return f"<!--{guide}-->\n{spec.to_xml()}"

@@ -11,11 +11,10 @@ Controls of a car, one actuator each:
 - `steer` [rad]: angle of the bicycle model's wheel. A hinge (the steering column)
   follows it at the steering rate, and two polynomial joint equalities turn the front
   wheels by the Ackermann condition.
-- `drive` in [-1, 1]: motor torque with engine braking, so that the car settles at
-  about `drive` times its speed limit.
-- `brake` in [0, 1]: a viscous damper on the four wheels, limited to the torque of full
-  braking. Being viscous it slows a car down to nothing on level ground, but lets it
-  creep on a slope.
+- `drive` in [-1, 1]: motor torque with engine braking, so that the driven wheels
+  settle at `drive` times the speed limit less `rolling_loss`.
+- `brake` in [0, 1]: the disc brakes of `carpark_mj.vehicle.disc_brake`, which lock the
+  wheels before it is full.
 """
 
 import math
@@ -23,8 +22,9 @@ import math
 import mujoco
 import numpy as np
 
+from carpark_mj.vehicle.disc_brake import add_disc_brakes
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, per_wheel
-from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from carpark_mj.vehicle.suspension import SOLIMP as SUSPENDED_SOLIMP
 
 # Solver settings for locked wheels; with fewer iterations the car jumps.
@@ -46,8 +46,6 @@ COLUMN_ARMATURE = 10.0  # kg m^2
 COLUMN_MASS, COLUMN_INERTIA = 1e-3, 1e-3  # kg, kg m^2: negligible beside the car's
 SOLREF_STEER = (0.004, 1.0)
 SOLIMP_STEER = (0.999, 0.999, 0.001)
-
-BRAKE_DAMPING = 800.0  # N m s/rad at full brake; more is too stiff for the time step
 
 
 def steering_polynomials(params: VehicleParameters) -> np.ndarray:
@@ -135,6 +133,15 @@ def add_contact_wheels(
         spin.solimp_friction = [*SOLIMP_FRICTION, 0.5, 2.0]
 
 
+def rolling_loss(params: VehicleParameters) -> float:
+    """What rolling resistance costs of the speed that `drive` settles at [m/s].
+
+    It takes c_rr g of an acceleration that falls by a_max / v_max per speed.
+    """
+    resistance = params.tyre.rolling_resistance * GRAVITY
+    return resistance / params.max_acceleration * params.max_speed
+
+
 def add_controls(spec: mujoco.MjSpec, params: VehicleParameters, prefix: str) -> None:
     """Adds the actuators `steer`, `drive` and `brake` of a car without servos."""
     _add_steering(spec, params, prefix)
@@ -150,17 +157,7 @@ def add_controls(spec: mujoco.MjSpec, params: VehicleParameters, prefix: str) ->
     drive.biasprm[2] = -engine_brake
     drive.ctrllimited = True
     drive.ctrlrange = [-params.max_reverse_speed / params.max_speed, 1.0]
-
-    axle = _add_axle(spec, f"{prefix}brake", prefix, per_wheel(params.front_brake))
-    brake = spec.add_actuator(
-        name=f"{prefix}brake", target=axle, trntype=mujoco.mjtTrn.mjTRN_TENDON
-    )
-    brake.set_to_damper(kv=BRAKE_DAMPING)
-    brake.ctrllimited = True
-    brake.ctrlrange = [0.0, 1.0]
-    limit = params.max_deceleration * params.mass * params.wheel_radius
-    brake.forcelimited = True
-    brake.forcerange = [-limit, limit]
+    add_disc_brakes(spec, params, prefix)
 
 
 def _add_steering(spec: mujoco.MjSpec, params: VehicleParameters, prefix: str) -> None:

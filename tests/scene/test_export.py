@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -80,6 +81,45 @@ def test_a_script_without_carpark_mj_drives_stops_and_stands(tmp_path):
     assert abs(measured["speed_after_braking_m_s"]) < 1e-6
     assert measured["stopping_distance_m"] < 0.4
     assert measured["drift_at_rest_in_10_s_mm"] < 1.0
+
+
+@pytest.fixture
+def empty(tmp_path):
+    """One car alone in the square, the file's text and model."""
+    path = tmp_path / "empty.xml"
+    main(SceneConfig(out=str(path), num_agents=1, num_parked_cars=0))
+    model = mujoco.MjModel.from_xml_path(str(path))
+    return path.read_text(), model, mujoco.MjData(model)
+
+
+def test_the_drive_slider_settles_where_the_guide_says(empty):
+    text, model, data = empty
+    limit, loss = re.search(
+        r"about this times ([\d.]+) m/s, less\s+([\d.]+) m/s", text
+    ).groups()
+    data.actuator("agent0/drive").ctrl = 0.5
+    run(model, data, 8.0)
+    speed = np.linalg.norm(data.joint("agent0/root").qvel[:2])
+    assert speed == pytest.approx(0.5 * float(limit) - float(loss), abs=0.02)
+
+
+@pytest.mark.parametrize("speed", [3.0, 5.0])
+def test_the_full_brake_slider_stops_the_car_at_the_grip_the_guide_says(empty, speed):
+    text, model, data = empty
+    grip = float(re.search(r"tyres slide at\s+([\d.]+) m/s\^2", text).group(1))
+    assert grip == pytest.approx(0.9 * 9.81, abs=0.05)
+    run(model, data, 1.0)
+    root = data.joint("agent0/root")
+    yaw = 2 * math.atan2(root.qpos[6], root.qpos[3])
+    root.qvel[:2] = speed * np.array([math.cos(yaw), math.sin(yaw)])
+    for wheel in ("fl", "fr", "rl", "rr"):
+        data.joint(f"agent0/spin_{wheel}").qvel = speed / COMPACT.wheel_radius
+    start = root.qpos[:2].copy()
+    data.actuator("agent0/brake").ctrl = 1.0
+    run(model, data, 2.0)
+    assert np.linalg.norm(root.qvel[:2]) < 1e-6
+    stop = speed**2 / (2 * grip)
+    assert stop < np.linalg.norm(root.qpos[:2] - start) < 1.05 * stop
 
 
 def test_cars_walls_and_parked_cars_collide(model):
