@@ -15,6 +15,7 @@ import jax
 
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.policy.checkpoints import require_writable
 from carpark_mj.vehicle import PRESETS, preset
 from vehicle_suite.report import write_report
 from vehicle_suite.suites import Tyres, drive_suites
@@ -58,6 +59,9 @@ def command_of(config: ReportConfig) -> str:
 
 def run(config: ReportConfig) -> int:
     """Runs the suite and writes the report; returns 1 if a row misses."""
+    out = Path(config.out)
+    out.mkdir(parents=True, exist_ok=True)
+    require_writable(out / "report.md")  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # few cars: no work for a GPU
     everything = Study("", "")
     presets = config.presets or tuple(PRESETS)
@@ -65,7 +69,7 @@ def run(config: ReportConfig) -> int:
         everything.rows.extend(study.rows)
         everything.curves.extend(study.curves)
         print(f"{study.preset}, {study.tyres}: done", flush=True)
-    write_report(Path(config.out), everything, command_of(config))
+    write_report(out, everything, command_of(config))
     missed = [row for row in everything.rows if not row.passes]
     for row in missed:
         print(f"{row.preset}, {row.tyres}: {row.row}: {row.verdict}")

@@ -15,6 +15,7 @@ import jax
 
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.policy.checkpoints import require_writable
 from vehicle_suite import referee, referee_report
 
 
@@ -31,9 +32,12 @@ class RefereeConfig:
 
 def run(config: RefereeConfig) -> None:
     """Drives the trials, writes the page and the plot, prints the table."""
+    out = Path(config.out)
+    out.mkdir(parents=True, exist_ok=True)
+    require_writable(out / "referee.md")  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # one car: no work for a GPU
     found = referee.trials()
-    referee_report.write_report(Path(config.out), found)
+    referee_report.write_report(out, found)
     table = referee_report.table(found)
     print(f"{table}\nwrote {config.out}/referee.md and referee.png")
 

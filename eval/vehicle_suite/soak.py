@@ -22,6 +22,7 @@ from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
 ArrayOrNumpy = TypeVar("ArrayOrNumpy", jax.Array, np.ndarray)
 
 HOLD = 10  # control steps of 20 ms for which an action is held, as in the environment
+MAX_CASE = 2**31 - 1  # beyond it the seeds, int32, would repeat those of other cases
 ROUNDS = 60  # actions of an episode: 12 s
 RANDOMISATION = RandomizationConfig(
     mass=(0.75, 1.25),
@@ -71,8 +72,17 @@ class Soak:
 
         Returns:
             The numbers of all cases (n,) and the worst of each.
+
+        Raises:
+            ValueError: a number beyond `MAX_CASE`.
         """
         count = num_batches * num_cars
+        last = first_case + count - 1
+        if last > MAX_CASE:
+            raise ValueError(
+                f"cases must be numbered up to {MAX_CASE}, not {last}: first_case is "
+                f"{first_case}, of {count} cases"
+            )
         firsts = range(first_case, first_case + count, num_cars)
         worst = [
             jax.device_get(self.run(jnp.arange(k, k + num_cars, dtype=jnp.int32)))

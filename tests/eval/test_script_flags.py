@@ -28,6 +28,8 @@ import soak
         (soak, ["--cars", "3"], "Unrecognized options: --cars, 3"),
         (soak, ["--num-cars", "0"], "num_cars must be at least 1, not 0"),
         (soak, ["--sim.sim-dt", "0"], "sim_dt"),
+        (soak, ["--first-case", "2147483648"], "up to 2147483647, not 21474"),
+        (soak, ["--first-case", "2147483000"], "first_case is 2147483000, of"),
     ],
 )
 def test_bad_input_is_one_sentence_and_exit_code_2(script, flags, said, capsys):
@@ -36,3 +38,25 @@ def test_bad_input_is_one_sentence_and_exit_code_2(script, flags, said, capsys):
     assert error.startswith(f"{script.__name__}: ")
     assert said in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("script", [physics_report, referee])
+def test_an_unwritable_folder_is_refused_before_anything_drives(
+    script, tmp_path, capsys, monkeypatch
+):
+    def drive(*_):
+        raise AssertionError("it drove")
+
+    monkeypatch.setattr(physics_report, "drive_suites", drive)
+    monkeypatch.setattr(referee.referee, "trials", drive)
+    (tmp_path / "file").write_text("no folder")
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert script.main(["--out", str(out)]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"{script.__name__}: cannot use {tmp_path}")
+        assert error.count("\n") == 1
+    taken = tmp_path / "taken"
+    for name in ("report.md", "referee.md"):
+        (taken / name).mkdir(parents=True)
+    assert script.main(["--out", str(taken)]) == 2
+    assert "Is a directory" in capsys.readouterr().err
