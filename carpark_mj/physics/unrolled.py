@@ -56,17 +56,16 @@ class UnrolledStep:
         Returns:
             The cars at its end, and poses (..., num_traces, 3) within the step.
         """
-        dt, gravity = self._sim.sim_dt, gravity_vector(self._sim)
-        dtype = car.qpos.dtype
-        g = tuple(jnp.asarray(component, dtype) for component in gravity)
+        dt, dtype = self._sim.sim_dt, car.qpos.dtype
+        x, y, z = gravity_vector(self._sim)
+        gravity = jnp.asarray(x, dtype), jnp.asarray(y, dtype), jnp.asarray(z, dtype)
         wheels, masses = wheels_of(vehicle), mass_properties(vehicle)
         pedals = controls[..., 0], controls[..., 1]
 
         def substep(car: Car) -> Car:
             driven = drive_car(vehicle, wheels, car, pedals, dt)
-            at = advance(
-                masses, car.coordinates, driven.forces, driven.steering_targets, g, dt
-            )
+            at, targets = car.coordinates, driven.steering_targets
+            at = advance(masses, at, driven.forces, targets, gravity, dt)
             return Car(at, driven.tyres, driven.actuators)
 
         end, trace = run_substeps(

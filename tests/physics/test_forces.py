@@ -141,6 +141,6 @@ def test_scenes_without_the_cars_first_joints_place_forces_by_address():
     forces = CarForces(
         numbers(1, 3), numbers(4, 3), numbers(7, 4), numbers(11, 4), numbers(0, 4)
     )
-    qfrc = generalized_forces(Shifted, forces)  # type: ignore[arg-type]
+    qfrc = generalized_forces(Shifted, forces)
     expected = [0] * 3 + [1, 2, 3, 4, 5, 6] + [7, 11, 8, 12, 13, 14] + [0] * 5
     assert qfrc.tolist() == expected

@@ -47,9 +47,9 @@ def test_scalar_product_and_scaling_are_numpys():
 def test_rotation_is_mujocos_and_its_columns_are_the_body_axes():
     a = RNG.normal(size=(20, 3))
     q = random_quaternions(20)
-    rotation = vectors.rotation(components(q))  # type: ignore[arg-type]
-    world = stacked(vectors.to_world(rotation, components(a)))  # type: ignore[arg-type]
-    back = stacked(vectors.to_body(rotation, vectors.to_world(rotation, components(a))))  # type: ignore[arg-type]
+    rotation = vectors.rotation(components(q))
+    world = stacked(vectors.to_world(rotation, components(a)))
+    back = stacked(vectors.to_body(rotation, vectors.to_world(rotation, components(a))))
     for i in range(20):
         expected = np.zeros(9)
         mujoco.mju_quat2Mat(expected, q[i])
@@ -79,7 +79,7 @@ def test_a_symmetric_system_is_solved_and_multiplies_back():
 def test_turning_integrates_as_mujoco_does(rate: float):
     q = random_quaternions(20)
     angular = rate * RNG.normal(size=(20, 3))
-    turned = stacked(vectors.rotate_by(components(q), components(angular), 0.01))  # type: ignore[arg-type]
+    turned = stacked(vectors.rotate_by(components(q), components(angular), 0.01))
     for i in range(20):
         expected = q[i].copy()
         mujoco.mju_quatIntegrate(expected, angular[i], 0.01)
