@@ -24,7 +24,8 @@ from carpark_mj.physics.coordinates import (
 )
 from carpark_mj.physics.forces import drive_car
 from carpark_mj.physics.gravity import gravity_vector
-from carpark_mj.physics.newton_euler import advance, mass_properties
+from carpark_mj.physics.masses import mass_properties
+from carpark_mj.physics.newton_euler import advance
 from carpark_mj.vehicle import mjcf
 from carpark_mj.vehicle.vehicle import Vehicle
 from carpark_mj.vehicle.wheel import wheels_of

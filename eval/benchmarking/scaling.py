@@ -108,11 +108,16 @@ def read_points(path: Path) -> list[Point]:
     Raises:
         ValueError: it is no such file.
     """
-    kinds = {field.name: field.type for field in dataclasses.fields(Point)}
     try:
         with path.open(newline="") as file:
             return [
-                Point(**{name: kinds[name](text) for name, text in row.items()})
+                Point(
+                    series=row["series"],
+                    agents=int(row["agents"]),
+                    bays=int(row["bays"]),
+                    lots=int(row["lots"]),
+                    microseconds=float(row["microseconds"]),
+                )
                 for row in csv.DictReader(file)
             ]
     except (KeyError, TypeError, ValueError) as error:
@@ -133,15 +138,17 @@ def draw(path: Path, tables: dict[str, Sequence[Point]]) -> None:
 
     figure, panels = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
     for axes, series in zip(panels, ("agents", "size"), strict=True):
+        ticks: set[int] = set()
         for device, points in tables.items():
             chosen = [point for point in points if point.series == series]
             across = [p.agents if series == "agents" else p.bays for p in chosen]
+            ticks |= set(across)
             cost = [point.agents * point.microseconds for point in chosen]
             (line,) = axes.loglog(across, cost, "o-", label=device)
             if series == "agents" and chosen:
                 linear = [cost[-1] * n / across[-1] for n in across]
                 axes.loglog(across, linear, ":", color=line.get_color(), alpha=0.6)
-        axes.set_xticks(across, map(str, across))
+        axes.set_xticks(sorted(ticks), [str(tick) for tick in sorted(ticks)])
         axes.minorticks_off()
         axes.grid(alpha=0.3)
         axes.set_ylabel("one step of one lot [µs]")
