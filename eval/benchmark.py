@@ -5,8 +5,9 @@ python eval/benchmark.py --what env --batches 512 4096
 python eval/benchmark.py --against main~1 --out benchmark.csv
 
 `env` counts agent steps of the whole environment under random actions, `ppo` those of
-training end to end, `physics` substeps of cars alone on both tyre models, each at the
-longest substep at which it passes the physics report. Every measurement has a process
+training end to end, `physics` substeps of cars alone: on brush tyres, on the same by
+`mjx.step`, and on contact tyres, each at the longest substep at which it passes the
+physics report. Every measurement has a process
 of its own, in which nothing is compiled yet. With `--against` two checkouts take
 turns, and the ratio of this one's numbers to the other's is printed: that of the best
 rounds, and the range over the rounds. Compare only figures of one run.
@@ -27,7 +28,7 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import EnvConfig
 
-TYRES = ("brush", "contact")
+CARS = ("brush", "mjx.step", "contact")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +81,7 @@ class BenchmarkConfig:
 
     def jobs(self) -> list[Job]:
         """What each round measures."""
-        variants = {"env": self.layouts, "ppo": (self.preset,), "physics": TYRES}
+        variants = {"env": self.layouts, "ppo": (self.preset,), "physics": CARS}
         return [
             Job(
                 what,

@@ -7,6 +7,7 @@ from carpark_mj.config.checks import choose, positive
 
 Surface = Literal["dry", "wet", "ice"]
 TyresName = Literal["brush", "contact"]
+StepperName = Literal["auto", "unrolled", "mjx"]
 
 CONTACT_SIM_DT = 0.004  # s
 MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
@@ -25,6 +26,8 @@ class SimConfig:
         tyres: tyre model: `brush`, or `contact`: MuJoCo's own contacts, for
             cross-checks; they need a `sim_dt` of at most 0.004 s.
         suspension: springs between contact tyres and car; brush tyres always have them.
+        stepper: of `mjx` cars: the `unrolled` equations, or `mjx.step`; `auto` takes
+            the former where they hold, on brush tyres.
         surface: road surface, which sets the grip, `carpark_mj.vehicle.surfaces`.
     """
 
@@ -35,11 +38,13 @@ class SimConfig:
     grade_y: float = 0.0
     tyres: TyresName = "brush"
     suspension: bool = False
+    stepper: StepperName = "auto"
     surface: Surface = "dry"
 
     def __post_init__(self) -> None:
         choose("tyres", self.tyres, TyresName)
         choose("surface", self.surface, Surface)
+        choose("stepper", self.stepper, StepperName)
         positive(self, "sim_dt", "ctrl_dt", "trace_dt")
         ratio = self.ctrl_dt / self.sim_dt
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
@@ -65,6 +70,11 @@ class SimConfig:
             raise ValueError(
                 f"suspension must be False with {self.tyres} tyres, whose vertical "
                 "spring is the suspension; it is for tyres='contact'"
+            )
+        if self.stepper == "unrolled" and self.tyres != "brush":
+            raise ValueError(
+                f"stepper must be 'auto' or 'mjx' with {self.tyres} tyres, whose "
+                "contacts need MuJoCo's solver, not 'unrolled'"
             )
         for name in ("grade_x", "grade_y"):
             if not abs(getattr(self, name)) < 1.0:

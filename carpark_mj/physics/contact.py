@@ -16,13 +16,15 @@ import mujoco
 import numpy as np
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.car import (
+from carpark_mj.physics.coordinates import (
     CarDynamics,
     CarIndex,
-    gravity_vector,
-    rotation_matrix,
+    unpack_coordinates,
 )
-from carpark_mj.physics.mjx import MjxPhysics, mjx  # pyright: ignore[reportAttributeAccessIssue]
+from carpark_mj.physics.gravity import gravity_vector
+from carpark_mj.physics.mjx import MjxPhysics, Stepper
+from carpark_mj.physics.mjx_step import MjxStep, mjx  # pyright: ignore[reportAttributeAccessIssue]
+from carpark_mj.physics.vectors import column, dot
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.contact_wheels import add_contact_wheels, set_contact_options
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, add_car
@@ -103,36 +105,47 @@ def with_wheels(
     return model.tree_replace(change)
 
 
-class ContactPhysics(MjxPhysics):
-    """MJX with contact wheels behind the `Physics` interface."""
+class ContactStep(MjxStep):
+    """The control step of cars on contact wheels."""
 
-    def __init__(self, sim: SimConfig) -> None:
-        """Compiles the car model for the given time steps, slope and surface."""
-        super().__init__(sim)
-        self._wheels = WheelIndex(contact_car_model(COMPACT, sim))
+    def __init__(self, model: mujoco.MjModel, sim: SimConfig) -> None:
+        """Takes the model of a car on contact wheels."""
+        super().__init__(model, sim)
+        self._wheels = WheelIndex(model)
 
-    def _compile(self, sim: SimConfig) -> mujoco.MjModel:
-        return contact_car_model(COMPACT, sim)
-
-    def _substep(
+    def substep(
         self,
         model: mjx.Model,
         vehicle: Vehicle,
         controls: jax.Array,
         car: CarDynamics,
     ) -> CarDynamics:
-        qpos, qvel, tyres, actuators = car
-        spin_dof = self.index.spin_dof
-        speed = rotation_matrix(qpos[3:7])[:, 0] @ qvel[:3]
-        actuators, ctrl, torques = drive.actuate(
-            vehicle, actuators, controls, speed, qvel[spin_dof], self.sim.sim_dt
+        """Advances one car by one substep."""
+        index = self.index
+        at = unpack_coordinates(index, car.qpos, car.qvel)
+        spin = jnp.stack(at.spin)
+        actuators, ctrl, brake = drive.actuate(
+            vehicle,
+            car.actuators,
+            (controls[0], controls[1]),
+            dot(column(at.rotation, 0), at.velocity),
+            vehicle.wheel_radius * jnp.sum(spin * vehicle.drive_share),
+            self.sim.sim_dt,
         )
-        model = with_wheels(model, self.index, self._wheels, vehicle, torques.brake)
-        data = self._data.replace(
-            qpos=qpos,
-            qvel=qvel,
-            qfrc_applied=jnp.zeros_like(qvel).at[spin_dof].set(torques.drive),
-            ctrl=ctrl,
+        model = with_wheels(
+            model, index, self._wheels, vehicle, brake * vehicle.brake_share
         )
-        data = mjx.step(model, data)
-        return CarDynamics(data.qpos, data.qvel, tyres, actuators)
+        torque = actuators.drive * vehicle.drive_share
+        qfrc = jnp.zeros_like(car.qvel).at[index.spin_dof].set(torque)
+        car = self.integrate(model, car, qfrc, jnp.stack(ctrl))
+        return car._replace(actuators=actuators)
+
+
+class ContactPhysics(MjxPhysics):
+    """MJX with contact wheels behind the `Physics` interface."""
+
+    def _compile(self, sim: SimConfig) -> mujoco.MjModel:
+        return contact_car_model(COMPACT, sim)
+
+    def _make_stepper(self, model: mujoco.MjModel, sim: SimConfig) -> Stepper:
+        return ContactStep(model, sim)

@@ -1,13 +1,13 @@
-"""The batched back end: MuJoCo MJX, one 12-dof car per world, brush tyres.
+"""The batched back end: one 12-dof car per world, MuJoCo's model and equations.
 
-Per car only (qpos, qvel, bristles, actuators) is carried; the vehicle's
-parameters lie in the state too, so a batch may mix cars without recompiling. Without
-joint limits and contacts the model has no constraint row, and MJX skips its solver.
+Per car only (qpos, qvel, bristles, actuators) is carried; the vehicle's parameters lie
+in the state too, so a batch may mix cars without recompiling. Cars are stepped by the
+unrolled equations where the model allows, else by `mjx.step`; `SimConfig.stepper` can
+force either.
 """
 
-import contextlib
 import dataclasses
-import io
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -16,20 +16,12 @@ from flax import struct
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
-from carpark_mj.physics.base import (
-    FactoredPhysics,
-    contain_non_finite,
-    run_substeps,
-)
-from carpark_mj.physics.car import (
-    CarDynamics,
-    CarIndex,
-    centre_pose,
-    gravity_vector,
-    rotation_matrix,
-    substep_forces,
-)
+from carpark_mj.physics.base import FactoredPhysics, contain_non_finite
+from carpark_mj.physics.coordinates import CarDynamics, CarIndex, unpack_coordinates
+from carpark_mj.physics.gravity import gravity_vector
 from carpark_mj.physics.tyres import TyreState, init_tyres
+from carpark_mj.physics.unrolled import UnrolledStep
+from carpark_mj.physics.vectors import column, dot
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
@@ -38,9 +30,7 @@ from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.surfaces import on_surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
-with contextlib.redirect_stdout(io.StringIO()):
-    # It prints that NVIDIA Warp, which it does not need, is missing.
-    from mujoco import mjx
+Stepper = Callable[[Vehicle, CarDynamics, jax.Array], tuple[CarDynamics, jax.Array]]
 
 
 @struct.dataclass
@@ -50,7 +40,7 @@ class CarState:
     Attributes:
         qpos: (..., 13) MuJoCo positions of the 12-dof car; 17 with a suspension.
         qvel: (..., 12) MuJoCo velocities; 16 with a suspension.
-        tyres: bristle deflections.
+        tyres: bristle deflections (..., 4).
         actuators: state of steering and drive.
         vehicle: parameters.
         trace_w: (..., k, 3) footprint poses within the last control step.
@@ -67,27 +57,53 @@ class CarState:
 
 
 class MjxPhysics(FactoredPhysics[CarState]):
-    """MJX with brush tyres behind the `Physics` interface."""
+    """Cars on brush tyres behind the `Physics` interface."""
 
     def __init__(self, sim: SimConfig) -> None:
         """Compiles the car model for the given time steps, slope and surface."""
         self.sim = sim
         model = self._compile(sim)
-        self._nv = 16 if sim.suspension else 12
-        if model.nv != self._nv or model.njnt != self._nv - 5:
-            raise ValueError(f"the car must have {self._nv} dofs, not {model.nv}")
+        nv = 16 if sim.suspension else 12
+        if model.nv != nv or model.njnt != nv - 5:
+            raise ValueError(f"the car must have {nv} dofs, not {model.nv}")
         self.index = CarIndex(model)
-        self._model = mjx.put_model(model)
-        self._data = mjx.make_data(model)
+        self._nq, self._nv = model.nq, model.nv
+        self._step = self._make_stepper(model, sim)
 
     def _compile(self, sim: SimConfig) -> mujoco.MjModel:
-        """The model of one car; what a batch may mix is replaced in `_step`."""
+        """The model of one car; what a batch may mix is replaced in every step."""
         return car_model(COMPACT, sim.sim_dt, gravity_vector(sim))
+
+    def _make_stepper(self, model: mujoco.MjModel, sim: SimConfig) -> Stepper:
+        if sim.stepper != "mjx":
+            return UnrolledStep(model, sim)
+        from carpark_mj.physics.mjx_step import MjxStep  # MJX is slow to import
+
+        return MjxStep(model, sim)
 
     @full_float32
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> CarState:
         """Cars at rest on relaxed tyres; see `Physics.init`."""
-        return _batched(self._init, pose_w.ndim - 1)(pose_w, vehicle)
+        lead, dtype, yaw = pose_w.shape[:-1], pose_w.dtype, pose_w[..., 2]
+        # The static deflection is inside the vertical spring's preload: z = 0 is rest.
+        x = pose_w[..., 0] - vehicle.centre_offset * jnp.cos(yaw)
+        y = pose_w[..., 1] - vehicle.centre_offset * jnp.sin(yaw)
+        zero = jnp.zeros(lead, dtype)
+        rest = [zero] * (self._nq - 7)
+        quat = [jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)]
+        pose = jnp.stack([pose_w[..., 0], pose_w[..., 1], wrap_angle(yaw)], -1)
+        shape = (*lead, self.sim.num_traces, 3)
+        return CarState(
+            qpos=jnp.stack([x, y, zero, *quat, *rest], -1),
+            qvel=jnp.zeros((*lead, self._nv), dtype),
+            tyres=jax.tree.map(
+                lambda leaf: jnp.broadcast_to(leaf, (*lead, 4)), init_tyres(dtype)
+            ),
+            actuators=drive.Actuators(steering=zero, drive=zero),
+            vehicle=vehicle,
+            trace_w=jnp.broadcast_to(pose[..., None, :], shape),
+            finite=jnp.ones(lead, bool),
+        )
 
     @full_float32
     def step(self, state: CarState, controls: jax.Array) -> CarState:
@@ -97,81 +113,19 @@ class MjxPhysics(FactoredPhysics[CarState]):
         the step, at rest on the position it had, and flagged.
         """
         with jax.named_scope("physics"):
-            return _batched(self._step, controls.ndim - 1)(state, controls)
+            vehicle = on_surface(state.vehicle, self.sim.surface)
+            car = CarDynamics(state.qpos, state.qvel, state.tyres, state.actuators)
+            return contain_cars(state, *self._step(vehicle, car, controls))
 
     def read(self, state: CarState) -> Motion:
         """Reads the motion out of fresh `qpos` and `qvel`; see `Physics.read`."""
-        return _batched(self._read, state.finite.ndim)(state)
-
-    def _init(self, pose_w: jax.Array, vehicle: Vehicle) -> CarState:
-        dtype = pose_w.dtype
-        yaw = pose_w[2]
-        # The static deflection is inside the vertical spring's preload: z = 0 is rest.
-        x = pose_w[0] - vehicle.centre_offset * jnp.cos(yaw)
-        y = pose_w[1] - vehicle.centre_offset * jnp.sin(yaw)
-        zero = jnp.zeros((), dtype)
-        quat = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
-        qpos = jnp.concatenate(
-            [jnp.stack([x, y, zero]), quat, jnp.zeros(self._nv - 6, dtype)]
-        )
-        pose = jnp.stack([pose_w[0], pose_w[1], wrap_angle(yaw)])
-        return CarState(
-            qpos=qpos,
-            qvel=jnp.zeros(self._nv, dtype),
-            tyres=init_tyres(dtype),
-            actuators=drive.init_actuators(dtype),
-            vehicle=vehicle,
-            trace_w=jnp.tile(pose, (self.sim.num_traces, 1)),
-            finite=jnp.ones((), bool),
-        )
-
-    def _step(self, state: CarState, controls: jax.Array) -> CarState:
-        vehicle = on_surface(state.vehicle, self.sim.surface)
-        model = self._model.tree_replace(
-            {
-                "body_mass": vehicle.body_mass,
-                "body_inertia": vehicle.body_inertia,
-                "body_ipos": vehicle.body_ipos,
-                "body_pos": vehicle.body_pos,
-            }
-        )
-
-        def substep(car: CarDynamics) -> CarDynamics:
-            return self._substep(model, vehicle, controls, car)
-
-        car, trace = run_substeps(
-            self.sim,
-            substep,
-            CarDynamics(state.qpos, state.qvel, state.tyres, state.actuators),
-            lambda car: centre_pose(car.qpos, vehicle),
-        )
-        return contain_cars(state, car, trace)
-
-    def _substep(
-        self,
-        model: mjx.Model,
-        vehicle: Vehicle,
-        controls: jax.Array,
-        car: CarDynamics,
-    ) -> CarDynamics:
-        """Advances one car by one substep."""
-        with jax.named_scope("tyres"):
-            qfrc, ctrl, tyres, actuators = substep_forces(
-                self.index, vehicle, car, controls, self.sim.sim_dt
-            )
-        data = self._data.replace(
-            qpos=car.qpos, qvel=car.qvel, qfrc_applied=qfrc, ctrl=ctrl
-        )
-        data = mjx.step(model, data)
-        return CarDynamics(data.qpos, data.qvel, tyres, actuators)
-
-    def _read(self, state: CarState) -> Motion:
-        rotation = rotation_matrix(state.qpos[3:7])
-        velocity_b = rotation.T @ state.qvel[:3]
+        at = unpack_coordinates(self.index, state.qpos, state.qvel)
+        rotation = at.rotation
+        velocity_b = [dot(column(rotation, k), at.velocity) for k in range(2)]
         return Motion(
-            pose_w=state.trace_w[-1],
-            velocity_b=velocity_b[:2],
-            yaw_rate=state.qvel[5],
+            pose_w=state.trace_w[..., -1, :],
+            velocity_b=jnp.stack(velocity_b, -1),
+            yaw_rate=at.angular[2],
             steering=state.actuators.steering,
             size=state.vehicle.size,
             trace_w=state.trace_w,
@@ -187,20 +141,13 @@ def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarS
         car: what the step computed.
         trace_w: (..., k, 3) poses within the step.
     """
-    pose = _batched(centre_pose, before.finite.ndim)(before.qpos, before.vehicle)
     at_rest = dataclasses.replace(
         before,
         qvel=jnp.zeros_like(before.qvel),
-        trace_w=jnp.broadcast_to(pose[..., None, :], before.trace_w.shape),
+        trace_w=jnp.broadcast_to(before.trace_w[..., -1:, :], before.trace_w.shape),
         finite=jnp.zeros_like(before.finite),
     )
     stepped = dataclasses.replace(
         before, **car._asdict(), trace_w=trace_w, finite=jnp.ones_like(before.finite)
     )
     return contain_non_finite((car, trace_w), stepped, at_rest)
-
-
-def _batched(function, num_dims: int):
-    for _ in range(num_dims):
-        function = jax.vmap(function)
-    return function

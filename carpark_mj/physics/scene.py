@@ -20,7 +20,12 @@ from carpark_mj.config import SimConfig
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import run_substeps
-from carpark_mj.physics.car import CarDynamics, centre_pose, substep_forces
+from carpark_mj.physics.coordinates import (
+    CarDynamics,
+    centre_pose,
+    unpack_coordinates,
+)
+from carpark_mj.physics.forces import substep_forces
 from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars
 from carpark_mj.physics.scene_model import Masses, Moving, SceneModel
 from carpark_mj.precision import full_float32
@@ -161,9 +166,12 @@ class ScenePhysics:
         cars = state.cars
         vehicle = on_surface(state.vehicle, self.sim.surface)
         masses = Masses(vehicle.body_mass, vehicle.body_inertia, vehicle.body_ipos)
-        forces = jax.vmap(
-            partial(substep_forces, self._single.index, dt=self.sim.sim_dt)
-        )
+        index = self._single.index
+        forces = partial(substep_forces, index, dt=self.sim.sim_dt)
+
+        def poses(carry: _Carry) -> jax.Array:
+            at = unpack_coordinates(index, carry[0].qpos, carry[0].qvel)
+            return centre_pose(at, vehicle)
 
         def substep(carry: _Carry) -> _Carry:
             car, parked_qpos, parked_qvel, touched = carry
@@ -191,7 +199,7 @@ class ScenePhysics:
                 state.parked_qvel,
                 jnp.zeros_like(state.touched),
             ),
-            lambda carry: jax.vmap(centre_pose)(carry[0].qpos, vehicle),
+            poses,
         )
         car, parked_qpos, parked_qvel, touched = carry
         return SceneState(

@@ -2,13 +2,13 @@
 
 An action is `[steer, pedal]` in [-1, 1]^2. `steer` asks for a road-wheel angle of the
 bicycle model, reached at a limited rate and shared between the front wheels by the
-Ackermann condition. `pedal` asks for an acceleration: along the motion, or below
-`SWITCH_SPEED`, it drives; against the motion it brakes; close to zero it lets the car
-coast. A car that is not driven and whose speed or wheels are below `HOLD_SPEED` is held
-on the brake: wheels that stand stay locked, even where the car slides. So from
-`SWITCH_SPEED` up no pedal against the motion slows a car down less than a weaker one.
-Steering and drive may follow with a first-order lag. All functions are for one car;
-`jax.vmap` them for more.
+Ackermann condition. `pedal` asks for an acceleration: along the motion it drives,
+against it it brakes, but for pedals below `HOLD_PEDAL`; a car slower than
+`SWITCH_SPEED` it drives either way. Where the car or its wheels are slower than
+`HOLD_SPEED`, braking or no pedal means the holding brake: wheels that stand stay
+locked, even where the car slides. So from `SWITCH_SPEED` up no pedal against the motion
+slows a car down less than a weaker one. Steering and drive may follow with a
+first-order lag. All functions are elementwise, for cars of any shape.
 """
 
 from typing import NamedTuple
@@ -39,7 +39,7 @@ class Actuators:
 
 
 class WheelTorques(NamedTuple):
-    """Torques (4,) [N m] of a car's wheels.
+    """Torques (...) [N m] of wheels.
 
     Attributes:
         drive: forwards positive.
@@ -57,7 +57,7 @@ def init_actuators(dtype: jnp.dtype | None = None) -> Actuators:
 
 
 def approach(
-    value: jax.Array, target: jax.Array, lag: jax.Array, dt: float
+    value: jax.Array, target: jax.Array, lag: jax.Array, dt: float | jax.Array
 ) -> jax.Array:
     """First-order lag over `dt` [s], exact for a constant target; lag 0 is no lag."""
     kept = jnp.exp(-dt / lag)
@@ -65,7 +65,7 @@ def approach(
 
 
 def steer_towards(
-    vehicle: Vehicle, steering: jax.Array, steer: jax.Array, dt: float
+    vehicle: Vehicle, steering: jax.Array, steer: jax.Array, dt: float | jax.Array
 ) -> jax.Array:
     """Moves the steering angle [rad] towards `steer` in [-1, 1].
 
@@ -77,15 +77,15 @@ def steer_towards(
     return steering + jnp.clip(target - steering, -limit, limit)
 
 
-def ackermann(vehicle: Vehicle, steering: jax.Array) -> jax.Array:
-    """Angles (2,) [rad] of the left and right front wheels for a bicycle angle [rad].
+def ackermann(vehicle: Vehicle, steering: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Angles [rad] of the left and right front wheels for bicycle angles (...) [rad].
 
     With `vehicle.ackermann` = 1 all wheels turn about one point on the rear axle:
     tan(left, right) = tan(steering) / (1 -+ track / (2 wheelbase) tan(steering)).
     """
     tan = jnp.tan(steering)
     skew = vehicle.ackermann * vehicle.track_width / (2 * vehicle.wheelbase) * tan
-    return jnp.arctan(jnp.stack([tan / (1.0 - skew), tan / (1.0 + skew)]))
+    return jnp.arctan(tan / (1.0 - skew)), jnp.arctan(tan / (1.0 + skew))
 
 
 def demanded_torques(
@@ -143,33 +143,32 @@ def demanded_torques(
 def actuate(
     vehicle: Vehicle,
     actuators: Actuators,
-    controls: jax.Array,
+    controls: tuple[jax.Array, jax.Array],
     speed: jax.Array,
-    spin: jax.Array,
-    dt: float,
-) -> tuple[Actuators, jax.Array, WheelTorques]:
+    wheel_speed: jax.Array,
+    dt: float | jax.Array,
+) -> tuple[Actuators, tuple[jax.Array, jax.Array], jax.Array]:
     """One substep from controls to wheels.
 
     Args:
-        vehicle: one car.
+        vehicle: cars (...).
         actuators: at the start of the substep.
-        controls: (2,) steer and pedal in [-1, 1].
-        speed: () forward speed of the rear axle [m/s].
-        spin: (4,) of the wheels [rad/s], forwards positive.
+        controls: steer and pedal (...) in [-1, 1].
+        speed: (...) forward speed of the rear axle [m/s].
+        wheel_speed: (...) mean circumferential speed of the driven wheels [m/s].
         dt: substep [s].
 
     Returns:
-        The actuators at its end, the front wheels' target angles (2,) [rad], and the
-        torques of the wheels.
+        The actuators at its end, with the drive torque of all wheels together; target
+        angles (...) of the left and right front wheels [rad]; the brake torque (...)
+        of all wheels together [N m].
     """
-    steering = steer_towards(vehicle, actuators.steering, controls[0], dt)
+    steer, pedal = controls
+    steering = steer_towards(vehicle, actuators.steering, steer, dt)
     angles = ackermann(vehicle, steering + vehicle.steering_offset)
-    wheel_speed = vehicle.wheel_radius * jnp.sum(spin * vehicle.drive_share)
-    drive, brake = demanded_torques(vehicle, controls[1], speed, wheel_speed)
+    drive, brake = demanded_torques(vehicle, pedal, speed, wheel_speed)
     drive = approach(actuators.drive, drive, vehicle.drive_lag, dt)
-    reached = Actuators(steering=steering, drive=drive)
-    torques = WheelTorques(drive * vehicle.drive_share, brake * vehicle.brake_share)
-    return reached, angles, torques
+    return Actuators(steering=steering, drive=drive), angles, brake
 
 
 def stopping_action(speed: jax.Array) -> jax.Array:

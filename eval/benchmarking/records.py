@@ -13,7 +13,8 @@ class Job:
 
     Attributes:
         what: environment steps, whole PPO updates, or the physics alone.
-        variant: layout of `env`, preset of `ppo`, tyres of `physics`.
+        variant: layout of `env`, preset of `ppo`, tyres or stepper of
+            `physics`.
         lots: simulated at once; for `physics`, cars.
         num_agents: in each lot of `env`; `ppo` and `physics` have their own.
         num_parked_cars: in each lot of `env`.

@@ -124,6 +124,9 @@ def physics_subject(job: Job) -> Subject:
         physics: Any = ContactPhysics(sim)
     else:
         sim = SimConfig()
+        # Checkouts before the unrolled step have no other than `mjx.step`.
+        if job.variant == "mjx.step" and hasattr(sim, "stepper"):
+            sim = dataclasses.replace(sim, stepper="mjx")
         physics = MjxPhysics(sim)
 
     def step(carry: Any, _: None) -> tuple[Any, None]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from carpark_mj.physics.car import CarIndex
+from carpark_mj.physics.coordinates import CarIndex
 from carpark_mj.vehicle.contact_wheels import (
     TIMESTEP,
     add_contact_wheels,

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 
 from carpark_mj.config import CONTACT_SIM_DT, SimConfig
-from carpark_mj.physics.car import CarIndex
 from carpark_mj.physics.contact import WheelIndex, contact_car_model, with_wheels
-from carpark_mj.physics.mjx import mjx  # pyright: ignore[reportAttributeAccessIssue]
+from carpark_mj.physics.coordinates import CarIndex
+from carpark_mj.physics.mjx_step import mjx  # pyright: ignore[reportAttributeAccessIssue]
 from carpark_mj.precision import full_float32
 from carpark_mj.vehicle import COMPACT, Vehicle, VehicleParameters, make_vehicle
 from vehicle_suite.contact import rigid_joints

@@ -1,4 +1,4 @@
-"""Numerics: mirror symmetry, time step, C MuJoCo against MJX."""
+"""Numerics: mirror symmetry, time step, agreement with C MuJoCo and `mjx.step`."""
 
 import dataclasses
 import math
@@ -8,14 +8,19 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from carpark_mj.physics.car import apply_torques
+from carpark_mj.physics.forces import generalized_forces
 from carpark_mj.physics.tyres import init_tyres
-from carpark_mj.vehicle.drive import WheelTorques
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from vehicle_suite.runs import INDEX, Run
 from vehicle_suite.table import Study
-from vehicle_suite.testbed import BrushTestbed, Testbed, controls, vehicle_of
+from vehicle_suite.testbed import (
+    BrushTestbed,
+    Testbed,
+    controls,
+    tyres_on_car,
+    vehicle_of,
+)
 
 STEPS = {"brush": (0.01, 0.005, 0.002, 0.001), "contact": (0.004, 0.002, 0.001)}  # s
 LONGEST = 0.01  # s, at which half a per cent of the path is allowed
@@ -96,15 +101,21 @@ def convergence(
 
 
 def engines(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
-    """One second in MJX against `mujoco.mj_step` with the same tyre code."""
+    """One second of the unrolled step against C MuJoCo and `mjx.step`, same tyres."""
     study = Study(name, bed.tyres)
     run = dataclasses.replace(wander(params), duration=1.0, speed=2.0)
     path = drive_in_c(run, bed.dt)
     for bits, tolerance in ((32, 1e-5), (64, 1e-12))[: 1 if quick else 2]:
-        (track,) = BrushTestbed(bed.dt, x64=bits == 64).drive([run])
-        apart = float(np.abs(track.position - path).max())
-        what = f"C MuJoCo against MJX in float{bits}, 1 s"
-        study.row(what, "0", "m", apart, 0.0, tolerance)
+        ours = BrushTestbed(bed.dt, x64=bits == 64)
+        (track,) = ours.drive([run])
+        (reference,) = dataclasses.replace(ours, stepper="mjx").drive([run])
+        judges = {
+            "C MuJoCo against MJX": path,
+            "unrolled step against mjx.step": reference.position,
+        }
+        for what, other in judges.items():
+            apart = float(np.abs(track.position - other).max())
+            study.row(f"{what} in float{bits}, 1 s", "0", "m", apart, 0.0, tolerance)
     return study
 
 
@@ -134,6 +145,5 @@ def drive_in_c(run: Run, dt: float) -> np.ndarray:
 @jax.jit
 def _c_forces(vehicle, qpos, qvel, tyres, signal, dt):
     ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
-    torques = WheelTorques(drive, brake)
-    qfrc, _, tyres = apply_torques(INDEX, vehicle, qpos, qvel, tyres, torques, dt)
-    return ctrl, qfrc, tyres
+    forces, tyres = tyres_on_car(vehicle, qpos, qvel, tyres, (drive, brake), dt)
+    return ctrl, generalized_forces(INDEX, forces), tyres

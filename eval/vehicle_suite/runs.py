@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from carpark_mj.physics.car import CarIndex
+from carpark_mj.physics.coordinates import CarIndex
 from carpark_mj.vehicle import COMPACT
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters

@@ -1,26 +1,39 @@
 """Test tracks: a `Testbed` drives runs and returns the cars' tracks.
 
-The brush testbed steps MJX with the shipped tyres, all cars of a batch at once. Time
-step, slope and car are data: one compiled program serves every run of a precision.
+The brush testbed steps the shipped tyres and equations of motion, all cars of a batch
+at once. Time step, slope and car are data: one compiled program serves every run of a
+precision.
 """
 
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Literal, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.physics.car import apply_torques
-from carpark_mj.physics.mjx import mjx  # pyright: ignore[reportAttributeAccessIssue]
-from carpark_mj.physics.tyres import init_tyres
+from carpark_mj.config import SimConfig
+from carpark_mj.physics.coordinates import (
+    CarDynamics,
+    Coordinates,
+    pack_coordinates,
+    pack_tyres,
+    unpack_coordinates,
+    unpack_tyres,
+)
+from carpark_mj.physics.forces import CarForces, generalized_forces, roll
+from carpark_mj.physics.masses import mass_properties
+from carpark_mj.physics.mjx_step import MjxStep, with_masses
+from carpark_mj.physics.newton_euler import advance
+from carpark_mj.physics.tyres import TyreState, init_tyres
 from carpark_mj.precision import full_float32
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
-from carpark_mj.vehicle.drive import WheelTorques, ackermann
+from carpark_mj.vehicle.drive import WheelTorques, ackermann, init_actuators
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
+from carpark_mj.vehicle.wheel import wheels_of
 from vehicle_suite.runs import INDEX, Run, gravity_of
 from vehicle_suite.tracks import Track
 
@@ -51,15 +64,17 @@ class Testbed(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class BrushTestbed:
-    """MJX with brush tyres.
+    """The `mjx` back end with brush tyres.
 
     Attributes:
         dt: substep [s] unless a manoeuvre asks for another.
         x64: compute in float64.
+        stepper: the equations of motion, see `SimConfig.stepper`.
     """
 
     dt: float = 0.01
     x64: bool = False
+    stepper: Literal["unrolled", "mjx"] = "unrolled"
     tyres: str = "brush"
 
     def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
@@ -98,7 +113,7 @@ class BrushTestbed:
         for first in range(0, length, CHUNK):
             part = table[first : first + CHUNK]
             gravity = jnp.array(gravity_of(part[..., 5]), dtype)
-            carry, seen = _program(self.x64)(
+            carry, seen = _program(self.x64, self.stepper)(
                 carry, vehicles, locked, jnp.array(part, dtype), gravity, dtype.type(dt)
             )
             rows.append(jax.device_get(seen))
@@ -120,39 +135,24 @@ class BrushTestbed:
 
 
 @functools.cache
-def _program(x64: bool):
-    """Compiles `CHUNK` substeps of `WIDTH` cars, once for each precision.
+def _program(x64: bool, stepper: str):
+    """Compiles `CHUNK` substeps of `WIDTH` cars, once for each precision and stepper.
 
     Arguments: carried state, cars, signs of locked wheels, signals (CHUNK, WIDTH, 6),
     gravity (CHUNK, WIDTH, 3), substep. Call it with x64 switched to match.
     """
-    model = mjx.put_model(car_model(COMPACT, 0.01, (0.0, 0.0, -GRAVITY)))
-    data = mjx.make_data(model)
+    move = {"unrolled": _move_unrolled, "mjx": _move_in_mjx()}[stepper]
 
     def substep(carry, vehicle: Vehicle, locked, signal, gravity, dt):
         qpos, qvel, tyres, couple = carry
         ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
         drive = drive + locked * couple
-        qfrc, forces, tyres = apply_torques(
-            INDEX, vehicle, qpos, qvel, tyres, WheelTorques(drive, brake), dt
-        )
-        car = model.tree_replace(
-            {
-                "body_mass": vehicle.body_mass,
-                "body_inertia": vehicle.body_inertia,
-                "body_ipos": vehicle.body_ipos,
-                "body_pos": vehicle.body_pos,
-                "opt.gravity": gravity,
-                "opt.timestep": dt,
-            }
-        )
-        after = mjx.step(
-            car, data.replace(qpos=qpos, qvel=qvel, qfrc_applied=qfrc, ctrl=ctrl)
-        )
-        apart = jnp.sum(locked * after.qvel[INDEX.spin_dof])
+        forces, tyres = tyres_on_car(vehicle, qpos, qvel, tyres, (drive, brake), dt)
+        qpos, qvel = move(vehicle, qpos, qvel, forces, ctrl, (gravity, dt))
+        apart = jnp.sum(locked * qvel[INDEX.spin_dof])
         couple = couple - AXLE_GAIN * apart
-        seen = (after.qpos, after.qvel, forces.force_w[:, 2], drive)
-        return (after.qpos, after.qvel, tyres, couple), seen
+        seen = (qpos, qvel, jnp.stack(forces.load), drive)
+        return (qpos, qvel, tyres, couple), seen
 
     batched = jax.vmap(substep, in_axes=(0, 0, 0, 0, 0, None))
 
@@ -166,6 +166,61 @@ def _program(x64: bool):
         return jax.lax.scan(step, carry, (signals, gravity))
 
     return advance
+
+
+def tyres_on_car(
+    vehicle: Vehicle,
+    qpos: jax.Array,
+    qvel: jax.Array,
+    tyres: TyreState,
+    torques: tuple[jax.Array, jax.Array],
+    dt: float | jax.Array,
+) -> tuple[CarForces, TyreState]:
+    """The shipped tyres under one car over a substep.
+
+    Args:
+        vehicle: the car.
+        qpos: (13,) positions.
+        qvel: (12,) velocities.
+        tyres: bristles (4,) at the start of the substep.
+        torques: of drive and brake on the wheels, (4,) each [N m].
+        dt: substep [s].
+
+    Returns:
+        The forces, and the bristles at the end of the substep.
+    """
+    forces, after = roll(
+        wheels_of(vehicle),
+        unpack_coordinates(INDEX, qpos, qvel),
+        unpack_tyres(tyres),
+        [WheelTorques(*pair) for pair in zip(*torques, strict=True)],
+        dt,
+    )
+    return forces, pack_tyres(after)
+
+
+def _move_unrolled(vehicle: Vehicle, qpos, qvel, forces: CarForces, ctrl, world):
+    """`qpos` and `qvel` a substep later; `world` is gravity (3,) and the substep."""
+    gravity, dt = world
+    at: Coordinates = unpack_coordinates(INDEX, qpos, qvel)
+    masses = mass_properties(vehicle)
+    after = advance(masses, at, forces, tuple(ctrl), tuple(gravity), dt)
+    return pack_coordinates(INDEX, after)
+
+
+def _move_in_mjx() -> Any:
+    """The same in `mjx.step`."""
+    step = MjxStep(car_model(COMPACT, 0.01, (0.0, 0.0, -GRAVITY)), SimConfig())
+
+    def move(vehicle: Vehicle, qpos, qvel, forces: CarForces, ctrl, world):
+        gravity, dt = world
+        car = CarDynamics(qpos, qvel, init_tyres(), init_actuators())
+        option = {"opt.gravity": gravity, "opt.timestep": dt}
+        model = with_masses(step.model, vehicle).tree_replace(option)
+        after = step.integrate(model, car, generalized_forces(INDEX, forces), ctrl)
+        return after.qpos, after.qvel
+
+    return move
 
 
 def controls(
@@ -189,7 +244,8 @@ def controls(
     force = force + jnp.clip(hold, -limit, limit)
     radius = vehicle.wheel_radius
     drive = force * radius * vehicle.drive_share
-    return ackermann(vehicle, steering), drive, brake * radius * vehicle.brake_share
+    front = jnp.stack(ackermann(vehicle, steering))
+    return front, drive, brake * radius * vehicle.brake_share
 
 
 def vehicle_of(run: Run) -> Vehicle:

@@ -116,6 +116,7 @@ def test_each_round_measures_every_variant_in_every_batch():
         ("env", "mixture"),
         ("ppo", "auto"),
         ("physics", "brush"),
+        ("physics", "mjx.step"),
         ("physics", "contact"),
     ]
     assert asked == [(*variant, lots) for variant in variants for lots in (4, 8)]
@@ -228,7 +229,8 @@ def test_only_the_checkout_that_was_asked_for_is_measured(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("tyres", "ms", "substeps"), [("brush", 10, 20), ("contact", 4, 50)]
+    ("tyres", "ms", "substeps"),
+    [("brush", 10, 20), ("mjx.step", 10, 20), ("contact", 4, 50)],
 )
 def test_each_tyre_model_runs_at_the_substep_of_its_physics_report(tyres, ms, substeps):
     subject = worker.physics_subject(dataclasses.replace(JOB, variant=tyres))

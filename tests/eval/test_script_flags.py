@@ -6,6 +6,7 @@ import benchmark
 import broad_phase
 import physics_report
 import referee
+import scaling
 import soak
 
 
@@ -25,6 +26,9 @@ import soak
         (physics_report, ["--tyres"], "tyres must name at least one"),
         (referee, ["--output", "folder"], "Unrecognized options: --output, folder"),
         (referee, ["--out"], "--out"),
+        (scaling, ["--agents", "0"], "agents must be at least 1, not 0"),
+        (scaling, ["--read", "a.csv"], "names must be as many as the files to read, 1"),
+        (scaling, ["--read", "a.csv", "--names", "a"], "plot must name a picture"),
         (soak, ["--cars", "3"], "Unrecognized options: --cars, 3"),
         (soak, ["--num-cars", "0"], "num_cars must be at least 1, not 0"),
         (soak, ["--sim.sim-dt", "0"], "sim_dt"),

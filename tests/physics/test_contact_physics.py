@@ -69,12 +69,16 @@ def in_c(controls):
             ahead = np.array(
                 [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
             )
-            actuators, ctrl, torques = actuate(
-                actuators, control, ahead @ data.qvel[:3], jnp.array(data.qvel[spin])
+            turning = data.qvel[spin] @ vehicle.drive_share
+            actuators, ctrl, brake = actuate(
+                actuators,
+                tuple(control),
+                ahead @ data.qvel[:3],
+                COMPACT.wheel_radius * turning,
             )
             data.ctrl[:] = ctrl
-            data.qfrc_applied[spin] = torques.drive
-            model.dof_frictionloss[spin] = friction(torques.brake)
+            data.qfrc_applied[spin] = actuators.drive * vehicle.drive_share
+            model.dof_frictionloss[spin] = friction(brake * vehicle.brake_share)
             data.qacc_warmstart[:] = 0.0
             mujoco.mj_step(model, data)
         w, x, y, z = data.qpos[3:7]

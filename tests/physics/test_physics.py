@@ -11,7 +11,7 @@ from helpers.oracle import CCar
 
 from carpark_mj.config import SimConfig
 from carpark_mj.physics import MjxPhysics
-from carpark_mj.physics.car import gravity_vector
+from carpark_mj.physics.gravity import gravity_vector
 from carpark_mj.physics.mjx import CarState
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, Vehicle, VehicleParameters, make_vehicle

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.physics.tyres import (
+    TyreForces,
     TyreState,
     WheelMotion,
     init_tyres,
@@ -13,6 +14,7 @@ from carpark_mj.physics.tyres import (
 )
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 from carpark_mj.vehicle.drive import WheelTorques
+from carpark_mj.vehicle.wheel import Wheel, wheels_of
 
 DT = 0.01
 RADIUS = COMPACT.wheel_radius
@@ -20,26 +22,28 @@ LOCKED = np.full(4, 1e5, np.float32)  # N m, more brake torque than any tyre can
 FREE = np.zeros(4, np.float32)
 LEFT_TO_RIGHT = np.array([1, 0, 3, 2])
 
-advance = jax.jit(tyre_forces)
+
+def four_wheels(vehicle: Vehicle) -> Wheel:
+    """The wheels of one car as arrays (4,)."""
+    return jax.tree.map(lambda *x: jnp.stack(x), *wheels_of(vehicle))
+
+
+@jax.jit
+def advance(vehicle: Vehicle, motion, state, torques, dt):
+    return tyre_forces(four_wheels(vehicle), motion, state, torques, dt)
+
+
+def push(forces: TyreForces) -> np.ndarray:
+    """Forces (4, 3) forwards, to the left, upwards."""
+    return np.stack([forces.forward, forces.left, forces.load], -1)
 
 
 def wheels(
-    forward=0.0, left=0.0, yaw_rate=0.0, spin=0.0, sink=0.0, sink_rate=0.0, angle=0.0
+    forward=0.0, left=0.0, yaw_rate=0.0, spin=0.0, sink=0.0, sink_rate=0.0
 ) -> WheelMotion:
     """Motion of four wheels; every argument is a number or has shape (4,)."""
-
-    def four(value) -> np.ndarray:
-        return np.broadcast_to(np.float32(value), 4)
-
-    angle = four(angle)
-    return WheelMotion(
-        heading_w=np.stack([np.cos(angle), np.sin(angle)], -1),
-        velocity=np.stack([four(forward), four(left)], -1),
-        yaw_rate=four(yaw_rate),
-        spin=four(spin),
-        sink=four(sink),
-        sink_rate=four(sink_rate),
-    )
+    values = (forward, left, yaw_rate, spin, sink, sink_rate)
+    return WheelMotion(*(np.broadcast_to(np.float32(value), 4) for value in values))
 
 
 def random_motion(rng: np.random.Generator) -> tuple[WheelMotion, TyreState]:
@@ -51,7 +55,6 @@ def random_motion(rng: np.random.Generator) -> tuple[WheelMotion, TyreState]:
         spin=rng.normal(0, speed / RADIUS, 4),
         sink=rng.normal(0, 0.15, 4),  # 0.12 m lifts a wheel off the ground
         sink_rate=rng.normal(0, 0.3, 4),
-        angle=rng.uniform(-np.pi, np.pi, 4),
     )
     state = TyreState(
         longitudinal=rng.normal(0, 0.02, 4).astype(np.float32),
@@ -77,12 +80,12 @@ def roll_to_steady_state(
         def substep(carry, _):
             spin, state = carry
             motion = wheels(forward=speed, left=speed * np.tan(slip_angle))
-            motion = motion.replace(spin=spin)
-            forces, state = tyre_forces(
+            motion = motion._replace(spin=spin)
+            forces, state = advance(
                 vehicle, motion, state, WheelTorques(FREE, FREE), DT
             )
             spin = spin + DT * forces.spin / vehicle.wheel_inertia
-            return (spin, state), forces.force_w
+            return (spin, state), jnp.stack(forces[:3], -1)
 
         return jax.lax.scan(substep, (spin, init_tyres()), None, length=400)[1][-1]
 
@@ -93,8 +96,8 @@ def test_a_relaxed_tyre_at_rest_feels_its_load_and_nothing_else(compact: Vehicle
     forces, state = advance(
         compact, wheels(), init_tyres(), WheelTorques(FREE, FREE), DT
     )
-    assert forces.force_w[:, :2].tolist() == np.zeros((4, 2)).tolist()
-    assert forces.force_w[:, 2].tolist() == compact.tyres.static_load.tolist()
+    assert push(forces)[:, :2].tolist() == np.zeros((4, 2)).tolist()
+    assert forces.load.tolist() == compact.tyres.static_load.tolist()
     assert forces.spin.tolist() == [0.0] * 4
     assert forces.aligning.tolist() == [0.0] * 4
     assert not any(leaf.any() for leaf in jax.tree.leaves(state))
@@ -110,7 +113,7 @@ def test_a_relaxed_tyre_opposes_sliding_in_any_direction(compact: Vehicle):
             forces, state = advance(
                 compact, motion, state, WheelTorques(FREE, LOCKED), DT
             )
-            force = np.asarray(forces.force_w)
+            force = push(forces)
             power = force[:, 0] * forward + force[:, 1] * left
             assert (power < 0).all()
 
@@ -132,7 +135,7 @@ def test_horizontal_force_never_exceeds_friction(compact: Vehicle):
     for _ in range(1000):
         motion, state = random_motion(rng)
         forces, _ = advance(compact, motion, state, random_torques(rng), DT)
-        force = np.asarray(forces.force_w)
+        force = push(forces)
         horizontal = np.hypot(force[:, 0], force[:, 1])
         # A lifted wheel counts as loaded with 1 N, which keeps its slip finite.
         limit = COMPACT.tyre.friction * np.maximum(force[:, 2], 1.0)
@@ -148,7 +151,7 @@ def test_bristles_stay_within_the_deflection_of_a_sliding_patch(compact: Vehicle
     for _ in range(300):
         motion, state = random_motion(rng)
         forces, state = advance(compact, motion, state, random_torques(rng), DT)
-        limit = COMPACT.tyre.friction * np.maximum(forces.force_w[:, 2], 1.0)
+        limit = COMPACT.tyre.friction * np.maximum(forces.load, 1.0)
         stretch = np.hypot(
             tyres.longitudinal_stiffness * state.longitudinal,
             tyres.lateral_stiffness * state.lateral,
@@ -161,10 +164,10 @@ def test_a_car_seen_in_the_mirror_has_mirrored_forces(compact: Vehicle):
     for _ in range(100):
         motion, state = random_motion(rng)
         torques = random_torques(rng)
-        flip, swap = np.array([1, -1], np.float32), LEFT_TO_RIGHT
+        swap = LEFT_TO_RIGHT
         mirrored_motion = WheelMotion(
-            heading_w=motion.heading_w[swap] * flip,
-            velocity=motion.velocity[swap] * flip,
+            forward=motion.forward[swap],
+            left=-motion.left[swap],
             yaw_rate=-motion.yaw_rate[swap],
             spin=motion.spin[swap],
             sink=motion.sink[swap],
@@ -181,25 +184,14 @@ def test_a_car_seen_in_the_mirror_has_mirrored_forces(compact: Vehicle):
             compact, mirrored_motion, mirrored_state, mirrored, DT
         )
         # Identical arithmetic up to signs, measured 0; 1e-3 N is float32 rounding.
-        expected = np.asarray(forces.force_w)[swap] * [1, -1, 1]
-        assert seen.force_w == pytest.approx(expected, abs=1e-3)
+        expected = push(forces)[swap] * [1, -1, 1]
+        assert push(seen) == pytest.approx(expected, abs=1e-3)
         assert seen.spin == pytest.approx(np.asarray(forces.spin)[swap], abs=1e-3)
         assert seen.aligning == pytest.approx(
             -np.asarray(forces.aligning)[swap], abs=1e-3
         )
         expected = -np.asarray(after.lateral)[swap]
         assert seen_after.lateral == pytest.approx(expected, abs=1e-8)
-
-
-def test_forces_turn_with_the_heading_of_the_wheel(compact: Vehicle):
-    motion, state = random_motion(np.random.default_rng(4))
-    straight = motion.replace(heading_w=wheels().heading_w)
-    turned = motion.replace(heading_w=wheels(angle=np.pi / 2).heading_w)
-    along, _ = advance(compact, straight, state, WheelTorques(FREE, FREE), DT)
-    across, _ = advance(compact, turned, state, WheelTorques(FREE, FREE), DT)
-    x, y, z = np.asarray(along.force_w).T
-    expected = np.stack([-y, x, z], -1)
-    assert across.force_w == pytest.approx(expected, abs=2e-3)  # cos 90 deg = 4e-8
 
 
 def test_lateral_force_is_proportional_to_a_small_slip_angle(compact: Vehicle):
@@ -246,13 +238,14 @@ def test_a_locked_wheel_holds_up_to_the_friction_limit(
     def run():
         def substep(carry, i):
             velocity, position, state = carry
-            motion = wheels().replace(velocity=velocity)
-            forces, state = tyre_forces(
+            motion = wheels()._replace(forward=velocity[:, 0], left=velocity[:, 1])
+            forces, state = advance(
                 compact, motion, state, WheelTorques(FREE, LOCKED), DT
             )
             # Applied slowly: a sudden pull swings to twice its static deflection.
             ramp = jnp.minimum(1.0, i / 400)
-            force = (ramp * pull)[:, None] * direction + forces.force_w[:, :2]
+            force = (ramp * pull)[:, None] * direction
+            force = force + jnp.stack([forces.forward, forces.left], -1)
             velocity = velocity + DT * force / mass[:, None]
             position = position + DT * velocity
             return (velocity, position, state), position

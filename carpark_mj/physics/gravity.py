@@ -1,0 +1,13 @@
+"""Gravity on sloping ground: the ground is level, gravity is tilted."""
+
+import math
+
+from carpark_mj.config import SimConfig
+from carpark_mj.vehicle.parameters import GRAVITY
+
+
+def gravity_vector(sim: SimConfig) -> tuple[float, float, float]:
+    """Gravity (3,) [m/s^2] seen from ground of the configured slope, normal to it."""
+    normal = math.sqrt(1.0 + sim.grade_x**2 + sim.grade_y**2)
+    g = GRAVITY / normal
+    return (-g * sim.grade_x, -g * sim.grade_y, -g)

@@ -1,0 +1,93 @@
+"""The car's substep by `mjx.step`, for any model; judge of the unrolled step."""
+
+import contextlib
+import io
+
+import jax
+import mujoco
+
+from carpark_mj.config import SimConfig
+from carpark_mj.physics.base import run_substeps
+from carpark_mj.physics.coordinates import (
+    CarDynamics,
+    CarIndex,
+    centre_pose,
+    unpack_coordinates,
+)
+from carpark_mj.physics.forces import substep_forces
+from carpark_mj.vehicle.vehicle import Vehicle
+
+with contextlib.redirect_stdout(io.StringIO()):
+    # It prints that NVIDIA Warp, which it does not need, is missing.
+    from mujoco import mjx
+
+
+class MjxStep:
+    """The control step of cars of any leading shape, in MJX, on brush tyres."""
+
+    def __init__(self, model: mujoco.MjModel, sim: SimConfig) -> None:
+        """Takes the model of a car; what a batch may mix is replaced in `__call__`."""
+        self.index = CarIndex(model)
+        self.sim = sim
+        self.model = mjx.put_model(model)
+        self._data = mjx.make_data(model)
+
+    def __call__(
+        self, vehicle: Vehicle, car: CarDynamics, controls: jax.Array
+    ) -> tuple[CarDynamics, jax.Array]:
+        """Advances cars (...) by one control step; as `UnrolledStep`."""
+        function = self._step
+        for _ in range(controls.ndim - 1):
+            function = jax.vmap(function)
+        return function(vehicle, car, controls)
+
+    def _step(
+        self, vehicle: Vehicle, car: CarDynamics, controls: jax.Array
+    ) -> tuple[CarDynamics, jax.Array]:
+        model = with_masses(self.model, vehicle)
+
+        def substep(car: CarDynamics) -> CarDynamics:
+            return self.substep(model, vehicle, controls, car)
+
+        def pose(car: CarDynamics) -> jax.Array:
+            at = unpack_coordinates(self.index, car.qpos, car.qvel)
+            return centre_pose(at, vehicle)
+
+        return run_substeps(self.sim, substep, car, pose)
+
+    def substep(
+        self,
+        model: mjx.Model,
+        vehicle: Vehicle,
+        controls: jax.Array,
+        car: CarDynamics,
+    ) -> CarDynamics:
+        """Advances one car by one substep."""
+        qfrc, ctrl, tyres, actuators = substep_forces(
+            self.index, vehicle, car, controls, self.sim.sim_dt
+        )
+        return self.integrate(model, car, qfrc, ctrl)._replace(
+            tyres=tyres, actuators=actuators
+        )
+
+    def integrate(
+        self, model: mjx.Model, car: CarDynamics, qfrc: jax.Array, ctrl: jax.Array
+    ) -> CarDynamics:
+        """One `mjx.step` with the forces applied (nv,) and the servo targets (2,)."""
+        data = self._data.replace(
+            qpos=car.qpos, qvel=car.qvel, qfrc_applied=qfrc, ctrl=ctrl
+        )
+        data = mjx.step(model, data)
+        return car._replace(qpos=data.qpos, qvel=data.qvel)
+
+
+def with_masses(model: mjx.Model, vehicle: Vehicle) -> mjx.Model:
+    """The model with one vehicle's masses and wheel places."""
+    return model.tree_replace(
+        {
+            "body_mass": vehicle.body_mass,
+            "body_inertia": vehicle.body_inertia,
+            "body_ipos": vehicle.body_ipos,
+            "body_pos": vehicle.body_pos,
+        }
+    )

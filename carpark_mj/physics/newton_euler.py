@@ -1,0 +1,214 @@
+r"""Newton-Euler equations of the car, steering and wheel spin eliminated by hand.
+
+The same equations as MuJoCo's for the model of `carpark_mj.vehicle.mjcf`, term by term
+(derivation: docs/vehicle.md). What makes them short: knuckles and wheels are balanced
+about their hinges, so the common centre of mass c is fixed in the body, and a wheel is
+symmetric about its axle, so its angle does not enter. With the body's angular velocity
+w and acceleration a, a front corner's steering angle d, and for each wheel the axle n,
+the spin p and its momentum H = I_s (p + n.w):
+
+    wheel     dH/dt = spin torque
+    corner    A_z (a_z + d'') + gyro_z = aligning + servo - friction d' - armature d''
+    car       J a + w x J w + sum over wheels (dH/dt n + H w x n)
+                  + sum over corners (A d(w)/dt + w x A w) = moment about c
+    origin    m (v' - g + R (a x c + w x (w x c))) = force
+
+The first two are solved for dH/dt and d'' and put into the third, a symmetric 3 x 3
+system for a. The steering is integrated implicitly in its damping, as `implicitfast`
+does, also while the servo is at its limit.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.physics.coordinates import Coordinates
+from carpark_mj.physics.forces import CarForces
+from carpark_mj.physics.masses import MassProperties
+from carpark_mj.physics.vectors import (
+    Vector,
+    add,
+    cross,
+    multiply,
+    rotate_by,
+    scale,
+    solve,
+    subtract,
+    to_body,
+    to_world,
+)
+from carpark_mj.vehicle.mjcf import (
+    STEER_ARMATURE,
+    STEER_DAMPING,
+    STEER_FRICTION_DAMPING,
+    STEER_STIFFNESS,
+    STEER_TORQUE,
+    STEERED,
+    WHEELS,
+)
+
+
+def advance(
+    masses: MassProperties,
+    at: Coordinates,
+    forces: CarForces,
+    steering_targets: tuple[jax.Array, ...],
+    gravity: Vector,
+    dt: float | jax.Array,
+) -> Coordinates:
+    """Coordinates of cars (...) a substep later, as `mjx.step` would have them.
+
+    Args:
+        masses: of the cars.
+        at: coordinates at the start of the substep.
+        forces: on the cars.
+        steering_targets: of the front wheels' servos [rad].
+        gravity: world frame [m/s^2].
+        dt: substep [s].
+    """
+    with jax.named_scope("newton_euler"):
+        w, rotation = at.angular, at.rotation
+        corners = [
+            _front_corner(masses, at, forces, steering_targets[i], i, dt)
+            for i in range(len(STEERED))
+        ]
+        inertia = masses.body_inertia
+        force_b = to_body(rotation, forces.force_w)
+        moment = subtract(forces.moment_b, cross(masses.com, force_b))
+        moment = subtract(moment, cross(w, multiply(inertia, w)))
+        for corner in corners:
+            xx, yy, zz, xy, xz, yz = inertia
+            c_xx, c_yy, c_zz, c_xy = corner.inertia
+            inertia = (xx + c_xx, yy + c_yy, zz + c_zz, xy + c_xy, xz, yz)
+            moment = subtract(moment, corner.reaction)
+        for i in range(len(STEERED), len(WHEELS)):
+            momentum = masses.spin_inertia[i] * (at.spin[i] + w[1])
+            # dH/dt n + H w x n, the axle n along y
+            reaction = (-momentum * w[2], forces.spin[i], momentum * w[0])
+            moment = subtract(moment, reaction)
+        turning = solve(inertia, moment)
+
+        of_com = add(cross(turning, masses.com), cross(w, cross(w, masses.com)))
+        pull = add(scale(1.0 / masses.mass, forces.force_w), gravity)
+        linear = subtract(pull, to_world(rotation, of_com))
+        steering = [c.free - c.yaw_share * turning[2] for c in corners]
+        spinning = []
+        for i in range(len(WHEELS)):
+            about_axle = turning[1]
+            if i < len(STEERED):
+                about_axle = corners[i].about_axle(turning)
+            spinning.append(forces.spin[i] / masses.spin_inertia[i] - about_axle)
+    return _integrate(at, linear, turning, steering, spinning, dt)
+
+
+class _Corner(NamedTuple):
+    """A front corner's part in the car's equation, its steering eliminated.
+
+    Attributes:
+        inertia: xx, yy, zz, xy to add to the body's [kg m^2].
+        reaction: moment that the body must give it, without the body's angular
+            acceleration [N m].
+        free: acceleration of the steering if the body had none [rad/s^2].
+        yaw_share: how much of the body's yaw acceleration the steering lags behind.
+        axle: (x, y) of the wheel's axle in the body frame.
+        axle_turning: what steering adds to the angular acceleration about the axle.
+    """
+
+    inertia: tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+    reaction: Vector
+    free: jax.Array
+    yaw_share: jax.Array
+    axle: tuple[jax.Array, jax.Array]
+    axle_turning: jax.Array
+
+    def about_axle(self, turning: Vector) -> jax.Array:
+        """Angular acceleration of the corner about the axle [rad/s^2]."""
+        x, y = self.axle
+        return x * turning[0] + y * turning[1] + self.axle_turning
+
+
+def _front_corner(
+    masses: MassProperties,
+    at: Coordinates,
+    forces: CarForces,
+    target: jax.Array,
+    i: int,
+    dt: float | jax.Array,
+) -> _Corner:
+    along, across, vertical = masses.corner_inertia[i]
+    cos, sin, rate = jnp.cos(at.steer[i]), jnp.sin(at.steer[i]), at.steer_rate[i]
+    w = at.angular
+    # Angular velocity about the corner's own axes: ahead, axle, up.
+    ahead, axle, up = cos * w[0] + sin * w[1], cos * w[1] - sin * w[0], w[2] + rate
+    momentum = masses.spin_inertia[i] * (at.spin[i] + axle)
+    gyro_ahead = along * rate * axle + (vertical - across) * axle * up - momentum * up
+    gyro_axle = (
+        -across * rate * ahead + (along - vertical) * up * ahead + forces.spin[i]
+    )
+    gyro_up = (across - along) * ahead * axle + momentum * ahead
+    servo = STEER_STIFFNESS * (target - at.steer[i]) - STEER_DAMPING * rate
+    torque = (
+        forces.aligning[i]
+        + jnp.clip(servo, -STEER_TORQUE, STEER_TORQUE)
+        - STEER_FRICTION_DAMPING * rate
+    )
+    damping = STEER_DAMPING + STEER_FRICTION_DAMPING
+    resisting = 1.0 / (vertical + STEER_ARMATURE + dt * damping)
+    free, yaw_share = (torque - gyro_up) * resisting, vertical * resisting
+    return _Corner(
+        inertia=(
+            along * cos * cos + across * sin * sin,
+            along * sin * sin + across * cos * cos,
+            vertical * (1.0 - yaw_share),
+            (along - across) * cos * sin,
+        ),
+        reaction=(
+            gyro_ahead * cos - gyro_axle * sin,
+            gyro_ahead * sin + gyro_axle * cos,
+            gyro_up + vertical * free,
+        ),
+        free=free,
+        yaw_share=yaw_share,
+        axle=(-sin, cos),
+        axle_turning=-rate * ahead,
+    )
+
+
+def _integrate(
+    at: Coordinates,
+    linear: Vector,
+    turning: Vector,
+    steering: Sequence[jax.Array],
+    spinning: Sequence[jax.Array],
+    dt: float | jax.Array,
+) -> Coordinates:
+    """Semi-implicit Euler: velocities first, then positions from the new velocities.
+
+    Args:
+        at: coordinates before.
+        linear: acceleration of the origin, world frame [m/s^2].
+        turning: angular acceleration, body frame [rad/s^2].
+        steering: accelerations of the front wheels' angles [rad/s^2].
+        spinning: accelerations of the wheels' spins [rad/s^2].
+        dt: substep [s].
+    """
+
+    def later(now: Sequence[jax.Array], rates: Sequence[jax.Array]) -> Any:
+        return tuple(x + dt * v for x, v in zip(now, rates, strict=True))
+
+    velocity = later(at.velocity, linear)
+    angular = later(at.angular, turning)
+    steer_rate = later(at.steer_rate, steering)
+    spin = later(at.spin, spinning)
+    return Coordinates(
+        position=later(at.position, velocity),
+        quaternion=rotate_by(at.quaternion, angular, dt),
+        steer=later(at.steer, steer_rate),
+        angle=later(at.angle, spin),
+        velocity=velocity,
+        angular=angular,
+        steer_rate=steer_rate,
+        spin=spin,
+    )

@@ -1,0 +1,134 @@
+"""The car's substep unrolled: what `mjx.step` computes, in a few kernels.
+
+`mjx.step` serves any model: a tree of bodies in small matrices, some hundred kernels a
+substep. For this one car the same equations fit on two pages
+(`carpark_mj.physics.newton_euler`), elementwise over the batch. MJX's model and state
+stay; `check_unrollable` says for which models the equations hold, and tests compare
+them with `mjx.step` and with C MuJoCo.
+"""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from carpark_mj.config import SimConfig
+from carpark_mj.physics.base import run_substeps
+from carpark_mj.physics.coordinates import (
+    Car,
+    CarDynamics,
+    CarIndex,
+    centre_pose,
+    pack_car,
+    unpack_car,
+)
+from carpark_mj.physics.forces import drive_car
+from carpark_mj.physics.gravity import gravity_vector
+from carpark_mj.physics.masses import mass_properties
+from carpark_mj.physics.newton_euler import advance
+from carpark_mj.vehicle import mjcf
+from carpark_mj.vehicle.vehicle import Vehicle
+from carpark_mj.vehicle.wheel import wheels_of
+
+
+class UnrolledStep:
+    """The unrolled control step of cars of any leading shape."""
+
+    def __init__(self, model: mujoco.MjModel, sim: SimConfig) -> None:
+        """Takes the model of a car.
+
+        Raises:
+            ValueError: the equations do not hold for the model.
+        """
+        check_unrollable(model)
+        self._index = CarIndex(model)
+        self._sim = sim
+
+    def __call__(
+        self, vehicle: Vehicle, car: CarDynamics, controls: jax.Array
+    ) -> tuple[CarDynamics, jax.Array]:
+        """Advances cars (...) by one control step.
+
+        Args:
+            vehicle: parameters of the cars, grip of the ground included.
+            car: at the start of the step.
+            controls: (..., 2) steer and pedal in [-1, 1].
+
+        Returns:
+            The cars at its end, and poses (..., num_traces, 3) within the step.
+        """
+        dt, dtype = self._sim.sim_dt, car.qpos.dtype
+        x, y, z = gravity_vector(self._sim)
+        gravity = jnp.asarray(x, dtype), jnp.asarray(y, dtype), jnp.asarray(z, dtype)
+        wheels, masses = wheels_of(vehicle), mass_properties(vehicle)
+        pedals = controls[..., 0], controls[..., 1]
+
+        def substep(car: Car) -> Car:
+            driven = drive_car(vehicle, wheels, car, pedals, dt)
+            at, targets = car.coordinates, driven.steering_targets
+            at = advance(masses, at, driven.forces, targets, gravity, dt)
+            return Car(at, driven.tyres, driven.actuators)
+
+        end, trace = run_substeps(
+            self._sim,
+            substep,
+            unpack_car(self._index, car),
+            lambda car: centre_pose(car.coordinates, vehicle),
+        )
+        return pack_car(self._index, end), jnp.moveaxis(trace, 0, -2)
+
+
+def check_unrollable(model: mujoco.MjModel) -> None:
+    """Checks that the unrolled equations hold for a model.
+
+    Raises:
+        ValueError: it is not the car of `mjcf.add_car` alone in its world, on tyres
+            that apply forces.
+    """
+    knuckles, wheels = [2, 4], [3, 5, 6, 7]
+    if (model.nv, model.nbody, model.nu) != (12, 8, 2):
+        raise ValueError(
+            "the unrolled step is for a car of 12 degrees of freedom, 7 bodies and 2 "
+            f"steering servos, not {model.nv}, {model.nbody - 1} and {model.nu}"
+        )
+    index = CarIndex(model)
+    steer, spin = index.steer_dof, index.spin_dof
+    inertia = model.body_inertia
+    holds = {
+        "no contacts": model.npair == 0 and not model.geom_contype.any(),
+        "no equalities, tendons or joint limits": (
+            model.neq == 0 and model.ntendon == 0 and not model.jnt_limited.any()
+        ),
+        "the implicitfast integrator": (
+            model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        ),
+        "still air": model.opt.density == 0.0 and model.opt.viscosity == 0.0,
+        "bodies aligned with the car": (
+            (model.body_quat == [1, 0, 0, 0]).all()
+            and (model.body_iquat == [1, 0, 0, 0]).all()
+            and not model.jnt_pos.any()
+        ),
+        "knuckles and wheels balanced about their hinges": (
+            not model.body_ipos[knuckles + wheels].any()
+            and not model.body_pos[[3, 5]].any()
+        ),
+        "wheels symmetric about their axles": np.array_equal(
+            inertia[wheels, 0], inertia[wheels, 2]
+        ),
+        "wheels on free axles": not (
+            model.dof_damping[spin].any() or model.dof_armature[spin].any()
+        ),
+        "joints without springs and friction": not (
+            model.jnt_stiffness.any() or model.dof_frictionloss.any()
+        ),
+        "the steering of mjcf.py": (
+            (model.dof_damping[steer] == mjcf.STEER_FRICTION_DAMPING).all()
+            and (model.dof_armature[steer] == mjcf.STEER_ARMATURE).all()
+            and (model.actuator_gainprm[:, 0] == mjcf.STEER_STIFFNESS).all()
+            and (model.actuator_biasprm[:, 2] == -mjcf.STEER_DAMPING).all()
+            and (model.actuator_forcerange[:, 1] == mjcf.STEER_TORQUE).all()
+        ),
+    }
+    missing = [what for what, true in holds.items() if not true]
+    if missing:
+        raise ValueError(f"the unrolled step needs {', '.join(missing)}")
