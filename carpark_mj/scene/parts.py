@@ -232,7 +232,7 @@ def add_lights(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
     spec.visual.rgba.haze = materials.HORIZON
     quality = spec.visual.quality
     quality.shadowsize = 4096
-    # Thin lines and pillars look as round, flat faces as even, with far fewer triangles.
+    # Lines and pillars look as round, flat faces as even, with far fewer triangles.
     quality.numslices, quality.numstacks, quality.numquads = 16, 4, 1
     # A tight shadow map shows stripes on the ground where it ends.
     spec.visual.map.shadowclip = 3.0
