@@ -11,11 +11,16 @@ python eval/evaluate.py --policy zero --environment tanner-fixed
 
 import sys
 
-from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.cli.common import (
+    enable_output_fusion,
+    keep_compiled_programs,
+    run_command,
+)
 from carpark_mj.cli.evaluate import EvaluateConfig, main
 from carpark_mj.cli.flags import read_flags
 
 if __name__ == "__main__":
+    enable_output_fusion()
     keep_compiled_programs()
     sys.exit(
         run_command(

@@ -11,7 +11,11 @@ python eval/render.py --gallery --out gallery.png
 
 import sys
 
-from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.cli.common import (
+    enable_output_fusion,
+    keep_compiled_programs,
+    run_command,
+)
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.rendering.gl import choose_gl
 
@@ -30,5 +34,6 @@ def run() -> int:
 
 
 if __name__ == "__main__":
+    enable_output_fusion()
     keep_compiled_programs()
     sys.exit(run())

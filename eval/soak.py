@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.cli.common import run_command
+from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import SimConfig
 from carpark_mj.vehicle import PRESETS
@@ -104,6 +104,7 @@ def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
+    enable_output_fusion()
     return run_command(
         "soak",
         lambda: run(read_flags(SoakConfig, arguments, description=__doc__)),

@@ -14,12 +14,17 @@ from collections.abc import Sequence
 
 import jax
 
-from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.cli.common import (
+    enable_output_fusion,
+    keep_compiled_programs,
+    run_command,
+)
 from carpark_mj.rendering.gl import choose_gl
 
 
 def configure_jax() -> None:
-    """One CPU device per core, over which the lots are sharded."""
+    """One CPU device per core, over which the lots are sharded; fused outputs."""
+    enable_output_fusion()
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
     # jaxlib 0.11.2 crashes compiling a program for several CPU devices; 0.10.2 is fine.
     if jax.__version_info__ < (0, 11):

@@ -13,7 +13,11 @@ Ctrl-C saves a checkpoint and stops.
 import sys
 from collections.abc import Sequence
 
-from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.cli.common import (
+    enable_output_fusion,
+    keep_compiled_programs,
+    run_command,
+)
 from learners.memory import require_memory
 from learners.q_learning.config import RUN_SETTINGS, QLearningConfig
 from learners.q_learning.learner import QLearner
@@ -41,6 +45,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
+    enable_output_fusion()
     keep_compiled_programs()
     return run_command("q_learning", lambda: run(arguments))
 

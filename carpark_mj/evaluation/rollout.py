@@ -15,7 +15,7 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row, summarise
 from carpark_mj.layouts import member_shares
-from carpark_mj.policy.networks import Policy
+from carpark_mj.policy.networks import Policy, as_argument
 from carpark_mj.types import State
 
 CHUNK = 50  # control steps per compiled call
@@ -100,11 +100,12 @@ def _episodes(
     reset_key, act_key = jax.random.split(evaluation_key(seed))
     reset = jax.jit(jax.vmap(lambda key, member: env.reset(key, "test", member)))
     state, observation = reset(jax.random.split(reset_key, len(member)), member)
-    chunk = jax.jit(lambda carry: _chunk(env, policy, carry))
+    chunk = jax.jit(lambda policy, carry: _chunk(env, policy, carry))
+    policy = as_argument(policy)
     carry = (state, observation, act_key)
     finished = np.zeros((len(member), env.num_agents), int)
     while finished.min() < quota:
-        carry, (done, metrics) = chunk(carry)
+        carry, (done, metrics) = chunk(policy, carry)
         metrics = {name: np.asarray(value) for name, value in metrics.items()}
         for t, lot, agent in np.argwhere(np.asarray(done)):
             if finished[lot, agent] < quota:

@@ -9,6 +9,7 @@ from brax.training import networks as brax_networks
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
+from jax.tree_util import Partial
 
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.distributions import action_distribution
@@ -77,4 +78,17 @@ def make_policy(
 ) -> Policy:
     """An acting function `(observation, key) -> (action, extras)`."""
     make: Any = ppo_networks.make_inference_fn(networks)
-    return make((normalizer, policy_params), deterministic=deterministic)
+
+    def act(params: Any, observation: jax.Array, key: jax.Array) -> Any:
+        return make(params, deterministic=deterministic)(observation, key)
+
+    return Partial(act, (normalizer, policy_params))
+
+
+def as_argument(policy: Policy) -> Policy:
+    """A policy as a pytree of its parameters, to be passed to a jitted function.
+
+    If the function closed over it, its weights would be constants of the program, which
+    would be compiled again for every checkpoint.
+    """
+    return policy if isinstance(policy, Partial) else Partial(policy)

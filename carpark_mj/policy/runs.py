@@ -244,10 +244,12 @@ def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
     except (KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"{path} has an unusable config: {error}") from None
     networks = make_networks(network_config, env.observation_size, env.action_spec)
-    template = {
-        "normalizer": init_normalizer(env.observation_size),
-        "average": networks.policy_network.init(jax.random.key(0)),
-    }
+    template = jax.eval_shape(
+        lambda: {
+            "normalizer": init_normalizer(env.observation_size),
+            "average": networks.policy_network.init(jax.random.key(0)),
+        }
+    )
     tree = checkpoints.load(path, template)
     policy = make_policy(networks, tree["normalizer"], tree["average"], deterministic)
     return LoadedPolicy(env_config, policy, int(header["env_steps"]), path)

@@ -8,7 +8,7 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import OUTCOMES
 from carpark_mj.evaluation.rollout import evaluation_key
-from carpark_mj.policy.networks import Policy
+from carpark_mj.policy.networks import Policy, as_argument
 from carpark_mj.rendering.snapshot import aimed_at
 from carpark_mj.rendering.stage import Stage
 
@@ -26,7 +26,7 @@ class LiveLot:
 
     def __init__(self, env: ParkingEnv, policy: Policy, seed: int) -> None:
         """Compiles and starts a held-out lot."""
-        self._env, self._policy = env, policy
+        self._env, self._policy = env, as_argument(policy)
         self._key = evaluation_key(seed)
         self._reset = jax.jit(env.reset)
         self._step = jax.jit(self._control_step)
@@ -49,9 +49,9 @@ class LiveLot:
         self.stage.model.opt.timestep = config.sim.ctrl_dt / traces
         self.reset()
 
-    def _control_step(self, carry, key):
+    def _control_step(self, policy, carry, key):
         state, observation = carry
-        action, _ = self._policy(observation, key)
+        action, _ = policy(observation, key)
         after, timestep = self._env.step(state, action)
         seen = {
             "pose_w": timestep.motion.trace_w.swapaxes(0, 1),
@@ -65,7 +65,7 @@ class LiveLot:
 
     def _run_once(self) -> int:
         """Compiles; returns the number of poses traced in a control step."""
-        _, seen = self._step(self._start, self._key)
+        _, seen = self._step(self._policy, self._start, self._key)
         return seen["pose_w"].shape[0]
 
     def reset(self) -> None:
@@ -90,7 +90,7 @@ class LiveLot:
         begins = self._seen is None or self._trace == len(self._seen["pose_w"])
         if begins:
             key = jax.random.fold_in(self._key, self._steps)
-            self._carry, seen = self._step(self._carry, key)
+            self._carry, seen = self._step(self._policy, self._carry, key)
             self._seen = jax.device_get(seen)
             self._steps, self._trace = self._steps + 1, 0
             self.seconds = self._steps * self._env.config.sim.ctrl_dt

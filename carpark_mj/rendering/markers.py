@@ -1,6 +1,5 @@
 """Markers drawn into the scene: goals, paths, links, circles."""
 
-import itertools
 import math
 from typing import Any
 
@@ -52,8 +51,11 @@ class Markers:
     def circle(
         self, centre: np.ndarray, radius: float, rgba: Rgba, width: float
     ) -> None:
-        """A circle about a point (2,) on the ground."""
-        angle = np.linspace(0.0, 2 * math.pi, CIRCLE_SIDES + 1)
-        points = centre[:2] + radius * np.stack([np.cos(angle), np.sin(angle)], -1)
-        for start, end in itertools.pairwise(points):
-            self.line(start, end, rgba, width / 2, 0.03)
+        """A circle about a point (2,) on the ground, of flat sides that meet."""
+        half_side = (radius + width / 2) * math.tan(math.pi / CIRCLE_SIDES)
+        for angle in np.linspace(0.0, 2 * math.pi, CIRCLE_SIDES, endpoint=False):
+            geom = self._add(mujoco.mjtGeom.mjGEOM_BOX, rgba)
+            cos, sin = math.cos(angle), math.sin(angle)
+            geom.pos[:] = [centre[0] + radius * cos, centre[1] + radius * sin, 0.03]
+            geom.mat[:] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
+            geom.size[:] = [width / 2, half_side, GROUND]

@@ -82,6 +82,10 @@ class LotRenderer:
             index = self.model.camera(name).id
             eye, quat = frame_lot(name, extent, aspect)
             self.model.cam_pos[index], self.model.cam_quat[index] = eye, quat
+        # The buffer is no larger than a frame: clearing it and smoothing edges take
+        # time for every pixel.
+        screen = self.model.vis.global_
+        screen.offwidth, screen.offheight = self.width, self.height
         self._renderer = _mujoco_renderer(self.model, self.width, self.height)
 
     def place(self, seen: Snapshot) -> None:
@@ -91,7 +95,10 @@ class LotRenderer:
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
         """Draws what was placed, (height, width, 3) uint8, by one of `cameras`."""
         self._renderer.update_scene(self.data, camera=self._stage.camera(camera))
-        markers = Markers(self._renderer.scene)
+        scene = self._renderer.scene
+        # The cameras that show the lot look down on it, so there is no sky to draw.
+        scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = camera not in LOT_CAMERAS
+        markers = Markers(scene)
         for k in range(self._stage.num_agents):
             rgb = agent_colour(k)[:3]
             goal, here = seen.goal_pose[k], seen.pose_w[k]

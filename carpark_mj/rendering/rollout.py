@@ -1,14 +1,15 @@
 """Records what a policy does in one lot, for the renderer."""
 
 import dataclasses
+from functools import partial
 
 import jax
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import evaluation_key
+from carpark_mj.evaluation.rollout import CHUNK, evaluation_key
 from carpark_mj.layouts.types import Layout
-from carpark_mj.policy.networks import Policy
+from carpark_mj.policy.networks import Policy, as_argument
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,11 +52,14 @@ class Recording:
 
 
 def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Recording:
-    """Drives one held-out lot for `num_steps` control steps."""
+    """Drives one held-out lot for `num_steps` control steps.
+
+    `CHUNK` steps make one program, whatever their number: it is compiled once.
+    """
     reset_key, act_key = jax.random.split(evaluation_key(seed))
     state, observation = jax.jit(lambda key: env.reset(key, "test"))(reset_key)
 
-    def step(carry, key):
+    def step(policy, carry, key):
         state, observation = carry
         action, _ = policy(observation, key)
         after, timestep = env.step(state, action)
@@ -75,9 +79,16 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
         }
         return (after, timestep.observation), frame
 
-    run = jax.jit(lambda carry, keys: jax.lax.scan(step, carry, keys))
-    _, frames = run((state, observation), jax.random.split(act_key, num_steps))
-    frames = {name: np.asarray(value) for name, value in frames.items()}
+    run = jax.jit(lambda policy, *xs: jax.lax.scan(partial(step, policy), *xs))
+    policy, carry, chunks = as_argument(policy), (state, observation), []
+    num_chunks = -(-num_steps // CHUNK)
+    for keys in jax.random.split(act_key, num_chunks * CHUNK).reshape(num_chunks, -1):
+        carry, frames = run(policy, carry, keys)
+        chunks.append(jax.device_get(frames))
+    frames = {
+        name: np.concatenate([chunk[name] for chunk in chunks])[:num_steps]
+        for name in chunks[0]
+    }
     # A lot keeps its parked cars: who is absent at the start never comes.
     here = np.asarray(state.parked_cars.present)
     frames["parked_pose"] = frames["parked_pose"][:, here]

@@ -5,6 +5,7 @@ only what checkouts before and after a change have in common. It takes one JSON 
 and prints another; exit code 2 and one line for bad input.
 """
 
+import contextlib
 import dataclasses
 import importlib
 import json
@@ -172,6 +173,14 @@ def find_ppo(name: str) -> Any:
     raise ImportError(f"no PPO trainer here: {name} is in none of {PPO_HOMES[name]}")
 
 
+def set_flags() -> None:
+    """Sets XLA's flags as the scripts of a checkout do; older ones set none."""
+    with contextlib.suppress(ImportError, AttributeError):
+        from carpark_mj.cli import common
+
+        common.enable_output_fusion()
+
+
 def measure(job: Job, started: float) -> Measurement:
     """Compiles and times a job.
 
@@ -182,6 +191,7 @@ def measure(job: Job, started: float) -> Measurement:
     Raises:
         ValueError: settings that the environment or the preset refuses.
     """
+    set_flags()
     subject = SUBJECTS[job.what](job)
     clock = CLOCKS[job.clock]
     begun = clock()

@@ -1,0 +1,53 @@
+"""Scripts make XLA fuse loops with several outputs, unless the user sets flags."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from carpark_mj.cli.common import OUTPUT_FUSION
+
+ROOT = Path(__file__).parents[2]
+# What a script leaves behind: the flags, and a program compiled under them.
+AFTER = """
+import contextlib, os, runpy, sys
+script = sys.argv[1]
+sys.argv, sys.path[0] = [script, "--help"], os.path.dirname(script)
+with contextlib.suppress(SystemExit), contextlib.redirect_stdout(sys.stderr):
+    runpy.run_path(script, run_name="__main__")
+import jax, jax.numpy as jnp
+twice = jax.jit(lambda x: (jnp.exp(x) + x, jnp.exp(x) - x))
+fused = "(f32[9]{0}, f32[9]{0}) fusion(" in twice.lower(jnp.ones(9)).compile().as_text()
+print(fused, os.environ.get("XLA_FLAGS"))
+"""
+
+
+def run(script: str, flags: str | None) -> str:
+    """What `AFTER` prints of a script, started with `XLA_FLAGS` or without."""
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    environment["PYTHONPATH"] = str(ROOT)
+    if flags is not None:
+        environment["XLA_FLAGS"] = flags
+    done = subprocess.run(
+        [sys.executable, "-c", AFTER, str(ROOT / script)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.strip()
+
+
+@pytest.mark.parametrize(
+    "script",
+    ["train/ppo.py", "train/q_learning.py", "eval/evaluate.py", "eval/render.py"],
+)
+def test_a_script_fuses_outputs_from_the_first_program_on(script):
+    assert run(script, None) == f"True {OUTPUT_FUSION}"
+
+
+@pytest.mark.parametrize("flags", ["", "--xla_cpu_enable_fast_math=false"])
+def test_flags_of_the_user_are_kept(flags):
+    assert run("eval/evaluate.py", flags) == f"False {flags}".strip()
