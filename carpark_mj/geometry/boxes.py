@@ -8,7 +8,7 @@ over leading dimensions and is exact (no sampling).
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry.se2 import rotate, to_local
+from carpark_mj.geometry.se2 import norm, rotate, to_local
 
 # Signs of the four corners in the box frame, counter-clockwise from front left.
 _CORNER_SIGNS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
@@ -72,7 +72,7 @@ def point_box_distance(point: jax.Array, pose: jax.Array, size: jax.Array) -> ja
     """Distance [m] from points (..., 2) to boxes; 0 inside."""
     local = rotate(point - pose[..., :2], -pose[..., 2])
     gap = jnp.maximum(jnp.abs(local) - 0.5 * size, 0.0)
-    return jnp.sqrt(jnp.sum(gap**2, axis=-1))
+    return norm(gap)
 
 
 def box_distance(
@@ -213,7 +213,7 @@ def box_disc_contact_time(
     radius (Ericson, section 5.5.7): two boxes and a disc at each corner. As
     `box_contact_time` otherwise.
     """
-    speed = jnp.linalg.norm(velocity, axis=-1)
+    speed = norm(velocity)
     moving = speed > 0.0
     direction = -velocity / jnp.where(moving, speed, 1.0)[..., None]
     grown = 2.0 * radius[..., None]

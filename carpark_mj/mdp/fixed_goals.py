@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.geometry import norm
 from carpark_mj.mdp.bays import marked
 from carpark_mj.mdp.spawning.collision_course import ATTEMPTS, Targets, crash_pose
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
@@ -105,7 +106,7 @@ class FixedGoals:
         is_goal = marked(layout, placing.goal)
         has_car = marked(layout, placing.parked_bay)
         other = jnp.arange(placing.goal.shape[0]) != agent
-        gap = jnp.linalg.norm(layout.bay_pose[:, None, :2] - placing.xy, axis=-1)
+        gap = norm(layout.bay_pose[:, None, :2] - placing.xy)
         gap = jnp.where(other, gap, jnp.inf).min(axis=-1)
 
         candidate = layout.bay_mask & ~is_goal

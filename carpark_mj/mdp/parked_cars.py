@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.geometry import to_world
+from carpark_mj.geometry import norm, to_world
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import fits
 from carpark_mj.observations.tracking import tracks_parked_cars
@@ -38,7 +38,7 @@ def stand_in_bay(
     """
     # Turned by h, a box reaches r cos(h - phi) along and r sin(h + phi) across, with
     # its diagonal r and phi = atan(width / length).
-    diagonal = jnp.linalg.norm(size, axis=-1)
+    diagonal = norm(size)
     phi = jnp.arctan2(size[..., 1], size[..., 0])
     along, across = bay_size[..., 0] / diagonal, bay_size[..., 1] / diagonal
     free = jnp.pi / 2
@@ -106,7 +106,7 @@ def relocate_parked_cars(
     # All of one size fit where one of them stands.
     parked_fits = fits(layout.bay_size, cars.size) if config.varies else None
     gap = cars.pose_w[:, None, :2] - state.motion.xy
-    distance = jnp.linalg.norm(gap, axis=-1).min(axis=-1)
+    distance = norm(gap).min(axis=-1)
     none = tracked = jnp.zeros(cars.bay.shape, bool)
     if rule == "random":
         tracked = tracks_parked_cars(config, state).any(axis=0)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
-from carpark_mj.geometry import rotate
+from carpark_mj.geometry import norm, rotate
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.spawning.placing import Surroundings
 from carpark_mj.mdp.spawning.poses import draw_heading, on_grid
@@ -62,7 +62,7 @@ def crash_pose(
         otherwise the pose is invalid.
     """
     target_key, way_key, yaw_key = jax.random.split(key, 3)
-    ways = jnp.linalg.norm(targets.xy - targets.goal_xy, axis=-1)
+    ways = norm(targets.xy - targets.goal_xy)
     able = targets.mask & (ways >= config.crash_distance)
     target = jax.random.categorical(target_key, jnp.where(able, 0.0, -jnp.inf))
     way, end = ways[target], targets.goal_xy[target]
@@ -83,7 +83,7 @@ def crash_pose(
 
 
 def _unit(vector: jax.Array) -> jax.Array:
-    length = jnp.linalg.norm(vector, axis=-1, keepdims=True)
+    length = norm(vector)[..., None]
     return vector / jnp.maximum(length, 1e-6)
 
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.geometry import box_disc_overlap, boxes_overlap
+from carpark_mj.geometry import box_disc_overlap, boxes_overlap, norm
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
@@ -97,7 +97,7 @@ class Surroundings:
 
     def distance(self, xy: jax.Array) -> jax.Array:
         """Distance (n,) [m] of points (n, 2) to the nearest other agent's centre."""
-        gap = jnp.linalg.norm(xy[:, None] - self.xy, axis=-1)
+        gap = norm(xy[:, None] - self.xy)
         return jnp.where(self.others, gap, jnp.inf).min(axis=-1)
 
     def touches(self, pose: jax.Array) -> jax.Array:

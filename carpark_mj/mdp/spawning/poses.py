@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
-from carpark_mj.geometry import rotate, wrap_angle
+from carpark_mj.geometry import norm, rotate, wrap_angle
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.spawning.placing import Surroundings
 
@@ -161,7 +161,7 @@ def close_points(
     local = rotate(goal_xy - layout.spawn_pose[:, :2], -layout.spawn_pose[:, 2])
     half = layout.spawn_size / 2
     nearest = jnp.clip(local, -half, half)
-    gap = jnp.linalg.norm(local - nearest, axis=-1)
+    gap = norm(local - nearest)
     region = jnp.argmin(jnp.where(layout.spawn_mask, gap, jnp.inf))
     pose, size = layout.spawn_pose[region], layout.spawn_size[region]
     if config.spacing:
