@@ -25,7 +25,7 @@ def agent_clearance(motion: Motion) -> jax.Array:
     own = jnp.eye(pose.shape[0], dtype=bool)
     if not is_crowded(*own.shape):
         gap = box_distance(pose[:, None], size[:, None], pose, size)
-        return jnp.min(jnp.where(own, jnp.inf, gap), axis=1)
+        return jnp.min(jnp.where(own, jnp.inf, gap), axis=0)
 
     def find(index: jax.Array) -> jax.Array:
         return box_distance(pose[:, None], size[:, None], pose[index], size[index])

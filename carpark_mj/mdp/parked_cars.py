@@ -105,8 +105,7 @@ def relocate_parked_cars(
         return cars
     # All of one size fit where one of them stands.
     parked_fits = fits(layout.bay_size, cars.size) if config.varies else None
-    gap = cars.pose_w[:, None, :2] - state.motion.xy
-    distance = norm(gap).min(axis=-1)
+    distance = norm(cars.pose_w[:, :2] - state.motion.xy[:, None]).min(axis=0)
     none = tracked = jnp.zeros(cars.bay.shape, bool)
     if rule == "random":
         tracked = tracks_parked_cars(config, state).any(axis=0)
