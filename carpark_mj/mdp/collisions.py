@@ -76,14 +76,19 @@ def _box_hits(layout: Layout, motion: Motion, parked_cars: ParkedCars) -> Hits:
             1 + (jnp.arange(num_parked + num_walls) >= num_parked),
         )
         return Hits(hits[:, 0], hits[:, 1], hits[:, 2])
-    own = motion.trace_w[:, :, None]  # (agents, traces, 1, 3); others come last
+    own = motion.trace_w[:, None]  # (agents, 1, traces, 3)
     own_size = motion.size[:, None, None]
-    trace = jnp.swapaxes(motion.trace_w, 0, 1)
-    agents = boxes_overlap(own, own_size, trace, motion.size)
-    agents = agents & ~jnp.eye(num_agents, dtype=bool)[:, None]
-    parked = boxes_overlap(own, own_size, parked_pose, parked_size)
-    walls = boxes_overlap(own, own_size, layout.wall_pose, layout.wall_size)
-    walls = walls & layout.wall_mask
+    agents = boxes_overlap(
+        own, own_size, motion.trace_w[None], motion.size[None, :, None]
+    )
+    agents = agents & ~jnp.eye(num_agents, dtype=bool)[..., None]
+    parked = boxes_overlap(
+        own, own_size, parked_pose[None, :, None], parked_size[None, :, None]
+    )
+    walls = boxes_overlap(
+        own, own_size, layout.wall_pose[None, :, None], layout.wall_size[None, :, None]
+    )
+    walls = walls & layout.wall_mask[None, :, None]
     return Hits(agents.any((1, 2)), parked.any((1, 2)), walls.any((1, 2)))
 
 
@@ -93,9 +98,12 @@ def _disc_hits(layout: Layout, motion: Motion) -> jax.Array:
     if is_crowded(motion.size.shape[0], mask.shape[0]):
         return near_disc_hits(motion, centre, radius, mask)
     discs = box_disc_overlap(
-        motion.trace_w[:, :, None], motion.size[:, None, None], centre, radius
+        motion.trace_w[:, None],
+        motion.size[:, None, None],
+        centre[None, :, None],
+        radius[None, :, None],
     )
-    return (discs & mask).any((1, 2))
+    return (discs & mask[None, :, None]).any((1, 2))
 
 
 def near_box_hits(

@@ -124,10 +124,9 @@ def relocate_parked_cars(
         if parked_fits is not None:
             able = able & parked_fits[:, goal] & (bay != NO_BAY)
         car = jnp.argmax(jnp.where(able, score, -1.0))
-        moves = able.any()
-        bay = jnp.where(moves, bay.at[car].set(goal), bay)
-        moved = jnp.where(moves, moved.at[car].set(True), moved)
-        return bay, moved, waiting.at[agent].set(False)
+        moves = able & (jnp.arange(bay.shape[0]) == car)
+        left = waiting & (jnp.arange(waiting.shape[0]) != agent)
+        return jnp.where(moves, goal, bay), moved | moves, left
 
     # A loop over agents that have parked only: in most steps there are none.
     bay, *_ = jax.lax.while_loop(
