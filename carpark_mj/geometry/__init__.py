@@ -17,6 +17,7 @@ from carpark_mj.geometry.boxes import (
 from carpark_mj.geometry.nearest import nearest
 from carpark_mj.geometry.se2 import (
     axis_angle_error,
+    norm,
     rotate,
     to_local,
     to_world,
@@ -34,6 +35,7 @@ __all__ = [
     "box_inside",
     "boxes_overlap",
     "nearest",
+    "norm",
     "point_box_distance",
     "ray_box_distance",
     "ray_disc_distance",

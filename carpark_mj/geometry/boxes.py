@@ -5,10 +5,13 @@ the heading. A disc is a centre `(x, y)` with a radius [m]. Every function broad
 over leading dimensions and is exact (no sampling).
 """
 
+import functools
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry.se2 import rotate, to_local
+from carpark_mj.geometry.se2 import norm, rotate, to_local
 
 # Signs of the four corners in the box frame, counter-clockwise from front left.
 _CORNER_SIGNS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
@@ -19,6 +22,36 @@ def box_corners(pose: jax.Array, size: jax.Array) -> jax.Array:
     signs = jnp.array(_CORNER_SIGNS, dtype=pose.dtype)
     local = 0.5 * size[..., None, :] * signs
     return pose[..., None, :2] + rotate(local, pose[..., None, 2])
+
+
+class _Pair(NamedTuple):
+    """How boxes a and b lie to each other; (...) each.
+
+    Attributes:
+        b_in_a: x and y of the centre of b in the frame of a [m].
+        a_in_b: x and y of the centre of a in the frame of b [m].
+        cos: of the heading of b less that of a.
+        sin: of the same.
+    """
+
+    b_in_a: tuple[jax.Array, jax.Array]
+    a_in_b: tuple[jax.Array, jax.Array]
+    cos: jax.Array
+    sin: jax.Array
+
+
+def _relate(pose_a: jax.Array, pose_b: jax.Array) -> _Pair:
+    """Poses (..., 3) as a pair: sines of every box, not of every pair."""
+    cos_a, sin_a = jnp.cos(pose_a[..., 2]), jnp.sin(pose_a[..., 2])
+    cos_b, sin_b = jnp.cos(pose_b[..., 2]), jnp.sin(pose_b[..., 2])
+    x = pose_b[..., 0] - pose_a[..., 0]
+    y = pose_b[..., 1] - pose_a[..., 1]
+    return _Pair(
+        b_in_a=(cos_a * x + sin_a * y, cos_a * y - sin_a * x),
+        a_in_b=(-cos_b * x - sin_b * y, sin_b * x - cos_b * y),
+        cos=cos_a * cos_b + sin_a * sin_b,
+        sin=cos_a * sin_b - sin_a * cos_b,
+    )
 
 
 def boxes_overlap(
@@ -37,21 +70,17 @@ def boxes_overlap(
     """
     # Half extents of each box along the other's axes follow from |cos| and |sin| of
     # the heading difference; the four axes of two rectangles are all that can separate.
-    local = to_local(pose_a, pose_b)
-    cos, sin = jnp.abs(jnp.cos(local[..., 2])), jnp.abs(jnp.sin(local[..., 2]))
+    pair = _relate(pose_a, pose_b)
+    cos, sin = jnp.abs(pair.cos), jnp.abs(pair.sin)
+
+    def meet(offset: tuple[jax.Array, jax.Array], own: jax.Array, other: jax.Array):
+        """Whether shadows on the axes of `own` overlap; half sizes (..., 2)."""
+        reach_x = own[..., 0] + other[..., 0] * cos + other[..., 1] * sin
+        reach_y = own[..., 1] + other[..., 0] * sin + other[..., 1] * cos
+        return (jnp.abs(offset[0]) < reach_x) & (jnp.abs(offset[1]) < reach_y)
+
     half_a, half_b = 0.5 * size_a, 0.5 * size_b
-    reach_x = half_b[..., 0] * cos + half_b[..., 1] * sin
-    reach_y = half_b[..., 0] * sin + half_b[..., 1] * cos
-    hit_a = (jnp.abs(local[..., 0]) < half_a[..., 0] + reach_x) & (
-        jnp.abs(local[..., 1]) < half_a[..., 1] + reach_y
-    )
-    offset_b = rotate(local[..., :2], -local[..., 2])
-    reach_x = half_a[..., 0] * cos + half_a[..., 1] * sin
-    reach_y = half_a[..., 0] * sin + half_a[..., 1] * cos
-    hit_b = (jnp.abs(offset_b[..., 0]) < half_b[..., 0] + reach_x) & (
-        jnp.abs(offset_b[..., 1]) < half_b[..., 1] + reach_y
-    )
-    return hit_a & hit_b
+    return meet(pair.b_in_a, half_a, half_b) & meet(pair.a_in_b, half_b, half_a)
 
 
 def box_inside(
@@ -72,7 +101,7 @@ def point_box_distance(point: jax.Array, pose: jax.Array, size: jax.Array) -> ja
     """Distance [m] from points (..., 2) to boxes; 0 inside."""
     local = rotate(point - pose[..., :2], -pose[..., 2])
     gap = jnp.maximum(jnp.abs(local) - 0.5 * size, 0.0)
-    return jnp.sqrt(jnp.sum(gap**2, axis=-1))
+    return norm(gap)
 
 
 def box_distance(
@@ -83,11 +112,40 @@ def box_distance(
     Two disjoint convex polygons are closest at a vertex of one of them, so the eight
     corner-to-box distances suffice.
     """
-    corners_a, corners_b = box_corners(pose_a, size_a), box_corners(pose_b, size_b)
-    to_b = point_box_distance(corners_a, pose_b[..., None, :], size_b[..., None, :])
-    to_a = point_box_distance(corners_b, pose_a[..., None, :], size_a[..., None, :])
-    gap = jnp.minimum(jnp.min(to_b, axis=-1), jnp.min(to_a, axis=-1))
+    pair = _relate(pose_a, pose_b)
+    half_a, half_b = 0.5 * size_a, 0.5 * size_b
+    # The frame of a turned as seen from b is that of b turned the other way.
+    to_b = _least_gap(pair.a_in_b, half_a, half_b, pair.cos, -pair.sin)
+    to_a = _least_gap(pair.b_in_a, half_b, half_a, pair.cos, pair.sin)
+    gap = jnp.sqrt(jnp.minimum(to_a, to_b))
     return jnp.where(boxes_overlap(pose_a, size_a, pose_b, size_b), 0.0, gap)
+
+
+def _least_gap(
+    centre: tuple[jax.Array, jax.Array],
+    half: jax.Array,
+    own_half: jax.Array,
+    cos: jax.Array,
+    sin: jax.Array,
+) -> jax.Array:
+    """Squared distance (...) [m^2] from a box to the nearest corner of another.
+
+    Args:
+        centre: x and y of the other's centre in the box's frame [m].
+        half: (..., 2) half length and half width of the other [m].
+        own_half: (..., 2) of the box [m].
+        cos: of the other's heading in the box's frame.
+        sin: of the same.
+    """
+    gaps = []
+    for ahead, aside in _CORNER_SIGNS:
+        along, across = ahead * half[..., 0], aside * half[..., 1]
+        x = centre[0] + along * cos - across * sin
+        y = centre[1] + along * sin + across * cos
+        x = jnp.maximum(jnp.abs(x) - own_half[..., 0], 0.0)
+        y = jnp.maximum(jnp.abs(y) - own_half[..., 1], 0.0)
+        gaps.append(x * x + y * y)
+    return functools.reduce(jnp.minimum, gaps)
 
 
 def box_disc_distance(
@@ -213,7 +271,7 @@ def box_disc_contact_time(
     radius (Ericson, section 5.5.7): two boxes and a disc at each corner. As
     `box_contact_time` otherwise.
     """
-    speed = jnp.linalg.norm(velocity, axis=-1)
+    speed = norm(velocity)
     moving = speed > 0.0
     direction = -velocity / jnp.where(moving, speed, 1.0)[..., None]
     grown = 2.0 * radius[..., None]

@@ -3,6 +3,8 @@
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.geometry.se2 import norm
+
 
 def nearest(
     own_xy: jax.Array, xy: jax.Array, mask: jax.Array, count: int
@@ -18,7 +20,7 @@ def nearest(
     Returns:
         (num_agents, count) int indices and (num_agents, count) bool, whether present.
     """
-    distance = jnp.linalg.norm(own_xy[:, None] - xy, axis=-1)
+    distance = norm(own_xy[:, None] - xy)
     distance = jnp.where(mask, distance, jnp.inf)
     missing = max(count - distance.shape[1], 0)
     distance = jnp.pad(distance, ((0, 0), (0, missing)), constant_values=jnp.inf)

@@ -100,12 +100,6 @@ def draw_bays(
     return jax.lax.scan(draw, free, (wanted.fits, wanted.cars, keys))[1]
 
 
-def pick(mask: jax.Array, key: jax.Array) -> jax.Array:
-    """A random index () int32 among those where a mask (n,) is true, if any is."""
-    score = jax.random.uniform(key, mask.shape)
-    return jnp.argmax(jnp.where(mask, score, -1.0)).astype(jnp.int32)
-
-
 def bay_fits(
     config: EnvConfig, layout: Layout, agent_size: jax.Array, parked_size: jax.Array
 ) -> BayFits:

@@ -14,9 +14,10 @@ import jax.numpy as jnp
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.bays import bay_fits
 from carpark_mj.mdp.giving_way import find_contexts
+from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.exploring import first_goals, place_exploring
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
-from carpark_mj.mdp.spawning.poses import random_pose, spawn_keys
+from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
 from carpark_mj.mdp.tracked_bays import target_pose, update_tracked_bays
 from carpark_mj.observations.tracking import bays_in_view, tracks
 from carpark_mj.types import NO_BAY, Events, GoalEvents, State
@@ -36,16 +37,15 @@ class ChosenGoals:
         around = surroundings(inputs, placing, agent)
         around = dataclasses.replace(around, others=~placing.waiting)
         spawn = self._config.spawn
-        return random_pose(spawn, inputs.layout, around, spawn_keys(key))
+        draws = draw_uniform(spawn_shapes(spawn), key)
+        return random_pose(spawn, inputs.layout, around, draws)
 
     def place(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
     ) -> Placing:
         """Sends the agent exploring, from a pose that may be close to a bay."""
-        goal = placing.goal.at[agent].set(NO_BAY)
-        placing = dataclasses.replace(placing, goal=goal)
-        spawn_key, _ = jax.random.split(key)  # the second part is not used
-        return place_exploring(self._config.spawn, inputs, placing, agent, spawn_key)
+        placing = placing.set(agent, goal=NO_BAY)
+        return place_exploring(self._config.spawn, inputs, placing, agent, key)
 
     def init_tracked_bays(self) -> jax.Array:
         """Empty slots (num_agents, num_tracked_bays) int32."""

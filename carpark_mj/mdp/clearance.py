@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import box_disc_distance, box_distance
+from carpark_mj.geometry import box_disc_distance, box_distance, norm
 from carpark_mj.geometry.broad_phase import (
     box_gaps,
     disc_gaps,
@@ -25,12 +25,12 @@ def agent_clearance(motion: Motion) -> jax.Array:
     own = jnp.eye(pose.shape[0], dtype=bool)
     if not is_crowded(*own.shape):
         gap = box_distance(pose[:, None], size[:, None], pose, size)
-        return jnp.min(jnp.where(own, jnp.inf, gap), axis=1)
+        return jnp.min(jnp.where(own, jnp.inf, gap), axis=0)
 
     def find(index: jax.Array) -> jax.Array:
         return box_distance(pose[:, None], size[:, None], pose[index], size[index])
 
-    reach = jnp.linalg.norm(size, axis=-1) / 2
+    reach = norm(size) / 2
     bound = box_gaps(pose[:, :2], pose, size) - reach[:, None]
     return least_near(jnp.where(own, jnp.inf, bound), find, jnp.inf, CHUNK)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import box_corners, box_disc_overlap, boxes_overlap
+from carpark_mj.geometry import box_corners, box_disc_overlap, boxes_overlap, norm
 from carpark_mj.geometry.broad_phase import (
     MARGIN,
     box_gaps,
@@ -181,11 +181,11 @@ def strays(motion: Motion) -> jax.Array:
     """How far (num_agents,) [m] points of the agents' boxes are from where they end."""
     # A rigid motion moves a corner farthest.
     corners = box_corners(motion.trace_w, motion.size[:, None])
-    return jnp.linalg.norm(corners - corners[:, -1:], axis=-1).max(axis=(1, 2))
+    return norm(corners - corners[:, -1:]).max(axis=(1, 2))
 
 
 def reaches(motion: Motion) -> jax.Array:
     """Radii (num_agents,) [m] about where agents end that hold all of their traces."""
     way = motion.trace_w[..., :2] - motion.trace_w[:, -1:, :2]
-    way = jnp.linalg.norm(way, axis=-1).max(axis=1)
-    return jnp.linalg.norm(motion.size, axis=-1) / 2 + way + MARGIN
+    way = norm(way).max(axis=1)
+    return norm(motion.size) / 2 + way + MARGIN

@@ -4,16 +4,52 @@ Goals are distinct, and no agent's goal holds a parked car once it has been draw
 """
 
 import dataclasses
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, SpawnConfig
+from carpark_mj.geometry import norm
 from carpark_mj.mdp.bays import marked
-from carpark_mj.mdp.spawning.collision_course import ATTEMPTS, Targets, crash_pose
+from carpark_mj.mdp.spawning.collision_course import (
+    CourseDraws,
+    Targets,
+    course_shapes,
+    crash_pose,
+)
+from carpark_mj.mdp.spawning.draws import draw_uniform, pick
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
-from carpark_mj.mdp.spawning.poses import draw_kind, spawn_keys, spawn_pose
+from carpark_mj.mdp.spawning.poses import (
+    SpawnDraws,
+    draw_kind,
+    spawn_pose,
+    spawn_shapes,
+)
 from carpark_mj.types import Events, State
+
+
+class PlaceDraws(NamedTuple):
+    """Uniform numbers in [0, 1) for one start.
+
+    Attributes:
+        goal: (2, bays) see `FixedGoals.new_goal`.
+        start: for a random or close start.
+        course_goal: (attempts, 2, bays) the goals of attempts at a collision course.
+        course: for the attempts.
+    """
+
+    goal: Any
+    start: SpawnDraws
+    course_goal: Any
+    course: CourseDraws
+
+
+def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDraws:
+    """Shapes of the numbers of a start, for `draw_uniform`."""
+    course, goal = course_shapes(config, num_agents), (2, num_bays)
+    course_goal = (*course.target[:1], *goal)
+    return PlaceDraws(goal, spawn_shapes(config), course_goal, course)
 
 
 class FixedGoals:
@@ -31,18 +67,17 @@ class FixedGoals:
         around = surroundings(inputs, placing, agent)
         around = dataclasses.replace(around, others=~placing.waiting)
         goal_pose = layout.bay_pose[placing.goal]
-        keys = spawn_keys(key)
-        pose = spawn_pose(config, layout, around, goal_pose[agent], keys)
+        draws = draw_uniform(self._shapes(inputs, placing), key)
+        pose = spawn_pose(config, layout, around, goal_pose[agent], draws.start)
         if not config.crash_ratio:
             return pose
         # The goal is given here, so that an attempt draws another target only.
         targets = Targets(placing.xy, goal_pose[:, :2], ~placing.waiting)
         own_xy = goal_pose[agent, :2]
-        attempt_keys = jax.random.fold_in(key, ATTEMPTS)
         tried, good = jax.vmap(
-            lambda key: crash_pose(config, layout, around, own_xy, targets, key)
-        )(jax.random.split(attempt_keys, ATTEMPTS))
-        crash = draw_kind(config, keys.kind).crash & good.any()
+            lambda draws: crash_pose(config, layout, around, own_xy, targets, draws)
+        )(draws.course)
+        crash = draw_kind(config, draws.start.kind).crash & good.any()
         return jnp.where(crash, tried[jnp.argmax(good)], pose)
 
     def place(
@@ -53,35 +88,38 @@ class FixedGoals:
         An agent that starts on a collision course gets the goal that made it possible.
         """
         config, layout = self._config, inputs.layout
-        # The third part is not used.
-        goal_key, spawn_key, _, crash_key = jax.random.split(key, 4)
-        drawn = self.new_goal(inputs, placing, agent, goal_key)
-        keys = spawn_keys(spawn_key)
+        draws = draw_uniform(self._shapes(inputs, placing), key)
+        drawn = self.new_goal(inputs, placing, agent, draws.goal)
         around = surroundings(inputs, drawn, agent)
         goal_pose = layout.bay_pose[drawn.goal[agent]]
-        drawn = drawn.at(agent, spawn_pose(config, layout, around, goal_pose, keys))
+        pose = spawn_pose(config, layout, around, goal_pose, draws.start)
+        drawn = drawn.set(agent, pose_w=pose)
         if not config.crash_ratio:
             return drawn
 
-        def attempt(key: jax.Array) -> tuple[Placing, jax.Array]:
-            goal_key, pose_key = jax.random.split(key)
-            drawn = self.new_goal(inputs, placing, agent, goal_key)
+        def attempt(
+            scores: jax.Array, course: CourseDraws
+        ) -> tuple[Placing, jax.Array]:
+            drawn = self.new_goal(inputs, placing, agent, scores)
             around = surroundings(inputs, drawn, agent)
             goal_xy = layout.bay_pose[drawn.goal, :2]
             targets = Targets(placing.xy, goal_xy, ~placing.waiting)
-            pose, good = crash_pose(
-                config, layout, around, goal_xy[agent], targets, pose_key
-            )
-            return drawn.at(agent, pose), good
+            own_xy = goal_xy[agent]
+            pose, good = crash_pose(config, layout, around, own_xy, targets, course)
+            return drawn.set(agent, pose_w=pose), good
 
-        tried, good = jax.vmap(attempt)(jax.random.split(crash_key, ATTEMPTS))
-        crash = draw_kind(config, keys.kind).crash & good.any()
+        tried, good = jax.vmap(attempt)(draws.course_goal, draws.course)
+        crash = draw_kind(config, draws.start.kind).crash & good.any()
         return jax.tree.map(
             lambda new, old: jnp.where(crash, new[jnp.argmax(good)], old), tried, drawn
         )
 
     def new_goal(
-        self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
+        self,
+        inputs: SpawnInputs,
+        placing: Placing,
+        agent: jax.Array,
+        scores: jax.Array,
     ) -> Placing:
         """Draws a new goal for one agent.
 
@@ -96,16 +134,16 @@ class FixedGoals:
             inputs: the lot and who fits where.
             placing: before the draw.
             agent: () int32 index.
-            key: consumed.
+            scores: (2, bays) uniform numbers in [0, 1): the bay with the largest first
+                becomes the goal, that with the largest second the refuge.
         """
         layout, fits = inputs.layout, inputs.fits
-        goal_key, refuge_key = jax.random.split(key)
         rows = jnp.arange(layout.num_bays)
         old = placing.goal[agent]
         is_goal = marked(layout, placing.goal)
         has_car = marked(layout, placing.parked_bay)
         other = jnp.arange(placing.goal.shape[0]) != agent
-        gap = jnp.linalg.norm(layout.bay_pose[:, None, :2] - placing.xy, axis=-1)
+        gap = norm(layout.bay_pose[:, None, :2] - placing.xy)
         gap = jnp.where(other, gap, jnp.inf).min(axis=-1)
 
         candidate = layout.bay_mask & ~is_goal
@@ -121,24 +159,22 @@ class FixedGoals:
         if fits.agents is not None:
             candidate = candidate & fits.agents[agent]
         found = candidate.any()
-        score = jax.random.uniform(goal_key, (layout.num_bays,))
-        goal = jnp.argmax(jnp.where(candidate, score, -1.0)).astype(jnp.int32)
-        goal = jnp.where(found, goal, old)
-        score = jax.random.uniform(refuge_key, (layout.num_bays,))
-        score = jnp.where(rows == old, 2.0, score)
+        goal = jnp.where(found, pick(candidate, scores[0]), old)
+        score = jnp.where(rows == old, 2.0, scores[1])
         evicted = placing.parked_bay == goal
         if fits.parked_cars is not None:
             suits = (fits.parked_cars & evicted[:, None]).any(axis=0)
             free = layout.bay_mask & ~is_goal & ~has_car
             last = jnp.where((free & suits).any(), free & suits, free)
             refuge = jnp.where(found, refuge & suits, last)
-        shelter = jnp.argmax(jnp.where(refuge, score, -1.0)).astype(jnp.int32)
-        return dataclasses.replace(
-            placing,
-            goal=placing.goal.at[agent].set(goal),
-            parked_bay=jnp.where(evicted, shelter, placing.parked_bay),
-            found=placing.found.at[agent].set(found),
-        )
+        shelter = pick(refuge, score)
+        parked_bay = jnp.where(evicted, shelter, placing.parked_bay)
+        placing = dataclasses.replace(placing, parked_bay=parked_bay)
+        return placing.set(agent, goal=goal, found=found)
+
+    def _shapes(self, inputs: SpawnInputs, placing: Placing) -> PlaceDraws:
+        num_agents, num_bays = placing.goal.shape[0], inputs.layout.num_bays
+        return place_shapes(self._config, num_agents, num_bays)
 
     def init_tracked_bays(self) -> None:
         """Agents track no bays."""

@@ -32,6 +32,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import ContextName
+from carpark_mj.geometry import norm
 from carpark_mj.types import NO_BAY, State
 
 
@@ -67,7 +68,7 @@ def find_contexts(
     goal, active = before.goal, before.active
     met_goal = goals_in_turn(goal, chosen)
     aim = before.layout.bay_pose[jnp.minimum(goal, before.layout.num_bays - 1), :2]
-    distance = jnp.linalg.norm(before.motion.xy - aim[:, None], axis=-1)
+    distance = norm(before.motion.xy - aim[:, None])
     better = distance < jnp.diagonal(distance)[:, None]
     # The agent's own distance, computed twice, may round differently.
     own = jnp.eye(goal.shape[0], dtype=bool)

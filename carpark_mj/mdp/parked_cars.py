@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.geometry import to_world
+from carpark_mj.geometry import norm, to_world
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import fits
 from carpark_mj.observations.tracking import tracks_parked_cars
@@ -38,7 +38,7 @@ def stand_in_bay(
     """
     # Turned by h, a box reaches r cos(h - phi) along and r sin(h + phi) across, with
     # its diagonal r and phi = atan(width / length).
-    diagonal = jnp.linalg.norm(size, axis=-1)
+    diagonal = norm(size)
     phi = jnp.arctan2(size[..., 1], size[..., 0])
     along, across = bay_size[..., 0] / diagonal, bay_size[..., 1] / diagonal
     free = jnp.pi / 2
@@ -105,8 +105,7 @@ def relocate_parked_cars(
         return cars
     # All of one size fit where one of them stands.
     parked_fits = fits(layout.bay_size, cars.size) if config.varies else None
-    gap = cars.pose_w[:, None, :2] - state.motion.xy
-    distance = jnp.linalg.norm(gap, axis=-1).min(axis=-1)
+    distance = norm(cars.pose_w[:, :2] - state.motion.xy[:, None]).min(axis=0)
     none = tracked = jnp.zeros(cars.bay.shape, bool)
     if rule == "random":
         tracked = tracks_parked_cars(config, state).any(axis=0)
@@ -125,10 +124,9 @@ def relocate_parked_cars(
         if parked_fits is not None:
             able = able & parked_fits[:, goal] & (bay != NO_BAY)
         car = jnp.argmax(jnp.where(able, score, -1.0))
-        moves = able.any()
-        bay = jnp.where(moves, bay.at[car].set(goal), bay)
-        moved = jnp.where(moves, moved.at[car].set(True), moved)
-        return bay, moved, waiting.at[agent].set(False)
+        moves = able & (jnp.arange(bay.shape[0]) == car)
+        left = waiting & (jnp.arange(waiting.shape[0]) != agent)
+        return jnp.where(moves, goal, bay), moved | moves, left
 
     # A loop over agents that have parked only: in most steps there are none.
     bay, *_ = jax.lax.while_loop(

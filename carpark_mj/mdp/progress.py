@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, RewardConfig
-from carpark_mj.geometry import axis_angle_error
+from carpark_mj.geometry import axis_angle_error, norm
 from carpark_mj.types import Motion
 
 NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of Tanner's finer grid: rounding
@@ -25,7 +25,7 @@ def goal_potential(
         pose_w: (..., 3).
         goal_pose: (..., 3).
     """
-    distance = jnp.linalg.norm(pose_w[..., :2] - goal_pose[..., :2], axis=-1)
+    distance = norm(pose_w[..., :2] - goal_pose[..., :2])
     misalignment = axis_angle_error(pose_w[..., 2] - goal_pose[..., 2])
     fading = jnp.exp(-distance / weights.alignment_range)
     return -(weights.progress * distance + weights.alignment * misalignment * fading)
@@ -41,8 +41,9 @@ def is_nearer(
     """
     b = before_xy - target_xy
     a = after_xy - target_xy
-    gained = jnp.sum((b - a) * (b + a), axis=-1)
-    both = jnp.linalg.norm(b, axis=-1) + jnp.linalg.norm(a, axis=-1)
+    gained = (b - a) * (b + a)
+    gained = gained[..., 0] + gained[..., 1]
+    both = norm(b) + norm(a)
     return gained > NEARER * both
 
 

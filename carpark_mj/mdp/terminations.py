@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import PARKED_RULES, EpisodeConfig, ParkedRule
-from carpark_mj.geometry import axis_angle_error, box_inside, rotate
+from carpark_mj.geometry import axis_angle_error, box_inside, norm, rotate
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.types import NO_BAY, Events, Motion, State
 
@@ -29,7 +29,7 @@ def is_parked(
         along = jnp.abs(rotate(offset, -bay_pose[..., 2]))
         parked = parked & jnp.all(along < limits.offset, axis=-1)
     if limits.distance is not None:
-        distance = jnp.linalg.norm(offset, axis=-1)
+        distance = norm(offset)
         parked = parked & (distance < limits.distance)
     if limits.inside_lines:
         inside = box_inside(motion.pose_w, motion.size, bay_pose, bay_size)
@@ -38,7 +38,7 @@ def is_parked(
         heading = axis_angle_error(motion.pose_w[..., 2] - bay_pose[..., 2])
         parked = parked & (heading < limits.heading)
     if limits.speed is not None:
-        speed = jnp.linalg.norm(motion.velocity_b, axis=-1)
+        speed = norm(motion.velocity_b)
         parked = parked & (speed < limits.speed)
     return parked
 

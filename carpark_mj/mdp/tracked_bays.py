@@ -11,7 +11,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import nearest
+from carpark_mj.geometry import nearest, norm
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import free_bays
 from carpark_mj.types import NO_BAY, State
@@ -83,7 +83,7 @@ def target_pose(
         Poses (num_agents, 3), and (num_agents,) bool, whether there is such a bay.
     """
     rows = jnp.minimum(tracked_bays, layout.num_bays - 1)
-    gap = jnp.linalg.norm(layout.bay_pose[rows, :2] - xy[:, None], axis=-1)
+    gap = norm(layout.bay_pose[rows, :2] - xy[:, None])
     rank = jnp.argmin(jnp.where(tracked_bays != NO_BAY, gap, jnp.inf), axis=1)
     near = jnp.take_along_axis(tracked_bays, rank[:, None], axis=1)[:, 0]
     bay = jnp.where(goal != NO_BAY, goal, near)

@@ -6,6 +6,7 @@ Lists of bays hold `NO_BAY` where there is none.
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.geometry import norm
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import FAR, LENGTH, Field
 from carpark_mj.observations.localised import POSE_FIELDS, localise
@@ -48,7 +49,7 @@ def localise_bays(
     """
     room = layout.bay_size[bays] - motion.size[:, None]
     values = localise(motion.pose_w, layout.bay_pose[bays], room, bays != NO_BAY)
-    distance = jnp.linalg.norm(values["position"], axis=-1, keepdims=True)
+    distance = norm(values["position"])[..., None]
     return values | {"distance": distance}
 
 
@@ -85,7 +86,7 @@ def rivals(
         too.
     """
     gap = layout.bay_pose[bays][..., None, :2] - agent_xy
-    gap = jnp.linalg.norm(gap, axis=-1)
+    gap = norm(gap)
     wants = bays[..., None] == goal
     return jnp.min(gap, axis=-1), jnp.min(jnp.where(wants, gap, jnp.inf), axis=-1)
 

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import to_local
+from carpark_mj.geometry import norm, to_local
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import FAR, LENGTH, NEAR, Field
 from carpark_mj.types import CarParameters, Motion
@@ -64,7 +64,7 @@ def own_goal(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.A
         "goal_heading": jnp.stack(
             [jnp.cos(local[..., 2]), jnp.sin(local[..., 2])], axis=-1
         ),
-        "goal_distance": jnp.linalg.norm(xy, axis=-1, keepdims=True) / FAR,
+        "goal_distance": norm(xy)[..., None] / FAR,
         "in_bay": jnp.clip(inverse[..., :2] / NEAR, -1.0, 1.0),
         "goal_size": (goal_size - motion.size) / LENGTH,
     }

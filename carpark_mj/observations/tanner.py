@@ -29,7 +29,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, GridConfig, TannerObservation
 from carpark_mj.config.observations import BAY_PARTS
-from carpark_mj.geometry import to_local
+from carpark_mj.geometry import norm, to_local
 from carpark_mj.observations.bay_fields import goal_code, rivals
 from carpark_mj.observations.fields import Field, repeated, repeated_values
 from carpark_mj.observations.rings import ring_counts, ring_fields
@@ -199,6 +199,6 @@ def _describe(
     turn = jnp.mod(-local[..., 2] / (2 * jnp.pi) + slack, 1.0) - slack
     return {
         "heading": turn,
-        "distance": jnp.linalg.norm(local[..., :2], axis=-1) / DIAGONAL,
+        "distance": norm(local[..., :2]) / DIAGONAL,
         "bearing": bearing_index(grid, local) / grid.headings,
     }

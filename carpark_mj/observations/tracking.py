@@ -10,7 +10,7 @@ from carpark_mj.config import (
     TannerObservation,
     ViewConfig,
 )
-from carpark_mj.geometry import nearest, rotate
+from carpark_mj.geometry import nearest, norm, rotate
 from carpark_mj.observations.sensors import observed
 from carpark_mj.types import ParkedCars, State
 
@@ -29,7 +29,7 @@ def in_view(config: ViewConfig, own_pose: jax.Array, xy: jax.Array) -> jax.Array
     offset = xy - own_pose[:, None, :2]
     seen = jnp.ones(offset.shape[:-1], bool)
     if config.diameter is not None:
-        seen = seen & (jnp.linalg.norm(offset, axis=-1) <= config.diameter / 2)
+        seen = seen & (norm(offset) <= config.diameter / 2)
     if config.field_of_view < 360.0:
         local = rotate(offset, -own_pose[:, None, 2])
         bearing = jnp.arctan2(local[..., 1], local[..., 0])

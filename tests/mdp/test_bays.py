@@ -20,7 +20,6 @@ from carpark_mj.mdp.bays import (
     fits,
     free_bays,
     marked,
-    pick,
     shuffled_bays,
 )
 from carpark_mj.types import NO_BAY
@@ -119,12 +118,3 @@ def test_who_finds_no_bay_that_fits_gets_none_or_any():
         assert (bay[:, 0] == 3).all()
         assert (bay[:, 1] == NO_BAY).all()  # wants none
         assert set(bay[:, 2]) == ({0, 1, 2} if anywhere else {NO_BAY})
-
-
-def test_a_pick_is_uniform_over_the_mask():
-    mask = jnp.array([False, True, False, True, True])
-    picked = jax.vmap(lambda key: pick(mask, key))(keys(3000))
-    # Mean 1000, deviation 26: five of them.
-    np.testing.assert_allclose(
-        np.bincount(picked, minlength=5), [0, 1000, 0, 1000, 1000], atol=130
-    )

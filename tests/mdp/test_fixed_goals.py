@@ -35,7 +35,8 @@ def new_goal(layout, goal, parked_bay, agent, xy, key):
     inputs = SpawnInputs(layout, parked_in(layout, parked_bay), None, None, BayFits())
     waiting = jnp.arange(goal.shape[0]) == agent
     placing = start_placing(goal, parked_bay, pose, waiting)
-    return FixedGoals(CONFIG).new_goal(inputs, placing, agent, key)
+    scores = jax.random.uniform(key, (2, layout.num_bays))
+    return FixedGoals(CONFIG).new_goal(inputs, placing, agent, scores)
 
 
 def history(layout, num_agents, num_parked_cars, num_steps, seed=0, reach=20.0):

@@ -22,7 +22,7 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local, to_world
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.bays import free_bays, pick, shuffled_bays
+from carpark_mj.mdp.bays import free_bays, shuffled_bays
 from carpark_mj.mdp.parked_cars import (
     AWAY,
     in_bays,
@@ -30,6 +30,7 @@ from carpark_mj.mdp.parked_cars import (
     relocate_parked_cars,
     stand_in_bay,
 )
+from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.observations.fields import FAR
 from carpark_mj.observations.tracking import tracks_parked_cars
 from carpark_mj.types import NO_BAY
@@ -254,7 +255,8 @@ def longest_stays(moves, seed=0, ends=4000, lots=8):
         keys = jax.random.split(key, 4)
         agent = jax.random.randint(keys[0], (), 0, 3)
         xy = jax.random.uniform(keys[1], (3, 2), minval=-11.8, maxval=11.8)
-        goal = goal.at[agent].set(pick(free_bays(layout, bay), keys[2]))
+        scores = jax.random.uniform(keys[2], (layout.num_bays,))
+        goal = goal.at[agent].set(pick(free_bays(layout, bay), scores))
         motion = cars(jnp.pad(xy, ((0, 0), (0, 1))))
         state = state_of(layout, motion, goal, parked_cars=parked_in(layout, bay))
         events = no_events(3, parked=jnp.arange(3) == agent)

@@ -14,8 +14,9 @@ from helpers.states import config_of, parked_at, state_of
 from carpark_mj.config import WORLD_UNIT, SpawnConfig, TannerObservation
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
+from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import Surroundings
-from carpark_mj.mdp.spawning.poses import random_pose, spawn_keys
+from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
 from carpark_mj.observations import make_fields, observation_size, observe
 from carpark_mj.observations.indices import cardinalities
 from carpark_mj.registry import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
@@ -138,7 +139,8 @@ def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
     @jax.jit
     @jax.vmap
     def draw(key):
-        return random_pose(TANNER_QLEARNING.spawn, layout, alone, spawn_keys(key))
+        draws = draw_uniform(spawn_shapes(TANNER_QLEARNING.spawn), key)
+        return random_pose(TANNER_QLEARNING.spawn, layout, alone, draws)
 
     pose = np.asarray(draw(jax.random.split(jax.random.key(0), 5_000)))
     point = pose[:, :2] / WORLD_UNIT

@@ -10,7 +10,7 @@ steering clear of a wall has a finite time to it.
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
+from carpark_mj.geometry import box_contact_time, box_disc_contact_time, norm, rotate
 from carpark_mj.geometry.broad_phase import MARGIN, box_gaps, disc_gaps, least_near
 from carpark_mj.layouts.types import Layout
 from carpark_mj.types import Motion, ParkedCars
@@ -105,6 +105,6 @@ def _bound(
         relative: (num_agents, n or 1, 2) velocities towards them [m/s].
         mask: (n,) or (num_agents, n) bool, others that count.
     """
-    way = gap - jnp.linalg.norm(motion.size, axis=-1)[:, None] / 2 - MARGIN
-    time = way / jnp.linalg.norm(relative, axis=-1)  # inf if they keep their distance
+    way = gap - norm(motion.size)[:, None] / 2 - MARGIN
+    time = way / norm(relative)  # inf if they keep their distance
     return jnp.where(mask, jnp.where(way > 0.0, time, 0.0), jnp.inf)

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.geometry import norm
 from carpark_mj.mdp.progress import is_nearer
 from carpark_mj.types import NO_BAY, Motion, ParkedCars, Transition
 
@@ -43,7 +44,7 @@ def _nearest_car(motion: Motion, parked: ParkedCars) -> dict[str, jax.Array]:
     other = jnp.concatenate([own, parked.pose_w[:, :2]])
     others = ~jnp.eye(own.shape[0], other.shape[0], dtype=bool)
     mask = others & jnp.concatenate([jnp.ones(own.shape[0], bool), parked.present])
-    distance = jnp.linalg.norm(own[:, None] - other, axis=-1)
+    distance = norm(own[:, None] - other)
     nearest = jnp.min(jnp.where(mask, distance, jnp.inf), axis=1)
     is_any = jnp.isfinite(nearest)
     return {

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.geometry import axis_angle_error
+from carpark_mj.geometry import axis_angle_error, norm
 from carpark_mj.layouts.lanes import has_lanes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.metrics.tallies import first_tallies, fold_tallies, measure
@@ -82,7 +82,7 @@ def episode_metrics(
         "path": stats.path,
         "gear_changes": stats.gear_changes,
         "invalid_actions": stats.invalid_actions,
-        "final_distance": jnp.linalg.norm(pose_w[..., :2] - target[..., :2], axis=-1),
+        "final_distance": norm(pose_w[..., :2] - target[..., :2]),
         "final_heading": axis_angle_error(pose_w[..., 2] - target[..., 2]),
         "final_speed": jnp.abs(transition.after.motion.speed),
     }
@@ -101,4 +101,4 @@ def _path(before: Motion, after: Motion) -> jax.Array:
     points = jnp.concatenate(
         [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
     )
-    return jnp.linalg.norm(jnp.diff(points, axis=-2), axis=-1).sum(axis=-1)
+    return norm(jnp.diff(points, axis=-2)).sum(axis=-1)

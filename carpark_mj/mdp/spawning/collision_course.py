@@ -3,14 +3,15 @@
 Driving straight to their goals, both would meet after equal distances.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
-from carpark_mj.geometry import rotate
+from carpark_mj.geometry import norm, rotate
 from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.mdp.spawning.placing import Surroundings
 from carpark_mj.mdp.spawning.poses import draw_heading, on_grid
 
@@ -32,13 +33,33 @@ class Targets(NamedTuple):
     mask: jax.Array
 
 
+class CourseDraws(NamedTuple):
+    """Uniform numbers in [0, 1) for one attempt; with a leading axis for several.
+
+    Attributes:
+        target: (num_agents,) which agent.
+        way: (DRAWS,) where the two would meet.
+        heading: (DRAWS,) see `draw_heading`.
+    """
+
+    target: Any
+    way: Any
+    heading: Any
+
+
+def course_shapes(config: SpawnConfig, num_agents: int) -> CourseDraws:
+    """Shapes of the numbers of all attempts, for `draw_uniform`."""
+    n = ATTEMPTS if config.crash_ratio else 0
+    return CourseDraws((n, num_agents), (n, DRAWS), (n, DRAWS))
+
+
 def crash_pose(
     config: SpawnConfig,
     layout: Layout,
     around: Surroundings,
     goal_xy: jax.Array,
     targets: Targets,
-    key: jax.Array,
+    draws: CourseDraws,
 ) -> tuple[jax.Array, jax.Array]:
     """One attempt to start an agent on a collision course.
 
@@ -55,27 +76,25 @@ def crash_pose(
         around: what to keep away from.
         goal_xy: (2,) centre of the agent's goal [m].
         targets: whom to collide with.
-        key: consumed.
+        draws: random numbers.
 
     Returns:
         (3,) pose of the footprint's centre, and () bool whether the attempt succeeded;
         otherwise the pose is invalid.
     """
-    target_key, way_key, yaw_key = jax.random.split(key, 3)
-    ways = jnp.linalg.norm(targets.xy - targets.goal_xy, axis=-1)
+    ways = norm(targets.xy - targets.goal_xy)
     able = targets.mask & (ways >= config.crash_distance)
-    target = jax.random.categorical(target_key, jnp.where(able, 0.0, -jnp.inf))
+    target = pick(able, draws.target)
     way, end = ways[target], targets.goal_xy[target]
     longest = way - config.min_distance
     found = able.any() & (longest >= config.crash_distance)
 
-    share = jax.random.uniform(way_key, (DRAWS,))
-    rest = config.crash_distance + share * (longest - config.crash_distance)
+    rest = config.crash_distance + draws.way * (longest - config.crash_distance)
     meeting = end + rest[:, None] * _unit(targets.xy[target] - end)
     start = meeting - (way - rest)[:, None] * _unit(goal_xy - meeting)
 
     start, region, inside = _into_region(config, layout, start)
-    yaw = draw_heading(layout, region, yaw_key)
+    yaw = draw_heading(layout, region, draws.heading)
     pose = jnp.concatenate([start, yaw[:, None]], axis=-1)
     good = inside & (around.distance(start) > config.min_distance)
     good = good & ~around.touches(pose)
@@ -83,7 +102,7 @@ def crash_pose(
 
 
 def _unit(vector: jax.Array) -> jax.Array:
-    length = jnp.linalg.norm(vector, axis=-1, keepdims=True)
+    length = norm(vector)[..., None]
     return vector / jnp.maximum(length, 1e-6)
 
 

@@ -5,24 +5,49 @@ first goal are two steps, because the bays that an agent tracks follow from wher
 stands.
 """
 
-import dataclasses
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
-from carpark_mj.mdp.bays import marked, pick
+from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.bays import marked
+from carpark_mj.mdp.spawning.draws import draw_uniform, pick
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
 from carpark_mj.mdp.spawning.poses import (
     close_points,
     draw_heading,
     draw_kind,
     random_pose,
-    spawn_keys,
+    spawn_shapes,
+    walk_numbers,
 )
 from carpark_mj.types import NO_BAY
 
 TAKES_CLOSE_BAY = 0.5  # probability that a close start has the bay for its goal
+
+
+class ExploringDraws(NamedTuple):
+    """Uniform numbers in [0, 1) for one start of an exploring agent.
+
+    Attributes:
+        start: for a random start.
+        walk: (bays, k) for a point close to every bay, see `close_points`.
+        heading: (bays,) see `draw_heading`.
+        order: (bays,) which bay.
+    """
+
+    start: Any
+    walk: Any
+    heading: Any
+    order: Any
+
+
+def _shapes(config: SpawnConfig, layout: Layout) -> ExploringDraws:
+    bays = layout.num_bays if config.close_ratio else 0
+    walk = (bays, walk_numbers(config))
+    return ExploringDraws(spawn_shapes(config), walk, (bays,), (bays,))
 
 
 def place_exploring(
@@ -46,36 +71,30 @@ def place_exploring(
         key: consumed.
     """
     layout = inputs.layout
-    random_key, beside_key, order_key, yaw_key, kind_key = jax.random.split(key, 5)
-    kind = draw_kind(config, kind_key)
+    draws = draw_uniform(_shapes(config, layout), key)
+    kind = draw_kind(config, draws.start.kind)
     around = surroundings(inputs, placing, agent)
-    pose = random_pose(config, layout, around, spawn_keys(random_key))
+    pose = random_pose(config, layout, around, draws.start)
     bay = jnp.full((), NO_BAY, jnp.int32)
     if config.close_ratio:
         others_goal = jnp.where(around.others, placing.goal, NO_BAY)
         taken = jnp.concatenate([placing.parked_bay, others_goal])
         free = layout.bay_mask & ~marked(layout, taken)
 
-        def beside(bay_pose: jax.Array, key: jax.Array):
-            xy, region = close_points(config, layout, bay_pose[:2], 1, key)
+        def beside(bay_pose: jax.Array, walk: jax.Array):
+            xy, region = close_points(config, layout, bay_pose[:2], walk[None])
             return xy[0], region
 
-        bay_keys = jax.random.split(beside_key, layout.num_bays)
-        xy, region = jax.vmap(beside)(layout.bay_pose, bay_keys)
-        yaw = draw_heading(layout, region, yaw_key)
+        xy, region = jax.vmap(beside)(layout.bay_pose, draws.walk)
+        yaw = draw_heading(layout, region, draws.heading)
         poses = jnp.concatenate([xy, yaw[:, None]], axis=-1)
         good = free & (around.distance(xy) > config.min_distance)
         good = good & ~around.touches(poses)
         close = kind.close & good.any()
-        drawn = pick(good, order_key)
+        drawn = pick(good, draws.order)
         pose = jnp.where(close, poses[drawn], pose)
         bay = jnp.where(close, drawn, bay)
-    placing = placing.at(agent, pose)
-    return dataclasses.replace(
-        placing,
-        close_bay=placing.close_bay.at[agent].set(bay),
-        conflict=placing.conflict.at[agent].set(kind.crash),
-    )
+    return placing.set(agent, pose_w=pose, close_bay=bay, conflict=kind.crash)
 
 
 def first_goals(
@@ -100,17 +119,17 @@ def first_goals(
     """
 
     def first(
-        close_bay: jax.Array, conflict: jax.Array, tracked: jax.Array, key: jax.Array
+        close_bay: jax.Array, conflict: jax.Array, tracked: jax.Array, draws: jax.Array
     ) -> jax.Array:
-        take_key, pick_key = jax.random.split(key)
         real = tracked != NO_BAY
-        takes = jax.random.bernoulli(take_key, TAKES_CLOSE_BAY)
+        takes = draws[0] < TAKES_CLOSE_BAY
         takes = takes & (real & (tracked == close_bay)).any()
         wanted = real & (tracked[:, None] == goal).any(axis=1)
-        shared = tracked[pick(wanted, pick_key)]
+        shared = tracked[pick(wanted, draws[1:])]
         choice = jnp.where(conflict & wanted.any(), shared, NO_BAY)
         return jnp.where(takes, close_bay, choice).astype(jnp.int32)
 
-    keys = jax.random.split(key, begun.shape[0])
-    drawn = jax.vmap(first)(placing.close_bay, placing.conflict, tracked_bays, keys)
+    num_agents, num_slots = tracked_bays.shape
+    draws = jax.random.uniform(key, (num_agents, 1 + num_slots))
+    drawn = jax.vmap(first)(placing.close_bay, placing.conflict, tracked_bays, draws)
     return jnp.where(begun, drawn, goal)

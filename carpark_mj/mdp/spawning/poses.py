@@ -3,29 +3,38 @@
 The third way to start is in `collision_course`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
-from carpark_mj.geometry import rotate, wrap_angle
+from carpark_mj.geometry import norm, rotate, wrap_angle
 from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.spawning.draws import pick_weighted
 from carpark_mj.mdp.spawning.placing import Surroundings
 
 
-class SpawnKeys(NamedTuple):
-    """A key for each thing that is drawn for one start."""
+class SpawnDraws(NamedTuple):
+    """Uniform numbers in [0, 1) for one start of n candidates.
 
-    region: jax.Array
-    point: jax.Array
-    walk: jax.Array
-    heading: jax.Array
-    kind: jax.Array
+    Attributes:
+        kind: () see `draw_kind`.
+        region: (n,) which spawn region.
+        point: (n, 2) where in it.
+        heading: (n,) see `draw_heading`.
+        walk: (n, k) see `close_points`.
+    """
+
+    kind: Any
+    region: Any
+    point: Any
+    heading: Any
+    walk: Any
 
 
 class SpawnKind(NamedTuple):
-    """How a start is meant to be; random if it is neither. () bool each.
+    """How a start is meant to be; random if it is neither. (...) bool each.
 
     Attributes:
         close: close to a goal.
@@ -36,17 +45,17 @@ class SpawnKind(NamedTuple):
     crash: jax.Array
 
 
-def spawn_keys(key: jax.Array) -> SpawnKeys:
-    """Splits a key, which is consumed."""
-    return SpawnKeys(*jax.random.split(key, 5))
+def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
+    """Shapes of the numbers of a start, for `draw_uniform`."""
+    n = config.num_candidates
+    return SpawnDraws((), (n,), (n, 2), (n,), (n, walk_numbers(config)))
 
 
-def draw_kind(config: SpawnConfig, key: jax.Array) -> SpawnKind:
-    """Draws how a start is meant to be, never both; `key` decides and is consumed."""
-    drawn = jax.random.uniform(key)
-    rest = drawn - config.close_ratio
+def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
+    """How starts (...) are meant to be, never both; uniform numbers (...) decide."""
+    rest = number - config.close_ratio
     return SpawnKind(
-        close=drawn < config.close_ratio,
+        close=number < config.close_ratio,
         crash=(rest >= 0.0) & (rest < config.crash_ratio),
     )
 
@@ -56,7 +65,7 @@ def spawn_pose(
     layout: Layout,
     around: Surroundings,
     goal_pose: jax.Array,
-    keys: SpawnKeys,
+    draws: SpawnDraws,
 ) -> jax.Array:
     """Draws a start pose for one agent, random or close.
 
@@ -72,45 +81,43 @@ def spawn_pose(
         layout: the lot.
         around: what to keep away from.
         goal_pose: (3,) pose of the agent's goal.
-        keys: consumed, but for the one of the kind of start.
+        draws: random numbers.
 
     Returns:
         (3,) pose of the footprint's centre.
     """
-    random_xy, random_region = _random_points(config, layout, keys)
-    count = config.num_candidates
-    close_xy, nearest = close_points(config, layout, goal_pose[:2], count, keys.walk)
+    random_xy, random_region = _random_points(config, layout, draws)
+    close_xy, nearest = close_points(config, layout, goal_pose[:2], draws.walk)
     # Close to the goal only if no other agent is, as in the study.
     free = (around.distance(close_xy) > config.min_distance).any()
-    close = draw_kind(config, keys.kind).close & free
+    close = draw_kind(config, draws.kind).close & free
     xy = jnp.where(close, close_xy, random_xy)
     region = jnp.where(close, nearest, random_region)
-    yaw = draw_heading(layout, region, keys.heading)
+    yaw = draw_heading(layout, region, draws.heading)
     pose = jnp.concatenate([xy, yaw[:, None]], axis=-1)
     return _best(config, around, pose)
 
 
 def random_pose(
-    config: SpawnConfig, layout: Layout, around: Surroundings, keys: SpawnKeys
+    config: SpawnConfig, layout: Layout, around: Surroundings, draws: SpawnDraws
 ) -> jax.Array:
     """Draws a start pose (3,) at random; see `spawn_pose`."""
-    xy, region = _random_points(config, layout, keys)
-    yaw = draw_heading(layout, region, keys.heading)
+    xy, region = _random_points(config, layout, draws)
+    yaw = draw_heading(layout, region, draws.heading)
     return _best(config, around, jnp.concatenate([xy, yaw[:, None]], axis=-1))
 
 
 def _random_points(
-    config: SpawnConfig, layout: Layout, keys: SpawnKeys
+    config: SpawnConfig, layout: Layout, draws: SpawnDraws
 ) -> tuple[jax.Array, jax.Array]:
     """Points (num_candidates, 2) uniform over the spawn regions, and which region."""
-    count = config.num_candidates
-    area = jnp.where(layout.spawn_mask, jnp.prod(layout.spawn_size, axis=-1), 0.0)
-    region = jax.random.categorical(keys.region, jnp.log(area), shape=(count,))
+    area = layout.spawn_size[:, 0] * layout.spawn_size[:, 1]
+    region = pick_weighted(jnp.where(layout.spawn_mask, area, 0.0), draws.region)
     pose, size = layout.spawn_pose[region], layout.spawn_size[region]
     # local = U(-size / 2, size / 2) in the region's frame; with a spacing half of it
     # more on each side: points on the edge count fully.
-    local = jax.random.uniform(keys.point, (count, 2)) - 0.5
-    local = on_grid(config, local * (size + config.spacing), size)
+    local = (draws.point - 0.5) * (size + config.spacing)
+    local = on_grid(config, local, size)
     return pose[:, :2] + rotate(local, pose[:, 2]), region
 
 
@@ -121,12 +128,16 @@ def _best(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Arr
     return pose[jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(gap))]
 
 
-def draw_heading(layout: Layout, region: jax.Array, key: jax.Array) -> jax.Array:
-    """Headings (n,), uniform within the spreads of spawn regions (n,)."""
-    stray = jax.random.uniform(key, region.shape, minval=-1.0, maxval=1.0)
-    return wrap_angle(
-        layout.spawn_pose[region, 2] + layout.spawn_spread[region] * stray
-    )
+def draw_heading(layout: Layout, region: jax.Array, number: jax.Array) -> jax.Array:
+    """Headings (...), uniform within the spreads of spawn regions (...).
+
+    Args:
+        layout: the lot.
+        region: (...) int indices.
+        number: (...) uniform in [0, 1).
+    """
+    stray = (2.0 * number - 1.0) * layout.spawn_spread[region]
+    return wrap_angle(layout.spawn_pose[region, 2] + stray)
 
 
 def on_grid(config: SpawnConfig, local: jax.Array, size: jax.Array) -> jax.Array:
@@ -147,8 +158,13 @@ def _edge(config: SpawnConfig, size: jax.Array) -> jax.Array:
     return jnp.floor(0.5 * size / config.spacing + 1e-4)
 
 
+def walk_numbers(config: SpawnConfig) -> int:
+    """Random numbers that a walk of `close_points` takes."""
+    return _most_steps(config) if config.spacing else 2
+
+
 def close_points(
-    config: SpawnConfig, layout: Layout, goal_xy: jax.Array, n: int, key: jax.Array
+    config: SpawnConfig, layout: Layout, goal_xy: jax.Array, walk: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Points (n, 2) near the goal within the spawn region closest to it, and which.
 
@@ -157,45 +173,62 @@ def close_points(
     study's walk: fewer than `close_distance` unit steps along the region's axes, their
     number uniform, those out of the region drawn anew. So the study's starts lie nearer
     to the goal: of ten units' walk a root mean square of 2.1, of the step 5.8.
+
+    Args:
+        config: spawning rules.
+        layout: the lot.
+        goal_xy: (2,) [m].
+        walk: (n, walk_numbers) uniform in [0, 1).
     """
     local = rotate(goal_xy - layout.spawn_pose[:, :2], -layout.spawn_pose[:, 2])
     half = layout.spawn_size / 2
     nearest = jnp.clip(local, -half, half)
-    gap = jnp.linalg.norm(local - nearest, axis=-1)
+    gap = norm(local - nearest)
     region = jnp.argmin(jnp.where(layout.spawn_mask, gap, jnp.inf))
     pose, size = layout.spawn_pose[region], layout.spawn_size[region]
     if config.spacing:
-        point = _walk(config, nearest[region], size, n, key)
+        point = _walk(config, nearest[region], size, walk)
     else:
-        angle_key, reach_key = jax.random.split(key)
-        angle = jax.random.uniform(angle_key, (n,), maxval=2 * jnp.pi)
-        reach = jax.random.uniform(reach_key, (n,), maxval=config.close_distance)
+        angle, reach = 2 * jnp.pi * walk[:, 0], config.close_distance * walk[:, 1]
         step = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1) * reach[:, None]
         point = jnp.clip(nearest[region] + step, -half[region], half[region])
     return pose[:2] + rotate(point, pose[2]), region
 
 
+def _stride(config: SpawnConfig) -> int:
+    """Grid points per unit step of a walk."""
+    return max(1, round(WORLD_UNIT / config.spacing))
+
+
+def _most_steps(config: SpawnConfig) -> int:
+    """Steps of a walk are fewer than this."""
+    return max(1, round(config.close_distance / (_stride(config) * config.spacing)))
+
+
 def _walk(
-    config: SpawnConfig, start: jax.Array, size: jax.Array, n: int, key: jax.Array
+    config: SpawnConfig, start: jax.Array, size: jax.Array, numbers: jax.Array
 ) -> jax.Array:
-    """Ends (n, 2) of random walks in a region's frame, on its grid points."""
-    stride = max(1, round(WORLD_UNIT / config.spacing))  # grid points per unit step
-    most = max(1, round(config.close_distance / (stride * config.spacing)))
+    """Ends (n, 2) of random walks in a region's frame, on its grid points.
+
+    The first number of each decides on its length, the others on its steps.
+    """
     edge = _edge(config, size)
-    steps = stride * jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    length_key, step_key = jax.random.split(key)
-    length = jax.random.randint(length_key, (n,), 0, most)
+    steps = jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    steps = steps * _stride(config)
+    length = jnp.floor(numbers[:, 0] * _most_steps(config))
 
     def step(point: jax.Array, draw: tuple[jax.Array, jax.Array]):
-        index, key = draw
+        index, number = draw
         ends = point[:, None] + steps
         within = jnp.all(jnp.abs(ends) <= edge, axis=-1)
-        way = jax.random.categorical(key, jnp.where(within, 0.0, -jnp.inf))
+        way = jax.vmap(pick_weighted)(within.astype(number.dtype), number)
         moves = (index < length) & within.any(axis=-1)
         end = jnp.take_along_axis(ends, way[:, None, None], axis=1)[:, 0]
         return jnp.where(moves[:, None], end, point), None
 
-    first = jnp.broadcast_to(on_grid(config, start, size) / config.spacing, (n, 2))
-    draws = jnp.arange(most - 1), jax.random.split(step_key, most - 1)
+    first = jnp.broadcast_to(
+        on_grid(config, start, size) / config.spacing, (numbers.shape[0], 2)
+    )
+    draws = jnp.arange(_most_steps(config) - 1), numbers[:, 1:].T
     end, _ = jax.lax.scan(step, jnp.round(first), draws)
     return end * config.spacing

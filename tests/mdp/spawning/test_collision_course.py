@@ -16,7 +16,13 @@ from helpers.spawning import meetings, meets, surroundings_of, walled
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.spawning.collision_course import Targets, crash_pose
+from carpark_mj.mdp.spawning.collision_course import (
+    CourseDraws,
+    Targets,
+    course_shapes,
+    crash_pose,
+)
+from carpark_mj.mdp.spawning.draws import draw_uniform
 
 CRASH = SpawnConfig(close_ratio=0.0, crash_ratio=1.0)
 SPACED = dataclasses.replace(CRASH, spacing=WORLD_UNIT / 16)
@@ -29,8 +35,11 @@ OTHERS = np.array([False, True, True, True])
 
 @functools.partial(jax.jit, static_argnums=0)
 def try_all(config, layout, around, goal_xy, targets, keys):
+    shapes = CourseDraws(*(shape[1:] for shape in course_shapes(config, 4)))
+
     def attempt(key):
-        return crash_pose(config, layout, around, goal_xy, targets, key)
+        draws = draw_uniform(shapes, key)
+        return crash_pose(config, layout, around, goal_xy, targets, draws)
 
     return jax.vmap(attempt)(keys)
 

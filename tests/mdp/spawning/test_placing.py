@@ -16,7 +16,8 @@ from carpark_mj.layouts import build, make_layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.chosen_goals import ChosenGoals
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.fixed_goals import FixedGoals
+from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
+from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import (
     SpawnInputs,
     place_all,
@@ -24,7 +25,7 @@ from carpark_mj.mdp.spawning.placing import (
     start_placing,
     surroundings,
 )
-from carpark_mj.mdp.spawning.poses import draw_kind, spawn_keys, spawn_pose
+from carpark_mj.mdp.spawning.poses import draw_kind, spawn_pose
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT, PRESETS
 
@@ -83,13 +84,18 @@ def on_course(after):
     return meets(CRASH, start[:, 0], start[..., :2], goal).any(axis=1)
 
 
+def first_draws(spawn, key):
+    """The random numbers of agent 0."""
+    shapes = place_shapes(spawn, AGENTS, LAYOUT.num_bays)
+    return draw_uniform(shapes, jax.random.split(key, AGENTS)[0])
+
+
 def wanted(count=2000):
     """Lots in which agent 0 is to start close, and on a collision course."""
     keys = jax.random.split(jax.random.key(2), count)
 
     def kinds(key):
-        spawn_key = jax.random.split(jax.random.fold_in(key, 0), 4)[1]
-        return draw_kind(MIXED, spawn_keys(spawn_key).kind)
+        return draw_kind(MIXED, first_draws(MIXED, key).start.kind)
 
     return np.asarray(jax.vmap(kinds)(keys))
 
@@ -102,7 +108,7 @@ def test_close_crash_and_random_starts_come_in_their_ratios():
     assert close.mean() == pytest.approx(0.2, abs=0.045)
     assert crash.mean() == pytest.approx(0.5, abs=0.056)
     course = on_course(after)
-    assert not course[~crash].any()
+    assert course[~crash].mean() < 0.005  # by chance: within 2 mm of six agents' ways
     assert course[crash].mean() > 0.7  # of ten attempts one succeeds, among six others
     nearest = np.clip(BAY_XY[after.goal[:, 0]], -AREA / 2, AREA / 2)
     near = np.linalg.norm(after.pose_w[:, 0, :2] - nearest, axis=1) <= 0.5 + 1e-4
@@ -141,22 +147,20 @@ def test_two_that_end_together_are_no_targets_of_each_other_until_they_start():
     assert share(old[:, :2], goal[:, :2]) < 0.02
 
 
-def test_a_start_that_is_not_on_course_takes_the_first_two_parts_of_the_key():
-    """The goal and the pose come from them, whatever other starts there are."""
+def test_a_start_that_is_not_on_course_is_a_new_goal_and_then_a_pose():
     spawn = SpawnConfig()
     goal, parked_cars, pose = lots(200)
     keys = jax.random.split(jax.random.key(2), 200)
     goals = FixedGoals(config_of(spawn))
 
     def by_hand(goal, parked_cars, pose, key):
-        goal_key, spawn_key = jax.random.split(jax.random.fold_in(key, 0))
+        draws = first_draws(spawn, key)
         inputs, agent = alike(parked_cars), jnp.array(0)
         placing = start_placing(goal, parked_cars.bay, pose, FIRST)
-        drawn = goals.new_goal(inputs, placing, agent, goal_key)
+        drawn = goals.new_goal(inputs, placing, agent, draws.goal)
         around = surroundings(inputs, drawn, agent)
         goal_pose = LAYOUT.bay_pose[drawn.goal[0]]
-        keys = spawn_keys(spawn_key)
-        return drawn, spawn_pose(spawn, LAYOUT, around, goal_pose, keys)
+        return drawn, spawn_pose(spawn, LAYOUT, around, goal_pose, draws.start)
 
     expected, start = jax.jit(jax.vmap(by_hand))(goal, parked_cars, pose, keys)
     _, after = placed(spawn, 200)
@@ -238,7 +242,8 @@ def test_a_new_goal_fits_and_cars_make_way_to_bays_they_fit_in():
         placing = one_agent(4, inputs, (0.0, -30.0))
 
         def draw(key):
-            return goals.new_goal(inputs, placing, jnp.array(0), key)
+            scores = jax.random.uniform(key, (2, 5))
+            return goals.new_goal(inputs, placing, jnp.array(0), scores)
 
         after = jax.device_get(jax.jit(jax.vmap(draw))(keys))
         assert after.found.all()

@@ -10,11 +10,12 @@ from helpers.spawning import surroundings_of, walled
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
+from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.poses import (
     draw_kind,
     random_pose,
-    spawn_keys,
     spawn_pose,
+    spawn_shapes,
 )
 
 RANDOM = SpawnConfig(close_ratio=0.0)
@@ -26,7 +27,8 @@ COUNT = 4000
 @functools.partial(jax.jit, static_argnums=0)
 def draw_all(config, layout, goal, around, keys):
     def one(key):
-        return spawn_pose(config, layout, around, goal, spawn_keys(key))
+        draws = draw_uniform(spawn_shapes(config), key)
+        return spawn_pose(config, layout, around, goal, draws)
 
     return jax.vmap(one)(keys)
 
@@ -166,8 +168,10 @@ def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
     keys = jax.random.split(jax.random.key(0), 20)
     around = surroundings_of(layout, *NOBODY)
 
+    shapes = spawn_shapes(CLOSE)
+
     def at_random(key):
-        return random_pose(CLOSE, layout, around, spawn_keys(key))
+        return random_pose(CLOSE, layout, around, draw_uniform(shapes, key))
 
     # float32: another program.
     np.testing.assert_allclose(jax.jit(jax.vmap(at_random))(keys), one[:20], atol=1e-5)
@@ -175,8 +179,8 @@ def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
 
 def test_a_start_is_close_or_on_a_collision_course_in_their_ratios_and_never_both():
     config = SpawnConfig(close_ratio=0.2, crash_ratio=0.5)
-    keys = jax.random.split(jax.random.key(2), COUNT)
-    close, crash = jax.vmap(lambda key: draw_kind(config, key))(keys)
+    numbers = jax.random.uniform(jax.random.key(2), (COUNT,))
+    close, crash = draw_kind(config, numbers)
     assert not (close & crash).any()
     # Deviations 0.6 % and 0.8 %: five of them.
     assert close.mean() == pytest.approx(0.2, abs=0.032)
