@@ -1,8 +1,7 @@
-"""The PPO learner: a training state and a pure update, over Brax's parts.
+"""The PPO learner: builds the training state and the compiled update.
 
-Brax gives the networks, acting, running statistics, GAE and loss; this file owns the
-training state, the schedules and the division over devices (lots are sharded,
-parameters replicated, gradients averaged).
+Collecting is in `rollout`, learning in `epochs`; networks, statistics and GAE are Brax's.
+Lots are sharded over the devices, parameters replicated, gradients averaged.
 """
 
 from collections.abc import Callable
@@ -95,12 +94,11 @@ class Learner:
     def least_memory(self) -> int:
         """Bytes that training needs at least, on all devices together.
 
-        State, gradients, an unroll's observations before and after the steps, and the
-        activations of a minibatch.
+        State, gradients, an unroll's observations and the activations of a minibatch.
         """
         config, state = self.config, self.shapes()
         layers = (*config.networks.policy_layers, *config.networks.value_layers)
-        unroll = 2 * config.steps_per_update * self.env.observation_size
+        unroll = config.steps_per_update * self.env.observation_size
         activations = config.steps_per_update // config.num_minibatches * sum(layers)
         numbers = unroll + activations
         return num_bytes((state, state.policy, state.value)) + 4 * numbers
