@@ -60,15 +60,15 @@ def test_the_penalty_of_a_timeout_is_learned_by_the_steps_before_it():
 @pytest.mark.parametrize("gae_lambda", [0.0, 0.92, 1.0])
 def test_without_truncations_they_are_brax_s(gae_lambda):
     rng = np.random.default_rng(0)
-    reward, values = rng.normal(size=(2, 20, 30)).astype(np.float32)
-    final = rng.normal(size=30).astype(np.float32)
-    ends = (rng.random((20, 30)) < 0.2).astype(np.float32)
-    none = np.zeros_like(ends)
+    reward, values = jnp.asarray(rng.normal(size=(2, 20, 30)), jnp.float32)
+    final = jnp.asarray(rng.normal(size=30), jnp.float32)
+    ends = jnp.asarray(rng.random((20, 30)) < 0.2, jnp.float32)
+    none = jnp.zeros_like(ends)
     ours = compute_advantages(
-        rollout(reward, ends, none), jnp.asarray(values), final, 0.99, gae_lambda
+        rollout(reward, ends, none), values, final, 0.99, gae_lambda
     )
     targets, advantages = compute_gae(
-        none, ends, reward, jnp.asarray(values), final, gae_lambda, 0.99
+        none, ends, reward, values, final, gae_lambda, 0.99
     )
     np.testing.assert_array_equal(ours[0], advantages)
     np.testing.assert_array_equal(ours[1], targets)

@@ -232,10 +232,10 @@ def test_the_loss_of_a_minibatch_equals_brax_s(learner, state):
             jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data),
             key,
             learner.networks,
-            entropy_cost=weights.entropy_cost,
+            entropy_cost=0.3,
             discounting=TINY.discount,
             gae_lambda=TINY.gae_lambda,
-            clipping_epsilon=weights.clip,
+            clipping_epsilon=0.05,
         )
 
     key = jax.random.key(6)

@@ -99,6 +99,7 @@ def learn(
                 loss_key,
             )
             grads = jax.lax.pmean(ravel_pytree(grads)[0], AXIS)
+            updates: Any
             updates, moments = optimizer.update(grads, moments)
             return (params - learning_rate * updates, moments), losses
 

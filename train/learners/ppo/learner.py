@@ -1,7 +1,7 @@
 """The PPO learner: builds the training state and the compiled update.
 
-Collecting is in `rollout`, learning in `epochs`; networks, statistics and GAE are Brax's.
-Lots are sharded over the devices, parameters replicated, gradients averaged.
+Collecting is in `rollout`, learning in `epochs`; networks, statistics and GAE are of
+Brax. Lots are sharded over the devices, parameters replicated, gradients averaged.
 """
 
 from collections.abc import Callable
