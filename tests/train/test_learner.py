@@ -1,6 +1,7 @@
 """The learner: the same update as Brax's own PPO, schedules, and the NaN guard."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +21,13 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.networks import MIN_STD, NetworkConfig, make_networks
 from carpark_mj.wrappers.brax import BraxParking
-from learners.ppo.learner import AXIS, Learner, num_devices, schedule
+from learners.ppo.advantages import compute_advantages
+from learners.ppo.epochs import learn, network_params, schedule
+from learners.ppo.learner import Learner, num_devices
+from learners.ppo.loss import Minibatch, Weights, ppo_loss
 from learners.ppo.presets import PRESETS
+from learners.ppo.rollout import Rollout
+from learners.ppo.state import AXIS
 
 TINY = dataclasses.replace(
     PRESETS["cpu"],
@@ -50,21 +56,21 @@ def state(learner):
 
 
 def canned_data(learner, state, seed: int) -> Transition:
-    """A made-up unroll (time, agents, ...) with terminations and truncations."""
+    """A made-up unroll (time, agents, ...) with terminations, as Brax takes it."""
     rng = np.random.default_rng(seed)
     shape = (TINY.unroll_length, AGENTS)
 
     def normal(*size):
         return jnp.asarray(rng.normal(size=(*shape, *size)), jnp.float32)
 
-    observation = 2.0 + 3.0 * normal(learner.env.observation_size)
-    raw = normal(2)
+    # Close to what the first normalizer expects, so that ratios stay finite after it.
+    observation = 0.2 + 1.1 * normal(learner.env.observation_size)
     logits = learner.networks.policy_network.apply(
         state.normalizer, state.policy, observation
     )
     distribution = learner.networks.parametric_action_distribution
+    raw = distribution.sample_no_postprocessing(logits, jax.random.key(seed))
     done = jnp.asarray(rng.random(shape) < 0.2, jnp.float32)
-    truncation = done * jnp.asarray(rng.random(shape) < 0.5, jnp.float32)
     return Transition(
         observation=observation,
         action=jnp.tanh(raw),
@@ -78,11 +84,41 @@ def canned_data(learner, state, seed: int) -> Transition:
                 "distribution_params": logits,
             },
             "state_extras": {
-                "truncation": truncation,
+                "truncation": jnp.zeros(shape),
                 "episode_done": done,
                 "episode_metrics": {},
             },
         },
+    )
+
+
+def as_rollout(data: Transition) -> Rollout:
+    """The same as our update takes it."""
+    extras: Any = data.extras
+    return Rollout(
+        observation=data.observation,
+        raw_action=extras["policy_extras"]["raw_action"],
+        log_prob=extras["policy_extras"]["log_prob"],
+        reward=data.reward,
+        terminated=1.0 - data.discount,
+        truncated=extras["state_extras"]["truncation"],
+        final_observation=data.next_observation[-1],
+    )
+
+
+def on_one_device(function):
+    """The function compiled for one device, over which learning averages."""
+    alone = jax.make_mesh(
+        (1,),
+        (AXIS,),
+        axis_types=(jax.sharding.AxisType.Auto,),
+        devices=jax.devices()[:1],
+    )
+    whole = PartitionSpec()
+    return jax.jit(
+        jax.shard_map(
+            function, mesh=alone, in_specs=whole, out_specs=whole, check_vma=False
+        )
     )
 
 
@@ -146,57 +182,72 @@ def brax_update(learner, state, data, monkeypatch):
 def test_an_update_equals_brax_s_own_on_the_same_data(learner, state, monkeypatch):
     data = canned_data(learner, state, seed=0)
 
-    def learn(state, data):
-        data = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
-        return learner._learn(state, data, jax.random.key(5))[0]
+    def update(state, rollout):
+        key = jax.random.key(5)
+        return learn(TINY, learner.networks, learner.optimizer, state, rollout, key)[0]
 
-    alone = jax.make_mesh(
-        (1,),
-        (AXIS,),
-        axis_types=(jax.sharding.AxisType.Auto,),
-        devices=jax.devices()[:1],
-    )
-    whole = PartitionSpec()
-    ours = jax.jit(
-        jax.shard_map(
-            learn,
-            mesh=alone,
-            in_specs=(whole, whole),
-            out_specs=whole,
-            check_vma=False,
-        )
-    )(jax.device_get(state), data)
+    ours = on_one_device(update)(jax.device_get(state), as_rollout(data))
     theirs = brax_update(learner, state, data, monkeypatch)
+    for a, b in zip(*map(jax.tree.leaves, (ours[0], theirs[0])), strict=True):
+        # Sums of numbers of about 1, in another order.
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6)
     moved = 0.0
     for mine, brax, old in zip(
-        ours[:3], theirs, (state.normalizer, state.policy, state.value), strict=True
+        ours[1:3], theirs[1:], (state.policy, state.value), strict=True
     ):
         for a, b, c in zip(*map(jax.tree.leaves, (mine, brax, old)), strict=True):
             # Three Adam steps of 1.5e-3; measured agreement 2e-7.
-            np.testing.assert_allclose(np.asarray(a), np.asarray(b), atol=2e-6)
+            np.testing.assert_allclose(a, b, atol=2e-6, equal_nan=False)
             moved = max(moved, float(np.abs(np.asarray(a) - np.asarray(c)).max()))
     assert moved > 1e-3
 
 
-def test_a_truncated_step_is_bootstrapped_and_a_terminated_one_is_not():
-    # One agent, three steps, the second ends its episode; lambda 0.9, discount 0.5.
-    values = jnp.array([[1.0], [2.0], [3.0]])
-    rewards = jnp.array([[1.0], [1.0], [1.0]])
-    end, none = jnp.array([[0.0], [1.0], [0.0]]), jnp.zeros((3, 1))
+def test_the_loss_of_a_minibatch_equals_brax_s(learner, state):
+    data = canned_data(learner, state, seed=1)
+    rollout, params = as_rollout(data), network_params(state.policy, state.value)
+    weights = Weights(entropy_cost=jnp.float32(0.3), clip=jnp.float32(0.05))
 
-    def gae(truncation, termination):
-        _, advantages = ppo_losses.compute_gae(
-            truncation, termination, rewards, values, jnp.array([4.0]), 0.9, 0.5
+    def ours(params, key):
+        def value(observation):
+            return learner.networks.value_network.apply(
+                state.normalizer, params.value, observation
+            )
+
+        advantage, target = compute_advantages(
+            rollout,
+            value(rollout.observation),
+            value(rollout.final_observation),
+            TINY.discount,
+            TINY.gae_lambda,
         )
-        return advantages[:, 0]
+        batch = Minibatch(
+            rollout.observation, rollout.raw_action, rollout.log_prob, advantage, target
+        )
+        return ppo_loss(params, learner.networks, state.normalizer, batch, weights, key)
 
-    # Terminated: advantage 1 - V(s1) = -1. The step before sees V(s1) plus that.
-    np.testing.assert_allclose(gae(none, end)[1], 1.0 - 2.0)
-    np.testing.assert_allclose(gae(none, end)[0], 1.0 + 0.5 * (2.0 - 1.0) - 1.0)
-    # Truncated: nothing is learned from the cut step, and the value before it is
-    # bootstrapped with V(s1), not with zero to go.
-    np.testing.assert_allclose(gae(end, none)[1], 0.0)
-    np.testing.assert_allclose(gae(end, none)[0], 1.0 + 0.5 * 2.0 - 1.0)
+    def brax(params, key):
+        return ppo_losses.compute_ppo_loss(
+            params,
+            state.normalizer,
+            jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data),
+            key,
+            learner.networks,
+            entropy_cost=0.3,
+            discounting=TINY.discount,
+            gae_lambda=TINY.gae_lambda,
+            clipping_epsilon=0.05,
+        )
+
+    key = jax.random.key(6)
+    mine, theirs = (
+        jax.jit(jax.grad(loss, has_aux=True))(params, key) for loss in (ours, brax)
+    )
+    assert set(mine[1]) == set(theirs[1])
+    for name in set(mine[1]) - {"kl_mean"}:
+        np.testing.assert_allclose(mine[1][name], theirs[1][name], rtol=1e-5, atol=1e-6)
+    for a, b in zip(*map(jax.tree.leaves, (mine[0], theirs[0])), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    assert min(np.abs(x).max() for x in jax.tree.leaves(mine[0])) > 1e-4
 
 
 def test_schedules_are_linear_and_stay_at_their_ends():
@@ -264,17 +315,18 @@ def unrolls(updates, **changes):
     learner = Learner(dataclasses.replace(TINY, num_lots=8, **changes))
     learner.env = BraxParking(ParkingEnv(TINY.env, SlidePhysics()))
     start = jax.jit(learner.build)()
-    collect = jax.jit(lambda state: learner._collect(state, jax.random.key(1))[1])
-    data = [collect(start.replace(update=jnp.int32(update))) for update in updates]
-    return [x.extras["state_extras"] for x in data], collect._cache_size()
+    collect = jax.jit(lambda state: learner._collect(state, jax.random.key(1))[2])
+    totals = [collect(start.replace(update=jnp.int32(update))) for update in updates]
+    return totals, collect._cache_size()
 
 
 def test_hitboxes_are_scaled_until_a_number_of_agent_steps_of_training():
     # 8 lots x 2 agents x 8 steps an update: 300 steps are 3 updates, begun ones whole.
-    data, compilations = unrolls(
+    totals, compilations = unrolls(
         (0, 2, 3, 50), num_steps=10_000, hitbox_scale=30.0, hitbox_steps=300
     )
-    crashed = [x["episode_metrics"]["crashed"].mean() for x in data]
+    steps = TINY.unroll_length
+    crashed = [x.episode_metrics["crashed"].mean() / steps for x in totals]
     assert crashed[0] == crashed[1] == 1.0  # boxes of 120 m
     assert crashed[2] == crashed[3] < 0.5
     assert compilations == 1

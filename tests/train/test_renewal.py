@@ -15,8 +15,9 @@ from carpark_mj.layouts import StreetConfig
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.wrappers.brax import BraxParking
-from learners.ppo.learner import Learner, TrainingState, due_lots
+from learners.ppo.learner import Learner, due_lots
 from learners.ppo.presets import PRESETS
+from learners.ppo.state import TrainingState
 
 STREET = StreetConfig(bays_per_side=(3, 4))
 LOTS, AGENTS, UNROLL = 6, 2, 5
@@ -69,9 +70,14 @@ def renewal(history):
     learner, _, load, _ = history
 
     def run(state, key):
-        env_state, data = learner._collect(state, key)
+        env_state, rollout, totals = learner._collect(state, key)
         renewed = learner._renew(env_state, jnp.int32(1), key)
-        return data, env_state, renewed, learner.env.reset(jax.random.split(key))
+        return (
+            (rollout, totals),
+            env_state,
+            renewed,
+            learner.env.reset(jax.random.split(key)),
+        )
 
     found = jax.jit(run)(load(0), jax.random.key(1))
     return tuple(map(host, found))
@@ -134,14 +140,14 @@ def test_a_renewed_lot_is_a_fresh_one_and_the_others_stay(renewal):
 
 def test_the_episodes_cut_off_are_bootstrapped_in_the_lot_they_were_in(renewal):
     """The last step of an unroll keeps what the agents saw before the renewal."""
-    data, before, after, _ = renewal
-    assert data.next_observation.shape[:2] == (LOTS * AGENTS, UNROLL)
-    np.testing.assert_array_equal(data.next_observation[:, -1], before.obs)
-    cut = np.any(after.obs != data.next_observation[:, -1], axis=-1)
+    (rollout, totals), before, after, _ = renewal
+    assert rollout.observation.shape[:2] == (UNROLL, LOTS * AGENTS)
+    np.testing.assert_array_equal(rollout.final_observation, before.obs)
+    cut = np.any(after.obs != rollout.final_observation, axis=-1)
     assert np.flatnonzero(cut).tolist() == [4, 5, 6, 7]
     # Neither the end of an episode nor a reward is made up for the cut.
-    ended = data.extras["state_extras"]["episode_done"]
-    np.testing.assert_array_equal(data.discount, 1.0 - ended)
+    ended = (rollout.terminated + rollout.truncated).sum(axis=0)
+    np.testing.assert_array_equal(ended, totals.episodes)
 
 
 def test_a_resumed_training_draws_the_same_lots(history):

@@ -1,59 +1,27 @@
-"""The PPO learner: a training state and a pure update, over Brax's parts.
+"""The PPO learner: builds the training state and the compiled update.
 
-Brax gives the networks, acting, running statistics, GAE and loss; this file owns the
-training state, the schedules and the division over devices (lots are sharded,
-parameters replicated, gradients averaged).
+Collecting is in `rollout`, learning in `epochs`; networks, statistics and GAE are of
+Brax. Lots are sharded over the devices, parameters replicated, gradients averaged.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
-from brax.training import acting, gradients
-from brax.training.acme import running_statistics
-from brax.training.agents.ppo import losses as ppo_losses
-from brax.training.types import Transition
-from flax import struct
+from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.policy.networks import MIN_STD, make_networks, make_policy
+from carpark_mj.policy.networks import make_networks, make_policy
 from carpark_mj.policy.runs import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
 from learners.memory import num_bytes
 from learners.ppo.config import PPOConfig
-
-AXIS = "lots"
-
-
-@struct.dataclass
-class TrainingState:
-    """Everything an exact resume needs.
-
-    Attributes:
-        normalizer: running statistics of the observations.
-        policy: actor parameters.
-        average: their mean over the last updates, the policy that a run leaves.
-        value: critic parameters.
-        optimizer: Adam's moments.
-        key: randomness of acting and shuffling.
-        update: () int32 updates made.
-        skipped: () int32 updates dropped because they were not finite.
-        env: the Brax state of all lots.
-    """
-
-    normalizer: Any
-    policy: Any
-    average: Any
-    value: Any
-    optimizer: Any
-    key: jax.Array
-    update: jax.Array
-    skipped: jax.Array
-    env: Any
+from learners.ppo.epochs import learn, network_params
+from learners.ppo.rollout import Rollout, Totals, collect
+from learners.ppo.state import AXIS, TrainingState, state_specs
 
 
 def num_devices(config: PPOConfig) -> int:
@@ -64,11 +32,6 @@ def num_devices(config: PPOConfig) -> int:
         return config.num_lots % n == 0 and agents % config.num_minibatches == 0
 
     return max(n for n in range(1, jax.local_device_count() + 1) if fits(n))
-
-
-def schedule(start: float, end: float, progress: jax.Array) -> jax.Array:
-    """Linear from `start` to `end` as `progress` goes from 0 to 1."""
-    return start + (end - start) * jnp.clip(progress, 0.0, 1.0)
 
 
 def due_lots(update: jax.Array | int, num_lots: int, life: int) -> jax.Array:
@@ -97,15 +60,6 @@ class Learner:
         )
         devices = jax.local_devices()[: num_devices(config)]
         self.mesh = Mesh(devices, (AXIS,))
-        loss: Any = functools.partial(
-            ppo_losses.compute_ppo_loss,
-            ppo_network=self.networks,
-            discounting=config.discount,
-            gae_lambda=config.gae_lambda,
-        )
-        self._loss_and_grad = gradients.loss_and_pgrad(
-            loss, pmap_axis_name=AXIS, has_aux=True
-        )
 
     def init(self) -> TrainingState:
         """The state before the first update, laid out over the devices."""
@@ -116,7 +70,7 @@ class Learner:
         # fold_in 0 is training's half of the seed; evaluation uses 1.
         key = jax.random.fold_in(jax.random.key(self.config.seed), 0)
         policy_key, value_key, env_key, key = jax.random.split(key, 4)
-        params = _network_params(
+        params = network_params(
             self.networks.policy_network.init(policy_key),
             self.networks.value_network.init(value_key),
         )
@@ -125,7 +79,7 @@ class Learner:
             policy=params.policy,
             average=params.policy,
             value=params.value,
-            optimizer=self.optimizer.init(params),
+            optimizer=self.optimizer.init(ravel_pytree(params)[0]),
             key=key,
             update=jnp.zeros((), jnp.int32),
             skipped=jnp.zeros((), jnp.int32),
@@ -140,12 +94,11 @@ class Learner:
     def least_memory(self) -> int:
         """Bytes that training needs at least, on all devices together.
 
-        State, gradients, an unroll's observations before and after the steps, and the
-        activations of a minibatch.
+        State, gradients, an unroll's observations and the activations of a minibatch.
         """
         config, state = self.config, self.shapes()
         layers = (*config.networks.policy_layers, *config.networks.value_layers)
-        unroll = 2 * config.steps_per_update * self.env.observation_size
+        unroll = config.steps_per_update * self.env.observation_size
         activations = config.steps_per_update // config.num_minibatches * sum(layers)
         numbers = unroll + activations
         return num_bytes((state, state.policy, state.value)) + 4 * numbers
@@ -161,23 +114,8 @@ class Learner:
     def _shardings(self) -> TrainingState:
         return jax.tree.map(
             lambda spec: NamedSharding(self.mesh, spec),
-            self._specs(),
+            state_specs(),
             is_leaf=lambda x: isinstance(x, PartitionSpec),
-        )
-
-    def _specs(self) -> TrainingState:
-        whole: Any = PartitionSpec()
-        lots: Any = PartitionSpec(AXIS)
-        return TrainingState(
-            normalizer=whole,
-            policy=whole,
-            average=whole,
-            value=whole,
-            optimizer=whole,
-            key=whole,
-            update=whole,
-            skipped=whole,
-            env=lots,
         )
 
     def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
@@ -185,8 +123,8 @@ class Learner:
         update = jax.shard_map(
             self.update,
             mesh=self.mesh,
-            in_specs=(self._specs(),),
-            out_specs=(self._specs(), PartitionSpec()),
+            in_specs=(state_specs(),),
+            out_specs=(state_specs(), PartitionSpec()),
             check_vma=False,
         )
         # Also given for the results; otherwise on one device JAX treats some lots as
@@ -204,12 +142,21 @@ class Learner:
         """
         key, act_key, learn_key = jax.random.split(state.key, 3)
         local = jax.lax.axis_index(AXIS)
-        env_state, data = self._collect(state, jax.random.fold_in(act_key, local))
+        env_state, rollout, totals = self._collect(
+            state, jax.random.fold_in(act_key, local)
+        )
         if self.renews_lots:
             key, renew_key = jax.random.split(key)
             renew_key = jax.random.fold_in(renew_key, local)
             env_state = self._renew(env_state, state.update, renew_key)
-        learned, losses = self._learn(state, data, jax.random.fold_in(learn_key, local))
+        learned, losses = learn(
+            self.config,
+            self.networks,
+            self.optimizer,
+            state,
+            rollout,
+            jax.random.fold_in(learn_key, local),
+        )
         finite = jnp.stack(
             [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((learned, losses))]
         ).all()
@@ -233,34 +180,23 @@ class Learner:
             skipped=state.skipped + ~finite,
             env=env_state,
         )
-        metrics = _episode_metrics(data) | {
-            f"loss/{name}": jax.lax.pmean(loss, AXIS) for name, loss in losses.items()
+        metrics = _episode_metrics(totals, self.config.steps_per_update) | {
+            f"loss/{name}": loss for name, loss in losses.items()
         }
         return jax.tree.map(_strong, (new, metrics | {"skipped": new.skipped}))
 
-    def _collect(self, state: TrainingState, key: jax.Array) -> tuple[Any, Transition]:
-        """Drives all agents for one unroll; data is (agents, time, ...)."""
-        policy: Any = make_policy(
+    def _collect(
+        self, state: TrainingState, key: jax.Array
+    ) -> tuple[Any, Rollout, Totals]:
+        """Drives all agents for one unroll."""
+        actor: Any = make_policy(
             self.networks, state.normalizer, state.policy, deterministic=False
         )
         env = self.env
         if self.config.hitbox_scale != 1.0:  # data, so nothing recompiles at its end
             aided = state.update < self.config.hitbox_updates
             env = BraxParking(env.env, jnp.where(aided, self.config.hitbox_scale, 1.0))
-        env_state, data = acting.generate_unroll(
-            env,
-            state.env,
-            policy,
-            key,
-            self.config.unroll_length,
-            extra_fields=(
-                "truncation",
-                "episode_done",
-                "episode_metrics",
-                "reward_terms",
-            ),
-        )
-        return env_state, jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
+        return collect(env, state.env, actor, key, self.config.unroll_length)
 
     def _renew(self, env_state: Any, update: jax.Array, key: jax.Array) -> Any:
         """Draws the lots that are due anew (one device's share).
@@ -273,87 +209,16 @@ class Learner:
         lots = due_lots(update, num_lots, self.config.lot_life)
         return self.env.renew(env_state, lots, jax.random.split(key, len(lots)))
 
-    def _learn(
-        self, state: TrainingState, data: Transition, key: jax.Array
-    ) -> tuple[tuple[Any, Any, Any, Any], dict[str, jax.Array]]:
-        """Epochs of minibatch steps; returns the new parameters and mean losses."""
-        config = self.config
-        progress = state.update / config.num_updates
-        learning_rate = schedule(
-            config.learning_rate, config.learning_rate_end, progress
-        )
-        entropy_cost = schedule(config.entropy_cost, config.entropy_cost_end, progress)
-        clip = schedule(config.clip, config.clip_end, progress)
-        normalizer = running_statistics.update(
-            state.normalizer,
-            data.observation,
-            std_min_value=MIN_STD,
-            pmap_axis_name=AXIS,
-        )
-        # Logging fields need no shuffling.
-        data = data._replace(
-            extras={
-                "policy_extras": data.extras["policy_extras"],
-                "state_extras": {
-                    "truncation": data.extras["state_extras"]["truncation"]
-                },
-            }
-        )
 
-        def minibatch(carry: Any, batch: Any) -> tuple[Any, Any]:
-            params, optimizer, key = carry
-            key, loss_key = jax.random.split(key)
-            (_, losses), grads = self._loss_and_grad(
-                params,
-                normalizer,
-                batch,
-                loss_key,
-                entropy_cost=entropy_cost,
-                clipping_epsilon=clip,
-            )
-            updates, optimizer = self.optimizer.update(grads, optimizer)
-            updates = jax.tree.map(lambda u: -learning_rate * u, updates)
-            params = optax.apply_updates(params, updates)
-            return (params, optimizer, key), losses
-
-        def epoch(carry: Any, _: Any) -> tuple[Any, Any]:
-            params, optimizer, key = carry
-            key, shuffle_key, batch_key = jax.random.split(key, 3)
-            order = jax.random.permutation(shuffle_key, data.reward.shape[0])
-            batches = jax.tree.map(
-                lambda x: x[order].reshape(config.num_minibatches, -1, *x.shape[1:]),
-                data,
-            )
-            (params, optimizer, _), losses = jax.lax.scan(
-                minibatch, (params, optimizer, batch_key), batches
-            )
-            return (params, optimizer, key), losses
-
-        params = _network_params(state.policy, state.value)
-        (params, optimizer, _), losses = jax.lax.scan(
-            epoch, (params, state.optimizer, key), None, length=config.num_epochs
-        )
-        learned = (normalizer, params.policy, params.value, optimizer)
-        return learned, jax.tree.map(jnp.mean, losses)
-
-
-def _network_params(policy: Any, value: Any) -> Any:
-    """Actor and critic as Brax's loss takes them."""
-    params: Any = ppo_losses.PPONetworkParams  # its fields are hidden from Pyright
-    return params(policy=policy, value=value)
-
-
-def _episode_metrics(data: Transition) -> dict[str, jax.Array]:
+def _episode_metrics(totals: Totals, num_steps: int) -> dict[str, jax.Array]:
     """Means over the episodes that ended in the unroll, and reward terms per step."""
-    extras: Any = data.extras["state_extras"]
-    done = extras["episode_done"]
-    episodes = jax.lax.psum(jnp.sum(done), AXIS)
+    totals = jax.tree.map(lambda x: jax.lax.psum(x.sum(), AXIS), totals)
+    episodes = totals.episodes
     metrics = {"episodes": episodes}
-    for name, value in extras["episode_metrics"].items():
-        total = jax.lax.psum(jnp.sum(value * done), AXIS)
+    for name, total in totals.episode_metrics.items():
         metrics[f"episode/{name}"] = total / jnp.maximum(episodes, 1.0)
-    for name, value in extras["reward_terms"].items():
-        metrics[f"reward/{name}"] = jax.lax.pmean(jnp.mean(value), AXIS)
+    for name, total in totals.reward_terms.items():
+        metrics[f"reward/{name}"] = total / num_steps
     return metrics
 
 

@@ -12,8 +12,9 @@ from carpark_mj.policy import checkpoints, runs
 from learners.loop import Loop
 from learners.ppo.config import PPOConfig
 from learners.ppo.curve import plot_learning_curve
-from learners.ppo.learner import Learner, TrainingState
+from learners.ppo.learner import Learner
 from learners.ppo.metrics_log import MetricsLog
+from learners.ppo.state import TrainingState
 
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
 

@@ -1,0 +1,41 @@
+"""Advantages of a rollout's actions and targets of the critic."""
+
+import jax
+import jax.numpy as jnp
+from brax.training.agents.ppo.losses import compute_gae
+
+from learners.ppo.rollout import Rollout
+
+
+def compute_advantages(
+    rollout: Rollout,
+    values: jax.Array,
+    final_value: jax.Array,
+    discount: float,
+    gae_lambda: float,
+) -> tuple[jax.Array, jax.Array]:
+    """Generalised advantage estimation, Brax's.
+
+    What a truncated agent saw last is gone after its respawn; the value of the
+    observation before the step stands in for it, as in rsl_rl.
+
+    Args:
+        rollout: of the agents.
+        values: (time, agents) of the rollout's observations.
+        final_value: (agents,) of the observation after the last step.
+        discount: discount factor per control step.
+        gae_lambda: lambda.
+
+    Returns:
+        Advantages and value targets (time, agents), without gradients.
+    """
+    targets, advantages = compute_gae(
+        truncation=jnp.zeros_like(rollout.truncated),
+        termination=rollout.terminated + rollout.truncated,
+        rewards=rollout.reward + discount * rollout.truncated * values,
+        values=values,
+        bootstrap_value=final_value,
+        lambda_=gae_lambda,
+        discount=discount,
+    )
+    return advantages, targets

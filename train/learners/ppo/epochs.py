@@ -1,0 +1,124 @@
+"""What an update learns from a rollout: epochs of minibatch steps."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo.losses import PPONetworkParams
+from brax.training.agents.ppo.networks import PPONetworks
+from jax.flatten_util import ravel_pytree
+
+from carpark_mj.policy.networks import MIN_STD
+from learners.ppo.advantages import compute_advantages
+from learners.ppo.config import PPOConfig
+from learners.ppo.loss import Minibatch, Weights, ppo_loss
+from learners.ppo.rollout import Rollout
+from learners.ppo.state import AXIS, TrainingState
+
+Learned = tuple[Any, Any, Any, Any]
+
+
+def schedule(start: float, end: float, progress: jax.Array) -> jax.Array:
+    """Linear from `start` to `end` as `progress` goes from 0 to 1."""
+    return start + (end - start) * jnp.clip(progress, 0.0, 1.0)
+
+
+def network_params(policy: Any, value: Any) -> Any:
+    """Actor and critic together."""
+    params: Any = PPONetworkParams  # its fields are hidden from Pyright
+    return params(policy=policy, value=value)
+
+
+def learn(
+    config: PPOConfig,
+    networks: PPONetworks,
+    optimizer: optax.GradientTransformation,
+    state: TrainingState,
+    rollout: Rollout,
+    key: jax.Array,
+) -> tuple[Learned, dict[str, jax.Array]]:
+    """Learns from the rollout of this device's agents.
+
+    Values and advantages are those of the parameters at the start of an epoch. A
+    minibatch holds all steps of its agents; devices average their gradients.
+
+    Returns:
+        The new normalizer, policy, value and optimizer, and the mean losses.
+    """
+    progress = state.update / config.num_updates
+    learning_rate = schedule(config.learning_rate, config.learning_rate_end, progress)
+    weights = Weights(
+        entropy_cost=schedule(config.entropy_cost, config.entropy_cost_end, progress),
+        clip=schedule(config.clip, config.clip_end, progress),
+    )
+    normalizer = running_statistics.update(
+        state.normalizer,
+        rollout.observation,
+        std_min_value=MIN_STD,
+        pmap_axis_name=AXIS,
+    )
+    # One vector: one all-reduce and one Adam step instead of one for every layer.
+    start, unravel = ravel_pytree(network_params(state.policy, state.value))
+
+    def prepare(params: Any) -> Minibatch:
+        """All steps, with the advantages that the critic in `params` gives them."""
+
+        def value(observation: jax.Array) -> jax.Array:
+            apply: Any = networks.value_network.apply
+            return apply(normalizer, params.value, observation)
+
+        advantage, target = compute_advantages(
+            rollout,
+            value(_flat(rollout.observation)).reshape(rollout.reward.shape),
+            value(rollout.final_observation),
+            config.discount,
+            config.gae_lambda,
+        )
+        return Minibatch(
+            observation=rollout.observation,
+            raw_action=rollout.raw_action,
+            log_prob=rollout.log_prob,
+            advantage=advantage,
+            target=target,
+        )
+
+    def epoch(carry: Any, key: jax.Array) -> tuple[Any, Any]:
+        steps = prepare(unravel(carry[0]))
+
+        def minibatch(carry: Any, part: Any) -> tuple[Any, Any]:
+            params, moments = carry
+            agents, loss_key = part
+            grads, losses = jax.grad(ppo_loss, has_aux=True)(
+                unravel(params),
+                networks,
+                normalizer,
+                jax.tree.map(lambda x: _flat(x[:, agents]), steps),
+                weights,
+                loss_key,
+            )
+            grads = jax.lax.pmean(ravel_pytree(grads)[0], AXIS)
+            updates: Any
+            updates, moments = optimizer.update(grads, moments)
+            return (params - learning_rate * updates, moments), losses
+
+        shuffle_key, loss_key = jax.random.split(key)
+        order = jax.random.permutation(shuffle_key, rollout.reward.shape[1])
+        parts = (
+            order.reshape(config.num_minibatches, -1),
+            jax.random.split(loss_key, config.num_minibatches),
+        )
+        return jax.lax.scan(minibatch, carry, parts)
+
+    (params, moments), losses = jax.lax.scan(
+        epoch, (start, state.optimizer), jax.random.split(key, config.num_epochs)
+    )
+    params = unravel(params)
+    learned = (normalizer, params.policy, params.value, moments)
+    return learned, jax.lax.pmean(jax.tree.map(jnp.mean, losses), AXIS)
+
+
+def _flat(x: jax.Array) -> jax.Array:
+    """Time and agents as one dimension, so that layers multiply plain matrices."""
+    return x.reshape(-1, *x.shape[2:])

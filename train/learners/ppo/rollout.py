@@ -1,0 +1,86 @@
+"""Collects steps of all agents with the policy in training."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.wrappers.brax import BraxParking
+
+# `(observation, key) -> (action, extras)` with Brax's extras of a stochastic policy.
+Actor = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]
+
+
+@struct.dataclass
+class Rollout:
+    """What an update learns from; arrays (time, agents, ...) but for the last one.
+
+    Attributes:
+        observation: what the agents saw before a step.
+        raw_action: actions as drawn, before tanh.
+        log_prob: their log-densities under the policy that drew them.
+        reward: of the step.
+        terminated: 1.0 where the step ended an episode for good.
+        truncated: 1.0 where it was cut off, by a timeout for instance.
+        final_observation: (agents, size) after the last step.
+    """
+
+    observation: jax.Array
+    raw_action: jax.Array
+    log_prob: jax.Array
+    reward: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+    final_observation: jax.Array
+
+
+@struct.dataclass
+class Totals:
+    """Sums over the steps of a rollout, (agents,) each.
+
+    Attributes:
+        episodes: episodes that ended.
+        episode_metrics: sums of their metrics, by name.
+        reward_terms: sums over all steps, by name.
+    """
+
+    episodes: jax.Array
+    episode_metrics: dict[str, jax.Array]
+    reward_terms: dict[str, jax.Array]
+
+
+def collect(
+    env: BraxParking, env_state: Any, actor: Actor, key: jax.Array, length: int
+) -> tuple[Any, Rollout, Totals]:
+    """Drives all agents for `length` steps; returns the state after them as well."""
+
+    def step(carry: Any, key: jax.Array) -> tuple[Any, Any]:
+        state, totals = carry
+        action, drawn = actor(state.obs, key)
+        after = env.step(state, action)
+        info = after.info
+        done = info["episode_done"]
+        ended = {name: x * done for name, x in info["episode_metrics"].items()}
+        sums = Totals(done, ended, info["reward_terms"])
+        totals = jax.tree.map(jnp.add, totals, sums)
+        taken = (
+            state.obs,
+            drawn["raw_action"],
+            drawn["log_prob"],
+            after.reward,
+            done - info["truncation"],
+            info["truncation"],
+        )
+        return (after, totals), taken
+
+    info = env_state.info
+    zeros = jax.tree.map(
+        jnp.zeros_like,
+        Totals(info["episode_done"], info["episode_metrics"], info["reward_terms"]),
+    )
+    (env_state, totals), taken = jax.lax.scan(
+        step, (env_state, zeros), jax.random.split(key, length)
+    )
+    return env_state, Rollout(*taken, final_observation=env_state.obs), totals

@@ -1,0 +1,53 @@
+"""The state of a PPO training, and how it lies on the devices."""
+
+from typing import Any
+
+import jax
+from flax import struct
+from jax.sharding import PartitionSpec
+
+AXIS = "lots"
+
+
+@struct.dataclass
+class TrainingState:
+    """Everything an exact resume needs.
+
+    Attributes:
+        normalizer: running statistics of the observations.
+        policy: actor parameters.
+        average: their mean over the last updates, the policy that a run leaves.
+        value: critic parameters.
+        optimizer: Adam's moments, of all parameters as one vector.
+        key: randomness of acting and shuffling.
+        update: () int32 updates made.
+        skipped: () int32 updates dropped because they were not finite.
+        env: the Brax state of all lots.
+    """
+
+    normalizer: Any
+    policy: Any
+    average: Any
+    value: Any
+    optimizer: Any
+    key: jax.Array
+    update: jax.Array
+    skipped: jax.Array
+    env: Any
+
+
+def state_specs() -> TrainingState:
+    """Lots are divided over the devices, the rest is on all of them."""
+    whole: Any = PartitionSpec()
+    lots: Any = PartitionSpec(AXIS)
+    return TrainingState(
+        normalizer=whole,
+        policy=whole,
+        average=whole,
+        value=whole,
+        optimizer=whole,
+        key=whole,
+        update=whole,
+        skipped=whole,
+        env=lots,
+    )
