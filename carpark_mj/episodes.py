@@ -165,16 +165,15 @@ class Episodes:
         """Keys of a step; `key`, that of the state before it, is consumed."""
         key, vehicles, sensor_key = self._split(key)
         reading, sensors = jax.random.split(sensor_key)
-        spawn = key
+        spawn = first_goals = relocate = key
         if self._config.episode.respawn:
-            key, spawn = jax.random.split(key)
-        n = self._config.num_agents  # agents take the parts 0 to n - 1
+            key, spawn, first_goals, relocate = jax.random.split(key, 4)
         return StepKeys(
             next=key,
             vehicles=vehicles,
             reading=reading,
             sensors=sensors,
             spawn=spawn,
-            first_goals=jax.random.fold_in(spawn, n),
-            relocate=jax.random.fold_in(spawn, n + 1),
+            first_goals=first_goals,
+            relocate=relocate,
         )
