@@ -25,7 +25,7 @@ from vehicle_suite.testbed import Testbed
 
 GRADES = (0.0, 0.05, 0.15)  # rise over run
 PEDALS = (0.0, 1e-6, 0.04, HOLD_PEDAL, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.85, 1.0)
-START = 1.0  # m/s, where no pedal is held
+START = 1.0  # m/s, above `HOLD_SPEED`
 BOTH_WAYS = (1.0, -1.0)  # along the car's x
 WEAK = (0.06, 0.3, 0.5)  # pedals that no car climbs the steepest slope with
 WIDTH = len(PEDALS) * 4  # cars of one call
