@@ -56,7 +56,7 @@ def state(learner):
 
 
 def canned_data(learner, state, seed: int) -> Transition:
-    """A made-up unroll (time, agents, ...) with terminations, as Brax takes it."""
+    """A made-up unroll (time, agents, ...) with terminations and truncations."""
     rng = np.random.default_rng(seed)
     shape = (TINY.unroll_length, AGENTS)
 
@@ -71,6 +71,7 @@ def canned_data(learner, state, seed: int) -> Transition:
     distribution = learner.networks.parametric_action_distribution
     raw = distribution.sample_no_postprocessing(logits, jax.random.key(seed))
     done = jnp.asarray(rng.random(shape) < 0.2, jnp.float32)
+    truncation = done * jnp.asarray(rng.random(shape) < 0.5, jnp.float32)
     return Transition(
         observation=observation,
         action=jnp.tanh(raw),
@@ -84,7 +85,7 @@ def canned_data(learner, state, seed: int) -> Transition:
                 "distribution_params": logits,
             },
             "state_extras": {
-                "truncation": jnp.zeros(shape),
+                "truncation": truncation,
                 "episode_done": done,
                 "episode_metrics": {},
             },
@@ -95,13 +96,14 @@ def canned_data(learner, state, seed: int) -> Transition:
 def as_rollout(data: Transition) -> Rollout:
     """The same as our update takes it."""
     extras: Any = data.extras
+    truncated = extras["state_extras"]["truncation"]
     return Rollout(
         observation=data.observation,
         raw_action=extras["policy_extras"]["raw_action"],
         log_prob=extras["policy_extras"]["log_prob"],
         reward=data.reward,
-        terminated=1.0 - data.discount,
-        truncated=extras["state_extras"]["truncation"],
+        terminated=1.0 - data.discount - truncated,
+        truncated=truncated,
         final_observation=data.next_observation[-1],
     )
 

@@ -1,7 +1,6 @@
 """Advantages of a rollout's actions and targets of the critic."""
 
 import jax
-import jax.numpy as jnp
 from brax.training.agents.ppo.losses import compute_gae
 
 from learners.ppo.rollout import Rollout
@@ -16,8 +15,7 @@ def compute_advantages(
 ) -> tuple[jax.Array, jax.Array]:
     """Generalised advantage estimation, Brax's.
 
-    What a truncated agent saw last is gone after its respawn; the value of the
-    observation before the step stands in for it, as in rsl_rl.
+    Truncated steps are masked, as in Brax: nothing is learned from them.
 
     Args:
         rollout: of the agents.
@@ -30,9 +28,9 @@ def compute_advantages(
         Advantages and value targets (time, agents), without gradients.
     """
     targets, advantages = compute_gae(
-        truncation=jnp.zeros_like(rollout.truncated),
-        termination=rollout.terminated + rollout.truncated,
-        rewards=rollout.reward + discount * rollout.truncated * values,
+        truncation=rollout.truncated,
+        termination=rollout.terminated,
+        rewards=rollout.reward,
         values=values,
         bootstrap_value=final_value,
         lambda_=gae_lambda,
