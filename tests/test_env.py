@@ -430,7 +430,7 @@ def test_states_and_time_steps_hold_no_weak_types():
 
 def stepped_pair(change):
     """One step from the same state, as it is and with something changed."""
-    state, _ = mjx_start(1)
+    state, _ = mjx_start(2)
     action = jnp.asarray(
         np.random.default_rng(2).uniform(-1, 1, (LOTS, 3, 2)), jnp.float32
     )
