@@ -18,6 +18,7 @@ from carpark_mj.vehicle import COMPACT
 from carpark_mj.vehicle.parameters import GRAVITY
 
 ROOT = Path(__file__).parents[2]
+ROOMY = 11  # seed of a start with room for a circle to the left and 12 m ahead
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_nothing_moves_when_nobody_touches_it(model):
 
 def test_a_script_without_carpark_mj_drives_stops_and_stands(tmp_path):
     path = tmp_path / "empty.xml"
-    main(SceneConfig(out=str(path), num_agents=1, num_parked_cars=0))
+    main(SceneConfig(out=str(path), num_agents=1, num_parked_cars=0, seed=ROOMY))
     done = subprocess.run(
         [sys.executable, "-I", str(ROOT / "examples" / "drive_scene.py"), str(path)],
         capture_output=True,
@@ -88,7 +89,7 @@ def test_a_script_without_carpark_mj_drives_stops_and_stands(tmp_path):
 def empty(tmp_path):
     """One car alone in the square, the file's text and model."""
     path = tmp_path / "empty.xml"
-    main(SceneConfig(out=str(path), num_agents=1, num_parked_cars=0))
+    main(SceneConfig(out=str(path), num_agents=1, num_parked_cars=0, seed=ROOMY))
     model = mujoco.MjModel.from_xml_path(str(path))
     return path.read_text(), model, mujoco.MjData(model)
 
