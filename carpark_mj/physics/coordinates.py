@@ -161,8 +161,13 @@ def pack_tyres(tyres: tuple[TyreState, ...]) -> TyreState:
 
 def centre_pose(at: Coordinates, vehicle: Vehicle) -> jax.Array:
     """Poses (..., 3) of the footprints' centres of cars (...)."""
+    return jnp.stack(unpacked_centre_pose(at, vehicle), axis=-1)
+
+
+def unpacked_centre_pose(at: Coordinates, vehicle: Vehicle) -> Vector:
+    """`centre_pose` as x, y and yaw (...)."""
     w, x, y, z = at.quaternion
     yaw = jnp.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
     centre_x = at.position[0] + vehicle.centre_offset * jnp.cos(yaw)
     centre_y = at.position[1] + vehicle.centre_offset * jnp.sin(yaw)
-    return jnp.stack([centre_x, centre_y, wrap_angle(yaw)], axis=-1)
+    return centre_x, centre_y, wrap_angle(yaw)

@@ -7,6 +7,8 @@ stay; `check_unrollable` says for which models the equations hold, and tests com
 them with `mjx.step` and with C MuJoCo.
 """
 
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -21,14 +23,25 @@ from carpark_mj.physics.coordinates import (
     centre_pose,
     pack_car,
     unpack_car,
+    unpacked_centre_pose,
 )
 from carpark_mj.physics.forces import drive_car
 from carpark_mj.physics.gravity import gravity_vector
-from carpark_mj.physics.masses import mass_properties
+from carpark_mj.physics.kernel import on_cuda, run_in_kernel
+from carpark_mj.physics.masses import MassProperties, mass_properties
 from carpark_mj.physics.newton_euler import advance
 from carpark_mj.vehicle import mjcf
 from carpark_mj.vehicle.vehicle import Vehicle
-from carpark_mj.vehicle.wheel import wheels_of
+from carpark_mj.vehicle.wheel import Wheel, wheels_of
+
+
+class _Fixed(NamedTuple):
+    """What stays the same of cars (...) over a control step, an array (...) each."""
+
+    vehicle: Vehicle
+    wheels: tuple[Wheel, ...]
+    masses: MassProperties
+    pedals: tuple[jax.Array, jax.Array]
 
 
 class UnrolledStep:
@@ -57,25 +70,58 @@ class UnrolledStep:
         Returns:
             The cars at its end, and poses (..., num_traces, 3) within the step.
         """
-        dt, dtype = self._sim.sim_dt, car.qpos.dtype
-        x, y, z = gravity_vector(self._sim)
-        gravity = jnp.asarray(x, dtype), jnp.asarray(y, dtype), jnp.asarray(z, dtype)
-        wheels, masses = wheels_of(vehicle), mass_properties(vehicle)
-        pedals = controls[..., 0], controls[..., 1]
-
-        def substep(car: Car) -> Car:
-            driven = drive_car(vehicle, wheels, car, pedals, dt)
-            at, targets = car.coordinates, driven.steering_targets
-            at = advance(masses, at, driven.forces, targets, gravity, dt)
-            return Car(at, driven.tyres, driven.actuators)
-
-        end, trace = run_substeps(
-            self._sim,
-            substep,
-            unpack_car(self._index, car),
-            lambda car: centre_pose(car.coordinates, vehicle),
+        lead = controls.ndim - 1
+        fixed = _Fixed(
+            # Parameters of more dimensions are unpacked in `wheels` and `masses`.
+            jax.tree.map(lambda x: x if x.ndim == lead else None, vehicle),
+            wheels_of(vehicle),
+            mass_properties(vehicle),
+            (controls[..., 0], controls[..., 1]),
+        )
+        start = unpack_car(self._index, car)
+        end, trace = on_cuda(
+            lambda: self._run_kernel(fixed, start), lambda: self._run_loop(fixed, start)
         )
         return pack_car(self._index, end), jnp.moveaxis(trace, 0, -2)
+
+    def _run_loop(self, fixed: _Fixed, car: Car) -> tuple[Car, jax.Array]:
+        return run_substeps(
+            self._sim,
+            lambda car: self._substep(fixed, car),
+            car,
+            lambda car: centre_pose(car.coordinates, fixed.vehicle),
+        )
+
+    def _run_kernel(self, fixed: _Fixed, car: Car) -> tuple[Car, jax.Array]:
+        """`_run_loop` in one kernel; of the poses carried, the oldest makes room."""
+        num_traces = self._sim.num_traces
+        stride = self._sim.num_substeps // num_traces
+
+        def control_step(args: tuple[_Fixed, Car]) -> tuple[Car, Any]:
+            fixed, car = args
+
+            def stretch(_: int, carry: tuple[Car, Any]) -> tuple[Car, Any]:
+                car, poses = carry
+                car = jax.lax.fori_loop(
+                    0, stride, lambda _, car: self._substep(fixed, car), car
+                )
+                pose = unpacked_centre_pose(car.coordinates, fixed.vehicle)
+                return car, (*poses[1:], pose)
+
+            poses = (car.coordinates.position,) * num_traces
+            return jax.lax.fori_loop(0, num_traces, stretch, (car, poses))
+
+        end, poses = run_in_kernel(control_step, (fixed, car))
+        return end, jnp.stack([jnp.stack(pose, -1) for pose in poses])
+
+    def _substep(self, fixed: _Fixed, car: Car) -> Car:
+        dt, dtype = self._sim.sim_dt, car.coordinates.position[0].dtype
+        x, y, z = gravity_vector(self._sim)
+        gravity = jnp.asarray(x, dtype), jnp.asarray(y, dtype), jnp.asarray(z, dtype)
+        driven = drive_car(fixed.vehicle, fixed.wheels, car, fixed.pedals, dt)
+        at, targets = car.coordinates, driven.steering_targets
+        at = advance(fixed.masses, at, driven.forces, targets, gravity, dt)
+        return Car(at, driven.tyres, driven.actuators)
 
 
 def check_unrollable(model: mujoco.MjModel) -> None:
