@@ -12,6 +12,7 @@ from brax.envs.base import Env
 from brax.envs.base import State as BraxState
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.physics.base import where_cars
 from carpark_mj.types import TimeStep
 
 
@@ -66,11 +67,15 @@ class BraxParking(Env):
             keys: (n,) consumed.
         """
         fresh = self.reset(keys)
+        num_lots = state.done.shape[0] // self.env.num_agents
+        is_drawn = jnp.arange(num_lots)[:, None] == lots
+        source, due = jnp.argmax(is_drawn, axis=1), jnp.any(is_drawn, axis=1)
 
+        # Gathered, not scattered: XLA aborts where it fuses scatters on a CPU (0.10).
         def put(old: jax.Array, new: jax.Array) -> jax.Array:
-            rows = new.shape[0] // lots.shape[0]  # 1, or the agents of a lot
-            index = (lots[:, None] * rows + jnp.arange(rows)).reshape(-1)
-            return old.at[index].set(new)
+            rows = old.shape[0] // num_lots  # 1, or the agents of a lot
+            index = source[:, None] * rows + jnp.arange(rows)
+            return where_cars(jnp.repeat(due, rows), new[index.reshape(-1)], old)
 
         return jax.tree.map(put, state, fresh)
 
