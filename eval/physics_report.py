@@ -13,7 +13,7 @@ from pathlib import Path
 
 import jax
 
-from carpark_mj.cli.common import enable_output_fusion, run_command
+from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.policy.checkpoints import require_writable
 from carpark_mj.vehicle import PRESETS, preset
@@ -82,7 +82,6 @@ def run(config: ReportConfig) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    enable_output_fusion()
     return run_command(
         "physics_report",
         lambda: run(read_flags(ReportConfig, arguments, description=__doc__)),

@@ -7,13 +7,8 @@ import shutil
 import tempfile
 
 os.environ["JAX_PLATFORMS"] = "cpu"
-# Most of the time goes into compiling programs that run once: a third less of it. The
-# other flag is that of the scripts (`cli.common.OUTPUT_FUSION`), under which XLA must
-# compile everything that they do.
-quick = (
-    "--xla_backend_optimization_level=0 "
-    "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
-)
+# Most of the time goes into compiling programs that run once: a third less of it.
+quick = "--xla_backend_optimization_level=0"
 os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}".strip()
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # Of this session only, and of all its processes: the same programs come again.

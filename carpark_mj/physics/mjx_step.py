@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 
 import jax
 import mujoco
@@ -26,7 +27,12 @@ class MjxStep:
     """The control step of cars of any leading shape, in MJX, on brush tyres."""
 
     def __init__(self, model: mujoco.MjModel, sim: SimConfig) -> None:
-        """Takes the model of a car; what a batch may mix is replaced in `__call__`."""
+        """Takes the model of a car; what a batch may mix is replaced in `__call__`.
+
+        Raises:
+            ValueError: under flags with which XLA cannot compile MJX.
+        """
+        _require_plain_fusion()
         self.index = CarIndex(model)
         self.sim = sim
         self.model = mjx.put_model(model)
@@ -79,6 +85,24 @@ class MjxStep:
         )
         data = mjx.step(model, data)
         return car._replace(qpos=data.qpos, qvel=data.qvel)
+
+
+def _require_plain_fusion() -> None:
+    """Checks that XLA on a CPU may compile MJX.
+
+    Its scatters share their indices, and where XLA 0.10 fuses such into one loop it
+    aborts the process: "Check failed: GetNumDims() == other.GetNumResults()".
+
+    Raises:
+        ValueError: the flags ask for such fusions.
+    """
+    fused = "xla_cpu_use_multi_output_fusion" in os.environ.get("XLA_FLAGS", "")
+    if fused and jax.default_backend() == "cpu":
+        raise ValueError(
+            "mjx.step, and with it contact tyres, cannot be compiled with XLA's "
+            "multi-output fusion: set the environment variable XLA_FLAGS to '' "
+            f"instead of {os.environ['XLA_FLAGS']!r}"
+        )
 
 
 def with_masses(model: mjx.Model, vehicle: Vehicle) -> mjx.Model:

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from carpark_mj.cli.common import OUTPUT_FUSION
+from carpark_mj.config import SimConfig
+from carpark_mj.physics import ContactPhysics, MjxPhysics
 
 ROOT = Path(__file__).parents[2]
 # What a script leaves behind: the flags, and a program compiled under them.
@@ -46,6 +48,39 @@ def run(script: str, flags: str | None) -> str:
 )
 def test_a_script_fuses_outputs_from_the_first_program_on(script):
     assert run(script, None) == f"True {OUTPUT_FUSION}"
+
+
+# What trains by default, and what draws lots anew and moves parked cars: XLA aborts where
+# it fuses scatters that share their indices.
+@pytest.mark.parametrize("preset", ["cpu", "cpu-mixture", "dynamic"])
+def test_training_compiles_with_fused_outputs(preset: str):
+    program = (
+        "import jax; from learners.ppo.learner import Learner; "
+        "from learners.ppo.presets import PRESETS; "
+        f"learner = Learner(PRESETS[{preset!r}]); "
+        "learner.compile().lower(learner.shapes()).compile()"
+    )
+    environment = os.environ | {
+        "XLA_FLAGS": f"--xla_backend_optimization_level=0 {OUTPUT_FUSION}",
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "train")]),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[:2000]
+
+
+def test_mjx_is_refused_where_xla_would_abort(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", OUTPUT_FUSION)
+    assert MjxPhysics(SimConfig())  # the unrolled step
+    for sim in (SimConfig(stepper="mjx"), SimConfig(sim_dt=0.004, tyres="contact")):
+        kind = MjxPhysics if sim.tyres == "brush" else ContactPhysics
+        with pytest.raises(ValueError, match="set the environment variable XLA_FLAGS"):
+            kind(sim)
 
 
 @pytest.mark.parametrize("flags", ["", "--xla_cpu_enable_fast_math=false"])
