@@ -50,7 +50,7 @@ def test_a_script_fuses_outputs_from_the_first_program_on(script):
     assert run(script, None) == f"True {OUTPUT_FUSION}"
 
 
-# What trains by default, and what draws lots anew and moves parked cars: XLA aborts where
+# What trains by default, what draws lots anew, what moves parked cars: XLA aborts where
 # it fuses scatters that share their indices.
 @pytest.mark.parametrize("preset", ["cpu", "cpu-mixture", "dynamic"])
 def test_training_compiles_with_fused_outputs(preset: str):
