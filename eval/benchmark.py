@@ -18,7 +18,7 @@ import dataclasses
 import signal
 import sys
 from collections.abc import Sequence
-from typing import get_args
+from typing import Literal, get_args
 
 from benchmarking.checkouts import here, other_checkout
 from benchmarking.records import Clock, Job, What
@@ -28,7 +28,7 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import EnvConfig
 
-CARS = ("brush", "mjx.step", "contact")
+Cars = Literal["brush", "mjx.step", "contact"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +41,7 @@ class BenchmarkConfig:
             or tag of this repository; empty = none.
         batches: numbers of lots simulated in parallel; for `physics`, of cars.
         layouts: names of the layouts of `env`.
+        cars: cars of `physics`, by tyres or stepper.
         num_agents: number of agents in each lot of `env`.
         num_parked_cars: number of parked cars in each lot of `env`.
         preset: preset of `ppo`, with the batch as its number of lots; `auto` chooses by
@@ -58,6 +59,7 @@ class BenchmarkConfig:
     against: str = ""
     batches: tuple[int, ...] = (128,)
     layouts: tuple[str, ...] = ("tanner",)
+    cars: tuple[Cars, ...] = get_args(Cars)
     num_agents: int = EnvConfig.num_agents
     num_parked_cars: int = EnvConfig.num_parked_cars
     preset: str = "auto"
@@ -75,13 +77,13 @@ class BenchmarkConfig:
                 )
         if not self.batches or min(self.batches) < 1:
             raise ValueError(f"batches must be positive, not {self.batches}")
-        for name in ("what", "layouts"):
+        for name in ("what", "layouts", "cars"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must name at least one")
 
     def jobs(self) -> list[Job]:
         """What each round measures."""
-        variants = {"env": self.layouts, "ppo": (self.preset,), "physics": CARS}
+        variants = {"env": self.layouts, "ppo": (self.preset,), "physics": self.cars}
         return [
             Job(
                 what,

@@ -82,7 +82,7 @@ class PPOConfig(RunConfig):
     """
 
     preset: Annotated[PresetName, _BY_HARDWARE] = "auto"
-    num_steps: int = 10_000_000
+    num_steps: int = 40_000_000
     num_lots: int = 64
     lot_life: int = 16
     unroll_length: int = 64
