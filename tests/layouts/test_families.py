@@ -32,7 +32,8 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.tight import TightConfig, draw_tight_bay
-from carpark_mj.mdp.spawning.poses import spawn_keys, spawn_pose
+from carpark_mj.mdp.spawning.draws import draw_uniform
+from carpark_mj.mdp.spawning.poses import spawn_pose, spawn_shapes
 from carpark_mj.vehicle import COMPACT
 
 KEYS = 60
@@ -142,7 +143,8 @@ def spawned(batch, keys):
         chance = jax.random.uniform(goal_key, layout.bay_mask.shape)
         goal = layout.bay_pose[jnp.argmax(jnp.where(layout.bay_mask, chance, -1.0))]
         nobody = surroundings_of(layout)
-        return spawn_pose(spawn, layout, nobody, goal, spawn_keys(key))
+        draws = draw_uniform(spawn_shapes(spawn), key)
+        return spawn_pose(spawn, layout, nobody, goal, draws)
 
     return jax.vmap(jax.vmap(one, (None, 0)))(batch, keys)
 
