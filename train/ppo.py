@@ -33,7 +33,6 @@ def configure_jax() -> None:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Trains; returns the exit code."""
-    choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
     from learners.memory import require_memory
     from learners.ppo.config import RUN_SETTINGS
     from learners.ppo.learner import Learner
@@ -63,6 +62,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
+    choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
     configure_jax()
     keep_compiled_programs()
     return run_command("ppo", lambda: run(arguments))
