@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarking.broad_phase import SCENES, make_env, measure
-from carpark_mj.cli.common import run_command
+from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
 
 COLUMNS = (
@@ -89,6 +89,7 @@ def run(config: BroadPhaseConfig) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
+    enable_output_fusion()
     return run_command(
         "broad_phase",
         lambda: run(read_flags(BroadPhaseConfig, arguments, description=__doc__)),

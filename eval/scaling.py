@@ -24,7 +24,7 @@ from benchmarking.scaling import (
     read_points,
     write_points,
 )
-from carpark_mj.cli.common import run_command
+from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.policy.checkpoints import require_writable
 
@@ -102,6 +102,7 @@ def run(config: ScalingConfig) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
+    enable_output_fusion()
     return run_command(
         "scaling",
         lambda: run(read_flags(ScalingConfig, arguments, description=__doc__)),
