@@ -81,6 +81,11 @@ AGREED = (
 
 ABSENT = (
     Absent(
+        ("unrolled step against mjx.step",),
+        "contact",
+        "Contact wheels need MuJoCo's solver: there is no unrolled step.",
+    ),
+    Absent(
         ("drag, locked axle", "radius, locked axle"),
         "contact",
         "One wheel of a rigid coupled pair always slides whole, with mu F_z whatever "
