@@ -141,7 +141,7 @@ def _program(x64: bool, stepper: str):
     Arguments: carried state, cars, signs of locked wheels, signals (CHUNK, WIDTH, 6),
     gravity (CHUNK, WIDTH, 3), substep. Call it with x64 switched to match.
     """
-    move = {"unrolled": _move_unrolled, "mjx": _move_in_mjx()}[stepper]
+    move = _move_unrolled if stepper == "unrolled" else _move_in_mjx()
 
     def substep(carry, vehicle: Vehicle, locked, signal, gravity, dt):
         qpos, qvel, tyres, couple = carry

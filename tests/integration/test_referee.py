@@ -1,5 +1,10 @@
 """Our car beside CommonRoad's multi-body, drift and kinematic models."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -59,3 +64,18 @@ def test_our_car_has_the_published_figures():
     assert car.wheelbase == published.a + published.b
     assert car.cg_to_rear_axle == pytest.approx(published.b)
     assert car.yaw_inertia == published.I_z
+
+
+def test_the_script_writes_its_page(tmp_path):
+    """As a user starts it: with the flags that it sets itself."""
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    script = Path(__file__).parents[2] / "eval" / "referee.py"
+    done = subprocess.run(
+        [sys.executable, str(script), "--out", str(tmp_path)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "referee.md").exists()
