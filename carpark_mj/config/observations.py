@@ -112,8 +112,8 @@ class ContinuousObservation:
     """Real numbers of order 1, listed in `carpark_mj.observations.continuous`.
 
     Attributes:
-        tracked_agents: number of nearest other agents observed.
-        tracked_parked_cars: number of nearest parked cars observed.
+        tracked_agents: most nearest other agents observed; fewer in a lot of fewer.
+        tracked_parked_cars: most nearest parked cars observed; fewer in a lot of fewer.
         view: region in which cars and free bays are tracked.
         share: what is observed of tracked agents in addition to their poses.
         global_information: observe, for the goal or every tracked bay, the distances to
@@ -126,8 +126,8 @@ class ContinuousObservation:
         encoding: tag of this config.
     """
 
-    tracked_agents: int = 2
-    tracked_parked_cars: int = 2
+    tracked_agents: int = 6
+    tracked_parked_cars: int = 4
     view: ViewConfig = dataclasses.field(default_factory=ViewConfig)
     share: ShareConfig = dataclasses.field(default_factory=ShareConfig)
     global_information: bool = False
@@ -135,7 +135,7 @@ class ContinuousObservation:
     rings: RingConfig = dataclasses.field(
         default_factory=lambda: RingConfig((5.0, 6.2, 8.0))
     )
-    rays: RayConfig = dataclasses.field(default_factory=RayConfig)
+    rays: RayConfig = dataclasses.field(default_factory=lambda: RayConfig(24))
     lane: bool = False
     encoding: Literal["continuous"] = "continuous"
 

@@ -14,7 +14,12 @@ from carpark_mj.types import NO_BAY, Motion
 
 BAY_FIELDS = (
     Field(
-        "present", 1, 0.0, 1.0, "1 if there is such a bay; else all its numbers are 0"
+        "present",
+        1,
+        0.0,
+        1.0,
+        "1 if there is such a bay; else all its numbers are 0",
+        is_mask=True,
     ),
     *POSE_FIELDS,
     Field("size", 2, 0.0, 2.0, f"length and width less own [{LENGTH:g} m]"),

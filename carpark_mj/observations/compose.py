@@ -1,9 +1,16 @@
 """The observation vector of an environment: its encoding's values in declared order."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import ContinuousObservation, EnvConfig, TannerObservation
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    Observation,
+    TannerObservation,
+)
 from carpark_mj.observations.continuous import continuous_fields, continuous_values
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.indices import index_fields, index_values
@@ -16,7 +23,7 @@ def make_fields(config: EnvConfig) -> tuple[Field, ...]:
 
     `observe`, the vector's size and the table in the documentation all read them.
     """
-    observation, goals = config.observation, config.goals
+    observation, goals = slots(config), config.goals
     num_tracked_bays = goals.num_tracked_bays if goals.dynamic else 0
     if isinstance(observation, ContinuousObservation):
         return tuple(continuous_fields(observation, num_tracked_bays))
@@ -27,7 +34,7 @@ def make_fields(config: EnvConfig) -> tuple[Field, ...]:
 
 def observe(config: EnvConfig, state: State) -> jax.Array:
     """What the agents of a lot observe, (num_agents, observation_size) float32."""
-    observation, ctrl_dt = config.observation, config.sim.ctrl_dt
+    observation, ctrl_dt = slots(config), config.sim.ctrl_dt
     if isinstance(observation, ContinuousObservation):
         values = continuous_values(observation, state)
     elif isinstance(observation, TannerObservation):
@@ -38,6 +45,23 @@ def observe(config: EnvConfig, state: State) -> jax.Array:
     if values:
         raise AssertionError(f"undeclared observation fields: {sorted(values)}")
     return jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
+
+
+def slots(config: EnvConfig) -> Observation:
+    """The observation with as many slots as the lot's cars can fill.
+
+    One slot stays where there are no such cars, so that a network that reads sets of
+    cars has the same weights whatever their number.
+    """
+    observation = config.observation
+    if not isinstance(observation, ContinuousObservation):
+        return observation
+    agents, parked = max(config.num_agents - 1, 1), max(config.num_parked_cars, 1)
+    return dataclasses.replace(
+        observation,
+        tracked_agents=min(observation.tracked_agents, agents),
+        tracked_parked_cars=min(observation.tracked_parked_cars, parked),
+    )
 
 
 def observation_size(config: EnvConfig) -> int:

@@ -17,6 +17,8 @@ LENGTH = 5.0  # m, about a car
 # Entities that are observed several times over: other agents, parked cars, both in one
 # list, and tracked bays.
 Group = Literal["", "agent", "parked_car", "car", "bay"]
+# Groups whose slots mean something: actions name tracked bays by their slots.
+ORDERED: tuple[Group, ...] = ("bay",)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Field:
         group: the repeated entity it describes; "" if it describes none. All entities
             of a group have the same fields in the same order, next to each other.
         index: which of the group, from 0.
+        is_mask: whether it is 1 where the entity is present, and 0 where it is not.
     """
 
     name: str
@@ -42,6 +45,7 @@ class Field:
     meaning: str
     group: Group = ""
     index: int = 0
+    is_mask: bool = False
 
 
 def repeated(group: Group, count: int, fields: Iterable[Field]) -> list[Field]:

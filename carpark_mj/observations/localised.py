@@ -13,7 +13,12 @@ POSE_FIELDS = (
 )
 CAR_FIELDS = (
     Field(
-        "present", 1, 0.0, 1.0, "1 if there is such a car; else all its numbers are 0"
+        "present",
+        1,
+        0.0,
+        1.0,
+        "1 if there is such a car; else all its numbers are 0",
+        is_mask=True,
     ),
     *POSE_FIELDS,
     Field("size", 2, 0.0, 2.0, f"length and width [{LENGTH:g} m]"),

@@ -1,25 +1,27 @@
-"""Actor and critic: Brax's PPO networks, sized by a frozen config."""
+"""Actor and critic, sized by a frozen config, behind Brax's PPO interface."""
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 from brax.training import networks as brax_networks
-from brax.training.acme import running_statistics
 from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
 from jax.tree_util import Partial
 
+from carpark_mj.config.checks import choose, whole
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.fields import Field
+from carpark_mj.observations.sets import OWN, ObservationSets, observation_sets
 from carpark_mj.policy.distributions import action_distribution
+from carpark_mj.policy.encoder import SetEncoder
+from carpark_mj.policy.normalizer import Normalizer, normalize
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]
 
-# Smallest standard deviation by which observations (scaled to about 1) are divided:
-# what hardly varied in training (sizes in a lot of equal bays) must not swamp the
-# network where it differs.
-MIN_STD = 0.1
+EncoderName = Literal["set", "flat"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,10 +31,18 @@ class NetworkConfig:
     Attributes:
         policy_layers: sizes of the actor's hidden layers.
         value_layers: sizes of the critic's hidden layers.
+        encoder: what comes before them. `set`: all cars of a kind go through the same
+            layers, see `carpark_mj.policy.encoder`; the weights fit any number of cars.
+            `flat`: nothing, they read the vector as it is.
+        own_size: features that `set` makes of the own numbers.
+        entity_size: features that `set` makes of a set of entities.
     """
 
     policy_layers: tuple[int, ...] = (128, 128)
     value_layers: tuple[int, ...] = (128, 128)
+    encoder: EncoderName = "set"
+    own_size: int = 128
+    entity_size: int = 64
 
     def __post_init__(self) -> None:
         for name in ("policy_layers", "value_layers"):
@@ -40,39 +50,86 @@ class NetworkConfig:
                 raise ValueError(
                     f"{name} must be positive sizes, not {getattr(self, name)}"
                 )
+        choose("encoder", self.encoder, EncoderName)
+        whole(self, 1, "own_size", "entity_size")
+
+
+def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> ObservationSets:
+    """The parts in which the networks read observations with these fields."""
+    if config.encoder == "set":
+        return observation_sets(fields)
+    return ObservationSets(sum(field.size for field in fields))
+
+
+class Network(linen.Module):
+    """Encoder and hidden layers.
+
+    Attributes:
+        inputs: see `network_inputs`.
+        config: the encoder.
+        layers: sizes of the layers after it, the output included.
+    """
+
+    inputs: ObservationSets
+    config: NetworkConfig
+    layers: tuple[int, ...]
+
+    @linen.compact
+    def __call__(
+        self, parts: dict[str, jax.Array], present: dict[str, jax.Array]
+    ) -> jax.Array:
+        """The output (..., layers[-1])."""
+        hidden = parts[OWN]
+        if self.config.encoder == "set":
+            encoder = SetEncoder(
+                self.inputs, self.config.own_size, self.config.entity_size
+            )
+            hidden = encoder(parts, present)
+        return brax_networks.MLP(list(self.layers), activation=linen.swish)(hidden)
 
 
 def make_networks(
-    config: NetworkConfig, observation_size: int, action: ActionSpec
+    config: NetworkConfig, fields: Sequence[Field], action: ActionSpec
 ) -> ppo_networks.PPONetworks:
-    """Builds actor and critic over normalised observations.
+    """Builds actor and critic over observations with the given fields.
 
-    Like `ppo_networks.make_ppo_networks`, which has no categorical distribution.
+    They take a `Normalizer` of `network_inputs(config, fields)`.
     """
-    normalize: Any = running_statistics.normalize  # wider than Brax asks for
+    inputs = network_inputs(config, fields)
     distribution = action_distribution(action)
+    policy_layers = (*config.policy_layers, distribution.param_size)
+    value_layers = (*config.value_layers, 1)
     networks: Any = ppo_networks.PPONetworks  # its fields are hidden from Pyright
     return networks(
-        policy_network=brax_networks.make_policy_network(
-            distribution.param_size,
-            observation_size,
-            preprocess_observations_fn=normalize,
-            hidden_layer_sizes=config.policy_layers,
-            activation=linen.swish,
-        ),
-        value_network=brax_networks.make_value_network(
-            observation_size,
-            preprocess_observations_fn=normalize,
-            hidden_layer_sizes=config.value_layers,
-            activation=linen.swish,
-        ),
+        policy_network=_feed_forward(Network(inputs, config, policy_layers)),
+        value_network=_feed_forward(Network(inputs, config, value_layers), True),
         parametric_action_distribution=distribution,
     )
 
 
+def _feed_forward(
+    network: Network, scalar: bool = False
+) -> brax_networks.FeedForwardNetwork:
+    """A network of raw observations; a `scalar` one drops its last dimension."""
+    inputs = network.inputs
+
+    def init(key: jax.Array) -> Any:
+        parts = inputs.split(jnp.zeros((1, inputs.size)))
+        return network.init(key, parts, inputs.present(parts))
+
+    def apply(normalizer: Normalizer, params: Any, observation: jax.Array) -> jax.Array:
+        parts = inputs.split(observation)
+        output: Any = network.apply(
+            params, normalize(normalizer, parts), inputs.present(parts)
+        )
+        return output[..., 0] if scalar else output
+
+    return brax_networks.FeedForwardNetwork(init=init, apply=apply)
+
+
 def make_policy(
     networks: ppo_networks.PPONetworks,
-    normalizer: Any,
+    normalizer: Normalizer,
     policy_params: Any,
     deterministic: bool,
 ) -> Policy:

@@ -21,11 +21,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.acme import running_statistics, specs
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import FAMILIES
+from carpark_mj.observations import make_fields
 from carpark_mj.observations.indices import cardinalities
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -34,12 +34,14 @@ from carpark_mj.policy.networks import (
     Policy,
     make_networks,
     make_policy,
+    network_inputs,
 )
+from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.policy.q_table import make_table_policy
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
-CONFIG_VERSION = 2
+CONFIG_VERSION = 3
 Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
 
 
@@ -205,14 +207,6 @@ class LoadedPolicy:
     path: Path
 
 
-def init_normalizer(observation_size: int) -> Any:
-    """Running statistics of observations at the start of training."""
-    state = running_statistics.init_state(
-        specs.Array((observation_size,), np.dtype("float32"))
-    )
-    return jax.tree.map(jnp.asarray, state)
-
-
 def _load_table(path: Path, header: dict[str, Any], env: EnvConfig) -> LoadedPolicy:
     """Loads the best of the tables of a Q-learning run; they are deterministic."""
     sizes, choices = cardinalities(env), env.grid.choices
@@ -243,10 +237,12 @@ def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
         env = ParkingEnv(env_config)
     except (KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"{path} has an unusable config: {error}") from None
-    networks = make_networks(network_config, env.observation_size, env.action_spec)
+    fields = make_fields(env_config)
+    networks = make_networks(network_config, fields, env.action_spec)
+    inputs = network_inputs(network_config, fields)
     template = jax.eval_shape(
         lambda: {
-            "normalizer": init_normalizer(env.observation_size),
+            "normalizer": init_normalizer(inputs),
             "average": networks.policy_network.init(jax.random.key(0)),
         }
     )

@@ -10,7 +10,7 @@ def compute_advantages(
     rollout: Rollout,
     values: jax.Array,
     final_value: jax.Array,
-    discount: float,
+    discount: jax.Array | float,
     gae_lambda: float,
 ) -> tuple[jax.Array, jax.Array]:
     """Generalised advantage estimation, Brax's.

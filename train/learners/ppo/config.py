@@ -9,6 +9,7 @@ from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import at_least, positive, ratio
 from carpark_mj.policy.networks import NetworkConfig
+from learners.ppo.curriculum_config import CurriculumConfig
 from learners.run_folder import RunConfig
 
 PresetName = Literal[
@@ -65,7 +66,7 @@ class PPOConfig(RunConfig):
         entropy_cost_end: weight of the entropy bonus at the end; linear in between.
         clip: PPO's clipping of the probability ratio at the start.
         clip_end: clipping of the probability ratio at the end; linear in between.
-        discount: discount factor per control step.
+        discount: discount factor per control step, at the start.
         gae_lambda: lambda of generalised advantage estimation.
         max_grad_norm: global norm to which gradients are clipped.
         averaged_updates: the policy that is evaluated is the exponential moving average
@@ -77,7 +78,8 @@ class PPOConfig(RunConfig):
             `checkpoint_minutes`.
         eval_episodes: episodes of the evaluation at the end; 0 = none.
         video_seconds: length of the video at the end [s]; 0 = none.
-        networks: hidden layers of actor and critic.
+        curriculum: what is easier, or different, in training than in evaluation.
+        networks: layers of actor and critic.
         env: the environment.
     """
 
@@ -103,6 +105,7 @@ class PPOConfig(RunConfig):
     checkpoint_updates: int = 0
     eval_episodes: int = 1024
     video_seconds: float = 20.0
+    curriculum: CurriculumConfig = dataclasses.field(default_factory=CurriculumConfig)
     networks: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
     env: EnvConfig = dataclasses.field(default_factory=EnvConfig)
 

@@ -5,24 +5,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks
 from jax.flatten_util import ravel_pytree
 
-from carpark_mj.policy.networks import MIN_STD
+from carpark_mj.observations.sets import ObservationSets
+from carpark_mj.policy.normalizer import update_normalizer
 from learners.ppo.advantages import compute_advantages
 from learners.ppo.config import PPOConfig
+from learners.ppo.curriculum import discount, schedule
 from learners.ppo.loss import Minibatch, Weights, ppo_loss
 from learners.ppo.rollout import Rollout
 from learners.ppo.state import AXIS, TrainingState
 
 Learned = tuple[Any, Any, Any, Any]
-
-
-def schedule(start: float, end: float, progress: jax.Array) -> jax.Array:
-    """Linear from `start` to `end` as `progress` goes from 0 to 1."""
-    return start + (end - start) * jnp.clip(progress, 0.0, 1.0)
 
 
 def network_params(policy: Any, value: Any) -> Any:
@@ -34,6 +30,7 @@ def network_params(policy: Any, value: Any) -> Any:
 def learn(
     config: PPOConfig,
     networks: PPONetworks,
+    inputs: ObservationSets,
     optimizer: optax.GradientTransformation,
     state: TrainingState,
     rollout: Rollout,
@@ -53,11 +50,8 @@ def learn(
         entropy_cost=schedule(config.entropy_cost, config.entropy_cost_end, progress),
         clip=schedule(config.clip, config.clip_end, progress),
     )
-    normalizer = running_statistics.update(
-        state.normalizer,
-        rollout.observation,
-        std_min_value=MIN_STD,
-        pmap_axis_name=AXIS,
+    normalizer = update_normalizer(
+        inputs, state.normalizer, rollout.observation, AXIS
     )
     # One vector: one all-reduce and one Adam step instead of one for every layer.
     start, unravel = ravel_pytree(network_params(state.policy, state.value))
@@ -73,7 +67,7 @@ def learn(
             rollout,
             value(_flat(rollout.observation)).reshape(rollout.reward.shape),
             value(rollout.final_observation),
-            config.discount,
+            discount(config, progress),
             config.gae_lambda,
         )
         return Minibatch(

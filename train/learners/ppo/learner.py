@@ -14,11 +14,13 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.policy.networks import make_networks, make_policy
-from carpark_mj.policy.runs import init_normalizer
+from carpark_mj.observations import make_fields
+from carpark_mj.policy.networks import make_networks, make_policy, network_inputs
+from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
 from learners.memory import num_bytes
 from learners.ppo.config import PPOConfig
+from learners.ppo.curriculum import crash_scale, training_env
 from learners.ppo.epochs import learn, network_params
 from learners.ppo.rollout import Rollout, Totals, collect
 from learners.ppo.state import AXIS, TrainingState, state_specs
@@ -50,11 +52,11 @@ class Learner:
     def __init__(self, config: PPOConfig) -> None:
         """Sets up environment, networks, optimiser and mesh."""
         self.config = config
-        self.env = BraxParking(ParkingEnv(config.env))
+        self.env = BraxParking(ParkingEnv(training_env(config)))
         self.renews_lots = config.lot_life > 0 and self.env.env.layout_config.is_random
-        self.networks = make_networks(
-            config.networks, self.env.observation_size, self.env.env.action_spec
-        )
+        fields, action = make_fields(config.env), self.env.env.action_spec
+        self.inputs = network_inputs(config.networks, fields)
+        self.networks = make_networks(config.networks, fields, action)
         self.optimizer = optax.chain(
             optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam()
         )
@@ -75,7 +77,7 @@ class Learner:
             self.networks.value_network.init(value_key),
         )
         state = TrainingState(
-            normalizer=init_normalizer(self.env.observation_size),
+            normalizer=init_normalizer(self.inputs),
             policy=params.policy,
             average=params.policy,
             value=params.value,
@@ -152,6 +154,7 @@ class Learner:
         learned, losses = learn(
             self.config,
             self.networks,
+            self.inputs,
             self.optimizer,
             state,
             rollout,
@@ -196,7 +199,10 @@ class Learner:
         if self.config.hitbox_scale != 1.0:  # data, so nothing recompiles at its end
             aided = state.update < self.config.hitbox_updates
             env = BraxParking(env.env, jnp.where(aided, self.config.hitbox_scale, 1.0))
-        return collect(env, state.env, actor, key, self.config.unroll_length)
+        progress = state.update / self.config.num_updates
+        scales = {"crash": crash_scale(self.config.curriculum, progress)}
+        length = self.config.unroll_length
+        return collect(env, state.env, actor, key, length, scales)
 
     def _renew(self, env_state: Any, update: jax.Array, key: jax.Array) -> Any:
         """Draws the lots that are due anew (one device's share).

@@ -1,6 +1,6 @@
 """Collects steps of all agents with the policy in training."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -52,9 +52,24 @@ class Totals:
 
 
 def collect(
-    env: BraxParking, env_state: Any, actor: Actor, key: jax.Array, length: int
+    env: BraxParking,
+    env_state: Any,
+    actor: Actor,
+    key: jax.Array,
+    length: int,
+    scales: Mapping[str, jax.Array],
 ) -> tuple[Any, Rollout, Totals]:
-    """Drives all agents for `length` steps; returns the state after them as well."""
+    """Drives all agents for some steps; returns the state after them as well.
+
+    Args:
+        env: all lots.
+        env_state: before.
+        actor: the policy.
+        key: consumed.
+        length: steps.
+        scales: () factors on reward terms, by name, in the rewards to learn from. What
+            is reported has none.
+    """
 
     def step(carry: Any, key: jax.Array) -> tuple[Any, Any]:
         state, totals = carry
@@ -69,7 +84,7 @@ def collect(
             state.obs,
             drawn["raw_action"],
             drawn["log_prob"],
-            after.reward,
+            after.reward + _change(scales, info["reward_terms"]),
             done - info["truncation"],
             info["truncation"],
         )
@@ -84,3 +99,11 @@ def collect(
         step, (env_state, zeros), jax.random.split(key, length)
     )
     return env_state, Rollout(*taken, final_observation=env_state.obs), totals
+
+
+def _change(
+    scales: Mapping[str, jax.Array], terms: Mapping[str, jax.Array]
+) -> jax.Array:
+    """What factors on reward terms (agents,) add to their sum."""
+    changes = [(scale - 1.0) * terms[name] for name, scale in scales.items()]
+    return sum(changes, jnp.zeros(()))
