@@ -61,8 +61,8 @@ def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> Observatio
     return ObservationSets(sum(field.size for field in fields))
 
 
-class Network(linen.Module):
-    """Encoder and hidden layers.
+class SetNetwork(linen.Module):
+    """The set encoder and hidden layers.
 
     Attributes:
         inputs: see `network_inputs`.
@@ -79,12 +79,8 @@ class Network(linen.Module):
         self, parts: dict[str, jax.Array], present: dict[str, jax.Array]
     ) -> jax.Array:
         """The output (..., layers[-1])."""
-        hidden = parts[OWN]
-        if self.config.encoder == "set":
-            encoder = SetEncoder(
-                self.inputs, self.config.own_size, self.config.entity_size
-            )
-            hidden = encoder(parts, present)
+        encoder = SetEncoder(self.inputs, self.config.own_size, self.config.entity_size)
+        hidden = encoder(parts, present)
         return brax_networks.MLP(list(self.layers), activation=linen.swish)(hidden)
 
 
@@ -97,34 +93,55 @@ def make_networks(
     """
     inputs = network_inputs(config, fields)
     distribution = action_distribution(action)
-    policy_layers = (*config.policy_layers, distribution.param_size)
-    value_layers = (*config.value_layers, 1)
     networks: Any = ppo_networks.PPONetworks  # its fields are hidden from Pyright
+    if config.encoder == "flat":
+        policy = brax_networks.make_policy_network(
+            distribution.param_size,
+            inputs.size,
+            preprocess_observations_fn=_normalize_own,
+            hidden_layer_sizes=config.policy_layers,
+            activation=linen.swish,
+        )
+        value = brax_networks.make_value_network(
+            inputs.size,
+            preprocess_observations_fn=_normalize_own,
+            hidden_layer_sizes=config.value_layers,
+            activation=linen.swish,
+        )
+    else:
+        layers = (*config.policy_layers, distribution.param_size)
+        policy = _set_network(SetNetwork(inputs, config, layers))
+        value = _set_network(SetNetwork(inputs, config, (*config.value_layers, 1)))
+        value = dataclasses.replace(value, apply=_scalar(value.apply))
     return networks(
-        policy_network=_feed_forward(Network(inputs, config, policy_layers)),
-        value_network=_feed_forward(Network(inputs, config, value_layers), True),
+        policy_network=policy,
+        value_network=value,
         parametric_action_distribution=distribution,
     )
 
 
-def _feed_forward(
-    network: Network, scalar: bool = False
-) -> brax_networks.FeedForwardNetwork:
-    """A network of raw observations; a `scalar` one drops its last dimension."""
+def _normalize_own(observation: Any, normalizer: Any) -> Any:
+    return normalize(normalizer, {OWN: observation})[OWN]
+
+
+def _set_network(network: SetNetwork) -> brax_networks.FeedForwardNetwork:
     inputs = network.inputs
 
     def init(key: jax.Array) -> Any:
         parts = inputs.split(jnp.zeros((1, inputs.size)))
         return network.init(key, parts, inputs.present(parts))
 
-    def apply(normalizer: Normalizer, params: Any, observation: jax.Array) -> jax.Array:
+    def apply(normalizer: Normalizer, params: Any, observation: jax.Array) -> Any:
         parts = inputs.split(observation)
-        output: Any = network.apply(
-            params, normalize(normalizer, parts), inputs.present(parts)
-        )
-        return output[..., 0] if scalar else output
+        present = inputs.present(parts)
+        return network.apply(params, normalize(normalizer, parts), present)
 
     return brax_networks.FeedForwardNetwork(init=init, apply=apply)
+
+
+def _scalar(apply: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+    """The same without the output's dimension of one."""
+    return lambda *args: apply(*args)[..., 0]
 
 
 def make_policy(

@@ -17,8 +17,15 @@ from scipy import special, stats
 from carpark_mj.mdp.actions import ActionSpec, sanitize_indices
 from carpark_mj.policy.baselines import random_policy, zero_policy
 from carpark_mj.policy.distributions import action_distribution
-from carpark_mj.policy.networks import NetworkConfig, make_networks, make_policy
-from carpark_mj.policy.runs import init_normalizer
+from carpark_mj.observations.fields import Field
+from carpark_mj.observations.sets import OWN
+from carpark_mj.policy.networks import (
+    NetworkConfig,
+    make_networks,
+    make_policy,
+    network_inputs,
+)
+from carpark_mj.policy.normalizer import init_normalizer
 
 GRID = ActionSpec(0, (5, 7, 3))
 MIXED = ActionSpec(2, (3,))
@@ -70,8 +77,9 @@ def test_there_are_parameters_for_every_number_and_every_choice(spec, size):
 
 
 def test_numbers_alone_are_exactly_brax_s_networks():
-    config = NetworkConfig((8, 8), (8,))
-    ours = make_networks(config, 5, ActionSpec(2))
+    config = NetworkConfig((8, 8), (8,), encoder="flat")
+    fields = [Field("x", 5, -1.0, 1.0, "")]
+    ours = make_networks(config, fields, ActionSpec(2))
     theirs = ppo_networks.make_ppo_networks(
         5,
         2,
@@ -81,16 +89,17 @@ def test_numbers_alone_are_exactly_brax_s_networks():
     )
     assert type(ours.parametric_action_distribution) is NormalTanhDistribution
     observation = jax.random.normal(jax.random.key(2), (3, 5))
-    normalizer = init_normalizer(5)
+    normalizer = init_normalizer(network_inputs(config, fields))
 
     for part in ("policy_network", "value_network"):
 
-        def start(networks, part=part):
+        def start(networks, normalizer, part=part):
             network = getattr(networks, part)
             params = network.init(jax.random.key(0))
             return params, network.apply(normalizer, params, observation)
 
-        found = [jax.jit(lambda n=n: start(n))() for n in (ours, theirs)]
+        pairs = (ours, normalizer), (theirs, normalizer[OWN])
+        found = [jax.jit(lambda pair=pair: start(*pair))() for pair in pairs]
         jax.tree.map(np.testing.assert_array_equal, *found)
 
 
@@ -232,8 +241,9 @@ def test_reported_moments_are_those_of_the_indices():
 def test_brax_s_loss_takes_them_as_they_are(spec):
     # Actions as drawn: ratios are 1, so the policy's loss is minus the mean advantage,
     # which is normalised to 0, and its gradient makes the better half likelier.
-    networks = make_networks(NetworkConfig((8,), (8,)), 4, spec)
-    normalizer = init_normalizer(4)
+    config, fields = NetworkConfig((8,), (8,)), [Field("x", 4, -1.0, 1.0, "")]
+    networks = make_networks(config, fields, spec)
+    normalizer = init_normalizer(network_inputs(config, fields))
     container: Any = ppo_losses.PPONetworkParams  # its fields are hidden from Pyright
     params = container(
         policy=jax.jit(networks.policy_network.init)(jax.random.key(0)),

@@ -12,8 +12,14 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.rollout import evaluate
 from carpark_mj.policy.baselines import random_policy
-from carpark_mj.policy.networks import NetworkConfig, make_networks, make_policy
-from carpark_mj.policy.runs import init_normalizer
+from carpark_mj.observations import make_fields
+from carpark_mj.policy.networks import (
+    NetworkConfig,
+    make_networks,
+    make_policy,
+    network_inputs,
+)
+from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.rendering import rollout
 from carpark_mj.rendering.rollout import record
 
@@ -61,10 +67,9 @@ def programs(tmp_path):
     ids=["record", "evaluate"],
 )
 def test_another_checkpoint_needs_no_other_program(env, drive, programs):
-    networks = make_networks(
-        NetworkConfig((8,), (8,)), env.observation_size, env.action_spec
-    )
-    normalizer = init_normalizer(env.observation_size)
+    config, fields = NetworkConfig((8,), (8,)), make_fields(env.config)
+    networks = make_networks(config, fields, env.action_spec)
+    normalizer = init_normalizer(network_inputs(config, fields))
     init = jax.jit(networks.policy_network.init)
     weights = [init(jax.random.key(seed)) for seed in (0, 1)]
     drive(env, make_policy(networks, normalizer, weights[0], True))

@@ -19,10 +19,14 @@ from jax.sharding import PartitionSpec
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.policy.networks import MIN_STD, NetworkConfig, make_networks
+from carpark_mj.observations.fields import Field
+from carpark_mj.observations.sets import OWN
+from carpark_mj.policy.networks import NetworkConfig, make_networks
+from carpark_mj.policy.normalizer import MIN_STD
 from carpark_mj.wrappers.brax import BraxParking
 from learners.ppo.advantages import compute_advantages
-from learners.ppo.epochs import learn, network_params, schedule
+from learners.ppo.curriculum import schedule
+from learners.ppo.epochs import learn, network_params
 from learners.ppo.learner import Learner, num_devices
 from learners.ppo.loss import Minibatch, Weights, ppo_loss
 from learners.ppo.presets import PRESETS
@@ -39,7 +43,7 @@ TINY = dataclasses.replace(
     entropy_cost=0.0,  # Brax's entropy is sampled: with other keys it differs
     entropy_cost_end=0.0,
     learning_rate_end=PRESETS["cpu"].learning_rate,
-    networks=NetworkConfig((16, 16), (16,)),
+    networks=NetworkConfig((16, 16), (16,), encoder="flat"),
     env=EnvConfig(num_agents=2, sim=SimConfig(sim_dt=0.02)),
 )
 AGENTS = TINY.num_lots * TINY.env.num_agents
@@ -151,8 +155,17 @@ def brax_update(learner, state, data, monkeypatch):
 
     def factory(observation_size, action_size, preprocess_observations_fn):
         del preprocess_observations_fn
-        return make_networks(
-            TINY.networks, observation_size[-1], ActionSpec(action_size)
+        fields = [Field("all", observation_size[-1], -1.0, 1.0, "")]
+        networks: Any = make_networks(TINY.networks, fields, ActionSpec(action_size))
+
+        def take(network):  # Brax's statistics are of the vector as a whole
+            return dataclasses.replace(
+                network, apply=lambda n, *args: network.apply({OWN: n}, *args)
+            )
+
+        return networks.replace(
+            policy_network=take(networks.policy_network),
+            value_network=take(networks.value_network),
         )
 
     _, params, _ = brax_ppo.train(
@@ -175,7 +188,7 @@ def brax_update(learner, state, data, monkeypatch):
         network_factory=factory,
         max_devices_per_host=1,
         run_evals=False,
-        restore_params=(state.normalizer, state.policy, state.value),
+        restore_params=(state.normalizer[OWN], state.policy, state.value),
     )
     return params
 
@@ -186,11 +199,12 @@ def test_an_update_equals_brax_s_own_on_the_same_data(learner, state, monkeypatc
 
     def update(state, rollout):
         key = jax.random.key(5)
-        return learn(TINY, learner.networks, learner.optimizer, state, rollout, key)[0]
+        networks, inputs = learner.networks, learner.inputs
+        return learn(TINY, networks, inputs, learner.optimizer, state, rollout, key)[0]
 
     ours = on_one_device(update)(jax.device_get(state), as_rollout(data))
     theirs = brax_update(learner, state, data, monkeypatch)
-    for a, b in zip(*map(jax.tree.leaves, (ours[0], theirs[0])), strict=True):
+    for a, b in zip(*map(jax.tree.leaves, (ours[0][OWN], theirs[0])), strict=True):
         # Sums of numbers of about 1, in another order.
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6)
     moved = 0.0
@@ -281,7 +295,7 @@ def test_a_non_finite_update_is_dropped_whole(learner):
     assert int(good.skipped) == 0
     kept = learned_leaves(before)
     # All bays are equal here: what never varied is not blown up either.
-    assert before.normalizer.std.min() == np.float32(MIN_STD)
+    assert before.normalizer[OWN].std.min() == np.float32(MIN_STD)
     poisoned = before.replace(
         env=before.env.replace(obs=np.full_like(before.env.obs, np.nan))
     )
