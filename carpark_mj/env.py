@@ -107,7 +107,11 @@ class ParkingEnv:
         return action_spec(self.config)
 
     def reset(
-        self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
+        self,
+        key: jax.Array,
+        split: Split = "train",
+        member: jax.Array | None = None,
+        num_present: jax.Array | None = None,
     ) -> tuple[State, jax.Array]:
         """Starts a lot: its layout if it is random, parked cars, goals and agents.
 
@@ -116,14 +120,17 @@ class ParkingEnv:
             split: lots to draw a random layout from; those of `test` are held out for
                 evaluation (`carpark_mj.layouts.splits`).
             member: () int32 which member of a mixture the lot is of; drawn if None.
+            num_present: () int32 how many agents the lot has, from 1 to `num_agents`;
+                drawn if None, see `EnvConfig.min_agents`.
 
         Returns:
             The state and the observations (num_agents, observation_size).
         """
         if self._layout is not None:
-            return self.reset_to_layout(self._layout, key)
+            return self.reset_to_layout(self._layout, key, num_present)
         key, layout_key = jax.random.split(key)
-        return self.reset_to_layout(self.draw_layout(layout_key, split, member), key)
+        layout = self.draw_layout(layout_key, split, member)
+        return self.reset_to_layout(layout, key, num_present)
 
     @full_float32
     def draw_layout(
@@ -135,10 +142,10 @@ class ParkingEnv:
 
     @full_float32
     def reset_to_layout(
-        self, layout: Layout, key: jax.Array
+        self, layout: Layout, key: jax.Array, num_present: jax.Array | None = None
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have enough bays for cars and goals."""
-        state = self._episodes.begin_lot(layout, key)
+        state = self._episodes.begin_lot(layout, key, num_present)
         return state, observe(self.config, state)
 
     @full_float32
@@ -149,9 +156,9 @@ class ParkingEnv:
 
         Args:
             state: current state.
-            action: (num_agents, action_spec.size); agents that have finished brake
-                instead. What is NaN or out of range is sanitized and counted in the
-                metric `invalid_actions`.
+            action: (num_agents, action_spec.size); agents that have finished, or are
+                absent, brake instead. What is NaN or out of range is sanitized and
+                counted in the metric `invalid_actions`.
             hitbox_scale: see `find_hits`; None = 1.
 
         Returns:
@@ -202,7 +209,8 @@ class ParkingEnv:
         config, ring_history = self.config, rings.update_history(self.config, state)
         physics = self.physics.step(state.physics, controls)
         motion = self.physics.read(physics)
-        if not (config.episode.respawn or self.physics.contacts):
+        all_drive = config.episode.respawn and state.present is None
+        if not (all_drive or self.physics.contacts):
             physics, motion = _freeze(state, physics, motion)
         parked_cars = state.parked_cars
         pose_w = self.physics.parked_poses(physics, parked_cars.pose_w)
@@ -219,7 +227,7 @@ class ParkingEnv:
         )
 
     def _stop_finished(self, state: State, action: jax.Array) -> jax.Array:
-        """Actions (num_agents, size) with those of finished agents on the brake."""
+        """Actions (num_agents, size); of agents that are not active, the brake."""
         spec = self.action_spec
         if not spec.continuous:  # on the grid finished agents are frozen anyway
             return action
@@ -231,7 +239,7 @@ class ParkingEnv:
 def _freeze(
     state: State, physics: PhysicsState, motion: Motion
 ) -> tuple[PhysicsState, Motion]:
-    """Keeps finished agents exactly where they stopped."""
+    """Keeps agents that are not active exactly where they stand."""
     physics = where_cars(state.active, physics, state.physics)
     motion = where_cars(state.active, motion, state.motion)
     still = jnp.broadcast_to(motion.pose_w[:, None], motion.trace_w.shape)

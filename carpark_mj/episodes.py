@@ -16,7 +16,12 @@ from carpark_mj.layouts import Layout
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.bays import bay_fits
 from carpark_mj.mdp.goals import Goals
-from carpark_mj.mdp.parked_cars import in_bays, poses_in_bays, relocate_parked_cars
+from carpark_mj.mdp.parked_cars import (
+    in_bays,
+    place_absent_agents,
+    poses_in_bays,
+    relocate_parked_cars,
+)
 from carpark_mj.mdp.spawning.placing import (
     SpawnInputs,
     place_all,
@@ -25,7 +30,7 @@ from carpark_mj.mdp.spawning.placing import (
 )
 from carpark_mj.observations import rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
-from carpark_mj.types import Events, ParkedCars, PhysicsState, State
+from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
 from carpark_mj.vehicle import Vehicle
 
 
@@ -57,11 +62,25 @@ class Episodes:
         self._goals = goals
         self._physics = physics
 
-    def begin_lot(self, layout: Layout, key: jax.Array) -> State:
-        """Begins a lot: parked cars, goals and agents; `key` is consumed."""
+    def begin_lot(
+        self, layout: Layout, key: jax.Array, num_present: jax.Array | None = None
+    ) -> State:
+        """Begins a lot: parked cars, goals and agents.
+
+        Args:
+            layout: of the lot.
+            key: consumed.
+            num_present: () int32 how many agents it has, at least 1; drawn if None.
+        """
         config = self._config
         num_agents = config.num_agents
         everybody = jnp.ones(num_agents, bool)
+        counts, present = config.agent_counts, None
+        if num_present is None and len(counts) > 1:
+            key, count_key = jax.random.split(key)
+            num_present = jax.random.randint(count_key, (), counts.start, counts.stop)
+        if num_present is not None:
+            present = jnp.arange(num_agents) < num_present
         key, vehicle_key, sensor_key = self._split(key)
         key, start_key, spawn_key = jax.random.split(key, 3)
         start = self._fleet.start(layout, start_key)
@@ -69,24 +88,30 @@ class Episodes:
         inputs = self._spawn_inputs(layout, start.parked_cars, vehicles, vehicles)
         nowhere = jnp.zeros((num_agents, 3), jnp.float32)
         bay = start.parked_cars.bay
-        placing = start_placing(start.goal, bay, nowhere, everybody)
+        goal = start.goal
+        if present is not None:
+            goal = jnp.where(present, goal, NO_BAY)
+        placing = start_placing(goal, bay, nowhere, everybody)
         placing = place_all(self._goals.first_pose, inputs, placing, spawn_key)
-        physics = self._physics.init(placing.pose_w, vehicles)
+        # The absent are the last to be placed, so that nobody has made room for them.
+        pose_w = place_absent_agents(placing.pose_w, present)
+        physics = self._physics.init(pose_w, vehicles)
         physics = self._physics.set_parked_poses(physics, start.parked_cars.pose_w)
         motion = self._physics.read(physics)
         state = State(
             physics=physics,
             motion=motion,
             layout=layout,
-            goal=start.goal,
+            goal=goal,
             tracked_bays=self._goals.init_tracked_bays(),
             parked_cars=start.parked_cars,
             ring_history=rings.init_history(config),
             step=jnp.zeros(num_agents, jnp.int32),
-            active=everybody,
+            active=everybody if present is None else present,
             stats=metrics.init_stats(config, layout),
             sensors=sensors.init_sensors(config.sensors, motion, sensor_key),
             key=key,
+            present=present,
         )
         return self._goals.begin(state, placing, everybody, None)
 

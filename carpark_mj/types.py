@@ -196,17 +196,20 @@ class State:
         motion: the agents' motion, read from it.
         layout: the lot's plan.
         goal: (num_agents,) int32 the bay each agent heads for; `NO_BAY` while it is
-            exploring. Fixed goals are distinct.
+            exploring, or absent. Fixed goals are distinct.
         tracked_bays: (num_agents, num_tracked_bays) int32 free bays each agent tracks,
             `NO_BAY` in empty slots; None while goals are fixed.
         parked_cars: the cars that stand in bays.
         ring_history: (num_agents, ring_history, rings) int32 what rings counted before,
             oldest first; None if the past is not observed.
         step: (num_agents,) int32 control steps made in the running episodes.
-        active: (num_agents,) bool; False once finished when nobody respawns.
+        active: (num_agents,) bool; False once finished when nobody respawns, and of
+            absent agents.
         stats: of the running episodes.
         sensors: the agents' sensors; None while they observe the true motion.
         key: randomness of this lot.
+        present: (num_agents,) bool, the agents that the lot has, the first few; None =
+            all. Absent agents are never active, have no goal and stand far away.
     """
 
     physics: PhysicsState
@@ -221,6 +224,7 @@ class State:
     stats: EpisodeStats
     sensors: Sensors | None
     key: jax.Array
+    present: jax.Array | None = None
 
     @property
     def exploring(self) -> jax.Array:

@@ -55,10 +55,15 @@ def find_driver(name: str, named: str, deterministic: bool = True) -> Driver:
 
 
 def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> EnvConfig:
-    """The environment with the settings that are not None replaced."""
+    """The environment with the settings that are not None replaced.
+
+    A number of agents is that of every lot, unless `min_agents` is given too.
+    """
     if rule is not None:
         changes["episode"] = dataclasses.replace(env.episode, parked_rule=rule)
     given = {name: value for name, value in changes.items() if value is not None}
+    if "num_agents" in given:
+        given.setdefault("min_agents", None)
     physics = given.get("physics", env.physics)
     if (physics == "grid") != (env.physics == "grid"):
         raise ValueError(

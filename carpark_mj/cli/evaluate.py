@@ -28,6 +28,9 @@ class EvaluateConfig:
         seed: seed of the held-out lots; training never uses these keys.
         rule: parked rule to evaluate under; default: that of the run.
         num_agents: number of agents; default: that of the run.
+        min_agents: least number of agents, so that lots have from here to the number of
+            agents, each number equally often; default: that of the run, or always
+            `num_agents` if that is given.
         layout: the lot, a name or a layout file, or a comma-separated list of them;
             default: that of the run.
         num_parked_cars: number of parked cars; default: that of the run.
@@ -45,6 +48,7 @@ class EvaluateConfig:
     seed: int = 0
     rule: ParkedRule | None = None
     num_agents: int | None = None
+    min_agents: int | None = None
     layout: str | None = None
     num_parked_cars: int | None = None
     physics: PhysicsName | None = None
@@ -79,6 +83,7 @@ def main(config: EvaluateConfig) -> Evaluation:
         driver.env,
         rule=config.rule,
         num_agents=config.num_agents,
+        min_agents=config.min_agents,
         num_parked_cars=config.num_parked_cars,
         layout=config.layout,
         physics=config.physics,
@@ -89,7 +94,9 @@ def main(config: EvaluateConfig) -> Evaluation:
     require_writable(folder / "evaluation.csv")  # refused before the work
     policy = driver.policy(env)
     result = evaluate(env, policy, config.episodes, config.seed)
-    title = f"{name}: {env_config.num_agents} agents, {env_config.episode.parked_rule}"
+    counts = env_config.agent_counts
+    agents = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[-1]}"
+    title = f"{name}: {agents} agents, {env_config.episode.parked_rule}"
     title = (
         f"{title} rule, {env_config.layout} lot, {env_config.physics} physics, "
         f"seed {config.seed}"

@@ -194,7 +194,7 @@ def _renderer(
     stage = Stage(
         recording.layout,
         env.vehicle,
-        env.config.num_agents,
+        recording.pose_w.shape[2],
         recording.parked_pose.shape[1],
         env.fleet.agents,
         () if sizes is None else env.fleet.parked_vehicles(sizes),

@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 
 from carpark_mj.cli.common import run_command
+from carpark_mj.cli.driver import adapt
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config
@@ -89,12 +90,8 @@ class SceneConfig:
 
 def env_config(config: SceneConfig, base: EnvConfig) -> EnvConfig:
     """The environment `base` with the values that the settings give."""
-    given = {
-        name: getattr(config, name)
-        for name in ("layout", "vehicle", "num_agents", "num_parked_cars")
-        if getattr(config, name) is not None
-    }
-    return dataclasses.replace(base, **given)
+    names = ("layout", "vehicle", "num_agents", "num_parked_cars")
+    return adapt(base, **{name: getattr(config, name) for name in names})
 
 
 def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:

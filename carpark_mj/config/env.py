@@ -50,6 +50,8 @@ class EnvConfig:
             config of a family, see `carpark_mj.layouts`.
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: number of agents, the cars that act.
+        min_agents: least number of agents: how many a lot has is drawn when it begins,
+            uniform from here to `num_agents`. None = always `num_agents`.
         num_parked_cars: number of parked cars.
         occupancy: share of the lot's bays that hold a parked car, drawn from this range
             when the lot is reset; `num_parked_cars` is then the maximum.
@@ -75,6 +77,7 @@ class EnvConfig:
     layout: LayoutChoice = "tanner"
     vehicle: str = "compact"
     num_agents: int = 2
+    min_agents: int | None = None
     num_parked_cars: int = 16
     occupancy: Range | None = None
     fleet: FleetConfig = dataclasses.field(default_factory=FleetConfig)
@@ -122,6 +125,13 @@ class EnvConfig:
             metrics=MetricsConfig,
         )
         whole(self, 1, "num_agents")
+        if self.min_agents is not None:
+            whole(self, 1, "min_agents")
+            if self.min_agents > self.num_agents:
+                raise ValueError(
+                    f"min_agents must be at most num_agents {self.num_agents}, not "
+                    f"{self.min_agents}"
+                )
         whole(self, 0, "num_parked_cars")
         if self.occupancy is not None:
             require_range("occupancy", self.occupancy, 0.0, 1.0)
@@ -199,6 +209,12 @@ class EnvConfig:
                 f"{self.num_agents - 1} agents and {self.num_parked_cars} parked "
                 f"cars), not {observation.tracked_cars}"
             )
+
+    @property
+    def agent_counts(self) -> range:
+        """How many agents a lot can have."""
+        least = self.num_agents if self.min_agents is None else self.min_agents
+        return range(least, self.num_agents + 1)
 
     @property
     def varies(self) -> bool:

@@ -15,17 +15,18 @@ from carpark_mj.policy.runs import write_csv, write_json
 
 
 def print_report(result: Evaluation, title: str) -> None:
-    """Prints outcomes, metrics and, of a mixture, the families."""
+    """Prints outcomes and metrics, then the outcomes by what lots differ in."""
     print_table(result.summary, title)
     print_metrics(result.summary)
-    if len(result.families) > 1:
-        print_families(result)
+    for name, groups in _groups(result).items():
+        print_groups(name, groups)
 
 
 def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> list[Path]:
     """Writes `evaluation.csv` (episodes) and `evaluation.json` (summaries).
 
-    Of a mixture also `families.csv`, a row per family and one for all of them.
+    Of a mixture also `families.csv`, a row per family and one for all of them, and of
+    lots with several numbers of agents `agents_present.csv` in the same way.
 
     Returns:
         The files.
@@ -37,19 +38,35 @@ def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> list[Pa
         "device": jax.devices()[0].device_kind,
         "summary": result.summary,
     }
-    if len(result.families) > 1:
-        data["families"] = result.families
-        written.append(folder / "families.csv")
-        write_csv(written[2], _family_rows(result))
+    for name, groups in _groups(result).items():
+        stem = _FILES[name]
+        data[stem] = {key: groups[key] for key in groups if key != "all"}
+        written.append(folder / f"{stem}.csv")
+        write_csv(written[-1], _group_rows(name, groups))
     write_json(written[1], data)
     return written
 
 
-def _family_rows(result: Evaluation) -> list[dict[str, Any]]:
-    """Episodes, counts, rates and intervals of every family, and of all together."""
+_FILES = {"family": "families", "agents present": "agents_present"}
+
+
+def _groups(result: Evaluation) -> dict[str, dict[str, dict[str, Any]]]:
+    """Summaries by family and by number of agents if there are several, and of all."""
+    counts = {str(count): part for count, part in result.agent_counts.items()}
+    groups = {"family": result.families, "agents present": counts}
+    return {
+        name: {**parts, "all": result.summary}
+        for name, parts in groups.items()
+        if len(parts) > 1
+    }
+
+
+def _group_rows(column: str, groups: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Episodes, counts, rates and intervals of every group."""
     rows: list[dict[str, Any]] = []
-    for family, summary in {**result.families, "all": result.summary}.items():
-        row: dict[str, Any] = {"family": family, "episodes": summary["episodes"]}
+    for group, summary in groups.items():
+        row: dict[str, Any] = {column.replace(" ", "_"): group}
+        row["episodes"] = summary["episodes"]
         for outcome in OUTCOMES:
             for name, value in summary[outcome].items():
                 row[f"{outcome}_{name}"] = value
@@ -57,22 +74,22 @@ def _family_rows(result: Evaluation) -> list[dict[str, Any]]:
     return rows
 
 
-def print_families(result: Evaluation) -> None:
-    """Prints the outcomes of every family, with 95 % intervals."""
-    table = Table(title="by family: rate, and below it the 95 % interval [%]")
-    table.add_column("family")
+def print_groups(name: str, groups: dict[str, dict[str, Any]]) -> None:
+    """Prints the outcomes of groups of lots, the last all, with 95 % intervals."""
+    table = Table(title=f"by {name}: rate, and below it the 95 % interval [%]")
+    table.add_column(name)
     for column in ("episodes", "parked", "crashed", "timed out"):
         table.add_column(column, justify="right")
-    for family, summary in {**result.families, "all": result.summary}.items():
+    for group, summary in groups.items():
         rates = [summary[name] for name in ("parked", "crashed", "timed_out")]
         table.add_row(
-            family,
+            group,
             f"{summary['episodes']}",
             *(
                 f"{r['rate']:.1%}\n{100 * r['low']:.1f} … {100 * r['high']:.1f}"
                 for r in rates
             ),
-            end_section=family == list(result.families)[-1],
+            end_section=group == list(groups)[-2],
         )
     Console().print(table)
 

@@ -2,12 +2,13 @@
 
 The first few episodes of every agent count, however long they are, so that short
 episodes are not over-represented. Every member of a mixture gets its exact share of the
-lots.
+lots, and every number of agents the same number of lots.
 """
 
 import dataclasses
+import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -34,16 +35,19 @@ class Evaluation:
     """Results of an evaluation.
 
     Attributes:
-        episodes: a row per episode: lot, agent, episode, its metrics (see
-            `carpark_mj.evaluation.catalogue`), and the lot's family by name.
+        episodes: a row per episode: lot, agent, episode, how many agents the lot has,
+            its metrics (see `carpark_mj.evaluation.catalogue`), and the lot's family by
+            name.
         summary: all of them together, see `aggregation.summarise`.
         families: the same for the lots of each member of a mixture, by name; the lot's
             own if it is no mixture.
+        agent_counts: the same for the lots with each number of agents.
     """
 
     episodes: list[Row]
     summary: dict[str, Any]
     families: dict[str, dict[str, Any]]
+    agent_counts: dict[int, dict[str, Any]]
 
 
 def evaluate(
@@ -57,7 +61,7 @@ def evaluate(
         num_episodes: rounded up to the same number for every agent.
         seed: of the held-out lots, goals and spawns.
         num_lots: lots run side by side; fewer if the episodes do not fill them, but
-            one for each member of a mixture.
+            one for each member of a mixture with each number of agents.
 
     Raises:
         ValueError: no episodes, or an environment without respawn.
@@ -66,15 +70,22 @@ def evaluate(
         raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
     if not env.config.episode.respawn:
         raise ValueError("evaluation needs episode.respawn = True")
-    shares = member_shares(env.layout_config)
-    num_lots = min(num_lots, -(-num_episodes // env.num_agents))
-    num_lots = max(num_lots, len(shares))
-    member = allot(list(shares.values()), num_lots)
-    quota = -(-num_episodes // (num_lots * env.num_agents))
-    families = [list(shares)[index] for index in member]
+    shares, counts = member_shares(env.layout_config), env.config.agent_counts
+    mean_count = (counts.start + env.num_agents) / 2
+    num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
+    num_lots = max(num_lots, len(shares) * len(counts))
+    num_lots = -(-num_lots // len(counts)) * len(counts)
+    lots = Lots(
+        member=allot(list(shares.values()), num_lots),
+        # In turn, so that the lots of a family are spread over the numbers as well.
+        num_present=np.resize(np.array(counts, np.int32), num_lots),
+    )
+    quota = math.ceil(num_episodes / (num_lots * mean_count))
+    families = [list(shares)[index] for index in lots.member]
     rows: list[Row] = []
-    for lot, agent, episode, metrics in _episodes(env, policy, seed, member, quota):
+    for lot, agent, episode, metrics in _episodes(env, policy, seed, lots, quota):
         which = {"lot": float(lot), "agent": float(agent), "episode": float(episode)}
+        which["agents_present"] = float(lots.num_present[lot])
         row = which | complete_row(metrics, env.config.sim.ctrl_dt)
         rows.append(row | {"family": families[lot]})
     rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
@@ -82,11 +93,27 @@ def evaluate(
         name: summarise([row for row in rows if row["family"] == name])
         for name in shares
     }
-    return Evaluation(rows, summarise(rows), by_family)
+    by_count = {
+        count: summarise([row for row in rows if row["agents_present"] == count])
+        for count in counts
+    }
+    return Evaluation(rows, summarise(rows), by_family, by_count)
+
+
+class Lots(NamedTuple):
+    """The lots of an evaluation; (num_lots,) int32 each.
+
+    Attributes:
+        member: which member of a mixture a lot is of.
+        num_present: how many agents it has.
+    """
+
+    member: np.ndarray
+    num_present: np.ndarray
 
 
 def _episodes(
-    env: ParkingEnv, policy: Policy, seed: int, member: np.ndarray, quota: int
+    env: ParkingEnv, policy: Policy, seed: int, lots: Lots, quota: int
 ) -> Iterator[tuple[int, int, int, dict[str, float]]]:
     """Lot, agent, number and metrics of the first `quota` episodes of every agent.
 
@@ -94,16 +121,20 @@ def _episodes(
         env: the environment.
         policy: acting function.
         seed: of lots and actions.
-        member: (num_lots,) int32 member of a mixture that each lot is of.
-        quota: episodes an agent.
+        lots: which ones.
+        quota: episodes of every agent that its lot has.
     """
     reset_key, act_key = jax.random.split(evaluation_key(seed))
-    reset = jax.jit(jax.vmap(lambda key, member: env.reset(key, "test", member)))
-    state, observation = reset(jax.random.split(reset_key, len(member)), member)
+    num_lots, num_present = len(lots.member), lots.num_present
+    finished = np.zeros((num_lots, env.num_agents), int)
+    finished[np.arange(env.num_agents) >= num_present[:, None]] = quota
+    varies = len(env.config.agent_counts) > 1
+    reset = jax.jit(jax.vmap(lambda key, *lot: env.reset(key, "test", *lot)))
+    keys = jax.random.split(reset_key, num_lots)
+    state, observation = reset(keys, lots.member, num_present if varies else None)
     chunk = jax.jit(lambda policy, carry: _chunk(env, policy, carry))
     policy = as_argument(policy)
     carry = (state, observation, act_key)
-    finished = np.zeros((len(member), env.num_agents), int)
     while finished.min() < quota:
         carry, (done, metrics) = chunk(policy, carry)
         metrics = {name: np.asarray(value) for name, value in metrics.items()}

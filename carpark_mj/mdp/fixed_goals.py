@@ -26,7 +26,7 @@ from carpark_mj.mdp.spawning.poses import (
     spawn_pose,
     spawn_shapes,
 )
-from carpark_mj.types import Events, State
+from carpark_mj.types import NO_BAY, Events, State
 
 
 class PlaceDraws(NamedTuple):
@@ -97,13 +97,15 @@ class FixedGoals:
         if not config.crash_ratio:
             return drawn
 
+        has_goal = placing.goal != NO_BAY  # agents that are absent have none
+
         def attempt(
             scores: jax.Array, course: CourseDraws
         ) -> tuple[Placing, jax.Array]:
             drawn = self.new_goal(inputs, placing, agent, scores)
             around = surroundings(inputs, drawn, agent)
             goal_xy = layout.bay_pose[drawn.goal, :2]
-            targets = Targets(placing.xy, goal_xy, ~placing.waiting)
+            targets = Targets(placing.xy, goal_xy, has_goal & ~placing.waiting)
             own_xy = goal_xy[agent]
             pose, good = crash_pose(config, layout, around, own_xy, targets, course)
             return drawn.set(agent, pose_w=pose), good

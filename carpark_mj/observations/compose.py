@@ -33,7 +33,10 @@ def make_fields(config: EnvConfig) -> tuple[Field, ...]:
 
 
 def observe(config: EnvConfig, state: State) -> jax.Array:
-    """What the agents of a lot observe, (num_agents, observation_size) float32."""
+    """What the agents of a lot observe, (num_agents, observation_size) float32.
+
+    Absent agents observe zeros.
+    """
     observation, ctrl_dt = slots(config), config.sim.ctrl_dt
     if isinstance(observation, ContinuousObservation):
         values = continuous_values(observation, state)
@@ -44,7 +47,10 @@ def observe(config: EnvConfig, state: State) -> jax.Array:
     ordered = [values.pop(field.name) for field in make_fields(config)]
     if values:
         raise AssertionError(f"undeclared observation fields: {sorted(values)}")
-    return jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
+    vector = jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
+    if state.present is None:
+        return vector
+    return jnp.where(state.present[:, None], vector, 0.0)
 
 
 def slots(config: EnvConfig) -> Observation:

@@ -68,7 +68,7 @@ def continuous_values(
     if config.own_car:
         values |= ego.own_car(motion, vehicle)
     if config.tracked_agents:
-        index, present = track_agents(config, motion.pose_w)
+        index, present = track_agents(config, motion.pose_w, state.present)
         pose, size = motion.pose_w[index], motion.size[index]
         agents = localised.localise(motion.pose_w, pose, size, present)
         shared = _shared_values(config, state, motion, bays, index)

@@ -167,7 +167,7 @@ def _describe_cars(
             while goals are fixed.
     """
     goal, parked_cars, pose = state.goal, state.parked_cars, observed(state).pose_w
-    index, present = track_cars(config, pose, parked_cars)
+    index, present = track_cars(config, pose, parked_cars, state.present)
     everybody = jnp.concatenate([pose, parked_cars.pose_w])
     parts = _describe(grid, pose[:, None], everybody[index])
     none = jnp.zeros(parked_cars.bay.shape[0])

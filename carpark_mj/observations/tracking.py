@@ -38,19 +38,20 @@ def in_view(config: ViewConfig, own_pose: jax.Array, xy: jax.Array) -> jax.Array
 
 
 def track_agents(
-    config: ContinuousObservation, own_pose: jax.Array
+    config: ContinuousObservation, own_pose: jax.Array, present: jax.Array | None = None
 ) -> tuple[jax.Array, jax.Array]:
     """The nearest other agents.
 
     Args:
         config: how many, and the view.
         own_pose: (num_agents, 3).
+        present: (num_agents,) bool, see `State.present`.
 
     Returns:
         Indices and presence (num_agents, tracked_agents), see `geometry.nearest`.
     """
     xy = own_pose[:, :2]
-    mask = ~jnp.eye(xy.shape[0], dtype=bool) & in_view(config.view, own_pose, xy)
+    mask = _others(xy.shape[0], present) & in_view(config.view, own_pose, xy)
     return nearest(xy, xy, mask, config.tracked_agents)
 
 
@@ -73,7 +74,10 @@ def track_parked_cars(
 
 
 def track_cars(
-    config: TannerObservation, own_pose: jax.Array, parked_cars: ParkedCars
+    config: TannerObservation,
+    own_pose: jax.Array,
+    parked_cars: ParkedCars,
+    present: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """The nearest among the other agents and parked cars together.
 
@@ -81,18 +85,25 @@ def track_cars(
         config: how many, and the view.
         own_pose: (num_agents, 3) observers.
         parked_cars: (num_parked_cars,) of the lot.
+        present: (num_agents,) bool, see `State.present`.
 
     Returns:
         Indices and presence (num_agents, tracked_cars), see `geometry.nearest`; indices
         count the agents first, then the parked cars.
     """
     own_xy, count = own_pose[:, :2], own_pose.shape[0]
-    others = ~jnp.eye(count, dtype=bool)
+    others = _others(count, present)
     parked = jnp.broadcast_to(parked_cars.present, (count, *parked_cars.present.shape))
     xy = jnp.concatenate([own_xy, parked_cars.pose_w[:, :2]])
     mask = jnp.concatenate([others, parked], axis=1)
     mask = mask & in_view(config.view, own_pose, xy)
     return nearest(own_xy, xy, mask, config.tracked_cars)
+
+
+def _others(count: int, present: jax.Array | None) -> jax.Array:
+    """(count, count) bool, [i, j] whether j is another agent and present."""
+    others = ~jnp.eye(count, dtype=bool)
+    return others if present is None else others & present
 
 
 def tracks(config: EnvConfig, state: State) -> jax.Array:
@@ -104,9 +115,9 @@ def tracks(config: EnvConfig, state: State) -> jax.Array:
     observation, pose = config.observation, observed(state).pose_w
     agents = jnp.arange(pose.shape[0])
     if isinstance(observation, TannerObservation) and observation.tracked_cars:
-        index, present = track_cars(observation, pose, state.parked_cars)
+        index, present = track_cars(observation, pose, state.parked_cars, state.present)
     elif isinstance(observation, ContinuousObservation) and observation.tracked_agents:
-        index, present = track_agents(observation, pose)
+        index, present = track_agents(observation, pose, state.present)
     else:
         return jnp.zeros((pose.shape[0],) * 2, bool)
     return jnp.any((index[..., None] == agents) & present[..., None], axis=1)
@@ -121,7 +132,7 @@ def tracks_parked_cars(config: EnvConfig, state: State) -> jax.Array:
     observation, pose = config.observation, observed(state).pose_w
     cars, shift = jnp.arange(state.parked_cars.bay.shape[0]), 0
     if isinstance(observation, TannerObservation) and observation.tracked_cars:
-        index, present = track_cars(observation, pose, state.parked_cars)
+        index, present = track_cars(observation, pose, state.parked_cars, state.present)
         shift = pose.shape[0]  # agents come first in that list
     elif (
         isinstance(observation, ContinuousObservation)
@@ -130,6 +141,8 @@ def tracks_parked_cars(config: EnvConfig, state: State) -> jax.Array:
         index, present = track_parked_cars(observation, pose, state.parked_cars)
     else:
         return jnp.zeros((pose.shape[0], cars.shape[0]), bool)
+    if state.present is not None:
+        present = present & state.present[:, None]
     same = index[..., None] == cars + shift
     return jnp.any(same & present[..., None], axis=1)
 

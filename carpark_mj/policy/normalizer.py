@@ -35,6 +35,7 @@ def update_normalizer(
     sets: ObservationSets,
     normalizer: Normalizer,
     observation: jax.Array,
+    weight: jax.Array | None = None,
     axis: str | None = None,
 ) -> Normalizer:
     """Statistics with observations (..., size) added.
@@ -43,15 +44,26 @@ def update_normalizer(
         sets: parts of the vectors.
         normalizer: before.
         observation: (..., size).
+        weight: (...) 0.0 of observations that do not count, else 1.0; None = all 1.
         axis: of devices whose observations are added together.
     """
     parts = sets.split(observation)
-    return {
-        name: running_statistics.update(
-            state, parts[name], std_min_value=MIN_STD, pmap_axis_name=axis
+
+    def update(state: Any, part: jax.Array) -> Any:
+        weights = weight
+        if weights is not None:
+            entities = range(weights.ndim, part.ndim - 1)
+            weights = jnp.expand_dims(weights, entities)
+            weights = jnp.broadcast_to(weights, part.shape[:-1])
+        return running_statistics.update(
+            state,
+            part,
+            weights=weights,
+            std_min_value=MIN_STD,
+            pmap_axis_name=axis,
         )
-        for name, state in normalizer.items()
-    }
+
+    return {name: update(state, parts[name]) for name, state in normalizer.items()}
 
 
 def normalize(

@@ -36,10 +36,12 @@ class LiveLot:
         self.extent = np.asarray(layout.extent)
         self._layout = jax.device_get(layout)
         config = env.config
+        present = state.present
+        self._count = config.num_agents if present is None else int(present.sum())
         self.stage = Stage(
             layout,
             env.vehicle,
-            config.num_agents,
+            self._count,
             config.num_parked_cars,
             env.fleet.agents,
             env.fleet.parked_vehicles(np.asarray(state.parked_cars.size)),
@@ -54,11 +56,11 @@ class LiveLot:
         action, _ = policy(observation, key)
         after, timestep = self._env.step(state, action)
         seen = {
-            "pose_w": timestep.motion.trace_w.swapaxes(0, 1),
-            "steering": timestep.motion.steering,
-            "size": timestep.motion.size,
+            "pose_w": timestep.motion.trace_w[: self._count].swapaxes(0, 1),
+            "steering": timestep.motion.steering[: self._count],
+            "size": timestep.motion.size[: self._count],
             "parked_pose": state.parked_cars.pose_w,
-            "goal": after.goal,
+            "goal": after.goal[: self._count],
             **{name: getattr(timestep.events, name).sum() for name in OUTCOMES},
         }
         return (after, timestep.observation), seen
@@ -75,8 +77,8 @@ class LiveLot:
         self._seen = None
         self._ended = dict.fromkeys(OUTCOMES, 0)
         self.seconds = 0.0
-        self._aim(np.asarray(state.goal))
-        motion = state.motion
+        self._aim(np.asarray(state.goal[: self._count]))
+        motion = jax.tree.map(lambda x: x[: self._count], state.motion)
         self.stage.reset()
         self.stage.place(
             np.asarray(motion.pose_w),

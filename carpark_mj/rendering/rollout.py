@@ -16,6 +16,8 @@ from carpark_mj.policy.networks import Policy, as_argument
 class Recording:
     """A stretch of driving in one lot; `t` control steps, `k` poses in each.
 
+    Agents and parked cars that the lot has not are left out.
+
     Attributes:
         layout: the lot.
         ctrl_dt: control period [s].
@@ -24,8 +26,7 @@ class Recording:
         steering: (t, agents) bicycle angles at the end of the steps [rad].
         speed: (t, agents) signed speeds at the end of the steps [m/s].
         goal: (t, agents) goals during the steps, `NO_BAY` of agents that explore.
-        parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends;
-            cars that the lot has not are left out.
+        parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends.
         active: (t, agents) bool.
         parked: (t, agents) bool, the agent parked in this step.
         crashed: (t, agents) bool, the agent crashed in this step.
@@ -92,6 +93,11 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
     # A lot keeps its parked cars: who is absent at the start never comes.
     here = np.asarray(state.parked_cars.present)
     frames["parked_pose"] = frames["parked_pose"][:, here]
+    # The same of the agents.
+    if state.present is not None:
+        count = int(state.present.sum())
+        own = {"pose_w": np.s_[:, :, :count], "parked_pose": np.s_[:]}
+        frames = {n: x[own.get(n, np.s_[:, :count])] for n, x in frames.items()}
     return Recording(
         layout=state.layout,
         ctrl_dt=env.config.sim.ctrl_dt,

@@ -13,14 +13,16 @@ from brax.envs.base import State as BraxState
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.physics.base import where_cars
-from carpark_mj.types import TimeStep
+from carpark_mj.types import State, TimeStep
 
 
 class BraxParking(Env):
     """`num_lots` lots of `env.num_agents` agents each.
 
     `reset(keys)` takes (num_lots,) keys; observations, rewards, `done` and everything
-    in `info` but the state have the leading dimension num_lots * num_agents.
+    in `info` but the state have the leading dimension num_lots * num_agents. Steps of
+    agents that are absent, where `info["present"]` is 0, are not to be learned from;
+    it is None where all always are present.
     """
 
     def __init__(self, env: ParkingEnv, hitbox_scale: jax.Array | None = None) -> None:
@@ -45,6 +47,7 @@ class BraxParking(Env):
         )
         info = {
             "truncation": zero,
+            "present": _presence(state),
             "episode_done": zero,
             "episode_metrics": {name: zero for name in lot.metrics},
             "reward_terms": {name: zero for name in lot.reward_terms},
@@ -90,6 +93,7 @@ class BraxParking(Env):
         done = (timestep.terminated | timestep.truncated).astype(jnp.float32)
         info = {
             "truncation": timestep.truncated.astype(jnp.float32),
+            "present": _presence(lots),
             "episode_done": done,
             "episode_metrics": timestep.metrics,
             "reward_terms": timestep.reward_terms,
@@ -116,6 +120,12 @@ class BraxParking(Env):
     def backend(self) -> str:
         """Physics back end."""
         return type(self.env.physics).__name__
+
+
+def _presence(lots: State) -> jax.Array | None:
+    """1.0 for the agents that their lots have, see `State.present`; else 0.0."""
+    present = lots.present
+    return None if present is None else _flatten(present).astype(jnp.float32)
 
 
 def _flatten(x: jax.Array) -> jax.Array:

@@ -7,7 +7,7 @@ import pytest
 
 from carpark_mj.evaluation.aggregation import OUTCOMES, summarise
 from carpark_mj.evaluation.report import (
-    print_families,
+    print_groups,
     print_metrics,
     print_table,
     write_evaluation,
@@ -79,7 +79,7 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
         assert float(row["parked_low"]) <= rates[0] <= float(row["parked_high"])
     stored = json.loads(files[1].read_text())
     assert stored["families"]["street"]["episodes"] == 2
-    print_families(mixed)
+    print_groups("family", mixed.families | {"all": mixed.summary})
     printed = capsys.readouterr().out
     for name in ("compact", "street", "all"):
         assert name in printed

@@ -126,9 +126,9 @@ def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(
 ):
     env, asked = mixture_env, []
 
-    def reset(key, split="train", member=None):
+    def reset(key, split="train", *lot):
         asked.append(split)
-        return ParkingEnv.reset(env, key, split, member)
+        return ParkingEnv.reset(env, key, split, *lot)
 
     monkeypatch.setattr(env, "reset", reset)
     again = evaluate(env, random_policy(ActionSpec(2)), num_episodes=6, seed=3)

@@ -56,7 +56,8 @@ def test_brax_steps_keep_the_structure_of_the_reset_state():
         )
     flat = (state.obs, state.reward, state.done, state.info)
     assert all(leaf.shape[0] == 12 for leaf in jax.tree.leaves(flat))
-    fields = {"truncation", "episode_done", "episode_metrics", "reward_terms"}
+    fields = {"truncation", "present", "episode_done", "episode_metrics"}
+    fields.add("reward_terms")
     assert set(state.info) == fields
     assert wrapped.observation_size == env.observation_size
     assert wrapped.action_size == 2

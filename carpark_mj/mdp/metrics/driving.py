@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import norm
 from carpark_mj.mdp.progress import is_nearer
-from carpark_mj.types import NO_BAY, Motion, ParkedCars, Transition
+from carpark_mj.types import NO_BAY, State, Transition
 
 SUMS = (
     "speed_sum",
@@ -34,16 +34,18 @@ def measure_driving(ctrl_dt: float, transition: Transition) -> dict[str, jax.Arr
         "steering_rate_sum": jnp.abs(after.steering - before.steering) / ctrl_dt,
         "goal_steps": has_goal,
         "towards_goal_steps": has_goal & nearer,
-        **_nearest_car(after, transition.after.parked_cars),
+        **_nearest_car(transition.after),
     }
 
 
-def _nearest_car(motion: Motion, parked: ParkedCars) -> dict[str, jax.Array]:
+def _nearest_car(state: State) -> dict[str, jax.Array]:
     """Distance to the nearest centre of another agent or parked car, if any."""
-    own = motion.xy
+    own, parked, agents = state.motion.xy, state.parked_cars, state.present
+    if agents is None:
+        agents = jnp.ones(own.shape[0], bool)
     other = jnp.concatenate([own, parked.pose_w[:, :2]])
     others = ~jnp.eye(own.shape[0], other.shape[0], dtype=bool)
-    mask = others & jnp.concatenate([jnp.ones(own.shape[0], bool), parked.present])
+    mask = others & jnp.concatenate([agents, parked.present])
     distance = norm(own[:, None] - other)
     nearest = jnp.min(jnp.where(mask, distance, jnp.inf), axis=1)
     is_any = jnp.isfinite(nearest)

@@ -51,7 +51,7 @@ def learn(
         clip=schedule(config.clip, config.clip_end, progress),
     )
     normalizer = update_normalizer(
-        inputs, state.normalizer, rollout.observation, AXIS
+        inputs, state.normalizer, rollout.observation, rollout.weight, AXIS
     )
     # One vector: one all-reduce and one Adam step instead of one for every layer.
     start, unravel = ravel_pytree(network_params(state.policy, state.value))
@@ -76,6 +76,7 @@ def learn(
             log_prob=rollout.log_prob,
             advantage=advantage,
             target=target,
+            weight=rollout.weight,
         )
 
     def epoch(carry: Any, key: jax.Array) -> tuple[Any, Any]:

@@ -183,7 +183,10 @@ class Learner:
             skipped=state.skipped + ~finite,
             env=env_state,
         )
-        metrics = _episode_metrics(totals, self.config.steps_per_update) | {
+        num_steps = self.config.steps_per_update
+        if rollout.weight is not None:
+            num_steps = jax.lax.psum(rollout.weight.sum(), AXIS)
+        metrics = _episode_metrics(totals, num_steps) | {
             f"loss/{name}": loss for name, loss in losses.items()
         }
         return jax.tree.map(_strong, (new, metrics | {"skipped": new.skipped}))
@@ -216,7 +219,9 @@ class Learner:
         return self.env.renew(env_state, lots, jax.random.split(key, len(lots)))
 
 
-def _episode_metrics(totals: Totals, num_steps: int) -> dict[str, jax.Array]:
+def _episode_metrics(
+    totals: Totals, num_steps: jax.Array | int
+) -> dict[str, jax.Array]:
     """Means over the episodes that ended in the unroll, and reward terms per step."""
     totals = jax.tree.map(lambda x: jax.lax.psum(x.sum(), AXIS), totals)
     episodes = totals.episodes

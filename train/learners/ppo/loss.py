@@ -1,5 +1,6 @@
 """PPO's loss of a minibatch whose advantages are known."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -21,6 +22,7 @@ class Minibatch:
         log_prob: its log-density when it was drawn.
         advantage: of the action.
         target: of the critic.
+        weight: see `Rollout`.
     """
 
     observation: jax.Array
@@ -28,6 +30,7 @@ class Minibatch:
     log_prob: jax.Array
     advantage: jax.Array
     target: jax.Array
+    weight: jax.Array | None = None
 
 
 @struct.dataclass
@@ -41,6 +44,13 @@ class Weights:
 
     entropy_cost: jax.Array
     clip: jax.Array
+
+
+def weighted_mean(x: jax.Array, weight: jax.Array | None) -> jax.Array:
+    """The mean () of numbers (...) with weights (...); None = all 1."""
+    if weight is None:
+        return x.mean()
+    return jnp.sum(weight * x) / jnp.maximum(jnp.sum(weight), 1.0)
 
 
 def ppo_loss(
@@ -68,14 +78,19 @@ def ppo_loss(
     logits = networks.policy_network.apply(normalizer, params.policy, batch.observation)
     value = networks.value_network.apply(normalizer, params.value, batch.observation)
 
+    mean = partial(weighted_mean, weight=batch.weight)
     advantage = batch.advantage
-    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    if batch.weight is None:
+        spread = advantage.std()
+    else:
+        spread = jnp.sqrt(mean(jnp.square(advantage - mean(advantage))))
+    advantage = (advantage - mean(advantage)) / (spread + 1e-8)
     log_ratio = distribution.log_prob(logits, batch.raw_action) - batch.log_prob
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1.0 - weights.clip, 1.0 + weights.clip)
-    policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
-    v_loss = VALUE_COST * jnp.square(batch.target - value).mean()
-    entropy_loss = -weights.entropy_cost * distribution.entropy(logits, key).mean()
+    policy_loss = -mean(jnp.minimum(ratio * advantage, clipped * advantage))
+    v_loss = VALUE_COST * mean(jnp.square(batch.target - value))
+    entropy_loss = -weights.entropy_cost * mean(distribution.entropy(logits, key))
     total_loss = policy_loss + v_loss + entropy_loss
 
     drawn_from = distribution.create_dist(logits)
@@ -85,7 +100,7 @@ def ppo_loss(
         "v_loss": v_loss,
         "entropy_loss": entropy_loss,
         # The estimate of KL(old || new) of least variance, http://joschu.net/blog/kl-approx.html
-        "kl_mean": (ratio - 1.0 - log_ratio).mean(),
+        "kl_mean": mean(ratio - 1.0 - log_ratio),
         "policy_dist_mean_std": drawn_from.scale.mean(),
         "policy_dist_max_std": drawn_from.scale.max(),
         "policy_dist_min_std": drawn_from.scale.min(),

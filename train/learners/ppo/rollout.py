@@ -15,7 +15,7 @@ Actor = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]
 
 @struct.dataclass
 class Rollout:
-    """What an update learns from; arrays (time, agents, ...) but for the last one.
+    """What an update learns from; arrays (time, agents, ...) unless stated.
 
     Attributes:
         observation: what the agents saw before a step.
@@ -25,6 +25,8 @@ class Rollout:
         terminated: 1.0 where the step ended an episode for good.
         truncated: 1.0 where it was cut off, by a timeout for instance.
         final_observation: (agents, size) after the last step.
+        weight: 0.0 of steps that are not to be learned from, those of absent agents,
+            else 1.0; None = all 1.
     """
 
     observation: jax.Array
@@ -34,6 +36,7 @@ class Rollout:
     terminated: jax.Array
     truncated: jax.Array
     final_observation: jax.Array
+    weight: jax.Array | None = None
 
 
 @struct.dataclass
@@ -88,17 +91,17 @@ def collect(
             done - info["truncation"],
             info["truncation"],
         )
-        return (after, totals), taken
+        return (after, totals), (taken, info["present"])
 
     info = env_state.info
     zeros = jax.tree.map(
         jnp.zeros_like,
         Totals(info["episode_done"], info["episode_metrics"], info["reward_terms"]),
     )
-    (env_state, totals), taken = jax.lax.scan(
+    (env_state, totals), (taken, present) = jax.lax.scan(
         step, (env_state, zeros), jax.random.split(key, length)
     )
-    return env_state, Rollout(*taken, final_observation=env_state.obs), totals
+    return env_state, Rollout(*taken, env_state.obs, present), totals
 
 
 def _change(

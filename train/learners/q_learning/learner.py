@@ -69,6 +69,11 @@ class QLearner:
         self.config = config
         if not config.env.episode.respawn:
             raise ValueError("Q-learning needs env.episode.respawn = True")
+        if len(config.env.agent_counts) > 1:
+            raise ValueError(
+                "Q-learning needs the same number of agents in all lots, "
+                f"env.min_agents = None, not {config.env.min_agents}"
+            )
         episode = dataclasses.replace(config.env.episode, final_observation=True)
         self.env = ParkingEnv(dataclasses.replace(config.env, episode=episode))
         # The same without new episodes: three times as fast, and mostly enough.

@@ -1,0 +1,254 @@
+"""Lots that have fewer agents than they could: the absent leave no trace."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    EpisodeConfig,
+    GivingWayConfig,
+    GoalConfig,
+    JitterConfig,
+    MetricsConfig,
+    RayConfig,
+    RingConfig,
+    SensorConfig,
+    ShareConfig,
+    SimConfig,
+    SpawnConfig,
+    TannerObservation,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp import fixed_goals
+from carpark_mj.mdp.bays import BayFits
+from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing
+from carpark_mj.types import NO_BAY, State
+
+PRESENT = 2
+MOST = 5
+EVERYTHING = MetricsConfig(driving=True, safety=True)
+FIXED = EnvConfig(
+    num_agents=MOST,
+    physics="bicycle",
+    occupancy=(0.2, 0.4),
+    jitter=JitterConfig(heading=(-0.1, 0.1)),
+    sensors=SensorConfig(position_noise=0.05, delay_max=1),
+    episode=EpisodeConfig(max_steps=25, final_observation=True),
+    observation=ContinuousObservation(
+        tracked_agents=4,
+        rays=RayConfig(8),
+        rings=RingConfig((4.0, 8.0), history=1),
+        share=ShareConfig(speeds=True, goals=True),
+        global_information=True,
+    ),
+    metrics=EVERYTHING,
+)
+DYNAMIC = dataclasses.replace(
+    FIXED,
+    goals=GoalConfig(dynamic=True),
+    giving_way=GivingWayConfig(scheme="G,G,S"),
+    spawn=SpawnConfig(close_ratio=0.3, crash_ratio=0.3, relocation="random"),
+)
+STUDY = EnvConfig(
+    num_agents=MOST,
+    physics="grid",
+    episode=EpisodeConfig(max_steps=25),
+    observation=TannerObservation(tracked_cars=6),
+    metrics=EVERYTHING,
+)
+CONFIGS = {"fixed": FIXED, "dynamic": DYNAMIC, "study": STUDY}
+
+
+def without_absent(state: State, count: int) -> State:
+    """The state of a lot in which only the first agents exist."""
+    names = ("physics", "motion", "goal", "tracked_bays", "ring_history", "step")
+    names = (*names, "active", "stats", "sensors")
+    own = {
+        name: jax.tree.map(lambda x: x[:count], getattr(state, name)) for name in names
+    }
+    return dataclasses.replace(state, present=None, **own)
+
+
+def park_first(env: ParkingEnv, state: State) -> State:
+    """The state with its first agent standing in its goal, or in a bay it tracks."""
+    goal = state.goal
+    if state.tracked_bays is not None:
+        goal = goal.at[0].set(state.tracked_bays[0, 0])
+    pose = state.motion.pose_w.at[0].set(state.layout.bay_pose[goal[0]])
+    first = jnp.arange(env.num_agents) == 0
+    vehicle = state.physics.vehicle
+    physics = env.physics.place(state.physics, first, pose, vehicle)
+    return dataclasses.replace(
+        state, goal=goal, physics=physics, motion=env.physics.read(physics)
+    )
+
+
+def standing(env: ParkingEnv) -> jax.Array:
+    """Actions (num_agents, size) of cars at rest that stay there with their goals."""
+    spec = env.action_spec
+    if not spec.continuous:
+        return jnp.tile(jnp.array([n // 2 for n in spec.choices]), (env.num_agents, 1))
+    return jnp.zeros((env.num_agents, spec.size)).at[:, 2:].set(99)
+
+
+def random_action(env: ParkingEnv, rng: np.random.Generator) -> jax.Array:
+    """Random actions (num_agents, size), of physical cars ahead with a goal kept."""
+    spec, shape = env.action_spec, (env.num_agents,)
+    if not spec.continuous:
+        return jnp.stack(
+            [jnp.array(rng.integers(0, n, shape)) for n in spec.choices], 1
+        )
+    driving = [rng.uniform(-1, 1, shape), np.full(shape, 0.7)]
+    choices = [np.where(rng.random(shape) < 0.2, 1, 99) for _ in spec.choices]
+    return jnp.asarray(np.stack([*driving, *choices], -1), jnp.float32)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_agents_drive_as_in_a_lot_in_which_the_absent_do_not_exist(name):
+    env = ParkingEnv(CONFIGS[name])
+    alone = ParkingEnv(dataclasses.replace(env.config, num_agents=PRESENT))
+    assert env.observation_size == alone.observation_size
+    reset, step, step_alone = map(jax.jit, (env.reset, env.step, alone.step))
+    park = jax.jit(lambda state: park_first(env, state))
+    rng, parked, crashed = np.random.default_rng(1), 0, 0
+    state, _ = reset(jax.random.key(5), num_present=jnp.int32(PRESENT))
+    for k in range(80):
+        action = random_action(env, rng)
+        if k % 20 == 19:
+            state, action = park(state), standing(env)
+        # Every step on its own, for rounding must not add up.
+        lot = without_absent(state, PRESENT)
+        state, timestep = step(state, action)
+        lot, expected = step_alone(lot, action[:PRESENT])
+        own = jax.tree.map(lambda x: x[:PRESENT], timestep)
+        found = without_absent(state, PRESENT)
+        for (path, a), b in zip(
+            jax.tree.leaves_with_path((own, found)),
+            jax.tree.leaves((expected, lot)),
+            strict=True,
+        ):
+            if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
+                a, b = jax.random.key_data(a), jax.random.key_data(b)
+            np.testing.assert_allclose(a, b, atol=1e-4, rtol=1e-4, err_msg=str(path))
+        absent = jax.tree.map(lambda x: x[PRESENT:], timestep)
+        for part in (absent.events, absent.reward_terms, absent.observation):
+            assert not any(np.any(x) for x in jax.tree.leaves(part))
+        parked += int(own.events.parked.sum())
+        crashed += int(own.events.crashed.sum())
+    assert min(parked, crashed) > 0
+
+
+@pytest.mark.parametrize("physics", ["mjx", "bicycle", "grid", "scene"])
+def test_absent_agents_stand_still_far_from_each_other_and_see_zeros(physics):
+    seen = TannerObservation() if physics == "grid" else ContinuousObservation()
+    slope = {} if physics in ("grid", "bicycle") else {"grade_x": 0.1}
+    config = EnvConfig(
+        num_agents=4,
+        num_parked_cars=2,
+        physics=physics,
+        observation=seen,
+        sim=SimConfig(sim_dt=0.02, **slope),
+        sensors=SensorConfig(position_noise=0.1),
+        episode=EpisodeConfig(max_steps=30),
+        metrics=EVERYTHING,
+    )
+    env = ParkingEnv(config)
+    state, observation = jax.jit(env.reset)(jax.random.key(0), num_present=jnp.int32(1))
+    first, rng = state.motion.pose_w[1:], np.random.default_rng(0)
+    actions = jnp.stack([random_action(env, rng) for _ in range(20)])
+    steps = 40 if physics == "scene" else 500
+
+    def step(state, k):
+        state, timestep = env.step(state, actions[k % 20])
+        return state, (timestep, state.motion)
+
+    state, (timestep, motion) = jax.jit(
+        lambda state: jax.lax.scan(step, state, jnp.arange(steps))
+    )(state)
+    assert not np.any(observation[1:])
+    assert not np.any(timestep.observation[:, 1:])
+    assert not np.any(timestep.reward[:, 1:])
+    assert not np.any(timestep.events.done[:, 1:])
+    assert np.any(timestep.events.done[:, 0])
+    for leaf in jax.tree.leaves((timestep, motion)):
+        assert np.isfinite(leaf).all()
+    # Contacts let go of the brake: a car may roll by what float32 cannot tell.
+    moved = np.abs(motion.pose_w[:, 1:] - first).max()
+    assert moved <= (0.01 if physics == "scene" else 0.0)
+    xy = np.concatenate([state.motion.xy[1:], state.parked_cars.pose_w[:, :2]])
+    gap = np.linalg.norm(xy[:, None] - xy, axis=-1) + 1e9 * np.eye(len(xy))
+    assert gap[:3].min() > 15.0
+    assert np.linalg.norm(xy[:3], axis=-1).min() > 5000.0
+
+
+def test_the_number_of_agents_is_uniform_and_they_are_the_first():
+    env = ParkingEnv(dataclasses.replace(DYNAMIC, min_agents=2))
+    lots = 4000
+    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(1), lots))
+    assert state.present is not None
+    present = np.asarray(state.present)
+    counts = np.bincount(present.sum(axis=1), minlength=MOST + 1)
+    share = 1 / 4
+    assert counts[:2].sum() == 0
+    spread = 4 * np.sqrt(lots * share * (1 - share))
+    assert np.abs(counts[2:] - lots * share).max() < spread
+    assert (present[:, :-1] >= present[:, 1:]).all()
+    np.testing.assert_array_equal(state.active, present)
+    assert (np.asarray(state.goal)[~present] == NO_BAY).all()
+
+
+def test_agents_of_fixed_goals_reserve_no_bay_for_the_absent():
+    config = dataclasses.replace(FIXED, min_agents=1)
+    reset = jax.jit(jax.vmap(ParkingEnv(config).reset))
+    state, _ = reset(jax.random.split(jax.random.key(2), 200))
+    goal, present = np.asarray(state.goal), np.asarray(state.present)
+    assert (goal[~present] == NO_BAY).all()
+    for own in (row[here] for row, here in zip(goal, present, strict=True)):
+        assert (own < state.layout.num_bays).all()
+        assert len(set(own.tolist())) == len(own)
+
+
+@pytest.mark.parametrize("config", [FIXED, DYNAMIC], ids=["fixed", "dynamic"])
+def test_a_lot_of_all_agents_is_bit_for_bit_one_that_knows_of_no_absent_ones(config):
+    plain = ParkingEnv(config)
+    same = ParkingEnv(dataclasses.replace(config, min_agents=MOST))
+    key = jax.random.key(7)
+    state, seen = jax.jit(plain.reset)(key)
+    for env, count in ((same, None), (plain, jnp.int32(MOST))):
+        other, found = jax.jit(env.reset)(key, num_present=count)
+        assert (other.present is None) == (count is None)
+        np.testing.assert_array_equal(found, seen)
+        other = dataclasses.replace(other, present=None)
+        for a, b in zip(*map(jax.tree.leaves, (state, other)), strict=True):
+            assert jnp.array_equal(a, b)
+
+
+def test_no_start_is_on_course_for_a_collision_with_an_absent_agent(monkeypatch):
+    """Targets are recorded in the pose that a stand-in for `crash_pose` returns."""
+
+    def count_targets(config, layout, around, goal_xy, targets, draws):
+        mask = targets.mask.astype(jnp.float32)
+        return jnp.stack([mask.sum(), mask[0], mask[2:].sum()]), jnp.bool_(True)
+
+    monkeypatch.setattr(fixed_goals, "crash_pose", count_targets)
+    spawn = SpawnConfig(crash_ratio=1.0, close_ratio=0.0)
+    config = dataclasses.replace(FIXED, spawn=spawn)
+    env = ParkingEnv(config)
+    state, _ = env.reset(jax.random.key(0), num_present=jnp.int32(3))
+    waiting = jnp.arange(MOST) == 1
+    bay = state.parked_cars.bay
+    placing = start_placing(state.goal, bay, state.motion.pose_w, waiting)
+    inputs = SpawnInputs(state.layout, state.parked_cars, None, None, BayFits())
+    placed = env.goals.place(inputs, placing, jnp.int32(1), jax.random.key(1))
+    assert placed.pose_w[1].tolist() == [2.0, 1.0, 1.0]  # agents 0 and 2
+
+
+@pytest.mark.parametrize("least", [0, MOST + 1, 1.5])
+def test_impossible_least_numbers_are_refused(least):
+    with pytest.raises(ValueError, match="min_agents must be"):
+        EnvConfig(num_agents=MOST, min_agents=least)
