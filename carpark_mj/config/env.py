@@ -147,6 +147,12 @@ class EnvConfig:
                 f"goals.num_tracked_bays {self.goals.num_tracked_bays} needs dynamic "
                 "goals, goals.dynamic = True"
             )
+        reverse = self.spawn.reverse_ratio
+        if reverse and (self.goals.dynamic or self.physics == "grid"):
+            raise ValueError(
+                f"spawn.reverse_ratio {reverse} needs fixed goals and cars that steer: "
+                "goals.dynamic = False, and a physics other than grid"
+            )
         if self.physics == "grid" and self.randomization.is_on:
             raise ValueError(
                 "randomization has no effect on the grid, whose cars have no "

@@ -1,6 +1,7 @@
 """Starts of episodes."""
 
 import dataclasses
+import math
 from typing import Literal
 
 from carpark_mj.config.checks import at_least, choose, ratio, whole
@@ -16,10 +17,11 @@ class SpawnConfig:
         close_ratio: share of spawns next to the goal.
         close_distance: longest walk of a close spawn from the point nearest to the goal
             [m].
-        crash_ratio: share of spawns on course for a collision with another agent; all
-            remaining spawns are random.
+        crash_ratio: share of spawns on course for a collision with another agent.
         crash_distance: on a collision course, shortest distance of the other agent to
             its goal, and from the meeting point to that goal [m].
+        reverse_ratio: share of spawns where a car has got to that drove out of the goal
+            bay; a training aid. All remaining spawns are random.
         min_distance: desired distance to other agents' centres [m]; 7.38 m is Tanner's
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
@@ -34,17 +36,19 @@ class SpawnConfig:
     close_distance: float = 5.625
     crash_ratio: float = 0.0
     crash_distance: float = 7.38
+    reverse_ratio: float = 0.0
     min_distance: float = 7.38
     num_candidates: int = 16
     spacing: float = 0.0
     relocation: RelocationRule = "furthest"
 
     def __post_init__(self) -> None:
-        ratio(self, "close_ratio", "crash_ratio")
-        if self.close_ratio + self.crash_ratio > 1.0:
+        ratio(self, "close_ratio", "crash_ratio", "reverse_ratio")
+        ratios = (self.close_ratio, self.crash_ratio, self.reverse_ratio)
+        if math.fsum(ratios) > 1.0:
             raise ValueError(
-                "close_ratio + crash_ratio must be at most 1, not "
-                f"{self.close_ratio} + {self.crash_ratio}"
+                "close_ratio + crash_ratio + reverse_ratio must be at most 1, not "
+                f"{' + '.join(map(str, ratios))}"
             )
         distances = ("close_distance", "crash_distance", "min_distance", "spacing")
         at_least(self, 0.0, *distances)

@@ -19,13 +19,19 @@ from carpark_mj.mdp.spawning.collision_course import (
     crash_pose,
 )
 from carpark_mj.mdp.spawning.draws import draw_uniform, pick
-from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
+from carpark_mj.mdp.spawning.placing import (
+    Placing,
+    SpawnInputs,
+    Surroundings,
+    surroundings,
+)
 from carpark_mj.mdp.spawning.poses import (
     SpawnDraws,
     draw_kind,
     spawn_pose,
     spawn_shapes,
 )
+from carpark_mj.mdp.spawning.reverse import ReverseDraws, reverse_pose, reverse_shapes
 from carpark_mj.types import NO_BAY, Events, State
 
 
@@ -37,19 +43,22 @@ class PlaceDraws(NamedTuple):
         start: for a random or close start.
         course_goal: (attempts, 2, bays) the goals of attempts at a collision course.
         course: for the attempts.
+        reverse: for a start on a way out of the goal's bay.
     """
 
     goal: Any
     start: SpawnDraws
     course_goal: Any
     course: CourseDraws
+    reverse: ReverseDraws
 
 
 def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDraws:
     """Shapes of the numbers of a start, for `draw_uniform`."""
     course, goal = course_shapes(config, num_agents), (2, num_bays)
     course_goal = (*course.target[:1], *goal)
-    return PlaceDraws(goal, spawn_shapes(config), course_goal, course)
+    start, reverse = spawn_shapes(config), reverse_shapes(config)
+    return PlaceDraws(goal, start, course_goal, course, reverse)
 
 
 class FixedGoals:
@@ -62,13 +71,13 @@ class FixedGoals:
     def first_pose(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
     ) -> jax.Array:
-        """Random, close to the given goal or on a collision course."""
+        """A start of any kind for the given goal."""
         config, layout = self._config, inputs.layout
         around = surroundings(inputs, placing, agent)
         around = dataclasses.replace(around, others=~placing.waiting)
         goal_pose = layout.bay_pose[placing.goal]
         draws = draw_uniform(self._shapes(inputs, placing), key)
-        pose = spawn_pose(config, layout, around, goal_pose[agent], draws.start)
+        pose = self._pose(inputs, placing, around, agent, draws)
         if not config.crash_ratio:
             return pose
         # The goal is given here, so that an attempt draws another target only.
@@ -83,7 +92,7 @@ class FixedGoals:
     def place(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
     ) -> Placing:
-        """A new goal, and a start pose that may be close to it.
+        """A new goal, and a start pose that may depend on it.
 
         An agent that starts on a collision course gets the goal that made it possible.
         """
@@ -91,8 +100,7 @@ class FixedGoals:
         draws = draw_uniform(self._shapes(inputs, placing), key)
         drawn = self.new_goal(inputs, placing, agent, draws.goal)
         around = surroundings(inputs, drawn, agent)
-        goal_pose = layout.bay_pose[drawn.goal[agent]]
-        pose = spawn_pose(config, layout, around, goal_pose, draws.start)
+        pose = self._pose(inputs, drawn, around, agent, draws)
         drawn = drawn.set(agent, pose_w=pose)
         if not config.crash_ratio:
             return drawn
@@ -115,6 +123,24 @@ class FixedGoals:
         return jax.tree.map(
             lambda new, old: jnp.where(crash, new[jnp.argmax(good)], old), tried, drawn
         )
+
+    def _pose(
+        self,
+        inputs: SpawnInputs,
+        placing: Placing,
+        around: Surroundings,
+        agent: jax.Array,
+        draws: PlaceDraws,
+    ) -> jax.Array:
+        """A start pose (3,) of any kind but a collision course."""
+        config, layout = self._config, inputs.layout
+        goal_pose = layout.bay_pose[placing.goal[agent]]
+        pose = spawn_pose(config, layout, around, goal_pose, draws.start)
+        if not config.reverse_ratio:
+            return pose
+        out, found = reverse_pose(inputs, placing, around, agent, draws.reverse)
+        reverse = draw_kind(config, draws.start.kind).reverse & found
+        return jnp.where(reverse, out, pose)
 
     def new_goal(
         self,

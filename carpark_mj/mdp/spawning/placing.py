@@ -14,7 +14,7 @@ from carpark_mj.geometry import box_disc_overlap, boxes_overlap, norm
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
-from carpark_mj.types import NO_BAY, ParkedCars
+from carpark_mj.types import NO_BAY, CarParameters, ParkedCars
 
 
 @struct.dataclass
@@ -30,6 +30,8 @@ class SpawnInputs:
         old_size: (num_agents, 2) footprints of the cars they drove before [m]; None as
             for `size`.
         fits: who fits into which bay.
+        cars: (num_agents,) parameters of the cars drawn for agents that begin; None if
+            no start depends on them.
     """
 
     layout: Layout
@@ -37,6 +39,7 @@ class SpawnInputs:
     size: jax.Array | None
     old_size: jax.Array | None
     fits: BayFits
+    cars: CarParameters | None = None
 
 
 @struct.dataclass
@@ -110,10 +113,14 @@ class Surroundings:
         """(n,) bool, whether the car at poses (n, 3) would touch what does not move."""
         if self.size is None:
             return jnp.zeros(pose.shape[:1], bool)
+        return self.blocks(pose, self.size)
+
+    def blocks(self, pose: jax.Array, size: jax.Array) -> jax.Array:
+        """(n,) bool, whether a box (2,) [m] at poses (n, 3) overlaps any of that."""
         layout, own = self.layout, pose[:, None]
-        walls = boxes_overlap(own, self.size, layout.wall_pose, layout.wall_size)
-        discs = box_disc_overlap(own, self.size, layout.disc_centre, layout.disc_radius)
-        parked = boxes_overlap(own, self.size, self.parked_pose, self.parked_size)
+        walls = boxes_overlap(own, size, layout.wall_pose, layout.wall_size)
+        discs = box_disc_overlap(own, size, layout.disc_centre, layout.disc_radius)
+        parked = boxes_overlap(own, size, self.parked_pose, self.parked_size)
         return (
             (walls & layout.wall_mask).any(1)
             | (discs & layout.disc_mask).any(1)
@@ -135,6 +142,7 @@ def surroundings(
     if inputs.size is not None and inputs.old_size is not None:
         found = placing.found[agent]
         size = jnp.where(found, inputs.size[agent], inputs.old_size[agent])
+    if size is not None or inputs.cars is not None:
         parked = in_bays(inputs.layout, parked, placing.parked_bay)
     return Surroundings(
         xy=placing.xy,

@@ -1,6 +1,6 @@
 """Where an agent starts: at random in the spawn regions, or close to its goal.
 
-The third way to start is in `collision_course`.
+Other ways to start are in `collision_course` and `reverse`.
 """
 
 from typing import Any, NamedTuple
@@ -34,15 +34,17 @@ class SpawnDraws(NamedTuple):
 
 
 class SpawnKind(NamedTuple):
-    """How a start is meant to be; random if it is neither. (...) bool each.
+    """How a start is meant to be; random if it is none of these. (...) bool each.
 
     Attributes:
         close: close to a goal.
         crash: on course for a collision, or exploring with another agent's goal.
+        reverse: on a way out of the goal's bay.
     """
 
     close: jax.Array
     crash: jax.Array
+    reverse: jax.Array
 
 
 def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
@@ -52,11 +54,13 @@ def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
 
 
 def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
-    """How starts (...) are meant to be, never both; uniform numbers (...) decide."""
+    """How starts (...) are meant to be, of one kind at most; `number` (...) decides."""
     rest = number - config.close_ratio
+    last = rest - config.crash_ratio
     return SpawnKind(
         close=number < config.close_ratio,
         crash=(rest >= 0.0) & (rest < config.crash_ratio),
+        reverse=(rest >= 0.0) & (last >= 0.0) & (last < config.reverse_ratio),
     )
 
 
