@@ -30,6 +30,7 @@ from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import markdown_table, observation_size
 from carpark_mj.registry import ENVIRONMENTS, TANNER_FIXED
 from carpark_mj.vehicle import PRESETS
+from learners.hosts import read_hosts
 from learners.ppo.config import PPOConfig
 from learners.ppo.presets import PRESETS as PPO_PRESETS
 from learners.q_learning.config import QLearningConfig
@@ -202,6 +203,8 @@ def test_a_command_exists_and_takes_its_flags(line):
         return
     if program == "-m carpark_mj.scene":
         arguments = complete(arguments)
+    if program == "train/ppo.py":
+        arguments = read_hosts(arguments)[1]
     config = COMMANDS.get(program) or settings_of(program)
     read_flags(config, arguments, preset(config, arguments))
 

@@ -1,16 +1,20 @@
 """Trains one shared parking policy for all agents with PPO (IPPO).
 
     python train/ppo.py                        # preset by hardware, runs/cpu-0 or gpu-0
-    python train/ppo.py --resume runs/cpu-0    # continues exactly where it stopped
+    python train/ppo.py --resume runs/cpu-0    # continues where it stopped
     python train/ppo.py --preset tanner-fixed  # the study's grid world
     python train/ppo.py --help-all             # every setting
+    python train/ppo.py --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
+    srun python train/ppo.py --coordinator auto                          # a cluster
 
 Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at once.
 """
 
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import jax
 
@@ -27,12 +31,22 @@ def configure_jax() -> None:
     enable_output_fusion()
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
     # jaxlib 0.11.2 crashes compiling a program for several CPU devices; 0.10.2 is fine.
-    if jax.__version_info__ < (0, 11):
+    if jax.__version_info__ < (0, 11) and "JAX_NUM_CPU_DEVICES" not in os.environ:
         jax.config.update("jax_num_cpu_devices", cores or 1)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Trains; returns the exit code."""
+    """Trains, with other hosts if asked; returns the exit code."""
+    from learners.hosts import joined, read_hosts
+
+    hosts, arguments = read_hosts(sys.argv[1:] if arguments is None else arguments)
+    with joined(hosts):
+        return run_on_host(arguments)
+
+
+def run_on_host(arguments: Sequence[str]) -> int:
+    """Trains on this host; returns the exit code."""
+    from learners import hosts
     from learners.memory import require_memory
     from learners.ppo.config import RUN_SETTINGS
     from learners.ppo.learner import Learner
@@ -46,13 +60,20 @@ def run(arguments: Sequence[str] | None = None) -> int:
         PRESETS[hardware], PRESETS, arguments, __doc__, RUN_SETTINGS, SUMMARIES
     )
     learner = Learner(config)  # refuses impossible lots before a folder is made
-    require_memory(learner.least_memory())
+    require_memory(learner.least_memory() // jax.process_count())
+    hosts.require_same(repr(config))
     try:
-        with open_run(config) as folder:
-            if not train(config, learner, folder):
+        with contextlib.ExitStack() as stack:
+            opened = hosts.on_first(lambda: stack.enter_context(open_run(config)))
+            # Others only read the checkpoint of a run to resume, if it is one.
+            folder = opened or Path(config.resume or config.runs_dir)
+            done = train(config, learner, folder)
+            hosts.part()
+            if not done:
                 print(f"stopped; continue with: python train/ppo.py --resume {folder}")
                 return 0
-            finish(config, folder)
+            if hosts.is_first():
+                finish(config, folder)
     except TrainingDivergedError as error:
         print(f"ppo: {error}", file=sys.stderr)
         return 1

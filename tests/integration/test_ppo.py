@@ -4,11 +4,13 @@ import csv
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -16,19 +18,25 @@ ROOT = Path(__file__).resolve().parents[2]
 TINY = (
     *("--preset", "cpu", "--num-lots", "4", "--num-minibatches", "2"),
     *("--unroll-length", "4", "--num-steps", "640", "--checkpoint-updates", "3"),
+    *("--minutes", "0"),  # repeatable
     *("--env.num-parked-cars", "4", "--env.sim.sim-dt", "0.02"),
     *("--env.physics", "bicycle"),  # quicker to compile; `test_learner` trains on MJX
     *("--networks.policy-layers", "16", "--networks.value-layers", "16"),
     *("--eval-episodes", "0", "--video-seconds", "0"),
+)
+# See `ppo.configure_jax`.
+SEVERAL_CPU_DEVICES = jax.__version_info__ < (0, 11)
+DEVICES = {"COLUMNS": "200"} | (
+    {"JAX_NUM_CPU_DEVICES": "2"} if SEVERAL_CPU_DEVICES else {}
 )
 UPDATES = 20  # 640 steps / (4 lots x 2 agents x 4 control steps)
 
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory):
-    """A compilation cache of their own, so that restarts are quick."""
+    """A compilation cache of their own, so that restarts are quick; two devices."""
     cache = tmp_path_factory.mktemp("cache")
-    return os.environ | {"JAX_COMPILATION_CACHE_DIR": str(cache), "COLUMNS": "200"}
+    return os.environ | DEVICES | {"JAX_COMPILATION_CACHE_DIR": str(cache)}
 
 
 def command(script: str, *arguments: str) -> list[str]:
@@ -136,6 +144,51 @@ def test_a_run_killed_twice_ends_like_an_undisturbed_one(finished, environment):
         for name in clock:
             del ours[name], theirs[name]
         assert ours == theirs
+
+
+def on_two_hosts(environment, *arguments: str) -> list[subprocess.CompletedProcess]:
+    """Trains in two processes with a device each."""
+    with socket.socket() as free:
+        free.bind(("localhost", 0))
+        coordinator = f"localhost:{free.getsockname()[1]}"
+    flags = ("--coordinator", coordinator, "--num-hosts", "2", "--host")
+    processes = [
+        subprocess.Popen(
+            command("train/ppo.py", *arguments, *flags, str(host)),
+            env=environment | {"JAX_NUM_CPU_DEVICES": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for host in range(2)
+    ]
+    said = [process.communicate(timeout=600) for process in processes]
+    return [
+        subprocess.CompletedProcess(process.args, process.returncode, *texts)
+        for process, texts in zip(processes, said, strict=True)
+    ]
+
+
+@pytest.mark.skipif(not SEVERAL_CPU_DEVICES, reason="jaxlib crashes on several CPUs")
+def test_two_hosts_train_like_two_devices_of_one(finished, environment):
+    folder = finished[0].parent / "hosts"
+    before = set(folder.parent.iterdir())
+    start = (*TINY, "--runs-dir", str(folder.parent), "--name", "hosts")
+    # The limit is reached in the first update, and one host goes on.
+    both = on_two_hosts(environment, *start, "--time-limit", "1e-4")
+    assert [done.returncode for done in both] == [0, 0], both
+    assert f"--resume {folder}" in both[0].stdout
+    assert "--resume" not in both[1].stdout  # host 0 speaks for all
+    assert set(folder.parent.iterdir()) - before == {folder}
+    assert checkpoint(folder).name == "step_000000000032.npz"
+    done = run(environment, "train/ppo.py", "--resume", str(folder))
+    assert done.returncode == 0, done.stderr
+    whole, ours = np.load(checkpoint(finished[0])), np.load(checkpoint(folder))
+    assert set(whole.files) == set(ours.files)
+    for name in whole.files:
+        if name != "header":
+            # Sums over devices, here over hosts; measured: no difference.
+            np.testing.assert_allclose(ours[name], whole[name], atol=1e-5, err_msg=name)
 
 
 def test_a_run_is_one_process_s_and_ctrl_c_leaves_a_checkpoint(finished, environment):

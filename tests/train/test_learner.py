@@ -14,6 +14,7 @@ from brax.training.agents.ppo import losses as ppo_losses
 from brax.training.agents.ppo import train as brax_ppo
 from brax.training.types import Transition
 from helpers.sliding import SlidePhysics
+from jax.flatten_util import ravel_pytree
 from jax.sharding import PartitionSpec
 
 from carpark_mj.config import EnvConfig, SimConfig
@@ -273,8 +274,39 @@ def test_schedules_are_linear_and_stay_at_their_ends():
     )
 
 
+def test_rates_follow_the_time_used_without_another_compilation(learner, state):
+    config = dataclasses.replace(TINY, minutes=1.0, learning_rate_end=0.0)
+    rollout = as_rollout(canned_data(learner, state, seed=2))
+
+    @on_one_device
+    def moved(state, rollout):
+        key = jax.random.key(5)
+        new = learn(
+            config,
+            learner.networks,
+            learner.inputs,
+            learner.optimizer,
+            state,
+            rollout,
+            key,
+        )
+        before, after = (
+            ravel_pytree(x)[0] for x in ((state.policy, state.value), new[0][1:3])
+        )
+        return jnp.abs(after - before).max()
+
+    seconds = (0.0, 30.0, 59.0, 60.0, 99.0)
+    steps = [
+        float(moved(jax.device_get(learner.set_seconds(state, s)), rollout))
+        for s in seconds
+    ]
+    assert steps[0] > steps[1] > steps[2] > 0.0
+    assert steps[3] == steps[4] == 0.0
+    assert moved._cache_size() == 1
+
+
 def test_lots_and_minibatches_divide_over_the_devices_used(monkeypatch):
-    monkeypatch.setattr(jax, "local_device_count", lambda: 6)
+    monkeypatch.setattr(jax, "device_count", lambda: 6)
     config = dataclasses.replace(TINY, num_lots=8, num_minibatches=4)
     # 8 lots x 2 agents: 4 devices hold 4 agents each, one per minibatch; 5 and 6 do
     # not divide the lots.

@@ -4,7 +4,7 @@ import contextlib
 import signal
 import sys
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from rich.progress import (
@@ -42,21 +42,29 @@ class StopRequest:
     def close(self) -> None:
         """Restores the previous handlers."""
         for number, handler in self._old:
-            signal.signal(number, handler)
+            if handler is not None:  # not one of another language's
+                signal.signal(number, handler)
 
 
 class Loop:
     """Progress, checkpoint times, time limit and Ctrl-C of a training."""
 
-    def __init__(self, title: str, config: RunConfig) -> None:
+    def __init__(
+        self,
+        title: str,
+        config: RunConfig,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         """Starts the clocks.
 
         Args:
             title: of the bar.
             config: `time_limit` and `checkpoint_minutes` count.
+            clock: gives the time [s].
         """
         self._config = config
-        self._started = self._saved = self._printed = time.monotonic()
+        self._clock = clock
+        self._started = self._saved = self._printed = clock()
         self._bar = Progress(
             TextColumn(f"[bold]{title}"),
             BarColumn(bar_width=24),
@@ -68,13 +76,14 @@ class Loop:
         )
 
     @contextlib.contextmanager
-    def over(self, total: int, done: int = 0) -> Generator[None]:
+    def over(self, total: float, done: float = 0) -> Generator[None]:
         """Shows a bar over `total` and turns Ctrl-C into a request to stop.
 
         Where there is no terminal it is a line now and then.
         """
         self._stop = StopRequest()
-        self._task = self._bar.add_task("", total=total, completed=done)
+        self._task = self._bar.add_task("", total=total)
+        self._bar.update(self._task, completed=done)
         try:
             with self._bar:
                 yield
@@ -84,7 +93,7 @@ class Loop:
     @property
     def seconds(self) -> float:
         """Since the start."""
-        return time.monotonic() - self._started
+        return self._clock() - self._started
 
     @property
     def stopping(self) -> bool:
@@ -95,21 +104,25 @@ class Loop:
     @property
     def checkpoint_is_due(self) -> bool:
         """Whether the last checkpoint is `checkpoint_minutes` old."""
-        age = time.monotonic() - self._saved
+        age = self._clock() - self._saved
         return age > self._config.checkpoint_minutes * 60
 
     def saved(self) -> None:
         """Records that a checkpoint was just written."""
-        self._saved = time.monotonic()
+        self._saved = self._clock()
 
-    def show(self, done: int, text: str) -> None:
+    def show(self, done: float, text: str) -> None:
         """Moves the bar to `done` and sets the text (rich markup) beside it."""
         self._bar.update(self._task, completed=done, description=text)
-        now = time.monotonic()
+        now = self._clock()
         if self._bar.console.is_terminal or now - self._printed <= LINE_SECONDS:
             return
         self._printed = now
         left = self._bar.tasks[0].time_remaining
         if left:
             text = f"{text}  {left / 60:.1f} min left"
+        self.say(text)
+
+    def say(self, text: str) -> None:
+        """Prints a line (rich markup) above the bar."""
         self._bar.console.print(text, soft_wrap=True, highlight=False)

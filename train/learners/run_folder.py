@@ -140,7 +140,7 @@ def describe(config: RunConfig) -> dict[str, Any]:
         "versions": {name: _version(name) for name in packages},
         "python": platform.python_version(),
         "device": jax.devices()[0].device_kind,
-        "num_devices": jax.local_device_count(),
+        "num_devices": jax.device_count(),
         "matmul_precision": "highest in the environment, default in the networks",
     }
 

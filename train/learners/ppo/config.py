@@ -3,6 +3,8 @@
 import dataclasses
 from typing import Annotated, Literal
 
+import jax
+import jax.numpy as jnp
 import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
@@ -38,6 +40,7 @@ RUN_SETTINGS = (
     "time_limit",
     "seed",
     "num_steps",
+    "minutes",
     "num_lots",
     "checkpoint_minutes",
     "eval_episodes",
@@ -54,6 +57,9 @@ class PPOConfig(RunConfig):
     Attributes:
         preset: settings the other flags start from.
         num_steps: total number of agent steps.
+        minutes: time after which training ends before `num_steps` are made, compiling
+            included, evaluation and video not [min]; 0 = no limit. Schedules then
+            follow steps or time, whichever is further.
         num_lots: number of lots simulated in parallel.
         lot_life: most updates for which a random lot is kept; a few lots are drawn
             anew after every update. 0 = never drawn anew; fixed lots never are.
@@ -85,6 +91,7 @@ class PPOConfig(RunConfig):
 
     preset: Annotated[PresetName, _BY_HARDWARE] = "auto"
     num_steps: int = 40_000_000
+    minutes: float = 0.0
     num_lots: int = 64
     lot_life: int = 16
     unroll_length: int = 64
@@ -126,6 +133,7 @@ class PPOConfig(RunConfig):
         at_least(
             self,
             0,
+            "minutes",
             "lot_life",
             "learning_rate_end",
             "entropy_cost",
@@ -174,3 +182,18 @@ class PPOConfig(RunConfig):
     def num_updates(self) -> int:
         """Updates in all; the last may overshoot `num_steps`."""
         return -(-self.num_steps // self.steps_per_update)
+
+    def progress(
+        self, update: jax.Array | int, seconds: jax.Array | float
+    ) -> jax.Array:
+        """Share of the training that is done, in [0, 1].
+
+        Args:
+            update: updates made.
+            seconds: time used [s]; it counts if `minutes` limits it.
+        """
+        by_steps = jnp.asarray(update / self.num_updates)
+        if not self.minutes:
+            return by_steps
+        by_time = seconds / (60.0 * self.minutes)
+        return jnp.minimum(jnp.maximum(by_steps, by_time), 1.0)

@@ -44,7 +44,7 @@ def learn(
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.
     """
-    progress = state.update / config.num_updates
+    progress = config.progress(state.update, state.seconds)
     learning_rate = schedule(config.learning_rate, config.learning_rate_end, progress)
     weights = Weights(
         entropy_cost=schedule(config.entropy_cost, config.entropy_cost_end, progress),

@@ -4,11 +4,13 @@ Collecting is in `rollout`, learning in `epochs`; networks, statistics and GAE a
 Brax. Lots are sharded over the devices, parameters replicated, gradients averaged.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
@@ -27,13 +29,24 @@ from learners.ppo.state import AXIS, TrainingState, state_specs
 
 
 def num_devices(config: PPOConfig) -> int:
-    """The most local devices that lots and minibatches divide over evenly."""
+    """The most devices that lots and minibatches divide over evenly.
+
+    Raises:
+        ValueError: there are several hosts and they do not divide over all devices.
+    """
 
     def fits(n: int) -> bool:
         agents = config.num_lots // n * config.env.num_agents
         return config.num_lots % n == 0 and agents % config.num_minibatches == 0
 
-    return max(n for n in range(1, jax.local_device_count() + 1) if fits(n))
+    count = jax.device_count()
+    if jax.process_count() > 1 and not fits(count):
+        raise ValueError(
+            f"num_lots {config.num_lots}, and the agents of a device's lots over "
+            f"num_minibatches {config.num_minibatches}, must divide evenly over the "
+            f"{count} devices of {jax.process_count()} hosts"
+        )
+    return max(n for n in range(1, count + 1) if fits(n))
 
 
 def due_lots(update: jax.Array | int, num_lots: int, life: int) -> jax.Array:
@@ -60,7 +73,7 @@ class Learner:
         self.optimizer = optax.chain(
             optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam()
         )
-        devices = jax.local_devices()[: num_devices(config)]
+        devices = jax.devices()[: num_devices(config)]
         self.mesh = Mesh(devices, (AXIS,))
 
     def init(self) -> TrainingState:
@@ -85,6 +98,7 @@ class Learner:
             key=key,
             update=jnp.zeros((), jnp.int32),
             skipped=jnp.zeros((), jnp.int32),
+            seconds=jnp.zeros((), jnp.float32),
             env=self.env.reset(jax.random.split(env_key, self.config.num_lots)),
         )
         return jax.tree.map(_strong, state)
@@ -108,10 +122,26 @@ class Learner:
     def place(self, state: TrainingState) -> TrainingState:
         """Lays a state out over the devices: lots sharded, the rest replicated."""
         return jax.tree.map(
-            lambda sharding, part: jax.device_put(part, sharding),
+            lambda sharding, part: jax.tree.map(lambda x: _put(x, sharding), part),
             self._shardings(),
             state,
         )
+
+    def gather(self, state: TrainingState) -> TrainingState:
+        """The whole state in this host's memory; all hosts must call it."""
+        if jax.process_count() > 1:
+            state = jax.jit(_without_keys, out_shardings=self._whole)(state)
+        return jax.device_get(state)
+
+    def set_seconds(self, state: TrainingState, seconds: float) -> TrainingState:
+        """The state with what is used of the budget; nothing recompiles for it."""
+        return dataclasses.replace(
+            state, seconds=_put(np.float32(seconds), self._whole)
+        )
+
+    @property
+    def _whole(self) -> NamedSharding:
+        return NamedSharding(self.mesh, PartitionSpec())
 
     def _shardings(self) -> TrainingState:
         return jax.tree.map(
@@ -131,7 +161,7 @@ class Learner:
         )
         # Also given for the results; otherwise on one device JAX treats some lots as
         # replicated and recompiles for the second update.
-        placed = (self._shardings(), NamedSharding(self.mesh, PartitionSpec()))
+        placed = (self._shardings(), self._whole)
         return jax.jit(update, donate_argnums=0, out_shardings=placed)
 
     def update(
@@ -181,6 +211,7 @@ class Learner:
             key=key,
             update=state.update + 1,
             skipped=state.skipped + ~finite,
+            seconds=state.seconds,
             env=env_state,
         )
         num_steps = self.config.steps_per_update
@@ -189,6 +220,7 @@ class Learner:
         metrics = _episode_metrics(totals, num_steps) | {
             f"loss/{name}": loss for name, loss in losses.items()
         }
+        metrics["progress"] = self.config.progress(state.update, state.seconds)
         return jax.tree.map(_strong, (new, metrics | {"skipped": new.skipped}))
 
     def _collect(
@@ -202,7 +234,7 @@ class Learner:
         if self.config.hitbox_scale != 1.0:  # data, so nothing recompiles at its end
             aided = state.update < self.config.hitbox_updates
             env = BraxParking(env.env, jnp.where(aided, self.config.hitbox_scale, 1.0))
-        progress = state.update / self.config.num_updates
+        progress = self.config.progress(state.update, state.seconds)
         scales = {"crash": crash_scale(self.config.curriculum, progress)}
         length = self.config.unroll_length
         return collect(env, state.env, actor, key, length, scales)
@@ -233,7 +265,26 @@ def _episode_metrics(
     return metrics
 
 
+def _put(x: Any, sharding: NamedSharding) -> jax.Array:
+    """Lays out an array that every host has whole."""
+    if jax.process_count() == 1:
+        return jax.device_put(x, sharding)
+    if _is_key(x):
+        return jax.random.wrap_key_data(_put(jax.random.key_data(x), sharding))
+    host = np.asarray(x)
+    return jax.make_array_from_callback(host.shape, sharding, lambda i: host[i])
+
+
+def _without_keys(state: TrainingState) -> TrainingState:
+    """Keys as the integers that checkpoints hold."""
+    return jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, state)
+
+
+def _is_key(x: Any) -> bool:
+    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
+
+
 def _strong(x: Any) -> jax.Array:
     """The array without weak type, so that the second update does not recompile."""
     x = jnp.asarray(x)
-    return x if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x.astype(x.dtype)
+    return x if _is_key(x) else x.astype(x.dtype)

@@ -22,6 +22,7 @@ class TrainingState:
         key: randomness of acting and shuffling.
         update: () int32 updates made.
         skipped: () int32 updates dropped because they were not finite.
+        seconds: () float32 of `minutes` used, which the host sets; 0 without them.
         env: the Brax state of all lots.
     """
 
@@ -33,6 +34,7 @@ class TrainingState:
     key: jax.Array
     update: jax.Array
     skipped: jax.Array
+    seconds: jax.Array
     env: Any
 
 
@@ -49,5 +51,6 @@ def state_specs() -> TrainingState:
         key=whole,
         update=whole,
         skipped=whole,
+        seconds=whole,
         env=lots,
     )

@@ -3,15 +3,19 @@
 import contextlib
 import dataclasses
 import sys
+import time
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
 import jax
 
 from carpark_mj.policy import checkpoints, runs
+from learners import hosts
 from learners.loop import Loop
 from learners.ppo.config import PPOConfig
 from learners.ppo.curve import plot_learning_curve
+from learners.ppo.forecast import MEASURED_SECONDS, announcement, estimate
 from learners.ppo.learner import Learner
 from learners.ppo.metrics_log import MetricsLog
 from learners.ppo.state import TrainingState
@@ -26,7 +30,10 @@ class TrainingDivergedError(Exception):
 def print_settings(config: PPOConfig, folder: Path, learner: Learner) -> None:
     """Prints every setting, one a line."""
     device = jax.devices()[0]
-    print(f"run {folder} on {learner.mesh.size} x {device.device_kind}")
+    where = f"{learner.mesh.size} x {device.device_kind}"
+    if jax.process_count() > 1:
+        where += f" of {jax.process_count()} hosts"
+    print(f"run {folder} on {where}")
 
     def lines(prefix: str, settings: dict[str, Any]) -> None:
         for name, value in settings.items():
@@ -48,7 +55,7 @@ def load_or_init(learner: Learner, folder: Path) -> TrainingState:
 
 
 def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
-    """Writes a checkpoint of the state."""
+    """Writes a checkpoint of the state, which is in the host's memory."""
     update = int(state.update)
     steps = update * config.steps_per_update
     header = {
@@ -56,31 +63,53 @@ def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
         "update": update,
         "env_steps": steps,
     }
-    return runs.save_checkpoint(folder, vars(jax.device_get(state)), header, steps)
+    return runs.save_checkpoint(folder, vars(state), header, steps)
 
 
-def train(config: PPOConfig, learner: Learner, folder: Path) -> bool:
-    """Trains until done, stopped or out of time; True when done.
+def train(
+    config: PPOConfig,
+    learner: Learner,
+    folder: Path,
+    clock: Callable[[], float] = time.monotonic,
+) -> bool:
+    """Trains until done, stopped or at the time limit; True when done.
+
+    It is done after `num_steps`, or after `minutes` if that is sooner.
+
+    Args:
+        config: of the run.
+        learner: of the config.
+        folder: of the run; only host 0 writes to it.
+        clock: gives the time [s].
 
     Raises:
         TrainingDivergedError: the updates keep coming out non-finite.
         CheckpointError: a checkpoint to resume from is damaged.
     """
     print_settings(config, folder, learner)
-    print("compiling ...", flush=True)
-    loop = Loop("PPO", config)
+    loop = Loop("PPO", config, clock)
     state = load_or_init(learner, folder)
     update = learner.compile()
     first = done = int(state.update)
+    used = float(state.seconds)  # by the runs that this one continues
+    print(announcement(config, done, used))
+    print("compiling ...", flush=True)
     skipped, in_a_row = int(state.skipped), 0
     begun = 0.0
-    log = MetricsLog(folder, done)
-    leaving = False
-    with loop.over(config.num_updates, done), contextlib.closing(log):
-        while done < config.num_updates and not leaving:
+    leaving = told = False
+    progress = float(config.progress(done, used))
+    with loop.over(1.0, progress), _metrics(folder, done) as log:
+        while progress < 1.0 and not leaving:
             state, metrics = update(state)
             row = {name: float(x) for name, x in jax.device_get(metrics).items()}
             done += 1
+            due = loop.checkpoint_is_due
+            seconds, leaving, due = hosts.largest(
+                used + loop.seconds, loop.stopping, due
+            )
+            progress = float(config.progress(done, seconds))
+            if config.minutes:
+                state = learner.set_seconds(state, seconds)
             begun = begun or loop.seconds  # the first update includes compilation
             made = (done - first - 1) * config.steps_per_update
             rate = made / (loop.seconds - begun) if made else 0.0
@@ -92,7 +121,7 @@ def train(config: PPOConfig, learner: Learner, folder: Path) -> bool:
                     f"in {folder} are from before"
                 )
             steps = done * config.steps_per_update
-            log.write(
+            log(
                 {
                     "update": done,
                     "env_steps": steps,
@@ -101,20 +130,32 @@ def train(config: PPOConfig, learner: Learner, folder: Path) -> bool:
                     **row,
                 }
             )
+            if not told and made and loop.seconds - begun > MEASURED_SECONDS:
+                loop.say(estimate(config, done, seconds, rate))
+                told = True
             loop.show(
-                done,
+                progress,
                 f"{steps / 1e6:.2f} M  {rate:>7,.0f} steps/s  "
                 f"[green]parked {row['episode/parked']:5.1%}[/]  "
                 f"[red]crashed {row['episode/crashed']:5.1%}[/]",
             )
-            leaving = loop.stopping
-            due = loop.checkpoint_is_due
             if config.checkpoint_updates:
                 due = done % config.checkpoint_updates == 0
-            if due or leaving or done == config.num_updates:
-                save(folder, config, state)
+            if due or leaving or progress >= 1.0:
+                whole = learner.gather(state)
+                hosts.on_first(lambda whole=whole: save(folder, config, whole))
                 loop.saved()
-    return done == config.num_updates
+    return progress >= 1.0
+
+
+@contextlib.contextmanager
+def _metrics(folder: Path, done: int) -> Generator[Callable[[dict[str, float]], None]]:
+    """What writes a row of metrics; on host 0 alone."""
+    if not hosts.is_first():
+        yield lambda row: None
+        return
+    with contextlib.closing(MetricsLog(folder, done)) as log:
+        yield log.write
 
 
 def finish(config: PPOConfig, folder: Path) -> None:

@@ -1,0 +1,137 @@
+"""A training of some minutes: its end, its schedules, resumed runs, what it says."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.config import EnvConfig
+from learners.ppo.config import PPOConfig
+from learners.ppo.curriculum import schedule
+from learners.ppo.forecast import announcement, estimate
+from learners.ppo.learner import Learner
+from learners.ppo.metrics_log import read_metrics
+from learners.ppo.presets import PRESETS
+from learners.ppo.state import TrainingState
+from learners.ppo.train import train
+
+CONFIG = PPOConfig(
+    num_steps=64 * 100,  # 100 updates
+    minutes=1.0,
+    num_lots=2,
+    num_minibatches=1,
+    unroll_length=16,
+    eval_episodes=0,
+    video_seconds=0.0,
+    env=EnvConfig(num_agents=2, physics="bicycle"),
+)
+
+
+class SlowLearner(Learner):
+    """Its updates learn nothing but take time, on a clock of its own."""
+
+    def __init__(self, config: PPOConfig, update_seconds: float) -> None:
+        super().__init__(config)
+        self.now = 1e6  # clocks do not begin at 0
+        self._update_seconds = update_seconds
+
+    def build(self) -> TrainingState:
+        zero = jnp.zeros(())
+        none = {name: zero for name in TrainingState.__dataclass_fields__}
+        lots = jnp.zeros(self.config.num_lots)
+        count = jnp.zeros((), jnp.int32)
+        return TrainingState(**none | {"update": count, "env": lots})
+
+    def compile(self):
+        def update(state):
+            self.now += self._update_seconds
+            metrics = {
+                "progress": self.config.progress(state.update, state.seconds),
+                "skipped": 0,
+                "episode/parked": 0.0,
+                "episode/crashed": 0.0,
+            }
+            return state.replace(update=state.update + 1), metrics
+
+        return update
+
+
+def trained(folder, update_seconds, **changes):
+    """Whether training was done, and the metrics of all its updates."""
+    config = dataclasses.replace(CONFIG, **changes)
+    learner = SlowLearner(config, update_seconds)
+    done = train(config, learner, folder, lambda: learner.now)
+    return done, read_metrics(folder)
+
+
+def test_a_slow_machine_stops_in_time_at_the_end_of_the_schedules(tmp_path):
+    done, rows = trained(tmp_path, 0.7)
+    progress = np.array([row["progress"] for row in rows])
+    assert done
+    assert len(rows) == 86  # of 0.7 s in 60 s
+    assert progress[0] == 0.0
+    assert (np.diff(progress) > 0).all()
+    # The last update has the rate of the end but for one step of the schedule.
+    rate = schedule(1e-3, 1e-4, progress[-1])
+    assert 1e-4 < rate < 1e-4 + 0.9e-3 * 0.7 / 60 + 1e-9
+
+
+def test_a_fast_machine_makes_all_steps_on_the_schedules_of_steps(tmp_path):
+    done, rows = trained(tmp_path, 0.1)
+    assert done
+    np.testing.assert_allclose(
+        [row["progress"] for row in rows], np.arange(100) / 100, atol=1e-7
+    )
+
+
+def test_without_minutes_time_does_not_count(tmp_path):
+    done, rows = trained(tmp_path, 1e4, minutes=0.0)
+    assert done
+    assert [row["progress"] for row in rows] == [
+        float(np.float32(update) / np.float32(100)) for update in range(100)
+    ]
+
+
+def test_a_resumed_run_has_the_minutes_that_are_left(tmp_path):
+    done, rows = trained(tmp_path, 7.0, time_limit=0.5)
+    assert not done
+    assert len(rows) == 5  # of 7 s in 30 s
+    done, rows = trained(tmp_path, 7.0)
+    assert done
+    assert len(rows) == 9  # of 7 s in 60 s
+    np.testing.assert_allclose(
+        [row["progress"] for row in rows], np.arange(9) * 7 / 60, rtol=1e-6
+    )
+    done, again = trained(tmp_path, 7.0)  # nothing is left
+    assert done
+    assert again == rows
+
+
+def test_progress_is_the_further_of_steps_and_time_and_ends_at_1():
+    assert CONFIG.progress(30, 12.0) == pytest.approx(0.3)
+    assert CONFIG.progress(30, 42.0) == pytest.approx(0.7)
+    assert CONFIG.progress(30, 61.0) == CONFIG.progress(100, 0.0) == 1.0
+
+
+def test_a_run_says_before_how_long_it_takes(tmp_path, capsys):
+    trained(tmp_path, 0.7)
+    out = capsys.readouterr().out
+    assert "trains for at most 1 minutes or 0.0064 M steps" in out
+    assert "at 91 steps/s: 1 minutes, 0.00549 of 0.0064 M steps" in out
+    cpu = PRESETS["cpu"]
+    assert announcement(dataclasses.replace(cpu, minutes=0.0), 0, 0.0) == (
+        "trains for 40 M steps, then evaluates and renders"
+    )
+    resumed = announcement(cpu, 1000, 90.0)
+    left = cpu.minutes - 1.5
+    assert resumed.startswith(f"trains for at most {left:g} minutes or 31.8 M steps, ")
+    assert (
+        estimate(cpu, 0, 30.0, 80_000.0) == "at 80,000 steps/s: 8.8 minutes, 40 M steps"
+    )
+
+
+@pytest.mark.parametrize("minutes", [-1.0, float("nan")])
+def test_impossible_minutes_are_refused(minutes):
+    with pytest.raises(ValueError, match="minutes must be at least 0, not"):
+        dataclasses.replace(CONFIG, minutes=minutes)

@@ -1,0 +1,161 @@
+"""Several hosts train together: who they are, and what they agree on.
+
+Each runs the same program. All take part in the updates; host 0 alone prints, writes
+files and evaluates. Host means process here, as in JAX.
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import os
+import zlib
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+
+AUTO = "auto"
+
+Result = TypeVar("Result")
+
+
+@dataclasses.dataclass(frozen=True)
+class Hosts:
+    """How hosts find each other.
+
+    Attributes:
+        coordinator: HOST:PORT of host 0, or `auto` where JAX knows the cluster (Slurm,
+            Open MPI, TPU pods); empty = one host.
+        num_hosts: how many they are; 0 = not given.
+        host: number of this one, from 0; -1 = not given.
+    """
+
+    coordinator: str = ""
+    num_hosts: int = 0
+    host: int = -1
+
+    def __post_init__(self) -> None:
+        given = (self.num_hosts, self.host) != (0, -1)
+        if given and self.coordinator in ("", AUTO):
+            raise ValueError(
+                "num_hosts and host need coordinator HOST:PORT, not "
+                f"{self.coordinator!r}"
+            )
+        if self.coordinator in ("", AUTO):
+            return
+        name, _, port = self.coordinator.rpartition(":")
+        if not name or not port.isdecimal():
+            raise ValueError(
+                f"coordinator must be HOST:PORT or {AUTO}, not {self.coordinator!r}"
+            )
+        if self.num_hosts < 1:
+            raise ValueError(f"num_hosts must be at least 1, not {self.num_hosts}")
+        if not 0 <= self.host < self.num_hosts:
+            raise ValueError(
+                f"host must lie in [0, {self.num_hosts - 1}], not {self.host}"
+            )
+
+
+def read_hosts(arguments: Sequence[str]) -> tuple[Hosts, list[str]]:
+    """The flags of the hosts, and the other arguments.
+
+    They are read before all others, whose defaults depend on the devices.
+
+    Raises:
+        ValueError: impossible ones.
+    """
+    parser = argparse.ArgumentParser(
+        add_help=False, allow_abbrev=False, exit_on_error=False
+    )
+    for field in dataclasses.fields(Hosts):
+        flag = f"--{field.name.replace('_', '-')}"
+        parser.add_argument(flag, type=type(field.default), default=field.default)
+    try:
+        values, others = parser.parse_known_args(arguments)
+    except argparse.ArgumentError as error:
+        raise ValueError(str(error)) from None
+    return Hosts(**vars(values)), others
+
+
+@contextlib.contextmanager
+def joined(hosts: Hosts) -> Generator[None]:
+    """Connects the hosts; all but host 0 keep silent on stdout.
+
+    Call it before JAX makes any array.
+
+    Raises:
+        ValueError: they do not find each other.
+    """
+    if not hosts.coordinator:
+        yield
+        return
+    try:
+        if hosts.coordinator == AUTO:
+            jax.distributed.initialize()
+        else:
+            jax.distributed.initialize(hosts.coordinator, hosts.num_hosts, hosts.host)
+    except (ValueError, RuntimeError) as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(
+            f"the hosts do not meet at coordinator {hosts.coordinator}: {reason}"
+        ) from None
+    with contextlib.ExitStack() as stack:
+        if not is_first():
+            nowhere = stack.enter_context(Path(os.devnull).open("w"))
+            stack.enter_context(contextlib.redirect_stdout(nowhere))
+        yield
+
+
+def part() -> None:
+    """Ends what hosts do together; each goes on alone, or ends."""
+    if jax.process_count() > 1:
+        jax.distributed.shutdown()
+
+
+def is_first() -> bool:
+    """Whether this is host 0, which prints, writes and evaluates."""
+    return jax.process_index() == 0
+
+
+def largest(*values: float) -> tuple[float, ...]:
+    """Of each number the largest that any host has; one host keeps its own."""
+    if jax.process_count() == 1:
+        return values
+    gathered = multihost_utils.process_allgather(np.array(values, np.float32))
+    return tuple(gathered.max(axis=0).tolist())
+
+
+def on_first(function: Callable[[], Result]) -> Result | None:
+    """Calls a function on host 0 alone; None on the others.
+
+    Raises:
+        ValueError: it failed on host 0, which raises its error itself.
+    """
+    result = error = None
+    if is_first():
+        try:
+            result = function()
+        except Exception as raised:
+            error = raised
+    (failed,) = largest(error is not None)
+    if error is not None:
+        raise error
+    if failed:
+        raise ValueError("host 0 failed: see what it says")
+    return result
+
+
+def require_same(text: str) -> None:
+    """Refuses hosts that differ in a text.
+
+    Raises:
+        ValueError: they do.
+    """
+    # 24 bits are exact in float32.
+    checksum = zlib.crc32(text.encode()) % 2**24
+    high, low = largest(checksum, -checksum)
+    if high != -low:
+        raise ValueError("all hosts must be given the same settings")
