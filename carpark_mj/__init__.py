@@ -17,7 +17,7 @@ _HOMES = {
     "RewardConfig": "carpark_mj.config",
     "SimConfig": "carpark_mj.config",
     "SpawnConfig": "carpark_mj.config",
-    "load_policy": "carpark_mj.policy.runs",
+    "load_policy": "carpark_mj.policy.loading",
     "make_layout": "carpark_mj.layouts",
 }
 

@@ -16,6 +16,7 @@ from carpark_mj.cli.common import (
     keep_compiled_programs,
     run_command,
 )
+from carpark_mj.cli.driver import command_help
 from carpark_mj.cli.evaluate import EvaluateConfig, main
 from carpark_mj.cli.flags import read_flags
 
@@ -25,6 +26,6 @@ if __name__ == "__main__":
     sys.exit(
         run_command(
             "evaluate",
-            lambda: main(read_flags(EvaluateConfig, description=__doc__)),
+            lambda: main(read_flags(EvaluateConfig, description=command_help(__doc__))),
         )
     )

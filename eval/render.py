@@ -23,12 +23,13 @@ from carpark_mj.rendering.gl import choose_gl
 def run() -> int:
     """Runs the command; returns the exit code."""
     choose_gl()  # before MuJoCo is imported
+    from carpark_mj.cli.driver import command_help
     from carpark_mj.cli.render import RenderConfig, main
     from carpark_mj.rendering.renderer import RenderingError
 
     return run_command(
         "render",
-        lambda: main(read_flags(RenderConfig, description=__doc__)),
+        lambda: main(read_flags(RenderConfig, description=command_help(__doc__))),
         (RenderingError,),
     )
 

@@ -1,4 +1,4 @@
-"""The policy of an evaluation or a video, and its environment."""
+"""The policy of an evaluation, a video or a viewer, and its environment."""
 
 import dataclasses
 from collections.abc import Callable
@@ -7,12 +7,18 @@ from typing import Any
 
 from carpark_mj.config import EnvConfig, ParkedRule
 from carpark_mj.env import ParkingEnv
+from carpark_mj.policy import pretrained
 from carpark_mj.policy.baselines import random_policy, zero_policy
+from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.networks import Policy
-from carpark_mj.policy.runs import load_policy
 from carpark_mj.registry import environment
 
 BASELINES = {"zero": zero_policy, "random": random_policy}
+
+
+def command_help(text: str | None) -> str:
+    """The head of a command's help, with the names of the pretrained policies."""
+    return f"{text}\nPretrained policies: {pretrained.describe_names()}."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,9 +26,10 @@ class Driver:
     """A policy and its environment.
 
     Attributes:
-        env: the environment; for a run, the one it was trained in.
+        env: the environment; for a trained policy, the one it was trained in.
         folder: folder of its output files.
-        policy: makes the acting function for an environment.
+        policy: makes the acting function for an environment; ValueError if it does not
+            fit.
     """
 
     env: EnvConfig
@@ -30,17 +37,19 @@ class Driver:
     policy: Callable[[ParkingEnv], Policy]
 
 
-def find_driver(name: str, named: str, deterministic: bool = True) -> Driver:
-    """Finds a baseline or the policy of a run.
+def find_driver(name: str, named: str = "", deterministic: bool = True) -> Driver:
+    """Finds a baseline, a pretrained policy or that of a run.
 
     Args:
-        name: `zero`, `random`, or a run folder or checkpoint file.
+        name: `zero`, `random`, name of a pretrained policy, or a run folder or
+            checkpoint file.
         named: name of a baseline's environment; empty = the default one.
         deterministic: take a distribution's mode instead of samples.
 
     Raises:
         CheckpointError: the run cannot be read.
-        ValueError: unknown environment, or one given for a run, which has its own.
+        ValueError: unknown environment, or one given for a trained policy, which has
+            its own.
     """
     if name in BASELINES:
         env = environment(named) if named else EnvConfig()
@@ -48,10 +57,23 @@ def find_driver(name: str, named: str, deterministic: bool = True) -> Driver:
         return Driver(env, Path("runs") / name, lambda env: make(env.action_spec))
     if named:
         raise ValueError(f"environment is for zero and random; {name} has its own")
-    loaded = load_policy(Path(name), deterministic)
-    folder = loaded.path.parent
-    folder = folder.parent if folder.name == "checkpoints" else folder
-    return Driver(loaded.env, folder, lambda env: loaded.policy)
+    loaded = load_policy(name, deterministic)
+
+    def make_policy(env: ParkingEnv) -> Policy:
+        return load_policy(name, deterministic, env.config).policy
+
+    return Driver(loaded.env, output_folder(loaded.path), make_policy)
+
+
+def output_folder(checkpoint: Path) -> Path:
+    """Where commands put what they make of a checkpoint if told nothing else.
+
+    In the folder of its run, or beside the file; `runs/NAME` for a pretrained policy.
+    """
+    folder = checkpoint.parent
+    if folder.resolve() == pretrained.FOLDER:
+        return Path("runs") / checkpoint.stem
+    return folder.parent if folder.name == "checkpoints" else folder
 
 
 def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> EnvConfig:

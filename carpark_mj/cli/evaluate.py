@@ -20,8 +20,8 @@ class EvaluateConfig:
     """Settings of `python eval/evaluate.py`.
 
     Attributes:
-        run: run folder or checkpoint file; or give `--policy`.
-        policy: `zero`, `random`, or a run folder or checkpoint file.
+        run: pretrained policy, run folder or checkpoint file; or give `--policy`.
+        policy: the same, or `zero` or `random`.
         environment: name of the environment of `zero` and `random`, for example
             `tanner-fixed`; see `carpark_mj.registry`.
         episodes: number of episodes, rounded up to the same number per agent.
@@ -38,7 +38,7 @@ class EvaluateConfig:
             in one MuJoCo world.
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
-            for a baseline.
+            for a baseline or a pretrained policy.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""

@@ -40,7 +40,7 @@ class RenderConfig:
     """Settings of `python eval/render.py`.
 
     Attributes:
-        run: run folder, checkpoint file, or `zero` or `random`.
+        run: pretrained policy, run folder, checkpoint file, or `zero` or `random`.
         environment: name of the environment of `zero` and `random`; see
             `carpark_mj.registry`.
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or

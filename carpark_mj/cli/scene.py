@@ -20,12 +20,11 @@ import mujoco
 import numpy as np
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.cli.driver import adapt
+from carpark_mj.cli.driver import adapt, command_help, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config
 from carpark_mj.policy.checkpoints import write_atomically
-from carpark_mj.policy.runs import load_policy
 from carpark_mj.rendering.live import LiveLot
 from carpark_mj.rendering.web import (
     HOST,
@@ -56,7 +55,8 @@ class SceneConfig:
         out: MJCF file to write; it needs no other file and no carpark_mj.
         view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
             a page on this machine for a browser.
-        policy: run folder or checkpoint whose policy drives; in the browser only.
+        policy: pretrained policy, run folder or checkpoint file that drives, or `zero`
+            or `random`; in the browser only.
         num_agents: number of cars to drive; default 2, or as the policy was trained.
         num_parked_cars: number of parked cars; default 16, or as many as a smaller lot
             has room for, or as the policy was trained.
@@ -124,17 +124,17 @@ def default_env(config: SceneConfig) -> EnvConfig:
 
 
 def show_policy(config: SceneConfig) -> None:
-    """Serves a lot in which a trained policy drives, until Ctrl-C.
+    """Serves a lot in which a policy drives, until Ctrl-C.
 
     Raises:
         CheckpointError: the run cannot be read.
         OSError: the browser view is not installed.
     """
     require_web()  # before the work
-    loaded = load_policy(Path(config.policy))
-    env = ParkingEnv(env_config(config, loaded.env))
+    driver = find_driver(config.policy)
+    env = ParkingEnv(env_config(config, driver.env))
     viewer, server = make_live_viewer(
-        LiveLot(env, loaded.policy, config.seed), config.port
+        LiveLot(env, driver.policy(env), config.seed), config.port
     )
     print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
     viewer.run()
@@ -205,4 +205,11 @@ def _run(arguments: Sequence[str] | None) -> None:
     except ImportError:
         raise OSError("flags need tyro: pip install 'carpark_mj[eval]'") from None
     words = complete(sys.argv[1:] if arguments is None else arguments)
-    main(read_flags(SceneConfig, words, description=__doc__, prog=PROGRAM))
+    main(
+        read_flags(
+            SceneConfig,
+            words,
+            description=command_help(__doc__),
+            prog=PROGRAM,
+        )
+    )

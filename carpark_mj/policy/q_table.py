@@ -37,10 +37,10 @@ def make_table_policy(
         sizes: of the observation's numbers, `cardinalities`.
         choices: of the action's branches, `GridConfig.choices`.
     """
-    best = jnp.argmax(table, axis=-1)
+    best = action_choices(jnp.argmax(table, axis=-1), choices)
 
     def policy(observation: jax.Array, key: jax.Array):
         del key
-        return action_choices(best[state_index(observation, sizes)], choices), {}
+        return best[state_index(observation, sizes)], {}
 
     return policy

@@ -11,33 +11,16 @@ import csv
 import dataclasses
 import io
 import json
-import math
 import types
 import typing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-
-from carpark_mj.config import EnvConfig
-from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import FAMILIES
-from carpark_mj.observations import make_fields
-from carpark_mj.observations.indices import cardinalities
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.policy.networks import (
-    NetworkConfig,
-    Policy,
-    make_networks,
-    make_policy,
-    network_inputs,
-)
-from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.policy.q_table import make_table_policy
+from carpark_mj.policy.pretrained import describe_names
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
@@ -121,8 +104,9 @@ def check_version(header: Mapping[str, Any], path: Path) -> None:
     """
     version = header.get("config_version", 1)  # the first had no number
     if version != CONFIG_VERSION:
-        folder = path.parent
-        run = folder.parent if folder.name == "checkpoints" else folder
+        run = path.parent if path.name == "config.json" else path
+        if path.parent.name == "checkpoints":
+            run = path.parent.parent
         age = "an older" if version == 1 else "another"
         raise CheckpointError(
             f"{run} was trained by {age} carpark_mj (config version {version}, this "
@@ -146,7 +130,10 @@ def latest_checkpoint(run: Path) -> Path:
         checkpoints.read_header(run)
         return run
     if not run.is_dir():
-        raise CheckpointError(f"no run folder or checkpoint at {run}")
+        raise CheckpointError(
+            f"no run folder or checkpoint at {run}, and no pretrained policy of that "
+            f"name (there are: {describe_names()})"
+        )
     files = checkpoint_files(run)
     if not files:
         raise CheckpointError(f"{run} holds no checkpoint (checkpoints/step_*.npz)")
@@ -188,64 +175,3 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     checkpoints.write_atomically(
         path, lambda temporary: temporary.write_text(text.getvalue())
     )
-
-
-@dataclasses.dataclass(frozen=True)
-class LoadedPolicy:
-    """A policy with the environment it was trained in.
-
-    Attributes:
-        env: configuration of that environment.
-        policy: acting function.
-        steps: agent steps it was trained for.
-        path: the checkpoint.
-    """
-
-    env: EnvConfig
-    policy: Policy
-    steps: int
-    path: Path
-
-
-def _load_table(path: Path, header: dict[str, Any], env: EnvConfig) -> LoadedPolicy:
-    """Loads the best of the tables of a Q-learning run; they are deterministic."""
-    sizes, choices = cardinalities(env), env.grid.choices
-    shape = (header["config"]["num_seeds"], math.prod(sizes), math.prod(choices))
-    template = {"table": jax.ShapeDtypeStruct(shape, np.float32)}
-    table = jnp.asarray(checkpoints.load(path, template)["table"][header["best"]])
-    policy = make_table_policy(table, sizes, choices)
-    return LoadedPolicy(env, policy, int(header["env_steps"]), path)
-
-
-def load_policy(run: Path, deterministic: bool = True) -> LoadedPolicy:
-    """Loads the policy of a run folder or checkpoint file.
-
-    For Q-learning it is the table with the highest return in the last episodes before
-    the checkpoint, which is always deterministic.
-
-    Raises:
-        CheckpointError: missing, damaged or foreign checkpoint.
-    """
-    path = latest_checkpoint(run)
-    header = checkpoints.read_header(path)
-    check_version(header, path)
-    try:
-        env_config = from_dict(EnvConfig, header["config"]["env"])
-        if header.get("algorithm") == Q_LEARNING:
-            return _load_table(path, header, env_config)
-        network_config = from_dict(NetworkConfig, header["config"]["networks"])
-        env = ParkingEnv(env_config)
-    except (KeyError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} has an unusable config: {error}") from None
-    fields = make_fields(env_config)
-    networks = make_networks(network_config, fields, env.action_spec)
-    inputs = network_inputs(network_config, fields)
-    template = jax.eval_shape(
-        lambda: {
-            "normalizer": init_normalizer(inputs),
-            "average": networks.policy_network.init(jax.random.key(0)),
-        }
-    )
-    tree = checkpoints.load(path, template)
-    policy = make_policy(networks, tree["normalizer"], tree["average"], deterministic)
-    return LoadedPolicy(env_config, policy, int(header["env_steps"]), path)

@@ -10,8 +10,8 @@ from carpark_mj.cli import evaluate
 from carpark_mj.config import WORLD_UNIT
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.policy.runs import load_policy
 from carpark_mj.registry import environment
 from carpark_mj.rendering.live import LiveLot
 from learners.ppo.learner import Learner

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from learners.ppo.config import PPOConfig
 from learners.ppo.presets import PRESETS
@@ -74,8 +74,8 @@ def test_a_checkpoint_of_an_older_version_is_refused_before_it_is_read(tmp_path)
     path = runs.save_checkpoint(tmp_path / "x", {"a": np.zeros(1)}, header, 8)
     for run in (tmp_path / "x", path):
         with pytest.raises(CheckpointError, match="unusable config"):  # not its age
-            runs.load_policy(run)
+            loading.load_policy(run)
     checkpoints.save(path, {"a": np.zeros(1)}, header)
     for run in (tmp_path / "x", path):
         with pytest.raises(CheckpointError, match=r"x was trained by an older carpark"):
-            runs.load_policy(run)
+            loading.load_policy(run)

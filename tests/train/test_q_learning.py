@@ -11,8 +11,9 @@ import pytest
 
 import q_learning
 from carpark_mj.cli import evaluate
+from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.q_table import action_choices, make_table_policy, state_index
-from carpark_mj.policy.runs import checkpoint_files, load_policy
+from carpark_mj.policy.runs import checkpoint_files
 from learners.q_learning import train
 from learners.q_learning.config import QLearningConfig
 from learners.q_learning.curve import rolling_mean

@@ -1,0 +1,163 @@
+"""ONNX models: inputs by field, and the policy's own actions out of onnxruntime."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import onnxruntime
+import pytest
+
+from carpark_mj.config import ContinuousObservation, EnvConfig, GoalConfig, RayConfig
+from carpark_mj.mdp.actions import action_spec
+from carpark_mj.observations import make_fields, observation_size
+from carpark_mj.observations.indices import cardinalities
+from carpark_mj.policy.loading import LoadedPolicy
+from carpark_mj.policy.networks import (
+    NetworkConfig,
+    make_networks,
+    make_policy,
+    network_inputs,
+)
+from carpark_mj.policy.normalizer import init_normalizer, update_normalizer
+from carpark_mj.policy.onnx_export import (
+    join_inputs,
+    largest_difference,
+    make_model,
+    onnx_inputs,
+    random_observations,
+    split_observation,
+)
+from carpark_mj.policy.q_table import make_table_policy
+from carpark_mj.registry import environment
+
+WIDE = ContinuousObservation(
+    global_information=True, own_car=True, rays=RayConfig(count=5), lane=True
+)
+ENVS = {
+    "fixed": EnvConfig(),
+    "chosen": EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=3)),
+    "wide": EnvConfig(observation=WIDE),
+    "grid": environment("tanner-dynamic"),
+    "table": environment("tanner-qlearning-rings"),
+}
+
+
+def untrained(env: EnvConfig, encoder: str = "set", seed: int = 1) -> LoadedPolicy:
+    """A policy with random weights, whose statistics are those of random numbers."""
+    size, keys = observation_size(env), jax.random.split(jax.random.key(seed), 3)
+    if env.observation.encoding == "indices":
+        sizes, choices = cardinalities(env), env.grid.choices
+        table = jax.random.normal(keys[0], (np.prod(sizes), np.prod(choices)))
+        policy = make_table_policy(table, sizes, choices)
+        return LoadedPolicy(env, policy, 0, Path("none"))
+    config = NetworkConfig((16,), (16,), encoder)
+    fields = make_fields(env)
+    networks = make_networks(config, fields, action_spec(env))
+    inputs = network_inputs(config, fields)
+    seen = 0.3 + 0.5 * jax.random.normal(keys[1], (100, size))
+    normalizer = update_normalizer(inputs, init_normalizer(inputs), seen)
+    weights = networks.policy_network.init(keys[2])
+    policy = make_policy(networks, normalizer, weights, deterministic=True)
+    return LoadedPolicy(env, policy, 0, Path("none"))
+
+
+def observations(env: EnvConfig, count: int = 10_000) -> np.ndarray:
+    typical = np.random.default_rng(0).normal(0.3, 0.5, (count, observation_size(env)))
+    return random_observations(env, typical, seed=1)
+
+
+@pytest.mark.parametrize("name", sorted(ENVS))
+def test_inputs_are_the_observation_taken_apart_by_field(name):
+    env = ENVS[name]
+    seen = observations(env, 4)
+    inputs = split_observation(env, seen)
+    assert list(inputs) == [entry.name for entry in onnx_inputs(env)]
+    np.testing.assert_array_equal(
+        join_inputs(env, *map(jnp.asarray, inputs.values())), seen
+    )
+    start = 0
+    for field in make_fields(env):
+        name = field.name.replace(f"{field.group}_{field.index}_", f"{field.group}_")
+        value = inputs[name][:, field.index] if field.group else inputs[name]
+        np.testing.assert_array_equal(value, seen[:, start : start + field.size])
+        start += field.size
+
+
+def test_repeated_entities_are_rows_of_one_input():
+    shapes = {entry.name: entry.shape for entry in onnx_inputs(ENVS["chosen"])}
+    count = {
+        group: 1 + max(f.index for f in make_fields(ENVS["chosen"]) if f.group == group)
+        for group in ("agent", "parked_car", "bay")
+    }
+    assert count["bay"] == 3
+    for group in count:
+        assert shapes[f"{group}_position"] == (count[group], 2)
+        assert shapes[f"{group}_present"] == (count[group], 1)
+    assert shapes["goal_position"] == (2,)
+
+
+@pytest.mark.parametrize("name", sorted(ENVS))
+def test_random_observations_are_in_the_ranges_of_their_fields(name):
+    env = ENVS[name]
+    seen, start = observations(env), 0
+    assert seen.dtype == np.float32
+    for field in make_fields(env):
+        part = seen[:, start : start + field.size]
+        assert (part >= field.low).all(), field.name
+        assert (part <= field.high).all(), field.name
+        assert (part.std(axis=0) > 0).all(), field.name
+        start += field.size
+    if name == "table":
+        np.testing.assert_array_equal(seen, np.round(seen))
+
+
+@pytest.mark.parametrize(
+    ("name", "encoder"),
+    [*((name, "set") for name in sorted(ENVS)), ("fixed", "flat")],
+)
+def test_a_model_acts_like_its_policy(name, encoder):
+    env = ENVS[name]
+    loaded = untrained(env, encoder)
+    model = make_model(loaded)
+    seen = observations(env)
+    assert largest_difference(model, loaded, seen) <= 1e-5
+    assert largest_difference(model, loaded, seen[:1]) <= 1e-5  # any batch size
+    session = onnxruntime.InferenceSession(model.SerializeToString())
+    found = {value.name: value.shape for value in session.get_inputs()}
+    assert found == {entry.name: ["batch", *entry.shape] for entry in onnx_inputs(env)}
+    [output] = session.get_outputs()
+    [action] = session.run(None, split_observation(env, seen))
+    spec = action_spec(env)
+    assert output.name == "action"
+    assert action.shape == (len(seen), spec.size)
+    assert action.dtype == spec.dtype
+    assert np.ptp(action, axis=0).min() > 0.1  # it depends on what is seen
+
+
+def test_the_model_says_what_its_inputs_are():
+    model = make_model(untrained(ENVS["chosen"]))
+    meanings = {value.name: value.doc_string for value in model.graph.input}
+    assert meanings["speed"] == "-1.5 … 1.5: own signed speed [forward limit]"
+    assert all(meanings.values())
+    assert model.graph.output[0].doc_string == (
+        "steer and pedal in [-1, 1], an index below 4"
+    )
+
+
+@pytest.mark.parametrize("name", ["fixed", "table"])
+def test_another_policy_is_a_difference(name):
+    env = ENVS[name]
+    model, seen = make_model(untrained(env)), observations(env, 100)
+    assert largest_difference(model, untrained(env, seed=2), seen) > 0.01
+
+
+def test_numbers_that_are_not_finite_are_a_difference():
+    loaded = untrained(ENVS["fixed"])
+    seen = observations(ENVS["fixed"], 2)
+    broken = dataclasses.replace(
+        loaded, policy=lambda observation, key: (jnp.full((2, 2), jnp.nan), {})
+    )
+    assert largest_difference(make_model(loaded), broken, seen) == np.inf
+    assert largest_difference(make_model(broken), broken, seen) == np.inf

@@ -1,0 +1,286 @@
+"""Pretrained policies: files of a policy alone, found by name, each with its card."""
+
+import dataclasses
+import re
+import shutil
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import carpark_mj
+from carpark_mj.cli import evaluate
+from carpark_mj.cli.driver import adapt, command_help, find_driver
+from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.observations import observation_size
+from carpark_mj.policy import checkpoints, loading, pretrained, runs
+from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.policy.pretrained import find_policy, pretrained_names
+from learners.ppo.config import PPOConfig
+from learners.ppo.learner import Learner
+from learners.ppo.train import save
+
+DOCS = Path(__file__).parents[2] / "docs"
+MAX_SIZE = 1e6  # bytes
+TINY = PPOConfig(
+    name="secret",
+    runs_dir="/somewhere",
+    seed=7,
+    num_lots=2,
+    num_minibatches=2,
+    networks=NetworkConfig((16,), (16,)),
+    env=EnvConfig(physics="bicycle", num_parked_cars=4),
+)
+CARD = """## tiny
+
+| | |
+|---|---|
+| task | none: it was not trained |
+| training | `python train/ppo.py --seed 7` |
+| steps | 0 |
+| seed | 7 |
+| device | two CPU cores, 0 min |
+| limits | it does not park |
+
+| evaluation | episodes | parked | crashed | timed out |
+|---|---:|---:|---:|---:|
+| `python eval/evaluate.py tiny` | 1,024 | 1.0 % (0.5 … 1.8) | 95.0 % (93.5 … 96.2) | 4.0 % (3.0 … 5.4) |
+"""  # noqa: E501
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run folder with a checkpoint of an untrained policy."""
+    folder = tmp_path_factory.mktemp("tiny_run")
+    learner = Learner(TINY)
+    save(folder, TINY, learner.init())
+    return folder
+
+
+@pytest.fixture
+def shipped(run, tmp_path, monkeypatch):
+    """The policy of the run as `tiny`, beside the others; the folder of them all."""
+    folder = tmp_path / "package"
+    shutil.copytree(pretrained.FOLDER, folder)
+    loading.save_policy(run, folder / "tiny.npz")
+    (folder / "tiny.md").write_text(CARD)
+    monkeypatch.setattr(pretrained, "FOLDER", folder)
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    return folder
+
+
+def act(loaded, count=50):
+    size = observation_size(loaded.env)
+    seen = jax.random.normal(jax.random.key(3), (count, size))
+    return np.asarray(loaded.policy(seen, jax.random.key(0))[0])
+
+
+def drive(env: ParkingEnv, policy) -> np.ndarray:
+    """What agents observe after a step of a policy from a reset."""
+
+    def step(key):
+        state, observation = env.reset(key)
+        action, _ = policy(observation, key)
+        return env.step(state, action)[1].observation
+
+    return np.asarray(jax.jit(step)(jax.random.key(0)))
+
+
+def test_a_policy_alone_acts_like_its_run(run, shipped):
+    saved = loading.load_policy(shipped / "tiny.npz")
+    ours = loading.load_policy(run)
+    assert saved.env == ours.env == TINY.env
+    np.testing.assert_array_equal(act(saved), act(ours))
+
+
+def test_it_holds_nothing_that_only_training_needs(run, shipped):
+    path = shipped / "tiny.npz"
+    with np.load(path) as file:
+        kinds = {re.match(r"\['(\w+)'\]|header", name)[1] for name in file.files}
+        floats = [
+            file[name].dtype for name in file.files if file[name].dtype.kind == "f"
+        ]
+    assert kinds == {None, "normalizer", "average"}  # the header is no array of a tree
+    assert set(floats) == {np.dtype("float32")}
+    assert path.stat().st_size < runs.latest_checkpoint(run).stat().st_size
+    header = checkpoints.read_header(path)
+    assert header["config"]["seed"] == 7
+    assert not {"name", "runs_dir", "resume"} & {*header["config"]}
+
+
+def test_a_policy_alone_can_be_saved_again_as_it_is(shipped, tmp_path):
+    again = tmp_path / "again.npz"
+    loading.save_policy("tiny", again)
+    assert again.read_bytes() == (shipped / "tiny.npz").read_bytes()
+
+
+def test_a_policy_is_found_by_name_and_a_path_is_a_path(shipped):
+    assert carpark_mj.load_policy("tiny").path == shipped / "tiny.npz"
+    for path in ("./tiny", Path("tiny")):
+        with pytest.raises(
+            CheckpointError, match="no run folder or checkpoint at tiny"
+        ):
+            loading.load_policy(path)
+    Path("tiny").mkdir()
+    with pytest.raises(
+        CheckpointError, match=r"tiny is a .* and a path.*write \./tiny"
+    ):
+        loading.load_policy("tiny")
+    for path in ("./tiny", Path("tiny")):
+        with pytest.raises(CheckpointError, match="tiny holds no checkpoint"):
+            loading.load_policy(path)
+
+
+def test_an_unknown_name_is_told_the_known_ones(shipped):
+    known = ", ".join(sorted({*pretrained_names(), "tiny"}))
+    with pytest.raises(CheckpointError, match=rf"anyhow.*\(there are: {known}\)"):
+        loading.load_policy("anyhow")
+    assert command_help("").endswith(f"policies: {known}.")
+
+
+def test_a_policy_of_another_version_or_a_damaged_one_is_refused(shipped, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "CONFIG_VERSION", 99)
+        with pytest.raises(CheckpointError, match=r"tiny\.npz was trained by another"):
+            loading.load_policy("tiny")
+    path = shipped / "tiny.npz"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(CheckpointError, match="truncated"):
+        loading.load_policy("tiny")
+
+
+def test_nothing_is_written_into_the_package(shipped):
+    before = sorted(shipped.iterdir())
+    config = evaluate.EvaluateConfig(run="tiny", episodes=2)
+    evaluate.main(config)
+    assert sorted(shipped.iterdir()) == before
+    assert Path("runs/tiny/evaluation.csv").is_file()
+    for name in ("tiny", str(shipped / "tiny.npz")):
+        assert find_driver(name).folder == Path("runs/tiny")
+
+
+@pytest.mark.parametrize(("agents", "parked"), [(1, 0), (3, 9)])
+def test_a_set_encoder_drives_with_any_number_of_cars(shipped, agents, parked):
+    driver = find_driver("tiny")
+    changes = {"num_agents": agents, "num_parked_cars": parked, "layout": "compact"}
+    env = ParkingEnv(adapt(driver.env, **changes))
+    assert np.isfinite(drive(env, driver.policy(env))).all()
+    assert loading.load_policy("tiny", env=env.config).env == env.config
+
+
+def test_a_flat_network_drives_with_as_many_cars_only(tmp_path):
+    flat = dataclasses.replace(TINY.networks, encoder="flat")
+    config = dataclasses.replace(TINY, networks=flat)
+    save(tmp_path / "flat", config, Learner(config).init())
+    driver = find_driver(str(tmp_path / "flat"))
+    env = ParkingEnv(adapt(driver.env, layout="compact"))
+    assert np.isfinite(drive(env, driver.policy(env))).all()
+    alone = ParkingEnv(adapt(driver.env, num_parked_cars=1))
+    size, other = observation_size(TINY.env), observation_size(alone.config)
+    assert size != other
+    with pytest.raises(ValueError, match=rf"flat was .*\({size} n.*\({other}\); only"):
+        driver.policy(alone)
+
+
+def test_an_environment_with_other_observations_or_actions_is_refused(shipped):
+    seen = TINY.env.observation
+
+    def load(**changes):
+        observation = dataclasses.replace(seen, **changes)
+        env = dataclasses.replace(TINY.env, observation=observation)
+        loading.load_policy("tiny", env=env)
+
+    with pytest.raises(ValueError, match=r"tiny was trained on other observations"):
+        load(rays=dataclasses.replace(seen.rays, count=seen.rays.count + 8))
+    with pytest.raises(ValueError, match="other observations"):  # as many numbers
+        load(rings=dataclasses.replace(seen.rings, diameters=(5.0, 6.2, 9.0)))
+    with pytest.raises(ValueError, match="other observations"):
+        load(tracked_agents=0)
+    goals = dataclasses.replace(TINY.env, goals=GoalConfig(dynamic=True))
+    with pytest.raises(ValueError, match="tiny was trained"):
+        loading.load_policy("tiny", env=goals)
+
+
+def test_every_policy_is_small_and_drives(shipped):
+    assert "tiny" in pretrained_names()
+    for name in pretrained_names():
+        assert find_policy(name).stat().st_size <= MAX_SIZE, name
+        loaded = loading.load_policy(name)
+        assert np.isfinite(drive(ParkingEnv(loaded.env), loaded.policy)).all(), name
+
+
+def rows(card):
+    """The rows of the two tables of a card: settings by name, and evaluations."""
+    cells = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in card.splitlines()
+        if line.startswith("|") and not line.startswith("|---") and line != "| | |"
+    ]
+    settings = {row[0]: row[1] for row in cells if len(row) == 2}
+    return settings, [row for row in cells if len(row) == 5][1:]
+
+
+def faults(name, card):
+    """What is wrong with the card of a policy."""
+    settings, evaluations = rows(card)
+    header = checkpoints.read_header(find_policy(name))
+    wanted = ("task", "training", "steps", "seed", "device", "limits")
+    yield from (f"no {row}" for row in wanted if not settings.get(row))
+    if card.splitlines()[0] != f"## {name}":
+        yield "another name"
+    if settings.get("steps") != f"{header['env_steps']:,}":
+        yield f"steps are {header['env_steps']:,}"
+    if settings.get("seed") != str(header["config"]["seed"]):
+        yield f"the seed is {header['config']['seed']}"
+    if not evaluations:
+        yield "no evaluation"
+    for command, episodes, *rates in evaluations:
+        if f"`python eval/evaluate.py {name}" not in command:
+            yield f"{command} is no evaluation of it"
+        if int(episodes.replace(",", "")) < 1000:
+            yield f"{episodes} episodes are too few"
+        pattern = r"([\d.]+) % \(([\d.]+) … ([\d.]+)\)"
+        numbers = [list(map(float, re.fullmatch(pattern, r).groups())) for r in rates]
+        if not all(low <= rate <= high for rate, low, high in numbers):
+            yield f"a rate is not in its interval: {rates}"
+        if abs(sum(rate for rate, _, _ in numbers) - 100) > 0.2:  # diverged, rounding
+            yield f"{rates} do not make 100 %"
+
+
+def test_every_policy_has_a_card_with_its_figures(shipped):
+    for name in pretrained_names():
+        assert list(faults(name, (shipped / f"{name}.md").read_text())) == [], name
+    cards = {path.stem for path in shipped.glob("*.md")}
+    assert cards == {*pretrained_names()}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "fault"),
+    [
+        ("| seed | 7 |", "| seed | 1 |", "the seed is 7"),
+        ("| steps | 0 |", "| steps | 9 |", "steps are 0"),
+        ("| limits | it does not park |", "| limits | |", "no limits"),
+        ("4.0 % (3.0", "4.0 % (4.1", "a rate is not in its interval"),
+        ("4.0 % (3.0", "5.0 % (3.0", "do not make 100 %"),
+        ("evaluate.py tiny", "evaluate.py huge", "is no evaluation of it"),
+    ],
+)
+def test_a_fault_of_a_card_is_found(shipped, wrong, right, fault):
+    assert wrong in CARD
+    found = list(faults("tiny", CARD.replace(wrong, right)))
+    assert len(found) == 1
+    assert fault in found[0]
+
+
+def test_the_page_of_the_policies_shows_all_cards():
+    cards = [
+        (pretrained.FOLDER / f"{name}.md").read_text() for name in pretrained_names()
+    ]
+    page = (DOCS / "policies.md").read_text()
+    shown = page.split("<!-- cards -->\n")[1].split("\n<!-- end of cards -->")[0]
+    expected = "\n".join(cards).rstrip()
+    assert shown == expected, f"paste this:\n{expected}"

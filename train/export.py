@@ -1,0 +1,36 @@
+"""Exports a policy as an ONNX model, or as a checkpoint without training state.
+
+python train/export.py runs/cpu-0                      # runs/cpu-0/policy.onnx
+python train/export.py runs/cpu-0 --out policy.npz     # as the pretrained policies are
+
+An ONNX model has an input for every observation field, with the normalisation inside,
+and is written only if onnxruntime computes the policy's actions with it.
+"""
+
+import sys
+from collections.abc import Sequence
+
+from carpark_mj.cli.common import (
+    enable_output_fusion,
+    keep_compiled_programs,
+    run_command,
+)
+from carpark_mj.cli.driver import command_help
+from carpark_mj.cli.export import ExportConfig, main
+from carpark_mj.cli.flags import read_flags
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command(
+        "export",
+        lambda: main(
+            read_flags(ExportConfig, arguments, description=command_help(__doc__))
+        ),
+    )
+
+
+if __name__ == "__main__":
+    enable_output_fusion()
+    keep_compiled_programs()
+    sys.exit(run())
