@@ -11,8 +11,8 @@ from jax.experimental.compilation_cache import compilation_cache
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.rollout import evaluate
-from carpark_mj.policy.baselines import random_policy
 from carpark_mj.observations import make_fields
+from carpark_mj.policy.baselines import random_policy
 from carpark_mj.policy.networks import (
     NetworkConfig,
     make_networks,
