@@ -1,6 +1,7 @@
 """The report: files that add up to what was found, and tables on the screen."""
 
 import csv
+import dataclasses
 import json
 
 import pytest
@@ -9,6 +10,7 @@ from carpark_mj.evaluation.aggregation import OUTCOMES, summarise
 from carpark_mj.evaluation.report import (
     print_groups,
     print_metrics,
+    print_report,
     print_table,
     write_evaluation,
 )
@@ -83,6 +85,23 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
     printed = capsys.readouterr().out
     for name in ("compact", "street", "all"):
         assert name in printed
+
+
+def test_lots_with_several_numbers_of_agents_have_a_table_by_number(
+    plain, tmp_path, capsys
+):
+    parts = {n: plain.summary | {"episodes": 10 * n} for n in (1, 2)}
+    result = dataclasses.replace(plain, agent_counts=parts)
+    *_, table = write_evaluation(tmp_path, result, {})
+    assert table.name == "agents_present.csv"
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["agents_present"] for row in rows] == ["1", "2", "all"]
+    assert [row["episodes"] for row in rows] == ["10", "20", "90"]
+    stored = json.loads((tmp_path / "evaluation.json").read_text())
+    assert stored["agents_present"]["2"]["episodes"] == 20
+    print_report(result, "a title")
+    assert "by agents present" in capsys.readouterr().out
 
 
 def test_a_single_lot_has_no_table_of_families(everything, tmp_path):

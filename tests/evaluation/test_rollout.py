@@ -5,11 +5,13 @@ import collections
 import jax
 import numpy as np
 import pytest
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import OUTCOMES, wilson_interval
 from carpark_mj.evaluation.rollout import allot, evaluate, evaluation_key
+from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.baselines import random_policy, zero_policy
 
@@ -134,6 +136,48 @@ def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(
     again = evaluate(env, random_policy(ActionSpec(2)), num_episodes=6, seed=3)
     assert again.episodes == mixed.episodes
     assert asked == ["test"]
+
+
+@pytest.fixture(scope="module")
+def crowds():
+    """A mixture with one to three agents, and its evaluation."""
+    street = StreetConfig(bays_per_side=(3, 4))
+    config = EnvConfig(
+        layout=mixture(["compact", street]),
+        num_agents=3,
+        min_agents=1,
+        num_parked_cars=1,
+        episode=EpisodeConfig(max_steps=5),
+    )
+    env = ParkingEnv(config, SlidePhysics())
+    # 4 episodes of each of 2 agents a lot, on average, in 2 x 2 lots, rounded up to 6.
+    return evaluate(
+        env, random_policy(ActionSpec(2)), num_episodes=50, seed=0, num_lots=4
+    )
+
+
+def test_every_number_of_agents_gets_the_same_number_of_lots(crowds):
+    of_lot = {row["lot"]: row["agents_present"] for row in crowds.episodes}
+    family = {row["lot"]: row["family"] for row in crowds.episodes}
+    assert of_lot == dict(enumerate([1, 2, 3] * 2))
+    assert family == dict(enumerate(["compact"] * 3 + ["street"] * 3))
+    counts = collections.Counter((row["lot"], row["agent"]) for row in crowds.episodes)
+    present = {(lot, agent) for lot, n in of_lot.items() for agent in range(int(n))}
+    assert counts == dict.fromkeys(present, 5)  # 50 episodes over 12 agents, rounded up
+
+
+def test_numbers_of_agents_are_summed_up_apart_and_add_up(crowds, plain):
+    parts = crowds.agent_counts
+    assert [(n, part["episodes"]) for n, part in parts.items()] == [
+        (1, 10),
+        (2, 20),
+        (3, 30),
+    ]
+    for outcome in OUTCOMES:
+        total = sum(part[outcome]["count"] for part in parts.values())
+        assert crowds.summary[outcome]["count"] == total
+    assert list(plain.agent_counts) == [3]
+    assert {row["agents_present"] for row in plain.episodes} == {3}
 
 
 def test_impossible_evaluations_are_refused(env):

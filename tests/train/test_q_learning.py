@@ -52,6 +52,12 @@ def test_a_table_policy_takes_the_first_of_the_best():
     np.testing.assert_array_equal(choices, [[0, 0], [1, 1], [1, 0]])
 
 
+def test_lots_with_several_numbers_of_agents_are_refused_in_a_sentence():
+    env = dataclasses.replace(SMALL.env, num_agents=2, min_agents=1)
+    with pytest.raises(ValueError, match=r"env.min_agents = None, not 1"):
+        QLearner(dataclasses.replace(SMALL, env=env))
+
+
 def test_updates_are_those_of_a_plain_loop(learner):
     rng = np.random.default_rng(0)
     n, (states, actions) = 40, learner.table_shape

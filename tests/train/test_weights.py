@@ -1,0 +1,90 @@
+"""Steps of absent agents: nothing is learned from them."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.sliding import SlidePhysics
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.wrappers.brax import BraxParking
+from learners.ppo.epochs import network_params
+from learners.ppo.learner import Learner
+from learners.ppo.loss import Minibatch, Weights, ppo_loss
+from learners.ppo.presets import PRESETS
+
+TINY = dataclasses.replace(
+    PRESETS["cpu"],
+    num_lots=4,
+    unroll_length=8,
+    num_minibatches=2,
+    num_epochs=1,
+    networks=NetworkConfig((16,), (16,)),
+    env=EnvConfig(num_agents=4, min_agents=1),
+)
+AGENTS = 6
+
+
+@pytest.fixture(scope="module")
+def learner():
+    learner = Learner(TINY)
+    learner.env = BraxParking(ParkingEnv(TINY.env, SlidePhysics()))
+    return learner
+
+
+def made_up(learner, state) -> Minibatch:
+    """Steps (time, agents, ...) of nobody."""
+    rng, rows = np.random.default_rng(2), (TINY.unroll_length, AGENTS)
+
+    def normal(*size):
+        return jnp.asarray(rng.normal(size=(*rows, *size)), jnp.float32)
+
+    networks, observation = learner.networks, normal(learner.env.observation_size)
+    logits = networks.policy_network.apply(state.normalizer, state.policy, observation)
+    distribution = networks.parametric_action_distribution
+    raw = distribution.sample_no_postprocessing(logits, jax.random.key(0))
+    log_prob = distribution.log_prob(logits, raw) + 0.1 * normal()
+    return Minibatch(observation, raw, log_prob, normal(), normal())
+
+
+def test_nothing_is_learned_from_steps_without_weight(learner):
+    state = learner.build()
+    params, batch = network_params(state.policy, state.value), made_up(learner, state)
+    weights = Weights(entropy_cost=jnp.float32(0.0), clip=jnp.float32(0.2))
+    present = np.array([True, False, True, True, False, True])
+    without = jax.tree.map(lambda x: x[:, present], batch)
+    spoilt = jax.tree.map(lambda x: x.at[:, ~present].multiply(-3.0), batch)
+    weight = jnp.broadcast_to(jnp.float32(present), batch.advantage.shape)
+    spoilt = dataclasses.replace(spoilt, weight=weight)
+
+    @jax.jit
+    def learn_from(batch):
+        grad = jax.grad(ppo_loss, has_aux=True)
+        networks, key = learner.networks, jax.random.key(0)
+        return grad(params, networks, state.normalizer, batch, weights, key)
+
+    expected, found = learn_from(without), learn_from(spoilt)
+    for name in ("total_loss", "policy_loss", "v_loss", "kl_mean"):
+        np.testing.assert_allclose(found[1][name], expected[1][name], atol=1e-6)
+    for a, b in zip(*map(jax.tree.leaves, (found[0], expected[0])), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    assert max(np.abs(x).max() for x in jax.tree.leaves(expected[0])) > 1e-3
+
+
+def test_an_update_counts_the_steps_of_agents_that_are_present_only(learner):
+    start = learner.init()
+    present = np.asarray(start.env.pipeline_state.present)
+    steps = int(present.sum()) * TINY.unroll_length
+    assert steps < present.size * TINY.unroll_length
+    after, metrics = learner.compile()(start)
+    slots = {part.group: part.count for part in learner.inputs.sets}
+    for name, statistics in after.normalizer.items():
+        assert int(statistics.count.lo) == steps * slots.get(name, 1)
+    # Paid for every step of an agent that is present, and for no other.
+    paid = -TINY.env.reward.time / TINY.env.episode.max_steps
+    np.testing.assert_allclose(metrics["reward/time"], paid, rtol=1e-5)
+    assert int(after.skipped) == 0
