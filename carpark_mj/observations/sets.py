@@ -69,7 +69,7 @@ class ObservationSets:
         return {OWN: jnp.concatenate(own, axis=-1), **parts}
 
     def present(self, parts: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        """Whether entities are there, (..., count) bool by group; `parts` of `split`."""
+        """Whether entities of the parts of `split` are there, (..., count) bool each."""
         found = {}
         for part in self.sets:
             entities = parts[part.group]

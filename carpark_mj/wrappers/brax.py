@@ -35,9 +35,17 @@ class BraxParking(Env):
         self.env = env
         self._hitbox_scale = hitbox_scale
 
-    def reset(self, rng: jax.Array) -> BraxState:
-        """Starts the lots, one per key."""
-        state, observation = jax.vmap(self.env.reset)(rng)
+    def reset(self, rng: jax.Array, member: jax.Array | None = None) -> BraxState:
+        """Starts the lots, one per key.
+
+        Args:
+            rng: (num_lots,) keys, consumed.
+            member: (num_lots,) int32 which member of a mixture each lot is of, kept in
+                `info`; drawn if None.
+        """
+        state, observation = jax.vmap(
+            lambda key, member: self.env.reset(key, member=member)
+        )(rng, member)
         observation = _flatten(observation)
         zero = jnp.zeros(observation.shape[:1], jnp.float32)
         spec = self.env.action_spec
@@ -52,6 +60,8 @@ class BraxParking(Env):
             "episode_metrics": {name: zero for name in lot.metrics},
             "reward_terms": {name: zero for name in lot.reward_terms},
         }
+        if member is not None:
+            info["member"] = jnp.repeat(member, self.env.num_agents)
         return BraxState(
             pipeline_state=state,  # pyright: ignore[reportArgumentType]
             obs=observation,
@@ -61,15 +71,22 @@ class BraxParking(Env):
             info=info,
         )
 
-    def renew(self, state: BraxState, lots: jax.Array, keys: jax.Array) -> BraxState:
+    def renew(
+        self,
+        state: BraxState,
+        lots: jax.Array,
+        keys: jax.Array,
+        member: jax.Array | None = None,
+    ) -> BraxState:
         """Draws some lots anew; the episodes running in them are cut off.
 
         Args:
             state: of all lots.
             lots: (n,) int32 which lots.
             keys: (n,) consumed.
+            member: (n,) int32, see `reset`.
         """
-        fresh = self.reset(keys)
+        fresh = self.reset(keys, member)
         num_lots = state.done.shape[0] // self.env.num_agents
         is_drawn = jnp.arange(num_lots)[:, None] == lots
         source, due = jnp.argmax(is_drawn, axis=1), jnp.any(is_drawn, axis=1)
@@ -91,7 +108,7 @@ class BraxParking(Env):
         )
         timestep: TimeStep = jax.tree.map(_flatten, timestep)
         done = (timestep.terminated | timestep.truncated).astype(jnp.float32)
-        info = {
+        info = state.info | {
             "truncation": timestep.truncated.astype(jnp.float32),
             "present": _presence(lots),
             "episode_done": done,

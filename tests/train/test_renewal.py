@@ -71,7 +71,7 @@ def renewal(history):
 
     def run(state, key):
         env_state, rollout, totals = learner._collect(state, key)
-        renewed = learner._renew(env_state, jnp.int32(1), key)
+        renewed = learner._renew(env_state, jnp.int32(1), state.family_rates, key)
         return (
             (rollout, totals),
             env_state,

@@ -161,6 +161,11 @@ class PPOConfig(RunConfig):
                 f"hitbox_scale must be 1 in scene physics, where crashes are contacts, "
                 f"not {self.hitbox_scale}"
             )
+        if self.curriculum.target_rate and not self.lot_life:
+            raise ValueError(
+                f"curriculum.target_rate {self.curriculum.target_rate} needs lot_life "
+                "of at least 1, not 0"
+            )
         agents = self.num_lots * self.env.num_agents
         if agents % self.num_minibatches:
             raise ValueError(

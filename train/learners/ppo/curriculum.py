@@ -43,4 +43,6 @@ def training_env(config: PPOConfig) -> EnvConfig:
     spawn, curriculum = config.env.spawn, config.curriculum
     if curriculum.crash_ratio:
         spawn = dataclasses.replace(spawn, crash_ratio=curriculum.crash_ratio)
+    if curriculum.reverse_ratio:
+        spawn = dataclasses.replace(spawn, reverse_ratio=curriculum.reverse_ratio)
     return dataclasses.replace(config.env, spawn=spawn)

@@ -21,6 +21,10 @@ class CurriculumConfig:
         discount_until: progress at which it has reached `discount_end`.
         crash_ratio: share of spawns on course for a collision; 0 = as in the
             environment.
+        reverse_ratio: share of spawns where a car has got to that drove out of the goal
+            bay; 0 = as in the environment.
+        target_rate: rate of parked episodes by whose shortfall half of a mixture's new
+            lots are drawn (`lot_life`); 0 = all are drawn as the mixture says.
     """
 
     crash_scale: float = 1.0
@@ -29,10 +33,13 @@ class CurriculumConfig:
     discount_from: float = 0.3
     discount_until: float = 0.8
     crash_ratio: float = 0.0
+    reverse_ratio: float = 0.0
+    target_rate: float = 0.0
 
     def __post_init__(self) -> None:
         at_least(self, 0.0, "crash_scale")
         ratio(self, "crash_until", "discount_from", "discount_until", "crash_ratio")
+        ratio(self, "reverse_ratio", "target_rate")
         if not 0.0 <= self.discount_end < 1.0:
             raise ValueError(
                 f"discount_end must lie in [0, 1), not {self.discount_end}"

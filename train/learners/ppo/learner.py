@@ -24,6 +24,7 @@ from learners.memory import num_bytes
 from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum import crash_scale, training_env
 from learners.ppo.epochs import learn, network_params
+from learners.ppo.families import make_families
 from learners.ppo.rollout import Rollout, Totals, collect
 from learners.ppo.state import AXIS, TrainingState, state_specs
 
@@ -67,6 +68,8 @@ class Learner:
         self.config = config
         self.env = BraxParking(ParkingEnv(training_env(config)))
         self.renews_lots = config.lot_life > 0 and self.env.env.layout_config.is_random
+        lots, target = self.env.env.layout_config, config.curriculum.target_rate
+        self.families = make_families(target, lots)
         fields, action = make_fields(config.env), self.env.env.action_spec
         self.inputs = network_inputs(config.networks, fields)
         self.networks = make_networks(config.networks, fields, action)
@@ -89,6 +92,8 @@ class Learner:
             self.networks.policy_network.init(policy_key),
             self.networks.value_network.init(value_key),
         )
+        rates = self.families.init()
+        lots = self.families.draw(rates, env_key, self.config.num_lots)
         state = TrainingState(
             normalizer=init_normalizer(self.inputs),
             policy=params.policy,
@@ -99,7 +104,8 @@ class Learner:
             update=jnp.zeros((), jnp.int32),
             skipped=jnp.zeros((), jnp.int32),
             seconds=jnp.zeros((), jnp.float32),
-            env=self.env.reset(jax.random.split(env_key, self.config.num_lots)),
+            family_rates=rates,
+            env=self.env.reset(*lots),
         )
         return jax.tree.map(_strong, state)
 
@@ -177,10 +183,14 @@ class Learner:
         env_state, rollout, totals = self._collect(
             state, jax.random.fold_in(act_key, local)
         )
+        rates = state.family_rates
+        if self.families.target:
+            member = env_state.info["member"]
+            rates = self.families.update(rates, member, totals, AXIS)
         if self.renews_lots:
             key, renew_key = jax.random.split(key)
             renew_key = jax.random.fold_in(renew_key, local)
-            env_state = self._renew(env_state, state.update, renew_key)
+            env_state = self._renew(env_state, state.update, rates, renew_key)
         learned, losses = learn(
             self.config,
             self.networks,
@@ -212,6 +222,7 @@ class Learner:
             update=state.update + 1,
             skipped=state.skipped + ~finite,
             seconds=state.seconds,
+            family_rates=rates,
             env=env_state,
         )
         num_steps = self.config.steps_per_update
@@ -221,6 +232,7 @@ class Learner:
             f"loss/{name}": loss for name, loss in losses.items()
         }
         metrics["progress"] = self.config.progress(state.update, state.seconds)
+        metrics |= self.families.metrics(rates)
         return jax.tree.map(_strong, (new, metrics | {"skipped": new.skipped}))
 
     def _collect(
@@ -239,7 +251,9 @@ class Learner:
         length = self.config.unroll_length
         return collect(env, state.env, actor, key, length, scales)
 
-    def _renew(self, env_state: Any, update: jax.Array, key: jax.Array) -> Any:
+    def _renew(
+        self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array
+    ) -> Any:
         """Draws the lots that are due anew (one device's share).
 
         It happens between unrolls, where the value is bootstrapped anyway, so the
@@ -248,7 +262,9 @@ class Learner:
         """
         num_lots = self.config.num_lots // self.mesh.size
         lots = due_lots(update, num_lots, self.config.lot_life)
-        return self.env.renew(env_state, lots, jax.random.split(key, len(lots)))
+        return self.env.renew(
+            env_state, lots, *self.families.draw(rates, key, len(lots))
+        )
 
 
 def _episode_metrics(

@@ -23,6 +23,8 @@ class TrainingState:
         update: () int32 updates made.
         skipped: () int32 updates dropped because they were not finite.
         seconds: () float32 of `minutes` used, which the host sets; 0 without them.
+        family_rates: (members,) running rates of parked episodes by member of a
+            mixture; (0,) while its lots are not drawn by shortfall.
         env: the Brax state of all lots.
     """
 
@@ -35,6 +37,7 @@ class TrainingState:
     update: jax.Array
     skipped: jax.Array
     seconds: jax.Array
+    family_rates: jax.Array
     env: Any
 
 
@@ -52,5 +55,6 @@ def state_specs() -> TrainingState:
         update=whole,
         skipped=whole,
         seconds=whole,
+        family_rates=whole,
         env=lots,
     )
