@@ -11,6 +11,7 @@ from typing import get_args
 import pytest
 
 from carpark_mj.cli.evaluate import EvaluateConfig
+from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.render import RenderConfig
@@ -53,6 +54,7 @@ REPORT = ROOT / "docs" / "physics" / "report.csv"
 COMMANDS = {
     "train/ppo.py": PPOConfig,
     "train/q_learning.py": QLearningConfig,
+    "train/export.py": ExportConfig,
     "eval/evaluate.py": EvaluateConfig,
     "eval/render.py": RenderConfig,
     "-m carpark_mj.scene": SceneConfig,
