@@ -83,7 +83,7 @@ class Episodes:
             present = jnp.arange(num_agents) < num_present
         key, vehicle_key, sensor_key = self._split(key)
         key, start_key, spawn_key = jax.random.split(key, 3)
-        start = self._fleet.start(layout, start_key)
+        start = self._fleet.start(layout, start_key, present)
         vehicles = randomize_all(config.randomization, start.vehicles, vehicle_key)
         inputs = self._spawn_inputs(layout, start.parked_cars, vehicles, vehicles)
         nowhere = jnp.zeros((num_agents, 3), jnp.float32)
@@ -91,6 +91,8 @@ class Episodes:
         goal = start.goal
         if present is not None:
             goal = jnp.where(present, goal, NO_BAY)
+            if not config.goals.dynamic:  # a lot of fewer bays has fewer agents
+                present = present & (goal != NO_BAY)
         placing = start_placing(goal, bay, nowhere, everybody)
         placing = place_all(self._goals.first_pose, inputs, placing, spawn_key)
         # The absent are the last to be placed, so that nobody has made room for them.

@@ -1,4 +1,4 @@
-"""Environments by name: those of the study behind this gym, Tanner 2022.
+"""Environments by name: our own, and those of the study behind this gym, Tanner 2022.
 
 Tables are those of the study's appendix C. Where its text and the reference
 implementation disagree, or do not say, the choice is:
@@ -28,17 +28,23 @@ import dataclasses
 
 from carpark_mj.config import (
     WORLD_UNIT,
+    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
+    FleetConfig,
     GoalConfig,
     GridConfig,
     IndexObservation,
+    JitterConfig,
+    RandomizationConfig,
     RewardConfig,
     RingConfig,
+    SensorConfig,
     SpawnConfig,
     TannerObservation,
     reward_preset,
 )
+from carpark_mj.vehicle.presets import PRESETS
 
 # Tables C.1 and C.2; 216 table entries: 3 levels of speed, 8 bearings, 9 actions.
 TANNER_QLEARNING = EnvConfig(
@@ -113,12 +119,51 @@ TANNER_DYNAMIC = dataclasses.replace(
 )
 
 # The same tasks for real cars: everything else is the default environment's.
-FIXED = EnvConfig(layout="tanner", num_agents=7, num_parked_cars=16)
-DYNAMIC = dataclasses.replace(FIXED, goals=GoalConfig(dynamic=True, num_tracked_bays=1))
+SQUARE = EnvConfig(
+    layout="tanner",
+    num_agents=7,
+    num_parked_cars=16,
+    reward=RewardConfig(closeness=0.0),  # a rising crash penalty does better
+)
+DYNAMIC = dataclasses.replace(
+    SQUARE, goals=GoalConfig(dynamic=True, num_tracked_bays=1)
+)
+
+# Lots of every family, some or many cars of all kinds, imperfect sensors. Exploration
+# finds tight bays too rarely to begin with: more pay for the way into the bay.
+_ALL_CARS = tuple(sorted(PRESETS))
+ANYWHERE = EnvConfig(
+    layout="tanner,compact,street,street_parallel,angled,lot,garage_row,dead_end",
+    num_agents=8,
+    min_agents=1,
+    num_parked_cars=20,
+    occupancy=(0.2, 0.8),
+    fleet=FleetConfig(agents=_ALL_CARS, parked_cars=_ALL_CARS),
+    jitter=JitterConfig(along=(-0.3, 0.3), across=(-0.1, 0.1), heading=(-0.05, 0.05)),
+    episode=EpisodeConfig(max_steps=300),  # 60 s: lots of up to 100 m
+    reward=RewardConfig(park=8.0, progress=0.4, alignment=1.0, closeness=0.0),
+    observation=ContinuousObservation(
+        tracked_agents=7, tracked_parked_cars=6, own_car=True
+    ),
+    # A loaded or worn car on a dry or wet surface.
+    randomization=RandomizationConfig(
+        mass=(0.9, 1.2),
+        friction=(0.7, 1.1),
+        tyre_stiffness=(0.8, 1.2),
+        brake_gain=(0.8, 1.2),
+        steering_offset=(-0.01, 0.01),
+        steering_lag=(0.0, 0.1),
+    ),
+    # Satellite positioning with corrections and an inertial sensor, a step late at most.
+    sensors=SensorConfig(
+        position_noise=0.02, heading_noise=0.005, speed_noise=0.05, delay_max=1
+    ),
+)
 
 ENVIRONMENTS: dict[str, EnvConfig] = {
-    "fixed": FIXED,
+    "square": SQUARE,
     "dynamic": DYNAMIC,
+    "anywhere": ANYWHERE,
     "tanner-fixed": TANNER_FIXED,
     "tanner-dynamic": TANNER_DYNAMIC,
     "tanner-qlearning": TANNER_QLEARNING,

@@ -51,10 +51,12 @@ class EnvConfig:
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,
-            uniform from here to `num_agents`. None = always `num_agents`.
+            uniform from here to `num_agents`, but with fixed goals never more than it
+            has bays if `occupancy` is given. None = always `num_agents`.
         num_parked_cars: number of parked cars.
         occupancy: share of the lot's bays that hold a parked car, drawn from this range
-            when the lot is reset; `num_parked_cars` is then the maximum.
+            when the lot is reset; `num_parked_cars` is then the maximum. Agents' goals
+            come first: where they leave fewer bays there are fewer parked cars.
         fleet: presets that cars are drawn from instead of `vehicle`.
         jitter: variation of parked cars' poses in their bays, and of their sizes.
         physics: back end. `mjx`: every car is simulated on its own, crashes are found

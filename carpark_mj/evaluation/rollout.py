@@ -80,12 +80,16 @@ def evaluate(
         # In turn, so that the lots of a family are spread over the numbers as well.
         num_present=np.resize(np.array(counts, np.int32), num_lots),
     )
-    quota = math.ceil(num_episodes / (num_lots * mean_count))
     families = [list(shares)[index] for index in lots.member]
     rows: list[Row] = []
-    for lot, agent, episode, metrics in _episodes(env, policy, seed, lots, quota):
+    reset_key, act_key = jax.random.split(evaluation_key(seed))
+    begun = _begin(env, lots, reset_key)
+    present = _count_agents(begun[0])
+    quota = math.ceil(num_episodes / present.sum())
+    carry = (*begun, act_key)
+    for lot, agent, episode, metrics in _episodes(env, policy, carry, quota):
         which = {"lot": float(lot), "agent": float(agent), "episode": float(episode)}
-        which["agents_present"] = float(lots.num_present[lot])
+        which["agents_present"] = float(present[lot])
         row = which | complete_row(metrics, env.config.sim.ctrl_dt)
         rows.append(row | {"family": families[lot]})
     rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
@@ -95,7 +99,7 @@ def evaluate(
     }
     by_count = {
         count: summarise([row for row in rows if row["agents_present"] == count])
-        for count in counts
+        for count in sorted({*present.tolist()})
     }
     return Evaluation(rows, summarise(rows), by_family, by_count)
 
@@ -105,36 +109,43 @@ class Lots(NamedTuple):
 
     Attributes:
         member: which member of a mixture a lot is of.
-        num_present: how many agents it has.
+        num_present: how many agents it has, if it has bays for them.
     """
 
     member: np.ndarray
     num_present: np.ndarray
 
 
+def _begin(env: ParkingEnv, lots: Lots, key: jax.Array) -> tuple[State, jax.Array]:
+    """Held-out lots at their start; `key` is consumed."""
+    reset = jax.jit(jax.vmap(lambda key, *lot: env.reset(key, "test", *lot)))
+    varies = len(env.config.agent_counts) > 1
+    keys = jax.random.split(key, len(lots.member))
+    return reset(keys, lots.member, lots.num_present if varies else None)
+
+
+def _count_agents(state: State) -> np.ndarray:
+    """How many agents lots (num_lots,) have; one of fewer bays may have fewer."""
+    return np.asarray(state.active).sum(axis=1)  # at the start all are active
+
+
 def _episodes(
-    env: ParkingEnv, policy: Policy, seed: int, lots: Lots, quota: int
+    env: ParkingEnv,
+    policy: Policy,
+    carry: tuple[State, jax.Array, jax.Array],
+    quota: int,
 ) -> Iterator[tuple[int, int, int, dict[str, float]]]:
     """Lot, agent, number and metrics of the first `quota` episodes of every agent.
 
     Args:
         env: the environment.
         policy: acting function.
-        seed: of lots and actions.
-        lots: which ones.
+        carry: lots at their start, what the agents observe, and a key, consumed.
         quota: episodes of every agent that its lot has.
     """
-    reset_key, act_key = jax.random.split(evaluation_key(seed))
-    num_lots, num_present = len(lots.member), lots.num_present
-    finished = np.zeros((num_lots, env.num_agents), int)
-    finished[np.arange(env.num_agents) >= num_present[:, None]] = quota
-    varies = len(env.config.agent_counts) > 1
-    reset = jax.jit(jax.vmap(lambda key, *lot: env.reset(key, "test", *lot)))
-    keys = jax.random.split(reset_key, num_lots)
-    state, observation = reset(keys, lots.member, num_present if varies else None)
+    finished = np.where(np.asarray(carry[0].active), 0, quota)
     chunk = jax.jit(lambda policy, carry: _chunk(env, policy, carry))
     policy = as_argument(policy)
-    carry = (state, observation, act_key)
     while finished.min() < quota:
         carry, (done, metrics) = chunk(policy, carry)
         metrics = {name: np.asarray(value) for name, value in metrics.items()}

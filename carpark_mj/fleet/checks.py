@@ -32,12 +32,15 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
                 f"{config.goals.num_tracked_bays}"
             )
         return
+    if config.occupancy is not None:  # then the bays left are shared out
+        agents = config.agent_counts.start
     free = bays - agents
     if free < 0:
+        name = "num_agents" if config.min_agents is None else "min_agents"
         raise ValueError(
-            f"num_agents must be at most {bays} (a goal bay each), not {agents}"
+            f"{name} must be at most {bays} (a goal bay each), not {agents}"
         )
-    if config.num_parked_cars > free:
+    if config.occupancy is None and config.num_parked_cars > free:
         raise ValueError(
             f"num_parked_cars must be at most {free} ({bays} bays less {agents} "
             f"agents' goals), not {config.num_parked_cars}"

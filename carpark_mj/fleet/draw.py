@@ -65,10 +65,18 @@ class Fleet:
         """Whether agents drive cars of several kinds, drawn at every spawn."""
         return bool(self._config.fleet.agents)
 
-    def start(self, layout: Layout, key: jax.Array) -> Start:
-        """Draws goals, parked cars and the agents' cars of a lot; `key` is consumed."""
+    def start(
+        self, layout: Layout, key: jax.Array, present: jax.Array | None = None
+    ) -> Start:
+        """Draws goals, parked cars and the agents' cars of a lot.
+
+        Args:
+            layout: of the lot.
+            key: consumed.
+            present: (num_agents,) bool, the agents that it is to have; None = all.
+        """
         if self._config.varies:
-            return self._start_varied(layout, key)
+            return self._start_varied(layout, key, present)
         n, m = self._config.num_agents, self._config.num_parked_cars
         goals = 0 if self._config.goals.dynamic else n
         order = shuffled_bays(layout, key)
@@ -78,7 +86,9 @@ class Fleet:
         parked = _in_bays(layout, bay, size, None)
         return Start(goal, parked, self._of_kind(jnp.zeros(n, jnp.int32)))
 
-    def _start_varied(self, layout: Layout, key: jax.Array) -> Start:
+    def _start_varied(
+        self, layout: Layout, key: jax.Array, present: jax.Array | None
+    ) -> Start:
         config = self._config
         n, m = config.num_agents, config.num_parked_cars
         goal_key, count_key, scale_key, place_key, offset_key = jax.random.split(key, 5)
@@ -87,7 +97,7 @@ class Fleet:
                 self._goal_bays(layout), (n, len(self.agents), layout.num_bays)
             ),
             weights=self._weights,
-            cars=jnp.ones(n, bool),
+            cars=jnp.ones(n, bool) if present is None else present,
             anywhere=True,
         )
         kind, goal = draw_bays(agents, layout.bay_mask, goal_key)

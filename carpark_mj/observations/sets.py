@@ -69,7 +69,7 @@ class ObservationSets:
         return {OWN: jnp.concatenate(own, axis=-1), **parts}
 
     def present(self, parts: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        """Whether entities of the parts of `split` are there, (..., count) bool each."""
+        """Whether the entities in parts are there, (..., count) bool by group."""
         found = {}
         for part in self.sets:
             entities = parts[part.group]
