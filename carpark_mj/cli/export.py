@@ -109,7 +109,7 @@ def _write_model(out: Path, loaded: LoadedPolicy, seed: int) -> None:
 def rollout_observations(loaded: LoadedPolicy, count: int, seed: int) -> np.ndarray:
     """Observations (count, size) of agents that a policy drives in held-out lots."""
     env = ParkingEnv(loaded.env)
-    num_steps = -(-count // (LOTS * env.num_agents))
+    num_steps = -(-count // (LOTS * min(env.config.agent_counts)))
 
     def step(carry: Any, _: None) -> Any:
         state, observation = carry
@@ -125,7 +125,9 @@ def rollout_observations(loaded: LoadedPolicy, count: int, seed: int) -> np.ndar
         return jax.lax.scan(step, start, None, length=num_steps)[1]
 
     seen = np.asarray(jax.jit(run)(evaluation_key(seed)))
-    return seen.reshape(-1, seen.shape[-1])[:count]
+    seen = seen.reshape(-1, seen.shape[-1])
+    seen = seen[seen.any(axis=-1)]  # absent agents observe zeros
+    return seen[np.linspace(0, len(seen) - 1, count).astype(int)]
 
 
 def _table(loaded: LoadedPolicy) -> Table:

@@ -44,7 +44,10 @@ def run(script: str, flags: str | None) -> str:
 
 @pytest.mark.parametrize(
     "script",
-    ["train/ppo.py", "train/q_learning.py", "eval/evaluate.py", "eval/render.py"],
+    [
+        *("train/ppo.py", "train/q_learning.py", "train/export.py"),
+        *("eval/evaluate.py", "eval/render.py"),
+    ],
 )
 def test_a_script_fuses_outputs_from_the_first_program_on(script):
     assert run(script, None) == f"True {OUTPUT_FUSION}"

@@ -11,6 +11,7 @@ import pytest
 import export
 from carpark_mj.cli import export as command
 from carpark_mj.config import EnvConfig
+from carpark_mj.observations import observation_size
 from carpark_mj.policy import loading, pretrained
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.onnx_export import split_observation
@@ -97,9 +98,13 @@ def test_a_model_that_acts_otherwise_is_not_written(
 
 def test_observations_of_a_rollout_are_those_of_agents_that_drive(trained):
     loaded = loading.load_policy(trained)
+    env = dataclasses.replace(loaded.env, num_agents=3, min_agents=1)
+    loaded = loading.load_policy(trained, env=env)
     seen = command.rollout_observations(loaded, 999, seed=0)
-    assert seen.shape[0] == 999
+    assert seen.shape == (999, observation_size(env))
     assert np.isfinite(seen).all()
+    assert seen.any(axis=-1).all()  # agents that are absent do not count
+    assert len(np.unique(seen, axis=0)) == 999
     assert np.ptp(seen[:, 0]) > 0.01  # speeds: they start at rest
 
 
