@@ -20,7 +20,6 @@ _Relocation = tuple[jax.Array, jax.Array, jax.Array]  # bays, moved, agents wait
 
 AWAY = 1e4  # m; absent cars stand so far out, one behind the other
 _QUEUE = 20.0  # m between them
-_AGENTS = -AWAY  # m, y of absent agents; absent parked cars stand at y = 0
 
 
 def stand_in_bay(
@@ -68,20 +67,22 @@ def poses_in_bays(layout: Layout, cars: ParkedCars) -> jax.Array:
     if cars.offset is not None:
         size = layout.bay_size[cars.bay]
         pose = stand_in_bay(pose, size, cars.size, cars.offset)
-    return jnp.where(cars.present[:, None], pose, _away(cars.bay.shape[0], 0.0))
+    return jnp.where(cars.present[:, None], pose, _away(cars.bay.shape[0]))
 
 
 def place_absent_agents(pose_w: jax.Array, present: jax.Array | None) -> jax.Array:
     """Poses (num_agents, 3) with those of absent agents `AWAY`; see `State.present`."""
     if present is None:
         return pose_w
-    return jnp.where(present[:, None], pose_w, _away(present.shape[0], _AGENTS))
+    # Across the lot from absent parked cars.
+    return jnp.where(present[:, None], pose_w, -_away(present.shape[0]))
 
 
-def _away(count: int, y: float) -> jax.Array:
-    """Poses (count, 3) where absent cars stand."""
-    x = AWAY + _QUEUE * jnp.arange(count, dtype=jnp.float32)
-    return jnp.stack([x, jnp.full_like(x, y), jnp.zeros_like(x)], axis=-1)
+def _away(count: int) -> jax.Array:
+    """Poses (count, 3) where absent parked cars stand."""
+    place = AWAY + _QUEUE * jnp.arange(count, dtype=jnp.float32)
+    zero = jnp.zeros_like(place)
+    return jnp.stack([place, zero, zero], axis=-1)
 
 
 def in_bays(layout: Layout, cars: ParkedCars, bay: jax.Array) -> ParkedCars:

@@ -128,7 +128,7 @@ def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(
 ):
     env, asked = mixture_env, []
 
-    def reset(key, split="train", *lot):
+    def reset(key, split, *lot):
         asked.append(split)
         return ParkingEnv.reset(env, key, split, *lot)
 

@@ -101,7 +101,8 @@ def collect(
     (env_state, totals), (taken, present) = jax.lax.scan(
         step, (env_state, zeros), jax.random.split(key, length)
     )
-    return env_state, Rollout(*taken, env_state.obs, present), totals
+    rollout = Rollout(*taken, final_observation=env_state.obs, weight=present)
+    return env_state, rollout, totals
 
 
 def _change(
