@@ -28,7 +28,7 @@ STREETS = mixture(
     [StreetConfig(bays_per_side=(3, 3)), StreetConfig(bays_per_side=(5, 5))]
 )
 CONFIG = dataclasses.replace(
-    PRESETS["cpu-mixture"],
+    PRESETS["cpu"],
     num_lots=6,
     lot_life=3,
     unroll_length=5,

@@ -22,7 +22,7 @@ from learners.ppo.state import TrainingState
 STREET = StreetConfig(bays_per_side=(3, 4))
 LOTS, AGENTS, UNROLL = 6, 2, 5
 CONFIG = dataclasses.replace(
-    PRESETS["cpu-mixture"],
+    PRESETS["cpu"],
     num_lots=LOTS,
     lot_life=3,
     unroll_length=UNROLL,
