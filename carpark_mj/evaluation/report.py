@@ -25,8 +25,9 @@ def print_report(result: Evaluation, title: str) -> None:
 def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> list[Path]:
     """Writes `evaluation.csv` (episodes) and `evaluation.json` (summaries).
 
-    Of a mixture also `families.csv`, a row per family and one for all of them, and of
-    lots with several numbers of agents `agents_present.csv` in the same way.
+    Of a mixture also `families.csv`, a row per family and one for all of them, and in
+    the same way `agents_present.csv` of several numbers of agents, and `vehicles.csv`
+    of a fleet.
 
     Returns:
         The files.
@@ -47,13 +48,21 @@ def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> list[Pa
     return written
 
 
-_FILES = {"family": "families", "agents present": "agents_present"}
+_FILES = {
+    "family": "families",
+    "agents present": "agents_present",
+    "vehicle": "vehicles",
+}
 
 
 def _groups(result: Evaluation) -> dict[str, dict[str, dict[str, Any]]]:
-    """Summaries by family and by number of agents if there are several, and of all."""
+    """Summaries by family, number of agents and kind of car, if there are several."""
     counts = {str(count): part for count, part in result.agent_counts.items()}
-    groups = {"family": result.families, "agents present": counts}
+    groups = {
+        "family": result.families,
+        "agents present": counts,
+        "vehicle": result.vehicles,
+    }
     return {
         name: {**parts, "all": result.summary}
         for name, parts in groups.items()

@@ -42,12 +42,14 @@ class Evaluation:
         families: the same for the lots of each member of a mixture, by name; the lot's
             own if it is no mixture.
         agent_counts: the same for the lots with each number of agents.
+        vehicles: the same for each kind of car that agents drive.
     """
 
     episodes: list[Row]
     summary: dict[str, Any]
     families: dict[str, dict[str, Any]]
     agent_counts: dict[int, dict[str, Any]]
+    vehicles: dict[str, dict[str, Any]]
 
 
 def evaluate(
@@ -87,11 +89,12 @@ def evaluate(
     present = _count_agents(begun[0])
     quota = math.ceil(num_episodes / present.sum())
     carry = (*begun, act_key)
-    for lot, agent, episode, metrics in _episodes(env, policy, carry, quota):
+    kinds = env.fleet.agent_names
+    for (lot, agent, episode), kind, metrics in _episodes(env, policy, carry, quota):
         which = {"lot": float(lot), "agent": float(agent), "episode": float(episode)}
         which["agents_present"] = float(present[lot])
         row = which | complete_row(metrics, env.config.sim.ctrl_dt)
-        rows.append(row | {"family": families[lot]})
+        rows.append(row | {"family": families[lot], "vehicle": kinds[kind]})
     rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
     by_family = {
         name: summarise([row for row in rows if row["family"] == name])
@@ -101,7 +104,11 @@ def evaluate(
         count: summarise([row for row in rows if row["agents_present"] == count])
         for count in sorted({*present.tolist()})
     }
-    return Evaluation(rows, summarise(rows), by_family, by_count)
+    by_vehicle = {
+        kind: summarise([row for row in rows if row["vehicle"] == kind])
+        for kind in kinds
+    }
+    return Evaluation(rows, summarise(rows), by_family, by_count, by_vehicle)
 
 
 class Lots(NamedTuple):
@@ -134,8 +141,10 @@ def _episodes(
     policy: Policy,
     carry: tuple[State, jax.Array, jax.Array],
     quota: int,
-) -> Iterator[tuple[int, int, int, dict[str, float]]]:
-    """Lot, agent, number and metrics of the first `quota` episodes of every agent.
+) -> Iterator[tuple[tuple[int, int, int], int, dict[str, float]]]:
+    """The first `quota` episodes of every agent.
+
+    Each is its lot, agent and number, the kind of car driven, and its metrics.
 
     Args:
         env: the environment.
@@ -147,12 +156,14 @@ def _episodes(
     chunk = jax.jit(lambda policy, carry: _chunk(env, policy, carry))
     policy = as_argument(policy)
     while finished.min() < quota:
-        carry, (done, metrics) = chunk(policy, carry)
+        carry, (done, kind, metrics) = chunk(policy, carry)
+        kind = np.asarray(kind)
         metrics = {name: np.asarray(value) for name, value in metrics.items()}
         for t, lot, agent in np.argwhere(np.asarray(done)):
             if finished[lot, agent] < quota:
                 row = {n: float(value[t, lot, agent]) for n, value in metrics.items()}
-                yield int(lot), int(agent), int(finished[lot, agent]), row
+                which = int(lot), int(agent), int(finished[lot, agent])
+                yield which, int(kind[t, lot, agent]), row
             finished[lot, agent] += 1
 
 
@@ -168,7 +179,7 @@ def allot(shares: list[float], num_lots: int) -> np.ndarray:
 
 def _chunk(
     env: ParkingEnv, policy: Policy, carry: tuple[State, jax.Array, jax.Array]
-) -> tuple[Any, tuple[jax.Array, dict[str, jax.Array]]]:
+) -> tuple[Any, tuple[jax.Array, jax.Array, dict[str, jax.Array]]]:
     def step(carry, _):
         state, observation, key = carry
         key, act_key = jax.random.split(key)
@@ -178,6 +189,7 @@ def _chunk(
         state, timestep = jax.vmap(env.step)(state, action)
         return (state, timestep.observation, key), (
             timestep.events.done,
+            env.fleet.kind_of(timestep.motion.size),
             timestep.metrics,
         )
 

@@ -38,7 +38,8 @@ class Fleet:
     """What the cars of an environment are drawn from; constants only.
 
     Attributes:
-        agents: parameters of the kinds of cars that agents drive.
+        agent_names: presets of the kinds of cars that agents drive.
+        agents: their parameters.
         parked_cars: the same for parked cars.
     """
 
@@ -50,6 +51,7 @@ class Fleet:
         """
         self._config = config
         names = config.fleet
+        self.agent_names = names.agents or (config.vehicle,)
         self.agents = tuple(map(preset, names.agents)) or (vehicle,)
         self.parked_cars = tuple(map(preset, names.parked_cars)) or (vehicle,)
         kinds = [make_vehicle(params) for params in self.agents]
@@ -64,6 +66,11 @@ class Fleet:
     def mixed(self) -> bool:
         """Whether agents drive cars of several kinds, drawn at every spawn."""
         return bool(self._config.fleet.agents)
+
+    def kind_of(self, size: jax.Array) -> jax.Array:
+        """Which kinds (...) int32 agents' cars of sizes (..., 2) are."""
+        off = jnp.abs(size[..., None, :] - self._kinds.size).sum(axis=-1)
+        return jnp.argmin(off, axis=-1).astype(jnp.int32)
 
     def start(
         self, layout: Layout, key: jax.Array, present: jax.Array | None = None
