@@ -30,8 +30,7 @@ def configure_jax() -> None:
     """One CPU device per core, over which the lots are sharded; fused outputs."""
     enable_output_fusion()
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
-    # jaxlib 0.11.2 crashes compiling a program for several CPU devices; 0.10.2 is fine.
-    if jax.__version_info__ < (0, 11) and "JAX_NUM_CPU_DEVICES" not in os.environ:
+    if "JAX_NUM_CPU_DEVICES" not in os.environ:
         jax.config.update("jax_num_cpu_devices", cores or 1)
 
 

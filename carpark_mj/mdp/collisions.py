@@ -95,8 +95,6 @@ def _box_hits(layout: Layout, motion: Motion, parked_cars: ParkedCars) -> Hits:
 def _disc_hits(layout: Layout, motion: Motion) -> jax.Array:
     """Who overlapped a disc; (num_agents,) bool."""
     centre, radius, mask = layout.disc_centre, layout.disc_radius, layout.disc_mask
-    if not mask.shape[0]:  # XLA 0.11 crashes partitioning a reduction over nothing
-        return jnp.zeros(motion.size.shape[0], bool)
     if is_crowded(motion.size.shape[0], mask.shape[0]):
         return near_disc_hits(motion, centre, radius, mask)
     discs = box_disc_overlap(

@@ -10,7 +10,6 @@ import sys
 import time
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 
@@ -24,11 +23,7 @@ TINY = (
     *("--networks.policy-layers", "16", "--networks.value-layers", "16"),
     *("--eval-episodes", "0", "--video-seconds", "0"),
 )
-# See `ppo.configure_jax`.
-SEVERAL_CPU_DEVICES = jax.__version_info__ < (0, 11)
-DEVICES = {"COLUMNS": "200"} | (
-    {"JAX_NUM_CPU_DEVICES": "2"} if SEVERAL_CPU_DEVICES else {}
-)
+DEVICES = {"COLUMNS": "200", "JAX_NUM_CPU_DEVICES": "2"}
 UPDATES = 20  # 640 steps / (4 lots x 2 agents x 4 control steps)
 
 
@@ -169,7 +164,6 @@ def on_two_hosts(environment, *arguments: str) -> list[subprocess.CompletedProce
     ]
 
 
-@pytest.mark.skipif(not SEVERAL_CPU_DEVICES, reason="jaxlib crashes on several CPUs")
 def test_two_hosts_train_like_two_devices_of_one(finished, environment):
     folder = finished[0].parent / "hosts"
     before = set(folder.parent.iterdir())

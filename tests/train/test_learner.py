@@ -1,6 +1,7 @@
 """The learner: the same update as Brax's own PPO, schedules, and the NaN guard."""
 
 import dataclasses
+import re
 from typing import Any
 
 import jax
@@ -53,6 +54,11 @@ AGENTS = TINY.num_lots * TINY.env.num_agents
 @pytest.fixture(scope="module")
 def learner():
     return Learner(TINY)
+
+
+@pytest.fixture(scope="module")
+def update(learner):
+    return learner.compile()
 
 
 @pytest.fixture(scope="module")
@@ -319,8 +325,18 @@ def learned_leaves(state) -> list[np.ndarray]:
     return [np.array(leaf) for leaf in jax.tree.leaves(parts)]
 
 
-def test_a_non_finite_update_is_dropped_whole(learner):
-    update = learner.compile()
+def test_no_empty_array_is_an_input_of_the_compiled_update(update, state):
+    """On several devices XLA of JAX 0.11.2 would crash."""
+    assert state.env.pipeline_state.layout.disc_mask.size == 0
+    program = update.lower(state).as_text()
+    signature = program.split("@main(")[1].split(" -> ")[0]
+    inputs = re.findall(r"%arg\d+: tensor<(\S*?)>", signature)
+    walls = "x".join(map(str, state.env.pipeline_state.layout.wall_mask.shape))
+    assert f"{walls}xi1" in inputs
+    assert not [x for x in inputs if "0" in x.split("x")]
+
+
+def test_a_non_finite_update_is_dropped_whole(learner, update):
     state = learner.init()
     good, _ = update(learner.place(jax.device_get(state)))
     before = jax.device_get(good)

@@ -159,7 +159,7 @@ class Learner:
     def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
         """The jitted update `state -> (state, metrics)`; it consumes the state."""
         update = jax.shard_map(
-            self.update,
+            lambda state: self.update(jax.tree.map(_without_input, state)),
             mesh=self.mesh,
             in_specs=(state_specs(),),
             out_specs=(state_specs(), PartitionSpec()),
@@ -298,6 +298,15 @@ def _without_keys(state: TrainingState) -> TrainingState:
 
 def _is_key(x: Any) -> bool:
     return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
+
+
+def _without_input(x: jax.Array) -> jax.Array:
+    """The array, as a constant if it is empty: JAX drops inputs that nothing uses.
+
+    XLA 0.11 crashes partitioning a `shard_map` with an empty input (a lot without discs
+    has some): on two devices, of `lambda x, empty: x + empty.sum(axis=1)`.
+    """
+    return x if x.size else jnp.zeros(x.shape, x.dtype)
 
 
 def _strong(x: Any) -> jax.Array:
