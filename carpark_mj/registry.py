@@ -154,7 +154,7 @@ ANYWHERE = EnvConfig(
         steering_offset=(-0.01, 0.01),
         steering_lag=(0.0, 0.1),
     ),
-    # Satellite positioning with corrections and an inertial sensor, a step late at most.
+    # Satellite positioning with corrections, an inertial sensor; a step late at most.
     sensors=SensorConfig(
         position_noise=0.02, heading_noise=0.005, speed_noise=0.05, delay_max=1
     ),

@@ -120,8 +120,8 @@ def make_networks(
     )
 
 
-def _normalize_own(observation: Any, normalizer: Any) -> Any:
-    return normalize(normalizer, {OWN: observation})[OWN]
+def _normalize_own(observation: Any, preprocessor_params: Any) -> Any:
+    return normalize(preprocessor_params, {OWN: observation})[OWN]
 
 
 def _set_network(network: SetNetwork) -> brax_networks.FeedForwardNetwork:

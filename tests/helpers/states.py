@@ -111,6 +111,10 @@ def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State
 def config_of(
     observation: Observation, num_tracked_bays: int = 0, **settings: Any
 ) -> EnvConfig:
-    """An environment on the grid; without tracked bays its goals are fixed."""
+    """An environment on the grid; without tracked bays its goals are fixed.
+
+    It has agents enough for all slots of the default observation.
+    """
+    settings = {"num_agents": 7} | settings
     goals = GoalConfig(num_tracked_bays > 0, max(num_tracked_bays, 1))
     return EnvConfig(observation=observation, goals=goals, physics="grid", **settings)

@@ -131,7 +131,7 @@ def test_a_hand_worked_scene():
         yaw_rate=[0.25, 0.1, -0.5],
         size=[(4.0, 2.0), (5.0, 1.5), (4.0, 2.0)],
     )
-    config = ContinuousObservation(rings=RingConfig())
+    config = ContinuousObservation(2, 2, rings=RingConfig(), rays=RayConfig())
     named = observed(config, BAYS, motion, [0, 1, 2], [2, 3])
     expected = {
         "speed": [0.5],
@@ -347,8 +347,8 @@ def test_every_number_observed_varies_but_those_that_cannot():
     }
     expected = {
         f"{kind}_{k}_{part}"
-        for kind in ("agent", "parked_car")
-        for k in range(2)
+        for kind, slots in (("agent", 2), ("parked_car", 4))
+        for k in range(slots)
         for part in fixed
     }
     # `goal_size` varies between the lots of the batch only.
@@ -365,13 +365,14 @@ def test_moving_a_pose_by_hand_agrees_with_the_scene_helper():
 @pytest.mark.parametrize(
     ("change", "numbers"),
     [
-        ({"tracked_agents": 1}, -12),  # present, 4 x 2, speed, 2 of its goal
-        ({"tracked_parked_cars": 3}, +9),  # present, 4 x 2
+        ({"tracked_agents": 5}, -12),  # present, 4 x 2, speed, 2 of its goal
+        ({"tracked_parked_cars": 5}, +9),  # present, 4 x 2
         ({"rings": RingConfig((5.0,))}, -2),
         ({"rings": RingConfig((5.0, 6.2, 8.0), cap=1)}, 0),
         ({"rings": RingConfig((5.0, 6.2, 8.0), history=2)}, 6),
-        ({"rays": RayConfig(7)}, 7),
-        ({"rays": RayConfig(reach=3.0)}, 0),
+        ({"rays": RayConfig()}, -24),
+        ({"rays": RayConfig(31)}, 7),
+        ({"rays": RayConfig(24, reach=3.0)}, 0),
         ({"lane": True}, 4),  # present, 2 of its heading, one-way
         ({"own_car": True}, 5),  # 2 of its size, wheelbase, axle, turning radius
         ({"view": ViewConfig(90.0, 20.0)}, 0),
@@ -379,8 +380,30 @@ def test_moving_a_pose_by_hand_agrees_with_the_scene_helper():
     ],
 )
 def test_each_setting_adds_or_drops_its_numbers(change, numbers):
-    size = observation_size(config_of(ContinuousObservation(**change)))
-    assert size - observation_size(EnvConfig()) == numbers
+    size, default = (
+        observation_size(config_of(ContinuousObservation(**settings)))
+        for settings in (change, {})
+    )
+    assert size - default == numbers
+
+
+@pytest.mark.parametrize(
+    ("num_agents", "num_parked_cars", "slots"),
+    [(9, 5, (6, 4)), (7, 4, (6, 4)), (6, 3, (5, 3)), (2, 1, (1, 1)), (1, 0, (1, 1))],
+)
+def test_there_are_as_many_slots_as_the_lot_s_cars_fill_and_at_least_one(
+    num_agents, num_parked_cars, slots
+):
+    names = {
+        field.name
+        for field in make_fields(
+            EnvConfig(num_agents=num_agents, num_parked_cars=num_parked_cars)
+        )
+    }
+    for kind, count in zip(("agent", "parked_car"), slots, strict=True):
+        assert f"{kind}_{count - 1}_present" in names
+        assert f"{kind}_{count}_present" not in names
+    assert ContinuousObservation() == ContinuousObservation(6, 4, rays=RayConfig(24))
 
 
 def test_what_an_agent_drives_by_hand():

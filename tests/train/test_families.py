@@ -16,10 +16,10 @@ from carpark_mj.layouts.registry import mixture
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.wrappers.brax import BraxParking
+from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum_config import CurriculumConfig
 from learners.ppo.families import MEMORY, Families, make_families
 from learners.ppo.learner import Learner
-from learners.ppo.presets import PRESETS
 from learners.ppo.rollout import Totals
 from learners.ppo.state import TrainingState
 
@@ -27,8 +27,7 @@ THREE = Families(0.9, {"lot": 0.5, "street": 0.25, "angled": 0.25})
 STREETS = mixture(
     [StreetConfig(bays_per_side=(3, 3)), StreetConfig(bays_per_side=(5, 5))]
 )
-CONFIG = dataclasses.replace(
-    PRESETS["cpu"],
+CONFIG = PPOConfig(
     num_lots=6,
     lot_life=3,
     unroll_length=5,

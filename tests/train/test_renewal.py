@@ -15,14 +15,13 @@ from carpark_mj.layouts import StreetConfig
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.wrappers.brax import BraxParking
+from learners.ppo.config import PPOConfig
 from learners.ppo.learner import Learner, due_lots
-from learners.ppo.presets import PRESETS
 from learners.ppo.state import TrainingState
 
 STREET = StreetConfig(bays_per_side=(3, 4))
 LOTS, AGENTS, UNROLL = 6, 2, 5
-CONFIG = dataclasses.replace(
-    PRESETS["cpu"],
+CONFIG = PPOConfig(
     num_lots=LOTS,
     lot_life=3,
     unroll_length=UNROLL,

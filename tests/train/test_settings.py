@@ -84,4 +84,4 @@ def test_the_whole_help_lists_every_setting(capsys):
     printed = capsys.readouterr().out
     for flag in ("--seed INT", "--clip FLOAT", "--env.num-agents INT"):
         assert flag in printed
-    assert "(default: 512)" in printed  # the preset's
+    assert "(default: 1024)" in printed  # the preset's

@@ -1,5 +1,7 @@
 """Advantages of a rollout's actions and targets of the critic."""
 
+from typing import Any
+
 import jax
 from brax.training.agents.ppo.losses import compute_gae
 
@@ -10,7 +12,7 @@ def compute_advantages(
     rollout: Rollout,
     values: jax.Array,
     final_value: jax.Array,
-    discount: jax.Array | float,
+    discount: Any,
     gae_lambda: float,
 ) -> tuple[jax.Array, jax.Array]:
     """Generalised advantage estimation, Brax's.
@@ -21,7 +23,7 @@ def compute_advantages(
         rollout: of the agents.
         values: (time, agents) of the rollout's observations.
         final_value: (agents,) of the observation after the last step.
-        discount: discount factor per control step.
+        discount: () discount factor per control step.
         gae_lambda: lambda.
 
     Returns:

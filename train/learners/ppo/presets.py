@@ -1,8 +1,9 @@
 """Presets of PPO training.
 
-`cpu`, `gpu` and their mixtures are made for a kind of hardware. The others are the
-experiments of Tanner 2022 by the names of their environments, `carpark_mj.registry`:
-16 M agent steps with settings of our own, meant for a GPU.
+`cpu` and `gpu` are made for a kind of hardware and end in time. The others have the
+names of their environments in `carpark_mj.registry` and are meant for a GPU: `square`,
+`dynamic` and `anywhere` train real cars, the rest are the experiments of Tanner 2022,
+16 M agent steps with settings of our own.
 
 `tanner-fixed-original` has the study's hyperparameters, table 5.1, as far as this loop
 has them, for 12.8 M steps: the study's last 3.2 M of 16 M have a learning rate of about
@@ -133,5 +134,6 @@ _HARDWARE["tanner-fixed-original"] += ", hyperparameters of the study"
 
 SUMMARIES = {
     name: f"{_HARDWARE[name]}, {config.num_steps / 1e6:g} M steps"
+    + (f" or {config.minutes:g} min" if config.minutes else "")
     for name, config in PRESETS.items()
 }
