@@ -42,7 +42,7 @@ class Evaluation:
         families: the same for the lots of each member of a mixture, by name; the lot's
             own if it is no mixture.
         agent_counts: the same for the lots with each number of agents.
-        vehicles: the same for each kind of car that agents drive.
+        vehicles: the same for each kind of car that agents drove.
     """
 
     episodes: list[Row]
@@ -107,6 +107,7 @@ def evaluate(
     by_vehicle = {
         kind: summarise([row for row in rows if row["vehicle"] == kind])
         for kind in kinds
+        if any(row["vehicle"] == kind for row in rows)
     }
     return Evaluation(rows, summarise(rows), by_family, by_count, by_vehicle)
 

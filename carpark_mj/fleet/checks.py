@@ -22,7 +22,7 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
     Raises:
         ValueError: naming the number and the most there can be.
     """
-    bays, agents = lot.min_bays, config.num_agents
+    bays, agents = lot.min_bays, _num_goals(config)
     if config.goals.dynamic:
         free = bays - config.num_parked_cars
         if free < config.goals.num_tracked_bays:
@@ -32,11 +32,9 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
                 f"{config.goals.num_tracked_bays}"
             )
         return
-    if config.occupancy is not None:  # then the bays left are shared out
-        agents = config.agent_counts.start
     free = bays - agents
     if free < 0:
-        name = "num_agents" if config.min_agents is None else "min_agents"
+        name = "num_agents" if agents == config.num_agents else "min_agents"
         raise ValueError(
             f"{name} must be at most {bays} (a goal bay each), not {agents}"
         )
@@ -95,17 +93,25 @@ def check_cars(
             _count_bays("fleet.agents", name, _size(params), slack, bays)
             for name, params in zip(names, fleet.agents, strict=True)
         ]
-        goals = 0 if config.goals.dynamic else config.num_agents
+        goals = _num_goals(config)
         if layout is not None and max(counts) < goals:
             raise ValueError(
                 f"fleet.agents find goals in only {max(counts)} bays of this lot under "
-                f"the {rule} rule, fewer than num_agents {config.num_agents}"
+                f"the {rule} rule, fewer than the {goals} agents of a lot"
             )
     if config.num_parked_cars:
         names = config.fleet.parked_cars or (config.vehicle,)
         scale = config.jitter.scale[1]
         for name, params in zip(names, fleet.parked_cars, strict=True):
             _count_bays("parked cars", name, scale * _size(params), 0.0, bays)
+
+
+def _num_goals(config: EnvConfig) -> int:
+    """How many agents must have a goal in every lot."""
+    if config.goals.dynamic:
+        return 0
+    # With an occupancy the bays are shared out: first come, first served.
+    return config.num_agents if config.occupancy is None else config.agent_counts.start
 
 
 def _size(params: VehicleParameters) -> np.ndarray:

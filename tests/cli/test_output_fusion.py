@@ -53,14 +53,25 @@ def test_a_script_fuses_outputs_from_the_first_program_on(script):
     assert run(script, None) == f"True {OUTPUT_FUSION}"
 
 
-# What trains by default, what draws lots anew, what moves parked cars: XLA aborts where
-# it fuses scatters that share their indices.
-@pytest.mark.parametrize("preset", ["cpu", "cpu-mixture", "dynamic"])
-def test_training_compiles_with_fused_outputs(preset: str):
+# What trains by default, what draws numbers of cars and lots anew, what moves parked
+# cars: XLA aborts where it fuses scatters that share their indices.
+CONFIGS = {
+    "cpu": "PRESETS['cpu']",
+    "mixture": "PPOConfig(curriculum=CurriculumConfig(reverse_ratio=0.3, "
+    "target_rate=0.9), env=EnvConfig(layout='street,angled', num_parked_cars=15, "
+    "min_agents=1, occupancy=(0.2, 0.8)))",
+    "dynamic": "PRESETS['dynamic']",
+}
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_training_compiles_with_fused_outputs(name: str):
     program = (
-        "import jax; from learners.ppo.learner import Learner; "
+        "import jax; from carpark_mj.config import EnvConfig; "
+        "from learners.ppo.config import CurriculumConfig, PPOConfig; "
+        "from learners.ppo.learner import Learner; "
         "from learners.ppo.presets import PRESETS; "
-        f"learner = Learner(PRESETS[{preset!r}]); "
+        f"learner = Learner({CONFIGS[name]}); "
         "learner.compile().lower(learner.shapes()).compile()"
     )
     environment = os.environ | {

@@ -130,7 +130,7 @@ def test_a_fleet_that_finds_too_few_goals_is_refused():
         )
         check_cars(config, Fleet(config, COMPACT), square, layout)
 
-    with pytest.raises(ValueError, match=r"only 2 bays .* num_agents 4") as refusal:
+    with pytest.raises(ValueError, match=r"only 2 bays .* the 4 agents of") as refusal:
         check(("van",), 4)
     assert "\n" not in str(refusal.value)
     check(("van",), 2)

@@ -285,7 +285,7 @@ def test_agents_see_what_they_drive_only_with_a_fleet(env, started):
     own_car = ContinuousObservation(own_car=True)
     mixed = EnvConfig(fleet=FleetConfig(AGENTS), observation=own_car)
     sizes = [observation_size(x) for x in (EnvConfig(), alike, mixed)]
-    assert sizes == [59, 59, 64]
+    assert sizes == [89, 89, 94]
 
 
 def test_a_collision_is_of_the_own_footprint(env, started, step):

@@ -11,6 +11,7 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
 from learners.ppo.epochs import network_params
 from learners.ppo.learner import Learner
@@ -36,7 +37,7 @@ def learner():
     return learner
 
 
-def made_up(learner, state) -> Minibatch:
+def made_up(learner, normalizer, policy) -> Minibatch:
     """Steps (time, agents, ...) of nobody."""
     rng, rows = np.random.default_rng(2), (TINY.unroll_length, AGENTS)
 
@@ -44,7 +45,7 @@ def made_up(learner, state) -> Minibatch:
         return jnp.asarray(rng.normal(size=(*rows, *size)), jnp.float32)
 
     networks, observation = learner.networks, normal(learner.env.observation_size)
-    logits = networks.policy_network.apply(state.normalizer, state.policy, observation)
+    logits = networks.policy_network.apply(normalizer, policy, observation)
     distribution = networks.parametric_action_distribution
     raw = distribution.sample_no_postprocessing(logits, jax.random.key(0))
     log_prob = distribution.log_prob(logits, raw) + 0.1 * normal()
@@ -52,8 +53,12 @@ def made_up(learner, state) -> Minibatch:
 
 
 def test_nothing_is_learned_from_steps_without_weight(learner):
-    state = learner.build()
-    params, batch = network_params(state.policy, state.value), made_up(learner, state)
+    normalizer, networks = init_normalizer(learner.inputs), learner.networks
+    policy, value = (
+        jax.jit(network.init)(jax.random.key(0))
+        for network in (networks.policy_network, networks.value_network)
+    )
+    params, batch = network_params(policy, value), made_up(learner, normalizer, policy)
     weights = Weights(entropy_cost=jnp.float32(0.0), clip=jnp.float32(0.2))
     present = np.array([True, False, True, True, False, True])
     without = jax.tree.map(lambda x: x[:, present], batch)
@@ -64,8 +69,8 @@ def test_nothing_is_learned_from_steps_without_weight(learner):
     @jax.jit
     def learn_from(batch):
         grad = jax.grad(ppo_loss, has_aux=True)
-        networks, key = learner.networks, jax.random.key(0)
-        return grad(params, networks, state.normalizer, batch, weights, key)
+        key = jax.random.key(0)
+        return grad(params, networks, normalizer, batch, weights, key)
 
     expected, found = learn_from(without), learn_from(spoilt)
     for name in ("total_loss", "policy_loss", "v_loss", "kl_mean"):

@@ -1,0 +1,68 @@
+"""The named environment `anywhere`, which takes minutes to compile as it is."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.env import ParkingEnv
+from carpark_mj.observations import observation_size
+from carpark_mj.registry import ANYWHERE, environment
+from carpark_mj.vehicle.presets import PRESETS
+
+
+def test_anywhere_s_lots_and_steps_have_the_shapes_of_its_config():
+    env = ParkingEnv(environment("anywhere"))
+    state, observation = jax.eval_shape(env.reset, jax.random.key(0))
+    assert observation.shape == (8, observation_size(ANYWHERE))
+    action = jax.ShapeDtypeStruct((8, env.action_spec.size), jnp.float32)
+    after, timestep = jax.eval_shape(env.step, state, action)
+    assert jax.tree.map(jnp.shape, after) == jax.tree.map(jnp.shape, state)
+    assert timestep.observation.shape == observation.shape
+    assert timestep.reward.shape == (8,)
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """Lots of one of its families, on quick physics, at the start and while driven."""
+    config = dataclasses.replace(
+        ANYWHERE, layout="garage_row", num_agents=3, physics="bicycle"
+    )
+    env = ParkingEnv(config)
+    keys = jax.random.split(jax.random.key(0), 12)
+
+    def drive(keys):
+        state, observation = jax.vmap(env.reset)(keys)
+
+        def step(state, key):
+            action = jax.random.uniform(key, (12, 3, 2), minval=-1.0)
+            return jax.vmap(env.step)(state, action)
+
+        steps = jax.random.split(jax.random.key(1), 40)
+        _, timesteps = jax.lax.scan(step, state, steps)
+        return state.replace(key=jnp.zeros(12)), observation, timesteps
+
+    return jax.device_get(jax.jit(drive)(keys))
+
+
+def test_anywhere_s_agents_are_some_and_drive_cars_of_all_kinds(driven):
+    state, _, timesteps = driven
+    counts = state.present.sum(axis=1)
+    assert set(counts.tolist()) == {1, 2, 3}
+    length = timesteps.motion.size[:, state.present][..., 0].round(3)
+    known = {round(car.length, 3) for car in PRESETS.values()}
+    found = {round(float(x), 3) for x in np.unique(length)}
+    assert found <= known
+    assert len(found) >= 3
+
+
+def test_anywhere_s_agents_observe_and_earn_finite_numbers(driven):
+    state, observation, timesteps = driven
+    seen = np.concatenate([observation[None], timesteps.observation])
+    assert np.isfinite(seen).all()
+    assert np.isfinite(timesteps.reward).all()
+    np.testing.assert_array_equal(seen[:, ~state.present], 0.0)
+    assert (np.abs(seen[:, state.present]).max(axis=-1) > 0.0).all()
+    assert timesteps.events.done[:, state.present].any()
