@@ -177,8 +177,7 @@ class Episodes:
         fits = bay_fits(self._config, layout, new.size, parked_cars.size)
         # Spawn regions have room for cars of the one kind they were made for.
         sizes = (new.size, old.size) if self._fleet.mixed else (None, None)
-        cars = new if self._config.spawn.reverse_ratio else None
-        return SpawnInputs(layout, parked_cars, *sizes, fits, cars)
+        return SpawnInputs(layout, parked_cars, *sizes, fits, new)
 
     def _split(self, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """The lot's next key, and one each for vehicles and sensors, if they vary."""

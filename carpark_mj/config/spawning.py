@@ -25,7 +25,7 @@ class SpawnConfig:
         min_distance: desired distance to other agents' centres [m]; 7.38 m is Tanner's
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
-            taken, or the one farthest from the other agents if none does.
+            taken, or the one with most room to the other agents if none does.
         spacing: spacing of the grid of start positions [m], centred in a spawn region
             and including its edges; 0 = anywhere.
         relocation: which parked car moves into a bay where an agent has parked: the one

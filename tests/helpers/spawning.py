@@ -12,12 +12,21 @@ from carpark_mj.mdp.spawning.placing import Surroundings
 
 
 def surroundings_of(
-    layout: Layout, xy: Any = ((0.0, 0.0),), others: Any = False, size: Any = None
+    layout: Layout,
+    xy: Any = ((0.0, 0.0),),
+    others: Any = False,
+    size: Any = None,
+    outlines: Any = None,
 ) -> Surroundings:
-    """Agents at xy (num_agents, 2), to keep away from where `others`; nobody parked."""
+    """Agents at xy (num_agents, 2), to keep away from where `others`; nobody parked.
+
+    All head east; `outlines` (num_agents, 2) of their cars, the first of which starts.
+    """
     xy = jnp.asarray(xy, jnp.float32)
     return Surroundings(
-        xy=xy,
+        pose_w=jnp.pad(xy, ((0, 0), (0, 1))),
+        outlines=outlines if outlines is None else jnp.asarray(outlines, jnp.float32),
+        agent=jnp.int32(0),
         others=jnp.broadcast_to(jnp.asarray(others), xy.shape[:1]),
         layout=layout,
         size=size if size is None else jnp.asarray(size, jnp.float32),

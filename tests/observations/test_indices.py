@@ -128,8 +128,10 @@ def test_only_whole_numbers_have_cardinalities():
 def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
     layout = make_layout("tanner")
     alone = Surroundings(
-        xy=jnp.zeros((1, 2)),
+        pose_w=jnp.zeros((1, 3)),
         others=jnp.zeros(1, bool),
+        outlines=None,
+        agent=jnp.int32(0),
         layout=layout,
         size=None,
         parked_pose=NOBODY.pose_w,

@@ -10,7 +10,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.geometry import box_disc_overlap, boxes_overlap, norm
+from carpark_mj.geometry import (
+    box_disc_overlap,
+    box_distance,
+    boxes_overlap,
+    norm,
+)
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
@@ -30,8 +35,8 @@ class SpawnInputs:
         old_size: (num_agents, 2) footprints of the cars they drove before [m]; None as
             for `size`.
         fits: who fits into which bay.
-        cars: (num_agents,) parameters of the cars drawn for agents that begin; None if
-            no start depends on them.
+        cars: (num_agents,) parameters of the cars drawn for agents that begin; None =
+            only the centres of cars are known.
     """
 
     layout: Layout
@@ -88,8 +93,11 @@ class Surroundings:
     """What a start pose of one agent keeps away from.
 
     Attributes:
-        xy: (num_agents, 2) centres of the agents [m].
+        pose_w: (num_agents, 3) the agents.
         others: (num_agents,) bool, the agents to keep away from.
+        outlines: (num_agents, 2) footprints of the cars that agents drive or are about
+            to drive, whichever is larger [m]; None = unknown.
+        agent: () int32 which agent it is.
         layout: whose walls and discs must not be touched.
         size: (2,) footprint of the agent's car [m]; None if it fits wherever it can
             spawn.
@@ -97,8 +105,10 @@ class Surroundings:
         parked_size: (num_parked_cars, 2) [m].
     """
 
-    xy: jax.Array
+    pose_w: jax.Array
     others: jax.Array
+    outlines: jax.Array | None
+    agent: jax.Array
     layout: Layout
     size: jax.Array | None
     parked_pose: jax.Array
@@ -106,7 +116,15 @@ class Surroundings:
 
     def distance(self, xy: jax.Array) -> jax.Array:
         """Distance (n,) [m] of points (n, 2) to the nearest other agent's centre."""
-        gap = norm(xy[:, None] - self.xy)
+        gap = norm(xy[:, None] - self.pose_w[:, :2])
+        return jnp.where(self.others, gap, jnp.inf).min(axis=-1)
+
+    def room(self, pose: jax.Array) -> jax.Array:
+        """Clearance (n,) [m] of the car at poses (n, 3) to the nearest other agent."""
+        if self.outlines is None:
+            return self.distance(pose[:, :2])
+        own = self.outlines[self.agent]
+        gap = box_distance(pose[:, None], own, self.pose_w, self.outlines)
         return jnp.where(self.others, gap, jnp.inf).min(axis=-1)
 
     def touches(self, pose: jax.Array) -> jax.Array:
@@ -138,15 +156,21 @@ def surroundings(
         placing: goals and parked cars as they will be.
         agent: () int32 index.
     """
-    size, parked = None, inputs.parked_cars
+    size, outlines, parked = None, None, inputs.parked_cars
+    if inputs.cars is not None:
+        outlines = inputs.cars.size
+        if inputs.old_size is not None:  # whichever they drive
+            outlines = jnp.maximum(outlines, inputs.old_size)
     if inputs.size is not None and inputs.old_size is not None:
         found = placing.found[agent]
         size = jnp.where(found, inputs.size[agent], inputs.old_size[agent])
     if size is not None or inputs.cars is not None:
         parked = in_bays(inputs.layout, parked, placing.parked_bay)
     return Surroundings(
-        xy=placing.xy,
+        pose_w=placing.pose_w,
         others=jnp.arange(placing.goal.shape[0]) != agent,
+        outlines=outlines,
+        agent=agent,
         layout=inputs.layout,
         size=size,
         parked_pose=parked.pose_w,

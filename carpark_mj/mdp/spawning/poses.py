@@ -77,7 +77,8 @@ def spawn_pose(
     uniform over the spawn regions; a close one lies on a walk of up to
     `close_distance` from the region's point nearest to the goal, or is random if other
     agents leave no room there. The first of `num_candidates` draws that keeps
-    `min_distance` to every other agent is taken, else the draw farthest from them.
+    `min_distance` to every other agent is taken, else the one whose outline is farthest
+    from theirs.
     Draws where the car would touch something are taken only if there is no other.
 
     Args:
@@ -126,10 +127,11 @@ def _random_points(
 
 
 def _best(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
-    """The first of poses (n, 3) that keeps its distance, else the farthest."""
-    gap = jnp.where(around.touches(pose), -1.0, around.distance(pose[:, :2]))
-    keeps = gap > config.min_distance
-    return pose[jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(gap))]
+    """The first of poses (n, 3) that keeps its distance, else that of most room."""
+    touches = around.touches(pose)
+    keeps = ~touches & (around.distance(pose[:, :2]) > config.min_distance)
+    room = jnp.where(touches, -1.0, around.room(pose))
+    return pose[jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(room))]
 
 
 def draw_heading(layout: Layout, region: jax.Array, number: jax.Array) -> jax.Array:

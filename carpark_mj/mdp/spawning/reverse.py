@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
-from carpark_mj.geometry import box_distance, box_inside, norm, wrap_angle
+from carpark_mj.geometry import box_inside, norm, wrap_angle
 from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, Surroundings
 from carpark_mj.types import CarParameters
@@ -93,10 +93,7 @@ def reverse_pose(
     clear = jnp.arange(POINTS) < count[longest]
     out = norm(way[:, :2] - bay_pose[:2]) >= NEAREST
     out = out & ~box_inside(way, size, bay_pose, bay_size)
-    old_size = inputs.cars.size if inputs.old_size is None else inputs.old_size
-    other_size = jnp.maximum(inputs.cars.size, old_size)  # whichever they drive
-    gap = box_distance(way[:, None], size, placing.pose_w, other_size)
-    alone = ((gap > ROOM) | ~around.others).all(axis=1)
+    alone = around.room(way) > ROOM
     # Without a bay for the new car the old one is kept, whose size may be another.
     good = clear & out & alone & placing.found[agent]
     return way[pick(good, draws.point)], good.any()

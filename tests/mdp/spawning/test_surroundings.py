@@ -1,16 +1,21 @@
 """What a start pose keeps away from."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from helpers.scenes import lot
+from helpers.scenes import lot, polygons
+from helpers.spawning import surroundings_of
 from helpers.states import parked_in
 
+from carpark_mj.config import SpawnConfig
 from carpark_mj.mdp.bays import BayFits
+from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import (
     SpawnInputs,
     start_placing,
     surroundings,
 )
+from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
 
 
 def test_starts_keep_off_parked_cars_where_they_stand():
@@ -28,3 +33,44 @@ def test_starts_keep_off_parked_cars_where_they_stand():
     np.testing.assert_array_equal(around.parked_pose, expected)
     touched = around.touches(jnp.concatenate([expected, row.bay_pose[:2]]))
     assert touched.tolist() == [True, True, False, False]
+
+
+def test_in_a_crowded_lane_the_start_with_most_room_between_outlines_is_taken():
+    # A lane of 12 m by 3 m with a long car across it: no start keeps 7 m. Cars whose
+    # centres are far apart may still touch, so that centres do not count.
+    lane = lot([(0.0, 20.0, 0.0)]).replace(
+        spawn_pose=jnp.zeros((1, 3)),
+        spawn_size=jnp.array([[12.0, 3.0]]),
+        spawn_spread=jnp.full(1, 0.1),
+        spawn_mask=jnp.ones(1, bool),
+    )
+    outlines = [[4.0, 2.0], [9.0, 1.0]]
+    around = surroundings_of(
+        lane, [[0.0, 0.0], [3.0, 1.0]], [False, True], outlines=outlines
+    )
+    config = SpawnConfig(close_ratio=0.0, min_distance=12.0, num_candidates=8)
+    other = polygons(np.array([[3.0, 1.0, 0.0]]), np.array([outlines[1]]))[0]
+
+    def start(key):
+        draws = draw_uniform(spawn_shapes(config), key)
+        each = [jax.tree.map(lambda x, k=k: x[k : k + 1], draws[1:]) for k in range(8)]
+        alone = SpawnConfig(close_ratio=0.0, num_candidates=1)
+        tried = [
+            random_pose(
+                alone,
+                lane,
+                around,
+                draws._replace(**dict(zip(draws._fields[1:], one, strict=True))),
+            )
+            for one in each
+        ]
+        return random_pose(config, lane, around, draws), jnp.stack(tried)
+
+    taken, tried = jax.jit(jax.vmap(start))(jax.random.split(jax.random.key(0), 200))
+    for pose, candidates in zip(np.asarray(taken), np.asarray(tried), strict=True):
+        room = [
+            polygons(candidate[None], np.array([outlines[0]]))[0].distance(other)
+            for candidate in candidates
+        ]
+        own = polygons(pose[None], np.array([outlines[0]]))[0].distance(other)
+        np.testing.assert_allclose(own, max(room), atol=1e-4)
