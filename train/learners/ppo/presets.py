@@ -62,6 +62,7 @@ _ANYWHERE = dataclasses.replace(
     _SQUARE,
     preset="anywhere",
     num_steps=3_000_000_000,
+    num_minibatches=32,
     curriculum=dataclasses.replace(
         _CURRICULUM, crash_scale=4.0, reverse_ratio=0.3, target_rate=0.99
     ),
