@@ -35,7 +35,13 @@ from learners.ppo.curriculum_config import CurriculumConfig
 # docs/results.md.
 _CURRICULUM = CurriculumConfig(crash_scale=3.0, crash_ratio=0.3, discount_end=0.998)
 # With what precedes and follows it within a quarter of an hour, on any two cores.
-_CPU = PPOConfig(preset="cpu", minutes=11.0, curriculum=_CURRICULUM)
+# Small networks: on two cores a training of given time is limited by them.
+_CPU = PPOConfig(
+    preset="cpu",
+    minutes=11.0,
+    curriculum=_CURRICULUM,
+    networks=NetworkConfig((64, 64), (64, 64), own_size=64, entity_size=32),
+)
 _SQUARE = PPOConfig(
     preset="square",
     num_steps=1_500_000_000,
