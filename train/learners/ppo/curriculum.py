@@ -35,7 +35,8 @@ def discount(config: PPOConfig, progress: jax.Array) -> jax.Array:
 
 def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
     """Progress () from 0 at `start` to 1 at `end`; a step if they are the same."""
-    return jnp.clip((progress - start) / max(end - start, 1e-6), 0.0, 1.0)
+    part = (progress - start) / max(end - start, 1e-6)
+    return jnp.where(progress < end, jnp.clip(part, 0.0, 1.0), 1.0)
 
 
 def training_env(config: PPOConfig) -> EnvConfig:
