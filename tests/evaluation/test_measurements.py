@@ -12,6 +12,7 @@ BY_NAME = {metric.name: metric for metric in METRICS}
 
 def test_every_number_of_an_episode_is_in_the_catalogue(everything):
     known = set(BY_NAME) | {"lot", "agent", "episode", "agents_present", "family"}
+    known |= {"vehicle"}
     known |= {name for metric in METRICS for name in metric.ratio or ()}
     # No lanes in this lot, and the goals are fixed.
     absent = {"wrong_way", "wrong_way_share"} | {metric.name for metric in GOALS}

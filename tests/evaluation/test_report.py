@@ -20,7 +20,11 @@ def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys
     table, data = write_evaluation(tmp_path, everything, {})
     with table.open(newline="") as file:
         rows = [
-            {name: float(x) for name, x in row.items() if name != "family"}
+            {
+                name: float(x)
+                for name, x in row.items()
+                if name not in ("family", "vehicle")
+            }
             for row in csv.DictReader(file)
         ]
     stored = json.loads(data.read_text())["summary"]
@@ -109,3 +113,14 @@ def test_a_single_lot_has_no_table_of_families(everything, tmp_path):
     assert len(files) == 2
     assert "families" not in json.loads(files[1].read_text())
     assert {row["family"] for row in everything.episodes} == {"tanner"}
+
+
+def test_a_fleet_has_a_table_by_kind_of_car(plain, tmp_path):
+    parts = {name: plain.summary | {"episodes": 7} for name in ("city", "van")}
+    result = dataclasses.replace(plain, vehicles=parts)
+    *_, table = write_evaluation(tmp_path, result, {})
+    assert table.name == "vehicles.csv"
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["vehicle"] for row in rows] == ["city", "van", "all"]
+    assert [row["episodes"] for row in rows[:2]] == ["7", "7"]

@@ -22,6 +22,7 @@ from carpark_mj.config import (
     SimConfig,
 )
 from carpark_mj.env import ParkingEnv
+from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
 from carpark_mj.geometry import box_inside
 from carpark_mj.layouts import build
@@ -30,7 +31,7 @@ from carpark_mj.observations import observation_size
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.types import NO_BAY
-from carpark_mj.vehicle import PRESETS, make_vehicle
+from carpark_mj.vehicle import PRESETS, make_vehicle, preset
 
 AGENTS, PARKED = ("city", "suv", "van"), ("city", "sedan", "van")
 CONFIG = EnvConfig(
@@ -372,3 +373,13 @@ def test_a_fleet_has_flags_and_survives_its_config_file():
     assert config.observation.own_car
     for kept in (config, CONFIG):
         assert from_dict(EnvConfig, dataclasses.asdict(kept)) == kept
+
+
+def test_a_car_s_kind_is_told_by_its_size():
+    names = tuple(sorted(PRESETS))
+    observation = ContinuousObservation(own_car=True)
+    config = EnvConfig(fleet=FleetConfig(agents=names), observation=observation)
+    fleet = Fleet(config, preset("compact"))
+    sizes = jnp.array([[preset(n).length, preset(n).width] for n in names[::-1]])
+    kinds = fleet.kind_of(sizes)
+    assert [fleet.agent_names[kind] for kind in kinds] == list(names[::-1])
