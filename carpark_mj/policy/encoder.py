@@ -35,7 +35,9 @@ class SetEncoder(linen.Module):
         for part in self.sets.sets:
             group, mask = part.group, present[part.group][..., None]
             hidden = linen.Dense(self.entity_size, name=f"{group}_0")(parts[group])
-            hidden = linen.swish(linen.LayerNorm(name=f"{group}_norm")(hidden))
+            # The fast variance, a difference of two means, loses digits.
+            norm = linen.LayerNorm(use_fast_variance=False, name=f"{group}_norm")
+            hidden = linen.swish(norm(hidden))
             hidden = linen.Dense(self.entity_size, name=f"{group}_1")(hidden)
             if group in ORDERED:  # actions name the slots, so all stay apart
                 hidden = jnp.where(mask, hidden, 0.0)
