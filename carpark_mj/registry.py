@@ -123,7 +123,7 @@ SQUARE = EnvConfig(
     layout="tanner",
     num_agents=7,
     num_parked_cars=16,
-    reward=RewardConfig(closeness=0.0),  # a rising crash penalty does better
+    reward=RewardConfig(closeness=0.0),
 )
 DYNAMIC = dataclasses.replace(
     SQUARE, goals=GoalConfig(dynamic=True, num_tracked_bays=1)
@@ -145,7 +145,7 @@ ANYWHERE = EnvConfig(
     observation=ContinuousObservation(
         tracked_agents=7, tracked_parked_cars=6, own_car=True
     ),
-    # A loaded or worn car on a dry or wet surface.
+    # [est] of loaded or worn cars on a dry or wet surface.
     randomization=RandomizationConfig(
         mass=(0.9, 1.2),
         friction=(0.7, 1.1),
@@ -154,7 +154,7 @@ ANYWHERE = EnvConfig(
         steering_offset=(-0.01, 0.01),
         steering_lag=(0.0, 0.1),
     ),
-    # Satellite positioning with corrections, an inertial sensor; a step late at most.
+    # [est] of a good localisation, a step late at most.
     sensors=SensorConfig(
         position_noise=0.02, heading_noise=0.005, speed_noise=0.05, delay_max=1
     ),

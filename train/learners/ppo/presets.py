@@ -31,10 +31,9 @@ from carpark_mj.registry import (
 from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum_config import CurriculumConfig
 
-# What all policies that drive real cars share; each has its ablation in
-# docs/results.md.
+# What all policies that drive real cars share; docs/results.md says what was tried.
 _CURRICULUM = CurriculumConfig(crash_scale=3.0, crash_ratio=0.3, discount_end=0.998)
-# With what precedes and follows it within a quarter of an hour, on any two cores.
+# Meant to end within a quarter of an hour, evaluation and video included.
 # Small networks: on two cores a training of given time is limited by them.
 _CPU = PPOConfig(
     preset="cpu",
@@ -55,8 +54,7 @@ _SQUARE = PPOConfig(
     env=SQUARE,
 )
 _GPU = dataclasses.replace(_SQUARE, preset="gpu", minutes=8.0)
-# Agents that choose their goals cannot be set on a course for a collision yet: half of
-# those starts would be exploring ones.
+# With chosen goals `crash_ratio` means starts in conflict over a bay: not tried.
 _DYNAMIC = dataclasses.replace(
     _SQUARE,
     preset="dynamic",
