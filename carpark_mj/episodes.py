@@ -13,6 +13,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
 from carpark_mj.layouts import Layout
+from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.bays import bay_fits
 from carpark_mj.mdp.goals import Goals
@@ -61,6 +62,8 @@ class Episodes:
         self._fleet = fleet
         self._goals = goals
         self._physics = physics
+        has_goals = config.occupancy is not None and not config.goals.dynamic
+        self._limits_agents = has_goals and config.min_agents is not None
 
     def begin_lot(
         self, layout: Layout, key: jax.Array, num_present: jax.Array | None = None
@@ -79,6 +82,9 @@ class Episodes:
         if num_present is None and len(counts) > 1:
             key, count_key = jax.random.split(key)
             num_present = jax.random.randint(count_key, (), counts.start, counts.stop)
+        if self._limits_agents:
+            wanted = num_agents if num_present is None else num_present
+            num_present = jnp.minimum(wanted, _most_agents(layout))
         if num_present is not None:
             present = jnp.arange(num_agents) < num_present
         key, vehicle_key, sensor_key = self._split(key)
@@ -91,7 +97,7 @@ class Episodes:
         goal = start.goal
         if present is not None:
             goal = jnp.where(present, goal, NO_BAY)
-            if not config.goals.dynamic:  # a lot of fewer bays has fewer agents
+            if not config.goals.dynamic:  # nor an agent for whose car there is no bay
                 present = present & (goal != NO_BAY)
         placing = start_placing(goal, bay, nowhere, everybody)
         placing = place_all(self._goals.first_pose, inputs, placing, spawn_key)
@@ -114,6 +120,7 @@ class Episodes:
             sensors=sensors.init_sensors(config.sensors, motion, sensor_key),
             key=key,
             present=present,
+            routes=make_routes(layout) if config.follows_routes else None,
         )
         return self._goals.begin(state, placing, everybody, None)
 
@@ -204,3 +211,8 @@ class Episodes:
             first_goals=first_goals,
             relocate=relocate,
         )
+
+
+def _most_agents(layout: Layout) -> jax.Array:
+    """Most agents () int32 of a lot that may have fewer: one for every two bays."""
+    return jnp.maximum(jnp.sum(layout.bay_mask, dtype=jnp.int32) // 2, 1)

@@ -11,6 +11,7 @@ import jax
 from flax import struct
 
 from carpark_mj.config import ContextName
+from carpark_mj.layouts.routes import Routes
 from carpark_mj.layouts.types import Layout
 
 if TYPE_CHECKING:  # it loads MuJoCo, which the task does without
@@ -210,6 +211,7 @@ class State:
         key: randomness of this lot.
         present: (num_agents,) bool, the agents that the lot has, the first few; None =
             all. Absent agents are never active, have no goal and stand far away.
+        routes: ways along the lanes to the bays; None where nothing reads them.
     """
 
     physics: PhysicsState
@@ -225,6 +227,7 @@ class State:
     sensors: Sensors | None
     key: jax.Array
     present: jax.Array | None = None
+    routes: Routes | None = None
 
     @property
     def exploring(self) -> jax.Array:

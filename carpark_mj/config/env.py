@@ -51,8 +51,9 @@ class EnvConfig:
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,
-            uniform from here to `num_agents`, but with fixed goals never more than it
-            has bays if `occupancy` is given. None = always `num_agents`.
+            uniform from here to `num_agents`. With fixed goals and `occupancy` a lot
+            has at most one agent for every two bays all the same: more of them jam in
+            the aisle of a small lot. None = always `num_agents`.
         num_parked_cars: number of parked cars.
         occupancy: share of the lot's bays that hold a parked car, drawn from this range
             when the lot is reset; `num_parked_cars` is then the maximum. Agents' goals
@@ -160,6 +161,11 @@ class EnvConfig:
                 "randomization has no effect on the grid, whose cars have no "
                 "parameters: leave it off, or use another physics"
             )
+        if self.follows_routes and (self.goals.dynamic or self.physics == "grid"):
+            raise ValueError(
+                "reward.route and observation.route need fixed goals and cars on open "
+                "ground: goals.dynamic = False, and a physics other than grid"
+            )
         self._check_observation()
 
     def _check_observation(self) -> None:
@@ -223,6 +229,13 @@ class EnvConfig:
         """How many agents a lot can have."""
         least = self.num_agents if self.min_agents is None else self.min_agents
         return range(least, self.num_agents + 1)
+
+    @property
+    def follows_routes(self) -> bool:
+        """Whether the way along the lanes is rewarded or observed."""
+        observation = self.observation
+        seen = isinstance(observation, ContinuousObservation) and observation.route
+        return seen or self.reward.route
 
     @property
     def varies(self) -> bool:

@@ -123,6 +123,7 @@ class ContinuousObservation:
         rings: circles that count objects.
         rays: bearings along which the free way is observed.
         lane: observe the lane the car is in, or the nearest.
+        route: observe the way along the lanes to the goal; fixed goals only.
         encoding: tag of this config.
     """
 
@@ -137,6 +138,7 @@ class ContinuousObservation:
     )
     rays: RayConfig = dataclasses.field(default_factory=lambda: RayConfig(24))
     lane: bool = False
+    route: bool = False
     encoding: Literal["continuous"] = "continuous"
 
     def __post_init__(self) -> None:

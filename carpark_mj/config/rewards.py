@@ -26,6 +26,8 @@ class RewardConfig:
         timeout: penalty for timing out, once.
         time: penalty per step.
         progress: reward per metre gained towards the goal; negative when moving away.
+        route: measure the distances of `progress` and `alignment` along the lanes
+            (`carpark_mj.layouts.routes`) instead of straight; fixed goals only.
         alignment: reward per radian of misalignment with the goal's axis removed,
             fading with the distance to the goal; negative when it grows.
         alignment_range: distance at which the alignment reward has faded to 1/e [m].
@@ -51,6 +53,7 @@ class RewardConfig:
     timeout: float = 0.0
     time: float = 1.0
     progress: float = 0.2
+    route: bool = False
     alignment: float = 0.5
     alignment_range: float = 4.0
     approach: float = 0.0
@@ -63,7 +66,7 @@ class RewardConfig:
     goals: GoalRewards = dataclasses.field(default_factory=GoalRewards)
 
     def __post_init__(self) -> None:
-        other = ("goals", "smoothness_by_speed")
+        other = ("goals", "route", "smoothness_by_speed")
         names = [f.name for f in dataclasses.fields(self) if f.name not in other]
         at_least(self, 0.0, *names)
         positive(self, "alignment_range", "closeness_range")

@@ -12,7 +12,10 @@ MOVING = 0.05  # m/s, slower cars have no direction of travel
 
 
 def goal_potential(
-    weights: RewardConfig, pose_w: jax.Array, goal_pose: jax.Array
+    weights: RewardConfig,
+    pose_w: jax.Array,
+    goal_pose: jax.Array,
+    distance: jax.Array | None = None,
 ) -> jax.Array:
     """Potential (...) of a pose: minus the weighted distance and misalignment to go.
 
@@ -24,8 +27,10 @@ def goal_potential(
         weights: of distance and misalignment.
         pose_w: (..., 3).
         goal_pose: (..., 3).
+        distance: (...) length of the way to go [m]; None = straight.
     """
-    distance = norm(pose_w[..., :2] - goal_pose[..., :2])
+    if distance is None:
+        distance = norm(pose_w[..., :2] - goal_pose[..., :2])
     misalignment = axis_angle_error(pose_w[..., 2] - goal_pose[..., 2])
     fading = jnp.exp(-distance / weights.alignment_range)
     return -(weights.progress * distance + weights.alignment * misalignment * fading)

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 from carpark_mj.config import EnvConfig
 from carpark_mj.geometry import axis_angle_error
 from carpark_mj.layouts.lanes import has_lanes
+from carpark_mj.layouts.routes import way_to
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.clearance import agent_clearance
 from carpark_mj.mdp.goal_rewards import GOAL_TERMS, goal_terms
 from carpark_mj.mdp.progress import goal_potential, is_nearer
-from carpark_mj.types import Transition
+from carpark_mj.types import Motion, Transition
 
 TERMS = (
     "park",
@@ -97,13 +98,22 @@ def effort(config: EnvConfig, transition: Transition) -> Effort:
     return Effort(turn=turn / most, speed=jnp.abs(after.speed) / top)
 
 
+def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax.Array:
+    """Potential (num_agents,) of a motion with regard to the goals of the step."""
+    weights, state, distance = config.reward, transition.after, None
+    if weights.route:
+        goal = transition.goal
+        distance = way_to(state.routes, state.layout, motion.xy, goal).length
+    return goal_potential(weights, motion.pose_w, transition.target_pose, distance)
+
+
 def _drive_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Array]:
     weights, share = config.reward, 1.0 / config.episode.max_steps
     before, after = transition.before.motion, transition.after.motion
     events, target = transition.events, transition.target_pose
     used = effort(config, transition)
-    progress = goal_potential(weights, after.pose_w, target) - goal_potential(
-        weights, before.pose_w, target
+    progress = _potential(config, transition, after) - _potential(
+        config, transition, before
     )
     nearer = is_nearer(before.xy, after.xy, target[:, :2])
     gap = agent_clearance(after) / weights.closeness_range

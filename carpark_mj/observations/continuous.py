@@ -5,6 +5,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import ContinuousObservation
 from carpark_mj.geometry import to_local
+from carpark_mj.layouts.routes import way_to
 from carpark_mj.observations import bay_fields, ego, lane, localised
 from carpark_mj.observations.fields import FAR, Field, repeated, repeated_values
 from carpark_mj.observations.rays import cast_rays, ray_fields
@@ -29,6 +30,8 @@ def continuous_fields(
         fields += [
             Field(f"goal_{f.name}", f.size, f.low, f.high, f.meaning) for f in rivals
         ]
+    if config.route:
+        fields += ego.ROUTE_FIELDS
     if config.own_car:
         fields += ego.CAR_FIELDS
     agent = [*localised.CAR_FIELDS, *_shared_fields(config, num_tracked_bays)]
@@ -65,6 +68,8 @@ def continuous_values(
         rivals = bay_fields.rival_values(layout, own_xy, goal, goal[:, None])
         values |= {f"goal_{name}": value[:, 0] for name, value in rivals.items()}
     values |= own_goal
+    if config.route:
+        values |= ego.own_route(motion, way_to(state.routes, layout, own_xy, goal))
     if config.own_car:
         values |= ego.own_car(motion, vehicle)
     if config.tracked_agents:

@@ -3,7 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import norm, to_local
+from carpark_mj.geometry import norm, rotate, to_local
+from carpark_mj.layouts.routes import Way
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import FAR, LENGTH, NEAR, Field
 from carpark_mj.types import CarParameters, Motion
@@ -26,6 +27,16 @@ GOAL_FIELDS = (
         2.0,
         f"length and width of the goal bay less own [{LENGTH:g} m]",
     ),
+)
+ROUTE_FIELDS = (
+    Field(
+        "route_next",
+        2,
+        -4.0,
+        4.0,
+        f"where the way along the lanes turns next, body frame [{FAR:g} m]",
+    ),
+    Field("route_length", 1, 0.0, 8.0, f"way along the lanes to the goal [{FAR:g} m]"),
 )
 CAR_FIELDS = (
     Field("own_size", 2, 0.0, 2.0, f"own length and width [{LENGTH:g} m]"),
@@ -67,6 +78,15 @@ def own_goal(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.A
         "goal_distance": norm(xy)[..., None] / FAR,
         "in_bay": jnp.clip(inverse[..., :2] / NEAR, -1.0, 1.0),
         "goal_size": (goal_size - motion.size) / LENGTH,
+    }
+
+
+def own_route(motion: Motion, way: Way) -> dict[str, jax.Array]:
+    """`ROUTE_FIELDS` of every agent (num_agents, k); both arguments (num_agents,)."""
+    position = rotate(way.next_xy - motion.xy, -motion.pose_w[..., 2])
+    return {
+        "route_next": position / FAR,
+        "route_length": way.length[..., None] / FAR,
     }
 
 

@@ -12,6 +12,8 @@ from helpers.states import HandPhysics, hand_cars
 from helpers.transitions import no_events, transition
 
 from carpark_mj.config import EnvConfig, GridConfig, RewardConfig, reward_preset
+from carpark_mj.layouts import build
+from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp.progress import goal_potential
 from carpark_mj.mdp.rewards import TERMS, Effort, effort, reward_terms, term_names
 from carpark_mj.physics.grid import GridPhysics, GridState
@@ -153,6 +155,29 @@ def test_progress_telescopes_along_a_path():
     got = terms(SHAPED, cars(path[:-1]), cars(path[1:]), GOAL)["progress"]
     ends = goal_potential(SHAPED, jnp.array(path[[0, -1]]), jnp.array(GOAL))
     assert got.sum() == pytest.approx(float(ends[1] - ends[0]), abs=2e-4)  # as above
+
+
+def test_progress_can_count_the_way_along_the_lanes():
+    """Out of an aisle whose neighbour has the goal: away as the crow flies."""
+    aisles = build.lanes(
+        [(0.0, 0.0, 0.0), (0.0, 20.0, 0.0), (12.0, 10.0, math.pi / 2)],
+        [(20.0, 4.0), (20.0, 4.0), (24.0, 4.0)],
+    )
+    bay = build.bays([(-5.0, 15.5, math.pi / 2)], (5.0, 2.5))
+    layout = build.assemble((20.0, 30.0), aisles, bay)
+    before, after = cars([(-5.0, 0.0, 0.0)]), cars([(-3.0, 0.0, 0.0)])
+    got = {}
+    for route in (False, True):
+        reward = RewardConfig(progress=0.5, alignment=0.0, route=route)
+        config = EnvConfig(num_agents=1, reward=reward)
+        state = {
+            "physics": HandPhysics(hand_cars(before, **LIMITS)),
+            "routes": make_routes(layout),
+        }
+        driven = transition(config, layout, before, after, state)
+        got[route] = float(reward_terms(config, driven)["progress"][0])
+    assert got[True] == pytest.approx(0.5 * 2.0, abs=1e-5)
+    assert got[False] == pytest.approx(-0.5 * (math.hypot(2, 15.5) - 15.5), abs=1e-5)
 
 
 def drive(distances, speed=1.0, steering=0.0):

@@ -16,6 +16,7 @@ from carpark_mj.config import (
     GoalConfig,
     IndexObservation,
     RayConfig,
+    RewardConfig,
     RingConfig,
     SensorConfig,
     ShareConfig,
@@ -23,7 +24,8 @@ from carpark_mj.config import (
     ViewConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import make_layout
+from carpark_mj.layouts import build, make_layout
+from carpark_mj.layouts.routes import make_routes
 from carpark_mj.observations import make_fields, markdown_table, observe
 from carpark_mj.observations.rings import forget, init_history, update_history
 from carpark_mj.observations.sensors import init_sensors
@@ -334,6 +336,35 @@ def test_the_values_stay_within_the_declared_ranges():
     for field in make_fields(config_of(RICH, 2)):
         assert named[field.name].min() >= field.low - 1e-5, field
         assert named[field.name].max() <= field.high + 1e-5, field
+
+
+def test_the_way_along_the_lanes_by_hand():
+    """North along a lane to where it meets the aisle of the goal, then east."""
+    lanes = build.lanes(
+        [(0.0, 0.0, math.pi / 2), (10.0, 10.0, 0.0)], [(24.0, 4.0), (24.0, 4.0)]
+    )
+    bay = build.bays([(12.0, 14.5, -math.pi / 2)], (5.0, 2.5))
+    layout = build.assemble((30.0, 30.0), lanes, bay)
+    config = EnvConfig(observation=ContinuousObservation(route=True))
+    motion = cars([(0.0, -4.0, math.pi / 2), (8.0, 10.0, math.pi)])
+    state = state_of(layout, motion, [0, 0], routes=make_routes(layout))
+    named = fields_of(observe_jit(config, state), config)
+    onward, direct = math.hypot(12, 4.5), math.hypot(4, 4.5)
+    first = {"route_next": [14 / 20, 0.0], "route_length": [(14 + onward) / 20]}
+    second = {"route_next": [-4 / 20, -4.5 / 20], "route_length": [direct / 20]}
+    check(named, 0, first)
+    check(named, 1, second)
+
+
+@pytest.mark.parametrize("changes", [{"goals": GoalConfig(True)}, {"physics": "grid"}])
+def test_the_way_needs_fixed_goals_and_open_ground(changes):
+    for more in (
+        {"reward": RewardConfig(route=True)},
+        {"observation": ContinuousObservation(route=True)},
+    ):
+        with pytest.raises(ValueError, match="route need fixed goals") as refusal:
+            EnvConfig(num_parked_cars=0, **changes, **more)
+        assert "\n" not in str(refusal.value)
 
 
 def test_chosen_goals_need_bays_enough():

@@ -68,7 +68,11 @@ _ANYWHERE = dataclasses.replace(
     num_steps=3_000_000_000,
     num_minibatches=32,
     curriculum=dataclasses.replace(
-        _CURRICULUM, crash_scale=4.0, reverse_ratio=0.3, target_rate=0.99
+        _CURRICULUM,
+        crash_scale=2.0,
+        crash_ratio=0.1,
+        reverse_ratio=0.5,
+        target_rate=0.99,
     ),
     networks=NetworkConfig((256, 256, 256), (256, 256, 256)),
     env=ANYWHERE,
