@@ -27,7 +27,10 @@ from carpark_mj.policy.onnx_export import (
     require_onnx,
 )
 
-TOLERANCE = 1e-5  # of an action's numbers, between a model and its policy
+# Between the numbers of an action of a model and of its policy. Drawn at random,
+# observations are unlike any that occur: there float32 itself is 3e-5 from float64, in
+# JAX and in onnxruntime alike (`square`).
+TOLERANCES = {"of a roll-out": 1e-5, "drawn at random": 1e-4}
 CHECKED = 10_000  # observations of each kind that are compared
 LOTS = 16  # of the roll-out
 
@@ -85,20 +88,19 @@ def _write_model(out: Path, loaded: LoadedPolicy, seed: int) -> None:
     """
     model = make_model(loaded)
     seen = rollout_observations(loaded, CHECKED, seed)
-    kinds = {
-        "of a roll-out": seen,
-        "drawn at random": random_observations(loaded.env, seen, seed),
-    }
-    for kind, observation in kinds.items():
+    random = random_observations(loaded.env, seen, seed)
+    for (kind, most), observation in zip(
+        TOLERANCES.items(), (seen, random), strict=True
+    ):
         difference = largest_difference(model, loaded, observation)
         print(
             f"largest difference to the policy on {len(observation):,} observations "
             f"{kind}: {difference:.2g}"
         )
-        if not difference <= TOLERANCE:
+        if not difference <= most:
             raise ValueError(
                 f"the model differs from the policy by {difference:.2g} on "
-                f"observations {kind}, at most {TOLERANCE:g} is allowed: not written"
+                f"observations {kind}, at most {most:g} is allowed: not written"
             )
     Console().print(_table(loaded))
     write_atomically(

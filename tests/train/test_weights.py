@@ -13,10 +13,11 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
-from learners.ppo.epochs import network_params
+from learners.ppo.epochs import network_params, num_learned
 from learners.ppo.learner import Learner
 from learners.ppo.loss import Minibatch, Weights, ppo_loss
 from learners.ppo.presets import PRESETS
+from learners.ppo.rollout import Rollout, drop_absent
 
 TINY = dataclasses.replace(
     PRESETS["cpu"],
@@ -93,3 +94,60 @@ def test_an_update_counts_the_steps_of_agents_that_are_present_only(learner):
     paid = -TINY.env.reward.time / TINY.env.episode.max_steps
     np.testing.assert_allclose(metrics["reward/time"], paid, rtol=1e-5)
     assert int(after.skipped) == 0
+
+
+def numbered(present, steps=3):
+    """A rollout in which every number is that of its agent."""
+    agents = jnp.arange(len(present), dtype=jnp.float32)
+    every = jnp.broadcast_to(agents, (steps, len(present)))
+    return Rollout(
+        observation=jnp.repeat(every[..., None], 5, axis=-1),
+        raw_action=jnp.repeat(every[..., None], 2, axis=-1),
+        log_prob=every,
+        reward=every,
+        terminated=every,
+        truncated=every,
+        final_observation=jnp.repeat(agents[:, None], 5, axis=-1),
+        weight=jnp.broadcast_to(jnp.float32(present), every.shape),
+    )
+
+
+def agents_of(rollout):
+    """Which agents a rollout is of; all its arrays must agree."""
+    number = np.asarray(rollout.reward[0])
+    for part in (rollout.observation, rollout.raw_action, rollout.log_prob):
+        spread = np.asarray(part).reshape(*part.shape[:2], -1)
+        np.testing.assert_array_equal(spread - number[:, None], 0.0)
+    np.testing.assert_array_equal(rollout.final_observation[:, 0], number)
+    return number.astype(int)
+
+
+@pytest.mark.parametrize(("count", "dropped"), [(8, 0), (6, 0), (5, 0), (3, 2)])
+def test_absent_agents_are_dropped_first_and_present_ones_at_random(count, dropped):
+    present = np.array([1, 0, 1, 1, 0, 0, 1, 1])
+    drop = jax.jit(drop_absent, static_argnums=1)
+    seen = set()
+    for seed in range(20):
+        kept = drop(numbered(present), count, jax.random.key(seed))
+        agents = agents_of(kept)
+        assert len(set(agents.tolist())) == count
+        np.testing.assert_array_equal(kept.weight[0], present[agents])
+        assert present[agents].sum() == present.sum() - dropped
+        seen |= set(agents.tolist())
+    assert seen >= set(np.flatnonzero(present).tolist())
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"num_agents": 8, "min_agents": 1}, 5 * 8),  # 4.5 of 8 on average
+        ({"num_agents": 8, "min_agents": 8}, 64),
+        ({"num_agents": 8, "min_agents": None}, 64),
+    ],
+)
+def test_an_update_learns_of_as_many_agents_as_are_present_on_average(
+    changes, expected
+):
+    env = dataclasses.replace(TINY.env, **changes)
+    config = dataclasses.replace(TINY, num_lots=8, num_minibatches=8, env=env)
+    assert num_learned(config, 64) == expected

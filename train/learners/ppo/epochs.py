@@ -1,5 +1,6 @@
 """What an update learns from a rollout: epochs of minibatch steps."""
 
+import math
 from typing import Any
 
 import jax
@@ -15,7 +16,7 @@ from learners.ppo.advantages import compute_advantages
 from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum import discount, schedule
 from learners.ppo.loss import Minibatch, Weights, ppo_loss
-from learners.ppo.rollout import Rollout
+from learners.ppo.rollout import Rollout, drop_absent
 from learners.ppo.state import AXIS, TrainingState
 
 Learned = tuple[Any, Any, Any, Any]
@@ -44,6 +45,10 @@ def learn(
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.
     """
+    if rollout.weight is not None:
+        key, drop_key = jax.random.split(key)
+        count = num_learned(config, rollout.reward.shape[1])
+        rollout = drop_absent(rollout, count, drop_key)
     progress = config.progress(state.update, state.seconds)
     learning_rate = schedule(config.learning_rate, config.learning_rate_end, progress)
     weights = Weights(
@@ -112,6 +117,21 @@ def learn(
     params = unravel(params)
     learned = (normalizer, params.policy, params.value, moments)
     return learned, jax.lax.pmean(jax.tree.map(jnp.mean, losses), AXIS)
+
+
+def num_learned(config: PPOConfig, num_agents: int) -> int:
+    """Of how many agents an update learns, absent ones included.
+
+    As many as are present on average, in whole minibatches.
+
+    Args:
+        config: of the training.
+        num_agents: of this device, absent ones included.
+    """
+    counts = config.env.agent_counts
+    share = (counts[0] + counts[-1]) / 2 / config.env.num_agents
+    size = math.ceil(share * num_agents / config.num_minibatches)
+    return min(size * config.num_minibatches, num_agents)
 
 
 def _flat(x: jax.Array) -> jax.Array:

@@ -20,6 +20,7 @@ zero. What differs:
 
 import dataclasses
 
+from carpark_mj.config import EpisodeConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.registry import (
     ANYWHERE,
@@ -51,7 +52,8 @@ _SQUARE = PPOConfig(
     entropy_cost_end=3e-4,
     curriculum=_CURRICULUM,
     networks=NetworkConfig((256, 256), (256, 256)),
-    env=SQUARE,
+    # Who parks precisely parks strictly, too, and learns it in the same time.
+    env=dataclasses.replace(SQUARE, episode=EpisodeConfig(parked_rule="precise")),
 )
 _GPU = dataclasses.replace(_SQUARE, preset="gpu", minutes=8.0)
 # With chosen goals `crash_ratio` means starts in conflict over a bay: not tried.

@@ -1,5 +1,6 @@
-"""Collects steps of all agents with the policy in training."""
+"""Collects steps of all agents with the policy in training, and drops absent ones."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -103,6 +104,25 @@ def collect(
     )
     rollout = Rollout(*taken, final_observation=env_state.obs, weight=present)
     return env_state, rollout, totals
+
+
+def drop_absent(rollout: Rollout, count: int, key: jax.Array) -> Rollout:
+    """The rollout of fewer agents, absent ones dropped first.
+
+    Where more are present than are kept, some of those are dropped at random.
+
+    Args:
+        rollout: with weights, which are the same in all steps of an agent.
+        count: agents to keep.
+        key: consumed.
+    """
+    present = rollout.weight[0] if rollout.weight is not None else 1.0
+    luck = jax.random.uniform(key, rollout.reward.shape[1:])
+    kept = jnp.argsort(luck - present)[:count]
+    final_observation = rollout.final_observation[kept]
+    rollout = dataclasses.replace(rollout, final_observation=jnp.zeros(()))
+    rollout = jax.tree.map(lambda x: x[:, kept] if x.ndim else x, rollout)
+    return dataclasses.replace(rollout, final_observation=final_observation)
 
 
 def _change(
