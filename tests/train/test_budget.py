@@ -121,13 +121,13 @@ def test_a_run_says_before_how_long_it_takes(tmp_path, capsys):
     assert "at 91 steps/s: 1 minutes, 0.00549 of 0.0064 M steps" in out
     cpu = PRESETS["cpu"]
     assert announcement(dataclasses.replace(cpu, minutes=0.0), 0, 0.0) == (
-        "trains for 40 M steps, then evaluates and renders"
+        "trains for 50 M steps, then evaluates and renders"
     )
     resumed = announcement(cpu, 1000, 90.0)
     left = cpu.minutes - 1.5
     assert resumed.startswith(f"trains for at most {left:g} minutes or 31.8 M steps, ")
     assert (
-        estimate(cpu, 0, 30.0, 80_000.0) == "at 80,000 steps/s: 8.8 minutes, 40 M steps"
+        estimate(cpu, 0, 30.0, 80_000.0) == "at 80,000 steps/s: 10.9 minutes, 50 M steps"
     )
 
 

@@ -45,10 +45,6 @@ def learn(
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.
     """
-    if rollout.weight is not None:
-        key, drop_key = jax.random.split(key)
-        count = num_learned(config, rollout.reward.shape[1])
-        rollout = drop_absent(rollout, count, drop_key)
     progress = config.progress(state.update, state.seconds)
     learning_rate = schedule(config.learning_rate, config.learning_rate_end, progress)
     weights = Weights(
@@ -58,6 +54,10 @@ def learn(
     normalizer = update_normalizer(
         inputs, state.normalizer, rollout.observation, rollout.weight, AXIS
     )
+    if rollout.weight is not None:
+        key, drop_key = jax.random.split(key)
+        count = num_learned(config, rollout.reward.shape[1])
+        rollout = drop_absent(rollout, count, drop_key)
     # One vector: one all-reduce and one Adam step instead of one for every layer.
     start, unravel = ravel_pytree(network_params(state.policy, state.value))
 
