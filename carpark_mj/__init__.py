@@ -1,11 +1,16 @@
 """carpark_mj: a physics-accurate MuJoCo parking gym with Ackermann cars.
 
-Importing the package imports nothing else: the names below load on first use, so that
-MuJoCo's OpenGL can still be chosen (`carpark_mj.rendering.gl`).
+Importing the package registers the Gymnasium ids and imports nothing heavy: the names
+below load on first use, so that MuJoCo's OpenGL can still be chosen
+(`carpark_mj.rendering.gl`).
 """
 
 import importlib
 from typing import Any
+
+from carpark_mj.registration import register_environments
+
+register_environments()  # Gymnasium 1 has no entry points for it
 
 __version__ = "0.1.0"
 

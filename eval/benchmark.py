@@ -3,6 +3,7 @@
 python eval/benchmark.py                                   # this checkout
 python eval/benchmark.py --what env --batches 512 4096
 python eval/benchmark.py --against main~1 --out benchmark.csv
+python eval/benchmark.py --peer highway-env --batches 1024  # pip install '.[sb3,peers]'
 
 `env` counts agent steps of the whole environment under random actions, `ppo` those of
 training end to end, `physics` substeps of cars alone: on brush tyres, on the same by
@@ -10,7 +11,8 @@ training end to end, `physics` substeps of cars alone: on brush tyres, on the sa
 physics report. Every measurement has a process
 of its own, in which nothing is compiled yet. With `--against` two checkouts take
 turns, and the ratio of this one's numbers to the other's is printed: that of the best
-rounds, and the range over the rounds. Compare only figures of one run.
+rounds, and the range over the rounds. Compare only figures of one run. With `--peer`
+the adapters to other libraries take turns with the core they wrap, or with another gym.
 """
 
 import contextlib
@@ -21,10 +23,11 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 from benchmarking.checkouts import here, other_checkout
+from benchmarking.peers import Peer, comparison, subjects, take_turns
 from benchmarking.records import Clock, Job, What
 from benchmarking.report import markdown
 from benchmarking.run import WorkerError, measure
-from carpark_mj.cli.common import run_command
+from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import EnvConfig
 
@@ -39,6 +42,8 @@ class BenchmarkConfig:
         what: what to measure.
         against: another checkout to take turns with: its folder, or a commit, branch
             or tag of this repository; empty = none.
+        peer: compare the adapters instead: with the `core`, their compiled step, or
+            with highway-env's parking.
         batches: numbers of lots simulated in parallel; for `physics`, of cars.
         layouts: names of the layouts of `env`.
         cars: cars of `physics`, by tyres or stepper.
@@ -57,6 +62,7 @@ class BenchmarkConfig:
 
     what: tuple[What, ...] = get_args(What)
     against: str = ""
+    peer: Peer | None = None
     batches: tuple[int, ...] = (128,)
     layouts: tuple[str, ...] = ("tanner",)
     cars: tuple[Cars, ...] = get_args(Cars)
@@ -103,6 +109,11 @@ class BenchmarkConfig:
 
 def run(config: BenchmarkConfig) -> int:
     """Measures and prints the table; returns 1 if a process failed."""
+    if config.peer is not None:
+        for lots in config.batches:
+            with subjects(config.peer, lots) as found:
+                print(comparison(take_turns(found, config.repeats)))
+        return 0
     with contextlib.ExitStack() as stack:
         measured = [here()]
         if config.against:
@@ -125,6 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    enable_output_fusion()
     # Stopped or interrupted, it removes the checkout it made.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     sys.exit(main())

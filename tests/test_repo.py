@@ -23,9 +23,10 @@ FLOORS = (
     ("fleet",),
     ("episodes",),
     ("env",),
-    ("registry", "wrappers", "policy"),
+    ("registry", "registration", "policy"),
     ("evaluation",),
     ("rendering",),
+    ("wrappers",),
     ("cli",),
 )
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}

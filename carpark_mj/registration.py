@@ -1,0 +1,25 @@
+"""Gymnasium's ids of our environments; imports neither JAX nor MuJoCo."""
+
+from gymnasium.envs.registration import register, registry
+
+_ROOM = "carpark_mj.wrappers"
+# Entry points of one environment and of many by id.
+ENTRY_POINTS: dict[str, tuple[str | None, str]] = {
+    "carpark_mj/Park-v0": (
+        f"{_ROOM}.gymnasium_env:ParkEnv",
+        f"{_ROOM}.gymnasium_vector:ParkVectorEnv",
+    ),
+    "carpark_mj/ParkGoal-v0": (
+        f"{_ROOM}.gymnasium_goal:ParkGoalEnv",
+        f"{_ROOM}.gymnasium_vector:ParkGoalVectorEnv",
+    ),
+    # Its environments are agents that share lots: there is no single one.
+    "carpark_mj/ParkMany-v0": (None, f"{_ROOM}.gymnasium_vector:ParkManyVectorEnv"),
+}
+
+
+def register_environments() -> None:
+    """Registers the ids, if that has not been done."""
+    for name, (single, vector) in ENTRY_POINTS.items():
+        if name not in registry:
+            register(name, single, vector_entry_point=vector)

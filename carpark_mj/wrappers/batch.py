@@ -1,0 +1,277 @@
+"""A batch of lots, reset and stepped by one compiled call; as JAX or NumPy arrays.
+
+All adapters build on a batch, or on the same as torch tensors (`torch_batch.py`).
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.error import ResetNeeded
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.physics.base import where_cars
+from carpark_mj.types import State, TimeStep
+
+# Lots that are restarted together: the share of a batch that ends in a step of long
+# episodes. A batch restarts as many such groups as it takes.
+_GROUP = 1 / 32
+
+
+class LotEnv(Protocol):
+    """What a batch needs of an environment: a `ParkingEnv`, or a task around one."""
+
+    @property
+    def config(self) -> EnvConfig: ...  # noqa: D102
+
+    @property
+    def num_agents(self) -> int: ...  # noqa: D102
+
+    @property
+    def observation_size(self) -> int: ...  # noqa: D102
+
+    @property
+    def action_spec(self) -> ActionSpec: ...  # noqa: D102
+
+    def reset(self, key: jax.Array, /) -> tuple[State, jax.Array]: ...  # noqa: D102
+
+    def step(  # noqa: D102
+        self, state: State, action: jax.Array, /
+    ) -> tuple[State, TimeStep]: ...
+
+
+class Batch:
+    """Lots of one environment on JAX's device.
+
+    With `EpisodeConfig.respawn` an agent whose episode ends begins the next in the same
+    lot. Without, agents wait until all of their lot have finished; then the lot begins
+    anew in the same call, with another layout if it is random.
+
+    Attributes:
+        env: environment of one lot.
+        num_lots: lots in the batch.
+    """
+
+    def __init__(self, env: LotEnv, num_lots: int, restart: bool = True) -> None:
+        """Takes an environment; it is compiled by the first calls.
+
+        Args:
+            env: environment of one lot.
+            num_lots: at least 1.
+            restart: whether lots whose agents all have finished begin anew.
+
+        Raises:
+            ValueError: `num_lots` is below 1.
+        """
+        if num_lots < 1:
+            raise ValueError(f"the number of lots must be at least 1, not {num_lots}")
+        self.env, self.num_lots = env, num_lots
+        self._programs = _programs(env, restart)
+        self._state: State | None = None
+
+    @property
+    def state(self) -> State:
+        """State (num_lots, ...) of the lots; its buffers are gone after the next step.
+
+        Raises:
+            ResetNeeded: before the first `reset`.
+        """
+        if self._state is None:
+            raise ResetNeeded("call reset before the first step")
+        return self._state
+
+    @property
+    def action_shape(self) -> tuple[int, int, int]:
+        """Shape of the actions: lots, agents, size."""
+        return self.num_lots, self.env.num_agents, self.env.action_spec.size
+
+    def reset(self, seed: int | Sequence[int] | None = None) -> jax.Array:
+        """Begins all lots.
+
+        Args:
+            seed: in [0, 2**32); lot i gets seed + i, or the i-th of a sequence. None =
+                lots go on with their own random numbers, at first unpredictable ones.
+
+        Returns:
+            Observations (num_lots, num_agents, observation_size) float32.
+
+        Raises:
+            ValueError: a seed out of range, or not one for each lot.
+        """
+        if seed is None and self._state is not None:
+            keys = self._state.key
+        else:
+            keys = self._programs.keys(_seeds(seed, self.num_lots))
+        self._state, observation = self._programs.reset(keys)
+        return observation
+
+    def restart(self, due: np.ndarray | jax.Array) -> jax.Array:
+        """Begins some lots anew, `due` (num_lots,) bool, with their own random numbers.
+
+        Returns:
+            Observations as of `reset`; zeros for the other lots.
+        """
+        shape = (self.num_lots, self.env.num_agents, self.env.observation_size)
+        blank = jnp.zeros(shape, jnp.float32)
+        self._state, seen = self._programs.restart(self.state, blank, jnp.asarray(due))
+        return seen
+
+    def step(self, action: jax.Array | np.ndarray) -> TimeStep:
+        """Advances all lots by a control step.
+
+        Args:
+            action: of `action_shape`; see `ParkingEnv.step`.
+
+        Returns:
+            What the agents get, all (num_lots, num_agents, ...): `observation` is that
+            of the next episode where one has begun, `final_observation` what the agents
+            saw before that.
+
+        Raises:
+            ResetNeeded: before the first `reset`.
+            ValueError: another shape.
+        """
+        require_shape("actions", action, self.action_shape)
+        self._state, timestep = self._programs.step(self.state, action)
+        return timestep
+
+
+class Step(NamedTuple):
+    """What learners get from a step, in the arrays of their library.
+
+    All of the leading shape (num_lots, num_agents); see `TimeStep`, `Batch.step`. There
+    are final observations unless agents respawn without `final_observation`.
+    """
+
+    observation: Any
+    final_observation: Any
+    reward: Any
+    terminated: Any
+    truncated: Any
+    parked: Any
+    crashed: Any
+
+    @classmethod
+    def of(cls, timestep: TimeStep, convert: Callable[[jax.Array], Any]) -> "Step":
+        """Converts what learners need of a time step, array by array."""
+        final = timestep.final_observation
+        return cls(
+            convert(timestep.observation),
+            None if final is None else convert(final),
+            convert(timestep.reward),
+            convert(timestep.terminated),
+            convert(timestep.truncated),
+            convert(timestep.events.parked),
+            convert(timestep.events.crashed),
+        )
+
+
+class NumpyBatch(Batch):
+    """A batch of NumPy arrays, which are the caller's own to keep and change."""
+
+    def reset_numpy(self, seed: int | Sequence[int] | None = None) -> np.ndarray:
+        """As `reset`."""
+        return np.array(self.reset(seed))
+
+    def step_numpy(self, action: Any) -> Step:
+        """As `step`.
+
+        Raises:
+            ValueError: also if an action is NaN.
+        """
+        action = np.asarray(action, self.env.action_spec.dtype)
+        if not np.isfinite(action).all():
+            lot, agent, part = np.argwhere(~np.isfinite(action))[0]
+            raise ValueError(
+                f"actions must be finite numbers, not {action[lot, agent, part]} (lot "
+                f"{lot}, agent {agent})"
+            )
+        return Step.of(self.step(action), np.array)
+
+
+def require_shape(
+    name: str, array: jax.Array | np.ndarray, shape: tuple[int, ...] | None
+) -> None:
+    """Refuses an array of another shape.
+
+    Raises:
+        ValueError: naming both shapes.
+    """
+    if array.shape != shape:
+        raise ValueError(f"{name} must have the shape {shape}, not {array.shape}")
+
+
+class _Programs(NamedTuple):
+    """The compiled functions of an environment's batches, whatever their size."""
+
+    keys: Callable[[np.ndarray], jax.Array]
+    reset: Callable[[jax.Array], tuple[State, jax.Array]]
+    restart: Callable[[State, jax.Array, jax.Array], tuple[State, jax.Array]]
+    step: Callable[[State, Any], tuple[State, TimeStep]]
+
+
+@functools.lru_cache(maxsize=32)
+def _programs(env: LotEnv, restart: bool) -> _Programs:
+    restart = restart and not env.config.episode.respawn
+
+    def step(state: State, action: jax.Array) -> tuple[State, TimeStep]:
+        state, timestep = jax.vmap(env.step)(state, action)
+        if not restart:
+            return state, timestep
+        seen = timestep.observation
+        state, observation = _restart(env, state, seen, ~state.active.any(axis=1))
+        return state, dataclasses.replace(
+            timestep, observation=observation, final_observation=seen
+        )
+
+    # The state is the batch's own, so its buffers can be used again.
+    return _Programs(
+        jax.jit(jax.vmap(jax.random.key)),
+        jax.jit(jax.vmap(env.reset)),
+        jax.jit(functools.partial(_restart, env), donate_argnums=0),
+        jax.jit(step, donate_argnums=0),
+    )
+
+
+def _restart(
+    env: LotEnv, state: State, observation: jax.Array, due: jax.Array
+) -> tuple[State, jax.Array]:
+    """Begins lots anew that are due (num_lots,), some at a time, the rest are kept."""
+    num_lots = due.shape[0]
+    count = max(1, round(num_lots * _GROUP))
+
+    def group(
+        carry: tuple[tuple[State, jax.Array], jax.Array],
+    ) -> tuple[tuple[State, jax.Array], jax.Array]:
+        old, due = carry
+        (lots,) = jnp.nonzero(due, size=count, fill_value=num_lots)
+        fresh = jax.vmap(env.reset)(old[0].key[jnp.minimum(lots, num_lots - 1)])
+        is_drawn = lots[:, None] == jnp.arange(num_lots)
+        source, drawn = jnp.argmax(is_drawn, axis=0), is_drawn.any(axis=0)
+        # Gathered, not scattered: XLA aborts where it fuses scatters on a CPU (0.10).
+        fresh = jax.tree.map(lambda x: x[source], fresh)
+        return where_cars(drawn, fresh, old), due & ~drawn
+
+    carry = (state, observation), due
+    return jax.lax.while_loop(lambda carry: carry[1].any(), group, carry)[0]
+
+
+def _seeds(seed: int | Sequence[int] | None, num_lots: int) -> np.ndarray:
+    """A seed (num_lots,) uint32 for each lot."""
+    if seed is None:
+        return np.random.SeedSequence().generate_state(num_lots)
+    if isinstance(seed, int | np.integer):
+        seeds = [(int(seed) + i) % 2**32 for i in range(num_lots)]
+        given = [int(seed)]
+    else:
+        seeds = given = [int(s) for s in seed]
+    if len(seeds) != num_lots:
+        raise ValueError(f"seeds must be one for each of {num_lots} lots, not {seed}")
+    if min(given) < 0 or max(given) >= 2**32:
+        raise ValueError(f"a seed must lie in [0, 2**32), not {seed}")
+    return np.array(seeds, np.uint32)

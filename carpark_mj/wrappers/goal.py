@@ -1,0 +1,174 @@
+"""Parking with poses as goals, so that goals can be relabelled (HER).
+
+Features, reward and success follow highway-env's parking (`parking_env.py`, 1.12):
+poses are six numbers, the reward is a weighted p-norm of their difference.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config import ContinuousObservation, EnvConfig
+from carpark_mj.config.checks import at_least, positive
+from carpark_mj.env import ParkingEnv
+from carpark_mj.geometry import rotate
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations import make_fields
+from carpark_mj.observations.ego import GOAL_FIELDS
+from carpark_mj.observations.fields import Field
+from carpark_mj.types import Motion, State, TimeStep
+
+POSITION = 100.0  # m, scale of x and y
+SPEED = 5.0  # m/s, scale of velocities
+
+FEATURES = (
+    Field("position", 2, -4.0, 4.0, f"centre, world frame [{POSITION:g} m]"),
+    Field("velocity", 2, -4.0, 4.0, f"world frame [{SPEED:g} m/s]"),
+    Field("heading", 2, -1.0, 1.0, "cos and sin, world frame"),
+)
+NUM_FEATURES = sum(field.size for field in FEATURES)
+_OWN_GOAL = {field.name for field in GOAL_FIELDS}
+
+
+@dataclasses.dataclass(frozen=True)
+class PoseReward:
+    """Pays for being near a pose: - (weights · |achieved - desired|) ^ power.
+
+    Attributes:
+        weights: of the features x, y, vx, vy, cos and sin of the heading.
+        power: p of the p-norm.
+        crash: penalty for crashing, once.
+        threshold: the goal is reached where the norm is below it, and nothing crashed.
+    """
+
+    weights: tuple[float, ...] = (1.0, 0.3, 0.0, 0.0, 0.02, 0.02)
+    power: float = 0.5
+    crash: float = 5.0
+    threshold: float = 0.12
+
+    def __post_init__(self) -> None:
+        if len(self.weights) != NUM_FEATURES or min(self.weights) < 0.0:
+            raise ValueError(
+                f"weights must be {NUM_FEATURES} numbers of at least 0, not "
+                f"{self.weights}"
+            )
+        positive(self, "power", "threshold")
+        at_least(self, 0.0, "crash")
+
+    def norm(self, achieved: Any, desired: Any) -> Any:
+        """Weighted p-norm (...) of the difference of features (..., 6), as given."""
+        weights = np.array(self.weights, np.float32)
+        return (abs(achieved - desired) @ weights) ** self.power
+
+
+class GoalParking:
+    """One agent, a `ParkingEnv`, and a goal pose.
+
+    An agent's observation is a vector of three parts, see `split`: what it observes but
+    for its own goal, its own features, and those of its goal: nose in, at rest.
+
+    Attributes:
+        parking: the environment around which this is built.
+        pose_reward: reward, and when the goal is reached. So is it where the agent has
+            parked by `EpisodeConfig.parked_rule`.
+        fields: of the first part.
+        goal_fields: of the second and the third part.
+    """
+
+    goal_fields = FEATURES
+
+    def __init__(self, parking: ParkingEnv, pose_reward: PoseReward) -> None:
+        """Wraps an environment.
+
+        Raises:
+            ValueError: not one agent that stays where it has finished, a chosen goal,
+                or an encoding other than `continuous`.
+        """
+        config = parking.config
+        if config.num_agents != 1 or config.episode.respawn or config.goals.dynamic:
+            raise ValueError(
+                "goal poses need num_agents = 1, episode.respawn = False and "
+                "goals.dynamic = False"
+            )
+        if not isinstance(config.observation, ContinuousObservation):
+            raise ValueError(
+                "goal poses need the observation encoding 'continuous', not "
+                f"{type(config.observation).__name__}"
+            )
+        self.parking, self.pose_reward = parking, pose_reward
+        fields = make_fields(config)
+        self.fields = tuple(field for field in fields if field.name not in _OWN_GOAL)
+        keep = [field.name not in _OWN_GOAL for field in fields]
+        self._kept = np.flatnonzero(np.repeat(keep, [field.size for field in fields]))
+
+    @property
+    def config(self) -> EnvConfig:
+        """Of `parking`."""
+        return self.parking.config
+
+    @property
+    def num_agents(self) -> int:
+        """One."""
+        return 1
+
+    @property
+    def observation_size(self) -> int:
+        """Length of the vector."""
+        return len(self._kept) + 2 * NUM_FEATURES
+
+    @property
+    def action_spec(self) -> ActionSpec:
+        """Of `parking`."""
+        return self.parking.action_spec
+
+    def split(self, vector: np.ndarray) -> dict[str, np.ndarray]:
+        """The parts of vectors (..., observation_size) by Gymnasium's names."""
+        parts = np.split(vector, [len(self._kept), -NUM_FEATURES], axis=-1)
+        names = "observation", "achieved_goal", "desired_goal"
+        return dict(zip(names, parts, strict=True))
+
+    def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
+        """Starts a lot; see `ParkingEnv.reset`."""
+        state, observation = self.parking.reset(key)
+        return state, self._vector(state, observation)
+
+    def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
+        """Advances the lot; see `ParkingEnv.step`."""
+        state, timestep = self.parking.step(state, action)
+        norm = self.pose_reward.norm(pose_features(timestep.motion), _desired(state))
+        crashed = timestep.events.crashed
+        reached = (norm < self.pose_reward.threshold) & ~crashed
+        return dataclasses.replace(state, active=state.active & ~reached), (
+            dataclasses.replace(
+                timestep,
+                observation=self._vector(state, timestep.observation),
+                reward=-norm - self.pose_reward.crash * crashed,
+                terminated=timestep.terminated | reached,
+                truncated=timestep.truncated & ~reached,
+            )
+        )
+
+    def _vector(self, state: State, observation: jax.Array) -> jax.Array:
+        parts = observation[:, self._kept], pose_features(state.motion), _desired(state)
+        return jnp.concatenate(parts, axis=-1)
+
+
+def pose_features(motion: Motion) -> jax.Array:
+    """`FEATURES` (..., 6) of cars (...)."""
+    yaw = motion.pose_w[..., 2]
+    velocity_w = rotate(motion.velocity_b, yaw)
+    heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
+    parts = motion.xy / POSITION, velocity_w / SPEED, heading
+    return jnp.concatenate(parts, axis=-1)
+
+
+def _desired(state: State) -> jax.Array:
+    """Features (1, 6) of the goal: in its middle, at rest, nose in."""
+    x, y, yaw = jnp.moveaxis(state.layout.bay_pose[state.goal], -1, 0)
+    zero = jnp.zeros_like(x)
+    # A bay's heading is that of a car that has backed in.
+    features = [x / POSITION, y / POSITION, zero, zero, -jnp.cos(yaw), -jnp.sin(yaw)]
+    return jnp.stack(features, axis=-1)

@@ -1,0 +1,129 @@
+"""One agent in one lot as a Gymnasium environment: `carpark_mj/Park-v0`."""
+
+import dataclasses
+from typing import Any, Unpack
+
+import gymnasium
+import numpy as np
+from gymnasium.error import ResetNeeded
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.wrappers.batch import LotEnv, NumpyBatch, require_shape
+from carpark_mj.wrappers.gymnasium_spaces import (
+    action_space,
+    observation_space,
+    split_observation,
+)
+from carpark_mj.wrappers.options import OPTIONS, Options, configure, shared_env
+from carpark_mj.wrappers.screen import RENDER_MODES, Screen
+
+ONE_AGENT = tuple(name for name in OPTIONS if name != "agents")
+
+
+class ParkEnv(gymnasium.Env[Any, np.ndarray]):
+    """One agent parks.
+
+    - observation: (size,) float32, the fields of `docs/mdp.md`.
+    - action: (2,) float32, steer and pedal in [-1, 1]; numbers beyond are clipped. On
+      the grid indices of an acceleration and a turn.
+    - reward: the sum of the terms of `docs/mdp.md`.
+    - end: terminated when parked or crashed, truncated when out of time; then `reset`
+      draws the next lot.
+    - info: `is_success` (parked) and `crashed`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012
+
+    def __init__(
+        self,
+        render_mode: str | None = None,
+        camera: str = "topdown",
+        **options: Unpack[Options],
+    ) -> None:
+        """Makes the environment; it is compiled by the first reset and step.
+
+        Args:
+            render_mode: None, `human` or `rgb_array`.
+            camera: of pictures, see `carpark_mj.rendering.renderer.camera_names`.
+            **options: see `Options`; there always is one agent.
+
+        Raises:
+            TypeError: an unknown option.
+            ValueError: an impossible one.
+        """
+        if render_mode not in (None, *RENDER_MODES):
+            raise ValueError(
+                f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}"
+            )
+        self._batch = NumpyBatch(self._make(options), 1, restart=False)
+        env = self._batch.env
+        self.render_mode = render_mode
+        frames_per_second = round(1.0 / env.config.sim.ctrl_dt)
+        self.metadata = {**self.metadata, "render_fps": frames_per_second}
+        self.observation_space = observation_space(env)
+        self.action_space = action_space(env.action_spec)
+        self._screen = Screen(shared_env(env.config), camera)
+        self._running = False
+
+    def _make(self, options: Options) -> LotEnv:
+        return shared_env(one_agent(configure(options, ONE_AGENT)))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begins an episode in another lot.
+
+        Args:
+            seed: in [0, 2**32); None = go on with the lot's own random numbers.
+            options: not used.
+
+        Returns:
+            What the agent observes, and an empty info.
+        """
+        super().reset(seed=seed)
+        observation = self._batch.reset_numpy(seed)
+        self._running = True
+        self._show()
+        return split_observation(self._batch.env, observation[0, 0]), {}
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Advances by a control step; see the class.
+
+        Raises:
+            ResetNeeded: before the first `reset`, or after the end of an episode.
+            ValueError: an action of another shape, or NaN.
+        """
+        if not self._running:
+            raise ResetNeeded("call reset before the first step of an episode")
+        action = np.asarray(action)
+        require_shape("an action", action, self.action_space.shape)
+        step = self._batch.step_numpy(action[None, None])
+        terminated, truncated = bool(step.terminated[0, 0]), bool(step.truncated[0, 0])
+        self._running = not (terminated or truncated)
+        crashed = bool(step.crashed[0, 0])
+        info = {"is_success": terminated and not crashed, "crashed": crashed}
+        self._show()
+        observation = split_observation(self._batch.env, step.observation[0, 0])
+        return observation, float(step.reward[0, 0]), terminated, truncated, info
+
+    def render(self) -> Any:
+        """A picture (height, width, 3) uint8 in mode `rgb_array`, else None."""
+        if self.render_mode == "rgb_array":
+            return self._screen.picture(self._batch.state)
+        return None
+
+    def close(self) -> None:
+        """Closes windows and renderers."""
+        self._screen.close()
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._screen.show(self._batch.state)
+
+
+def one_agent(config: EnvConfig) -> EnvConfig:
+    """The same for one agent, whose episodes are whole lots."""
+    episode = dataclasses.replace(
+        config.episode, respawn=False, final_observation=False
+    )
+    return dataclasses.replace(config, num_agents=1, min_agents=None, episode=episode)

@@ -1,0 +1,195 @@
+"""Batches of lots as Gymnasium's vector environments: one compiled call a step."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, Unpack
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from carpark_mj.wrappers.batch import LotEnv, NumpyBatch, require_shape
+from carpark_mj.wrappers.goal import PoseReward
+from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, one_agent
+from carpark_mj.wrappers.gymnasium_goal import (
+    GOAL_OPTIONS,
+    PoseRewardMixin,
+    shared_goal_env,
+)
+from carpark_mj.wrappers.gymnasium_spaces import (
+    action_space,
+    observation_space,
+    split_observation,
+)
+from carpark_mj.wrappers.options import Options, configure, shared_env
+from carpark_mj.wrappers.screen import Screen
+
+
+class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
+    """`carpark_mj/Park-v0` many times; every environment is a lot with one agent.
+
+    Environment i reset with a seed gives the episodes of `ParkEnv` reset with seed + i.
+    One that ends begins its next episode in the same step: `final_obs` and `final_info`
+    of the infos hold what it was, as of Gymnasium's `SyncVectorEnv`.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+        camera: str = "topdown",
+        **options: Unpack[Options],
+    ) -> None:
+        """Makes the environments; they are compiled by the first reset and step.
+
+        Args:
+            num_envs: number of environments.
+            render_mode: None or `rgb_array`.
+            camera: see `ParkEnv`.
+            **options: see `Options`.
+
+        Raises:
+            TypeError: an unknown option.
+            ValueError: an impossible one.
+        """
+        modes = self.metadata["render_modes"]
+        if render_mode not in (None, *modes):
+            raise ValueError(
+                f"unknown render_mode {render_mode!r}; choose from {modes}"
+            )
+        env = self._make(options)
+        if num_envs < 1 or num_envs % env.num_agents:
+            raise ValueError(
+                "num_envs must be a positive multiple of the number of agents, "
+                f"{env.num_agents}, not {num_envs}"
+            )
+        self._batch = NumpyBatch(env, num_envs // env.num_agents)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        frames_per_second = round(1.0 / env.config.sim.ctrl_dt)
+        self.metadata = {**self.metadata, "render_fps": frames_per_second}
+        self.single_observation_space = observation_space(env)
+        self.single_action_space = action_space(env.action_spec)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._screen = Screen(shared_env(env.config), camera)
+
+    def _make(self, options: Options) -> LotEnv:
+        return shared_env(one_agent(configure(options, ONE_AGENT)))
+
+    @property
+    def num_lots(self) -> int:
+        """Lots, of `num_envs` / `num_lots` agents each."""
+        return self._batch.num_lots
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begins an episode in every environment.
+
+        Args:
+            seed: lot i gets seed + i, or the i-th of a sequence; see `Batch.reset`.
+            options: not used.
+
+        Returns:
+            Observations (num_envs, ...), and empty infos.
+        """
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        return self._split(self._batch.reset_numpy(seed)), {}
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advances all environments by a control step; `actions` (num_envs, size).
+
+        Raises:
+            ResetNeeded: before the first `reset`.
+            ValueError: actions of another shape, or NaN.
+        """
+        actions = np.asarray(actions)
+        require_shape("actions", actions, self.action_space.shape)
+        step = self._batch.step_numpy(actions.reshape(self._batch.action_shape))
+        terminated, truncated = step.terminated.ravel(), step.truncated.ravel()
+        crashed = step.crashed.ravel()
+        info = {"is_success": terminated & ~crashed, "crashed": crashed}
+        done = terminated | truncated
+        infos = {name: value & ~done for name, value in info.items()}
+        infos |= {f"_{name}": ~done for name in info}
+        if done.any():
+            infos["final_info"] = info | {f"_{name}": done for name in info}
+            infos["final_obs"] = self._final_observations(step.final_observation, done)
+            infos["_final_info"] = infos["_final_obs"] = done
+        observation = self._split(step.observation)
+        return observation, step.reward.ravel(), terminated, truncated, infos
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture (height, width, 3) uint8 of every lot, or None."""
+        if self.render_mode is None:
+            return None
+        state, lots = self._batch.state, range(self.num_lots)
+        return tuple(self._screen.picture(state, lot) for lot in lots)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Closes the renderer."""
+        self._screen.close()
+
+    def _split(self, observation: np.ndarray) -> Any:
+        """Observations (num_envs, ...) of those of agents in lots."""
+        flat = observation.reshape(self.num_envs, -1)
+        return split_observation(self._batch.env, flat)
+
+    def _final_observations(self, seen: np.ndarray, done: np.ndarray) -> np.ndarray:
+        """Observations (num_envs,) of the environments that are done; else None."""
+        env, flat = self._batch.env, seen.reshape(self.num_envs, -1)
+        final = np.full(self.num_envs, None, dtype=object)
+        for index in np.flatnonzero(done):
+            final[index] = split_observation(env, flat[index])
+        return final
+
+
+class ParkGoalVectorEnv(PoseRewardMixin, ParkVectorEnv):
+    """`carpark_mj/ParkGoal-v0` many times; see `ParkVectorEnv` and `ParkGoalEnv`."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+        camera: str = "topdown",
+        pose_reward: PoseReward | None = None,
+        **options: Unpack[Options],
+    ) -> None:
+        """As of `ParkVectorEnv` and `ParkGoalEnv`."""
+        self.pose_reward = pose_reward or PoseReward()
+        super().__init__(num_envs, render_mode, camera, **options)
+
+    def _make(self, options: Options) -> LotEnv:
+        config = one_agent(configure(options, GOAL_OPTIONS))
+        return shared_goal_env(config, self.pose_reward)
+
+
+class ParkManyVectorEnv(ParkVectorEnv):
+    """`carpark_mj/ParkMany-v0`: every environment is an agent, several share a lot.
+
+    Environments k n to k n + n - 1 are the n agents of lot k. An agent whose episode
+    ends begins the next in the same lot and step while the others drive on, so lots
+    keep their layouts until `reset`.
+    """
+
+    def _make(self, options: Options) -> LotEnv:
+        config = configure(options)
+        if config.min_agents not in (None, config.num_agents):
+            raise ValueError(
+                "min_agents must be None, as every environment is an agent, not "
+                f"{config.min_agents}"
+            )
+        episode = dataclasses.replace(
+            config.episode, respawn=True, final_observation=True
+        )
+        return shared_env(dataclasses.replace(config, episode=episode))

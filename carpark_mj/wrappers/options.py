@@ -1,0 +1,81 @@
+"""Options of the environments that other libraries make by name."""
+
+import dataclasses
+import functools
+from typing import TypedDict
+
+from carpark_mj.config import (
+    EnvConfig,
+    LayoutChoice,
+    ParkedRule,
+    PhysicsName,
+    RewardConfig,
+    RewardName,
+    reward_preset,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.registry import environment
+
+
+class Options(TypedDict, total=False):
+    """What of an environment can be chosen by keyword.
+
+    Attributes:
+        config: everything, an `EnvConfig` or the name of an environment of
+            `carpark_mj.registry`; the other options change it.
+        layout: `EnvConfig.layout`.
+        agents: `EnvConfig.num_agents`.
+        parked_cars: `EnvConfig.num_parked_cars`.
+        rule: `EpisodeConfig.parked_rule`.
+        reward: weights, or the name of a set of them.
+        physics: `EnvConfig.physics`.
+    """
+
+    config: EnvConfig | str
+    layout: LayoutChoice
+    agents: int
+    parked_cars: int
+    rule: ParkedRule
+    reward: RewardConfig | RewardName
+    physics: PhysicsName
+
+
+OPTIONS = tuple(Options.__annotations__)
+_FIELDS = {
+    "layout": "layout",
+    "agents": "num_agents",
+    "parked_cars": "num_parked_cars",
+    "physics": "physics",
+}
+
+
+def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig:
+    """The configuration that options ask for.
+
+    Raises:
+        TypeError: an option that is not allowed.
+        ValueError: a value that is not.
+    """
+    for name in options:
+        if name not in allowed:
+            raise TypeError(f"unknown option {name!r}; choose from {sorted(allowed)}")
+    config = options.get("config", EnvConfig())
+    if isinstance(config, str):
+        config = environment(config)
+    if not isinstance(config, EnvConfig):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(f"config must be an EnvConfig or a name, not {config!r}")
+    changes = {_FIELDS[name]: options[name] for name in _FIELDS if name in options}
+    if "rule" in options:
+        changes["episode"] = dataclasses.replace(
+            config.episode, parked_rule=options["rule"]
+        )
+    if "reward" in options:
+        reward = options["reward"]
+        changes["reward"] = reward_preset(reward) if isinstance(reward, str) else reward
+    return dataclasses.replace(config, **changes)
+
+
+@functools.lru_cache(maxsize=32)
+def shared_env(config: EnvConfig) -> ParkingEnv:
+    """The environment of a configuration, made and compiled only once."""
+    return ParkingEnv(config)

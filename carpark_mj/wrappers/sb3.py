@@ -1,0 +1,125 @@
+"""The Gymnasium vector environments as a Stable-Baselines3 `VecEnv`."""
+
+# An extra that the type checker does without.
+# pyright: reportMissingImports=false, reportUntypedBaseClass=false
+
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+from stable_baselines3.common.vec_env.base_vec_env import (
+    VecEnv,
+    VecEnvIndices,
+    VecEnvObs,
+    VecEnvStepReturn,
+)
+
+from carpark_mj.wrappers.gymnasium_vector import ParkVectorEnv
+
+
+class ParkVecEnv(VecEnv):
+    """All environments stepped by one compiled call.
+
+    Infos hold `is_success`, `crashed` and `TimeLimit.truncated`, at the end of an
+    episode also `terminal_observation`. Wrap it in `VecMonitor` for returns.
+
+    >>> vec_env = ParkVecEnv("carpark_mj/Park-v0", 64, layout="compact")
+    >>> model = PPO("MlpPolicy", VecMonitor(vec_env))
+    """
+
+    def __init__(self, name: str, num_envs: int = 1, **options: Any) -> None:
+        """Makes the environments.
+
+        Args:
+            name: a Gymnasium id of this package.
+            num_envs: number of environments.
+            **options: of the id, see `carpark_mj.wrappers.gymnasium_vector`.
+
+        Raises:
+            ValueError: an id of another package, or an impossible option.
+            TypeError: an unknown option.
+        """
+        env = gymnasium.make_vec(name, num_envs, **options)
+        if not isinstance(env, ParkVectorEnv):
+            raise ValueError(f"{name!r} is not an environment of carpark_mj")
+        self._env = env
+        self._actions: np.ndarray | None = None
+        super().__init__(
+            env.num_envs, env.single_observation_space, env.single_action_space
+        )
+
+    def reset(self) -> VecEnvObs:
+        """Begins an episode in every environment, with the seeds of `seed` if any."""
+        every = self._env.num_envs // self._env.num_lots
+        seeds = [None if s is None else s % 2**32 for s in self._seeds[::every]]
+        given = [seed for seed in seeds if seed is not None]
+        observation, _ = self._env.reset(seed=given or None)
+        self._reset_seeds()
+        self._reset_options()
+        return observation
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Takes the actions (num_envs, size) of the next step."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Advances all environments by a control step.
+
+        Raises:
+            ResetNeeded: before the first `reset`.
+            ValueError: actions of another shape, or NaN.
+        """
+        actions = cast(np.ndarray, self._actions)
+        observation, reward, terminated, truncated, infos = self._env.step(actions)
+        done = terminated | truncated
+        final = infos.get("final_info", infos)
+        success = np.where(done, final["is_success"], infos["is_success"])
+        crashed = np.where(done, final["crashed"], infos["crashed"])
+        rows: list[dict[str, Any]] = [
+            {"is_success": s, "crashed": c, "TimeLimit.truncated": t}
+            for s, c, t in zip(
+                success.tolist(), crashed.tolist(), truncated.tolist(), strict=True
+            )
+        ]
+        for index in np.flatnonzero(done):
+            rows[index]["terminal_observation"] = infos["final_obs"][index]
+        return observation, reward, done, rows
+
+    def close(self) -> None:
+        """Closes the renderer."""
+        self._env.close()
+
+    def get_images(self) -> list[np.ndarray | None]:
+        """A picture of every lot."""
+        return list(self._env.render() or ())
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of the environments, which is the same in all."""
+        return [getattr(self._env, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(
+        self, attr_name: str, value: Any, indices: VecEnvIndices = None
+    ) -> None:
+        """Refuses: the environments are one.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError(f"{attr_name!r} of single environments cannot be set")
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """What a method of the environments gives, the same for each of `indices`."""
+        result = getattr(self._env, method_name)(*method_args, **method_kwargs)
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """False for each: nothing is wrapped."""
+        return [False for _ in self._get_indices(indices)]

@@ -1,0 +1,64 @@
+"""A batch of lots as torch tensors on JAX's device, passed without copies by DLPack."""
+
+# An extra that the type checker does without.
+# pyright: reportMissingImports=false
+
+from collections.abc import Sequence
+
+import jax
+import torch
+
+from carpark_mj.wrappers.batch import Batch, LotEnv, Step
+
+
+class TorchBatch:
+    """Lots of one environment; tensors share memory with the arrays behind them.
+
+    Nothing that a tensor shows is written again: the batch reuses only the buffers of
+    its own state.
+
+    Attributes:
+        batch: the same of JAX arrays.
+        device: of all tensors, that on which JAX computes.
+    """
+
+    def __init__(self, env: LotEnv, num_lots: int, restart: bool = True) -> None:
+        """As of `Batch`."""
+        self.batch = Batch(env, num_lots, restart)
+        self.device = torch.from_dlpack(jax.numpy.zeros(1)).device
+
+    def reset(self, seed: int | Sequence[int] | None = None) -> torch.Tensor:
+        """Begins all lots; see `Batch.reset`.
+
+        Returns:
+            Observations (num_lots, num_agents, observation_size) float32.
+        """
+        return torch.from_dlpack(self.batch.reset(seed))
+
+    def restart(self, due: torch.Tensor) -> torch.Tensor:
+        """Begins some lots anew, `due` (num_lots,) bool; see `Batch.restart`."""
+        return torch.from_dlpack(self.batch.restart(_to_jax(due, self.device)))
+
+    def step(self, action: torch.Tensor) -> Step:
+        """Advances all lots by a control step; see `Batch.step`.
+
+        Actions that are NaN or out of range are sanitized and counted on the device
+        (`carpark_mj.mdp.actions`), which a check here would have to wait for.
+
+        Args:
+            action: (num_lots, num_agents, size) on `device`; may require gradients,
+                which end here.
+
+        Raises:
+            ResetNeeded: before the first `reset`.
+            ValueError: another shape or device.
+        """
+        dtype = torch.float32 if self.batch.env.action_spec.continuous else torch.int32
+        timestep = self.batch.step(_to_jax(action.to(dtype), self.device))
+        return Step.of(timestep, torch.from_dlpack)
+
+
+def _to_jax(tensor: torch.Tensor, device: torch.device) -> jax.Array:
+    if tensor.device != device:
+        raise ValueError(f"tensors must be on {device}, as JAX is, not {tensor.device}")
+    return jax.dlpack.from_dlpack(tensor.detach().contiguous())

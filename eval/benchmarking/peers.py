@@ -1,0 +1,193 @@
+"""What adapters cost beside the core, and other gyms beside them, in one session.
+
+All are compiled first. Then they take turns, so that what else the machine does meets
+all of them alike; of each the best turn counts.
+"""
+
+# Extras that the type checker does without.
+# pyright: reportMissingImports=false
+
+import contextlib
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Generator, Sequence
+from typing import Any, Literal
+
+import gymnasium
+import jax
+import numpy as np
+
+from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.wrappers.batch import Batch, NumpyBatch
+from carpark_mj.wrappers.options import shared_env
+
+Peer = Literal["core", "highway-env"]
+PARKING = "highway_env:parking-v0"
+GOAL, MANY = "carpark_mj/ParkGoal-v0", "carpark_mj/ParkMany-v0"
+
+
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """Something that is stepped.
+
+    Attributes:
+        name: in the table.
+        agents: stepped by a call.
+        step: one control step of all agents under random actions.
+        beside: name of the subject that it is compared with; empty = of none.
+    """
+
+    name: str
+    agents: int
+    step: Callable[[], object]
+    beside: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Rates:
+    """Agent steps per second of a subject, one of each round."""
+
+    subject: Subject
+    rates: tuple[float, ...]
+
+
+@contextlib.contextmanager
+def subjects(peer: Peer, lots: int) -> Generator[list[Subject]]:
+    """What is compared, closed after use.
+
+    Args:
+        peer: what the adapters are compared with.
+        lots: simulated at once, of one agent each.
+
+    Raises:
+        ValueError: a library that is needed is not installed.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            yield core(lots, stack) if peer == "core" else highway(lots, stack)
+        except ModuleNotFoundError as error:
+            raise ValueError(
+                f"peer {peer} needs {error.name}: pip install '.[sb3,peers]'"
+            ) from None
+
+
+def core(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
+    """The compiled step of respawning agents, alone and through adapters."""
+    import torch
+
+    from carpark_mj.wrappers.sb3 import ParkVecEnv
+    from carpark_mj.wrappers.torch_batch import TorchBatch
+
+    episode = EpisodeConfig(final_observation=True)
+    env = shared_env(EnvConfig(num_agents=1, episode=episode))
+    batch, numpy_batch = Batch(env, lots), NumpyBatch(env, lots)
+    torch_batch = TorchBatch(env, lots)
+    for each in (batch, numpy_batch, torch_batch):
+        each.reset(0)
+    action = random_actions((lots, 1, 2))
+    tensor = torch.as_tensor(action, device=torch_batch.device)
+    found = [
+        Subject("core, JAX", lots, lambda: jax.block_until_ready(batch.step(action))),
+        Subject(
+            "NumPy batch", lots, lambda: numpy_batch.step_numpy(action), "core, JAX"
+        ),
+        Subject("torch batch", lots, lambda: torch_batch.step(tensor), "core, JAX"),
+    ]
+    vector = gymnasium.make_vec(MANY, lots, agents=1)
+    stack.enter_context(contextlib.closing(vector))
+    found.append(Subject("Gymnasium vector", lots, stepper(vector), "core, JAX"))
+    vec_env = stack.enter_context(contextlib.closing(ParkVecEnv(MANY, lots, agents=1)))
+    found.append(Subject("SB3 VecEnv", lots, stepper(vec_env), "core, JAX"))
+    return found
+
+
+def highway(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
+    """highway-env's parking and ours: one car, a goal pose, an empty lot.
+
+    highway-env steps one car at a time, so it gets a process for every core.
+    """
+    import highway_env  # noqa: F401  # pyright: ignore[reportUnusedImport]
+    from stable_baselines3.common.vec_env import SubprocVecEnv
+
+    from carpark_mj.wrappers.sb3 import ParkVecEnv
+
+    cores = os.cpu_count() or 1
+    spawn = {"context": "spawn"}
+    theirs: list[Any] = [
+        gymnasium.make(PARKING),
+        gymnasium.make_vec(
+            PARKING, cores, vectorization_mode="async", vector_kwargs=spawn
+        ),
+        SubprocVecEnv([lambda: gymnasium.make(PARKING)] * cores, "spawn"),
+    ]
+    ours: list[Any] = [
+        gymnasium.make(GOAL, parked_cars=0),
+        gymnasium.make_vec(GOAL, lots, parked_cars=0),
+        ParkVecEnv(GOAL, lots, parked_cars=0),
+    ]
+    found: list[Subject] = []
+    for how, their, our in zip(
+        ("single", "vectorised", "SB3 VecEnv"), theirs, ours, strict=True
+    ):
+        for env in (their, our):
+            stack.enter_context(contextlib.closing(env))
+        name = f"highway-env, {how}"
+        found.append(Subject(name, getattr(their, "num_envs", 1), stepper(their)))
+        agents = getattr(our, "num_envs", 1)
+        found.append(Subject(f"carpark_mj, {how}", agents, stepper(our), name))
+    return found
+
+
+def stepper(env: Any) -> Callable[[], object]:
+    """A step of a Gymnasium environment, one or many, or of a `VecEnv`."""
+    env.reset()
+    num_envs = getattr(env, "num_envs", None)
+    action = random_actions((num_envs, 2) if num_envs else (2,))
+
+    def step() -> None:
+        result = env.step(action)
+        if num_envs is None and (result[2] or result[3]):
+            env.reset()
+
+    return step
+
+
+def random_actions(shape: tuple[int, ...]) -> np.ndarray:
+    """Actions, uniform in [-1, 1]; every car holds its own."""
+    return np.random.default_rng(0).uniform(-1.0, 1.0, shape).astype(np.float32)
+
+
+def take_turns(
+    found: Sequence[Subject], rounds: int, seconds: float = 1.0
+) -> list[Rates]:
+    """Steps all in turn, each for some seconds a round."""
+    rates: dict[str, list[float]] = {subject.name: [] for subject in found}
+    for subject in found:  # compiles
+        subject.step()
+        subject.step()
+    for _ in range(rounds):
+        for subject in found:
+            begun, steps = time.perf_counter(), 0
+            while (gone := time.perf_counter() - begun) < seconds:
+                subject.step()
+                steps += 1
+            rates[subject.name].append(steps * subject.agents / gone)
+    return [Rates(subject, tuple(rates[subject.name])) for subject in found]
+
+
+def comparison(measured: Sequence[Rates]) -> str:
+    """A markdown table: best rates, their ratios, and the range over the rounds."""
+    by_name = {each.subject.name: each.rates for each in measured}
+    lines = ["| what | agents | agent steps/s | ratio |", "|---|---:|---:|---|"]
+    for each in measured:
+        ratio, other = "", by_name.get(each.subject.beside)
+        if other:
+            pairs = [a / b for a, b in zip(each.rates, other, strict=True)]
+            best = max(each.rates) / max(other)
+            ratio = f"{best:.3g} ({min(pairs):.3g} … {max(pairs):.3g})"
+        lines.append(
+            f"| {each.subject.name} | {each.subject.agents:,} | "
+            f"{max(each.rates):,.0f} | {ratio} |"
+        )
+    return "\n".join(lines)

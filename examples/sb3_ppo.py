@@ -1,0 +1,86 @@
+"""Stable-Baselines3's PPO learns to park one car among sixteen on two cores.
+
+pip install ".[sb3]" && python examples/sb3_ppo.py
+
+It writes a learning curve and prints the rates of whole episodes on other seeds;
+success is `strict`: within the lines, straight and at rest.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import tyro
+
+from carpark_mj.cli.common import enable_output_fusion
+
+enable_output_fusion()  # before JAX computes anything
+
+import torch  # noqa: E402
+from sb3_curve import Curve, rates  # noqa: E402
+from stable_baselines3 import PPO  # noqa: E402
+from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
+
+from carpark_mj.config import EnvConfig, SpawnConfig  # noqa: E402
+from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Settings of the example.
+
+    Attributes:
+        minutes: of training.
+        lots: simulated at once.
+        layout: of the lots.
+        seed: of training; evaluation has another.
+        episodes: of the evaluation.
+        out: picture of the learning curve.
+    """
+
+    minutes: float = 14.0
+    lots: int = 256
+    layout: str = "tanner"
+    seed: int = 0
+    episodes: int = 1024
+    out: Path = Path("sb3_ppo.png")
+
+
+def main(settings: Settings) -> None:
+    """Trains, plots and evaluates."""
+    torch.set_num_threads(1)  # JAX has the other core, and theirs would fight
+    name, layout = "carpark_mj/Park-v0", settings.layout
+    # Three in ten episodes of training start where a car can get that leaves its bay.
+    config = EnvConfig(spawn=SpawnConfig(reverse_ratio=0.3))
+    env = ParkVecEnv(name, settings.lots, config=config, layout=layout)
+    env = VecMonitor(env)
+    curve = Curve(settings.minutes)
+    model = PPO(
+        "MlpPolicy",
+        env,
+        n_steps=32,
+        batch_size=512,
+        n_epochs=4,
+        learning_rate=lambda left: 5e-5 + 1.45e-3 * curve.progress_left(left),
+        gamma=0.99,
+        gae_lambda=0.95,
+        ent_coef=2e-3,
+        max_grad_norm=1.0,
+        policy_kwargs={
+            "net_arch": [128, 128],
+            "log_std_init": -0.5,
+            "activation_fn": torch.nn.SiLU,
+        },
+        stats_window_size=1000,
+        seed=settings.seed,
+        device="cpu",
+    )
+    model.learn(10**9, callback=curve)
+    curve.plot(settings.out, f"PPO on {name}, {layout}")
+    fresh = VecMonitor(ParkVecEnv(name, settings.lots, layout=layout))
+    fresh.seed(settings.seed + 10**6)
+    found = rates(model, fresh, settings.episodes)
+    print(", ".join(f"{end} {rate:.1%}" for end, rate in found.items()))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings, description=__doc__))

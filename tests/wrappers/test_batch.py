@@ -1,0 +1,180 @@
+"""Lots as a batch: each on its own, begun anew when its agents have finished."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from helpers.sliding import APART, MAX_STEPS, placed, slide
+
+from carpark_mj.wrappers.batch import Batch, NumpyBatch
+
+LOTS = 40  # more than a group of those that begin anew together
+
+
+@functools.cache
+def sliding(respawn=False):
+    return slide(respawn=respawn)
+
+
+def batch(num_lots=4, respawn=False, restart=True):
+    return NumpyBatch(sliding(respawn)[0], num_lots, restart)
+
+
+def halt(num_lots=4):
+    return np.zeros((num_lots, 3, 2), np.float32)
+
+
+def key_data(state):
+    return np.asarray(jax.random.key_data(state.key))
+
+
+def test_a_lot_of_a_batch_is_the_lot_of_its_seed_on_its_own():
+    _, reset, step = sliding()
+    lots = batch()
+    observation = lots.reset_numpy(7)
+    action = np.random.default_rng(0).uniform(-1, 1, (4, 3, 2)).astype(np.float32)
+    after = lots.step_numpy(action)
+    for k in range(4):
+        state, alone = reset(jax.random.key(7 + k))
+        # Single and batched programs may round differently.
+        np.testing.assert_allclose(observation[k], alone, atol=1e-5)
+        _, timestep = step(state, action[k])
+        np.testing.assert_allclose(
+            after.observation[k], timestep.observation, atol=1e-5
+        )
+        np.testing.assert_allclose(after.reward[k], timestep.reward, atol=1e-5)
+
+
+def test_a_sequence_of_seeds_gives_each_lot_its_own():
+    lots = batch()
+    in_turn = lots.reset_numpy([9, 3, 9, 4])
+    np.testing.assert_array_equal(in_turn[0], in_turn[2])
+    np.testing.assert_array_equal(in_turn[[1, 3]], lots.reset_numpy(3)[:2])
+
+
+def test_without_a_seed_lots_go_on_and_do_not_repeat():
+    lots = batch()
+    first = lots.reset_numpy(0)
+    second, third = lots.reset_numpy(), lots.reset_numpy()
+    assert not np.array_equal(first, second)
+    assert not np.array_equal(second, third)
+    lots.reset_numpy(0)
+    np.testing.assert_array_equal(second, lots.reset_numpy())
+    assert not np.array_equal(batch().reset_numpy(), batch().reset_numpy())
+
+
+@pytest.mark.parametrize("num_lots", [1, 4, LOTS])
+def test_lots_begin_anew_in_the_step_in_which_all_their_agents_have_finished(num_lots):
+    lots, waiting = batch(num_lots), batch(num_lots, restart=False)
+    first = lots.reset_numpy(0)
+    np.testing.assert_array_equal(waiting.reset_numpy(0), first)
+    for _ in range(MAX_STEPS):
+        assert lots.state.step.min() < MAX_STEPS
+        step, alone = (each.step_numpy(halt(num_lots)) for each in (lots, waiting))
+    assert step.truncated.all()
+    np.testing.assert_array_equal(step.final_observation, alone.observation)
+    assert not np.isclose(step.observation, first).all(axis=(1, 2)).any()
+    assert lots.state.active.all()
+    assert not lots.state.step.any()
+    # What begins is what `reset` would have begun.
+    np.testing.assert_allclose(step.observation, waiting.reset_numpy(), atol=1e-6)
+
+
+def test_a_lot_waits_for_its_last_agent_and_leaves_the_others_alone():
+    lots, waiting = batch(), batch(restart=False)
+    pose = np.tile(APART, (4, 1, 1))
+    pose[1] = APART[0]  # in lot 1 all agents collide, in lot 2 two of the three
+    pose[2, :2] = APART[0]
+    for each in (lots, waiting):
+        each.reset_numpy(0)
+        state = placed(each.env, each.state, pose)
+        each._state = jax.tree.map(jnp.copy, state)  # no buffer twice
+    before = key_data(lots.state)
+    step, alone = lots.step_numpy(halt()), waiting.step_numpy(halt())
+    anew = np.array([False, True, False, False])
+    np.testing.assert_array_equal(step.crashed.all(axis=1), anew)
+    assert step.crashed[2].tolist() == [True, True, False]
+    np.testing.assert_array_equal(lots.state.active.all(axis=1), [1, 1, 0, 1])
+    np.testing.assert_array_equal(step.final_observation, alone.observation)
+    np.testing.assert_array_equal(step.observation[~anew], alone.observation[~anew])
+    assert not np.isclose(step.observation[1], alone.observation[1]).all()
+    assert (key_data(lots.state) != before).any(axis=1)[1]
+
+
+def test_lots_that_are_due_are_begun_and_the_others_kept():
+    lots = batch(LOTS, restart=False)
+    lots.reset_numpy(0)
+    before = jax.device_get(lots.state.motion.pose_w)
+    due = np.arange(LOTS) % 3 == 0
+    observation = np.asarray(lots.restart(due))
+    after = np.asarray(lots.state.motion.pose_w)
+    np.testing.assert_array_equal(before[~due], after[~due])
+    assert not np.isclose(before[due], after[due]).all(axis=(1, 2)).any()
+    assert not observation[~due].any()
+    assert observation[due].any(axis=(1, 2)).all()
+
+
+def test_respawning_agents_begin_alone_and_their_lot_goes_on():
+    lots = batch(respawn=True)
+    lots.reset_numpy(0)
+    for _ in range(MAX_STEPS):
+        step = lots.step_numpy(halt())
+    assert step.truncated.all()
+    assert step.final_observation is None  # not asked for
+    assert lots.state.active.all()
+
+
+def test_arrays_are_the_callers_own():
+    lots = batch()
+    kept = [lots.reset_numpy(0), *lots.step_numpy(halt())]
+    copies = [array.copy() for array in kept]
+    for _ in range(MAX_STEPS):
+        lots.step_numpy(halt())
+    for array, copy in zip(kept, copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+        array[...] = 0  # not read-only
+
+
+def test_a_step_before_the_first_reset_is_refused():
+    with pytest.raises(ResetNeeded, match="call reset"):
+        batch().step_numpy(halt())
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (halt(3), r"shape \(4, 3, 2\), not \(3, 3, 2\)"),
+        (
+            np.where(np.arange(4)[:, None, None] == 2, np.nan, halt()),
+            "nan .lot 2, agent 0",
+        ),
+        (np.full((4, 3, 2), np.inf), "finite numbers, not inf"),
+    ],
+)
+def test_impossible_actions_are_refused(action, message):
+    lots = batch()
+    lots.reset_numpy(0)
+    with pytest.raises(ValueError, match=message):
+        lots.step_numpy(action)
+    lots.step_numpy(halt())  # and nothing is broken
+
+
+@pytest.mark.parametrize(
+    ("seed", "message"),
+    [
+        (-1, r"\[0, 2\*\*32\), not -1"),
+        (2**32, r"\[0, 2\*\*32\)"),
+        ([1, 2], "one for each of 4 lots"),
+    ],
+)
+def test_impossible_seeds_are_refused(seed, message):
+    with pytest.raises(ValueError, match=message):
+        batch().reset(seed)
+
+
+def test_a_batch_has_at_least_one_lot():
+    with pytest.raises(ValueError, match="at least 1, not 0"):
+        Batch(sliding()[0], 0)

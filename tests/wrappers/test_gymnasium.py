@@ -1,0 +1,249 @@
+"""The Gymnasium environments: Gymnasium's own checks, and one as many."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.passive_env_checker import env_render_passive_checker
+from gymnasium.vector import AutoresetMode
+
+from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.registration import ENTRY_POINTS
+from carpark_mj.rendering.renderer import RenderingError
+
+SINGLE = [name for name, (single, _) in ENTRY_POINTS.items() if single]
+PARK, GOAL, MANY = ENTRY_POINTS
+SHORT = EnvConfig(episode=EpisodeConfig(max_steps=5))
+AHEAD = np.array([0.0, 1.0], np.float32)
+
+
+def make(name=PARK, **options):
+    return gymnasium.make(name, **options).unwrapped
+
+
+def leaves(observation):
+    """Its arrays, whether it is one, a dictionary or a list of them."""
+    if isinstance(observation, dict):
+        return list(observation.values())
+    return observation if isinstance(observation, list) else [observation]
+
+
+def assert_close(one, other):
+    # Single and batched programs may round differently.
+    for a, b in zip(leaves(one), leaves(other), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_gymnasium_finds_no_fault(name):
+    # It would open a window as well; pictures are looked at below.
+    check_env(make(name), skip_render_check=True)  # a warning is an error here
+
+
+@pytest.mark.parametrize("name", SINGLE)
+@pytest.mark.parametrize("physics", ["mjx", "bicycle"])
+def test_observations_keep_to_their_space(name, physics):
+    vector = gymnasium.make_vec(name, 32, physics=physics)
+    observation, _ = vector.reset(seed=1)
+    vector.action_space.seed(1)
+    for step in range(150):
+        assert observation in vector.observation_space
+        actions = vector.action_space.sample()
+        actions[::2] = (0.2, 1.0) if step < 40 else (0.0, -1.0)
+        observation, *_ = vector.step(actions)
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_each_of_many_has_the_episodes_of_one(name):
+    count = 3
+    vector = gymnasium.make_vec(name, count, config=SHORT)
+    assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    singles = [make(name, config=SHORT) for _ in range(count)]
+    seen, infos = vector.reset(seed=4)
+    assert infos == {}
+    for index, env in enumerate(singles):
+        first, info = env.reset(seed=4 + index)
+        assert info == {}
+        assert_close([leaf[index] for leaf in leaves(seen)], leaves(first))
+    vector.action_space.seed(0)
+    for _ in range(12):  # two ends of time and more
+        actions = vector.action_space.sample()
+        seen, reward, terminated, truncated, infos = vector.step(actions)
+        for index, env in enumerate(singles):
+            after, *rest, info = env.step(actions[index])
+            expected = reward[index], terminated[index], truncated[index]
+            np.testing.assert_allclose(rest, expected, atol=1e-4)
+            done = rest[1] or rest[2]
+            told = infos["final_info"] if done else infos
+            for key, value in info.items():
+                assert told[key][index] == value
+                assert told[f"_{key}"][index]
+            if done:
+                assert_close(infos["final_obs"][index], after)
+                after, _ = env.reset()
+            assert_close([leaf[index] for leaf in leaves(seen)], leaves(after))
+        assert ("final_obs" in infos) == bool((terminated | truncated).any())
+
+
+def test_gymnasiums_wrappers_work_on_the_vector_environment():
+    vector = gymnasium.make_vec(PARK, 4, config=SHORT)
+    vector = gymnasium.wrappers.vector.RecordEpisodeStatistics(vector)
+    vector.reset(seed=0)
+    for _ in range(5):
+        *_, infos = vector.step(np.zeros((4, 2), np.float32))
+    assert infos["episode"]["l"].tolist() == [5] * 4
+
+
+def test_agents_of_many_share_lots_and_begin_alone():
+    vector = gymnasium.make_vec(MANY, 6, agents=3, config=SHORT)
+    observation, _ = vector.reset(seed=2)
+    assert observation.shape == vector.observation_space.shape
+    assert vector.num_lots == 2
+    for _ in range(5):
+        seen, _, _, truncated, infos = vector.step(np.zeros((6, 2), np.float32))
+    assert truncated.all()
+    final = np.stack(infos["final_obs"])
+    assert final.shape == seen.shape
+    assert not np.isclose(final, seen).all(axis=1).any()
+    vector.step(np.zeros((6, 2), np.float32))
+
+
+def test_an_ended_episode_needs_a_reset():
+    env = make(config=SHORT)
+    with pytest.raises(ResetNeeded, match="call reset"):
+        env.step(AHEAD)
+    env.reset(seed=0)
+    while not any(env.step(AHEAD)[2:4]):
+        pass
+    with pytest.raises(ResetNeeded, match="call reset"):
+        env.step(AHEAD)
+    env.reset()
+    env.step(AHEAD)
+
+
+def test_a_vector_environment_needs_a_reset_too():
+    with pytest.raises(ResetNeeded, match="call reset"):
+        gymnasium.make_vec(PARK, 2, config=SHORT).step(np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.zeros(3), r"an action must have the shape \(2,\), not \(3,\)"),
+        (np.array([np.nan, 0.0]), "finite numbers, not nan"),
+    ],
+)
+def test_impossible_actions_are_refused(action, message):
+    env = make(config=SHORT)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
+        env.step(action)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "error", "message"),
+    [
+        (PARK, {"agents": 2}, TypeError, "unknown option 'agents'"),
+        (GOAL, {"reward": "shaped"}, TypeError, "unknown option 'reward'"),
+        (PARK, {"render_mode": "ansi"}, ValueError, "unknown render_mode 'ansi'"),
+        (PARK, {"config": "dynamic"}, ValueError, "goals.dynamic must be False"),
+        (MANY, {"agents": 3}, ValueError, "multiple of the number of agents, 3, not 4"),
+        (MANY, {"config": "anywhere"}, ValueError, "min_agents must be None"),
+        (MANY, {"config": "square", "agents": 0}, ValueError, "at least 1, not 0"),
+    ],
+)
+def test_impossible_options_are_refused(name, options, error, message):
+    with pytest.raises(error, match=message):
+        gymnasium.make_vec(name, 4, **options)
+
+
+def test_there_is_no_single_environment_of_many():
+    with pytest.raises(gymnasium.error.Error, match="entry_point is not specified"):
+        gymnasium.make(MANY)
+
+
+def test_the_grid_has_indices_for_actions():
+    env = make(config="tanner-qlearning")
+    check_env(env, skip_render_check=True)
+    assert env.action_space == gymnasium.spaces.MultiDiscrete([3, 3], dtype=np.int32)
+
+
+def test_pictures_show_the_lot_and_what_has_moved():
+    env = make(render_mode="rgb_array", layout="street")
+    env.reset(seed=0)
+    before = env.render()
+    assert before.shape == (540, 960, 3)
+    assert before.std() > 10
+    env.step(AHEAD)
+    env.step(AHEAD)
+    assert np.abs(env.render().astype(int) - before).max() > 50
+    env.reset(seed=1)  # another street
+    assert np.abs(env.render().astype(int) - before).mean() > 1
+    env_render_passive_checker(env)
+    env.close()
+    env.close()
+
+
+def test_pictures_are_collected_and_there_is_one_of_each_lot():
+    env = gymnasium.make(PARK, render_mode="rgb_array_list")
+    env.reset(seed=0)
+    env.step(AHEAD)
+    assert [frame.shape for frame in env.render()] == [(540, 960, 3)] * 2
+    vector = gymnasium.make_vec(PARK, 2, render_mode="rgb_array")
+    vector.reset(seed=0)
+    one, other = vector.render()
+    assert (one != other).any()
+    vector.close()
+
+
+def test_a_window_without_a_display_is_refused(monkeypatch):
+    def fail(*_):
+        raise RuntimeError("no DISPLAY")
+
+    monkeypatch.setattr("mujoco.viewer.launch_passive", fail)
+    env = make(render_mode="human", config=SHORT)
+    with pytest.raises(RenderingError, match="needs a display"):
+        env.reset(seed=0)
+
+
+def test_a_window_shows_every_step(monkeypatch):
+    class Window:
+        synced = closed = 0
+
+        def sync(self):
+            self.synced += 1
+
+        def close(self):
+            self.closed += 1
+
+    window = Window()
+    monkeypatch.setattr("mujoco.viewer.launch_passive", lambda *_: window)
+    env = make(render_mode="human", config=SHORT)
+    env.reset(seed=0)
+    env.step(AHEAD)
+    assert env.render() is None
+    env.close()
+    assert (window.synced, window.closed) == (2, 1)
+
+
+def test_importing_the_package_registers_the_ids_and_loads_no_simulator():
+    code = (
+        "import sys, gymnasium, carpark_mj\n"
+        "print(*sorted(n for n in gymnasium.registry if n[:7] == 'carpark'))\n"
+        "print({'jax', 'mujoco', 'torch'} & {*sys.modules})"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        cwd=Path(__file__).parents[2],
+        env=dict(os.environ),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines() == [" ".join(sorted(ENTRY_POINTS)), "set()"]

@@ -1,0 +1,125 @@
+"""Goals as poses: their reward on arrays, and what may be relabelled."""
+
+import dataclasses
+import math
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.wrappers.goal import GoalParking, PoseReward
+
+GOAL = "carpark_mj/ParkGoal-v0"
+ONE = EnvConfig(num_agents=1, episode=EpisodeConfig(respawn=False))
+
+
+@pytest.fixture(scope="module")
+def goal():
+    return GoalParking(ParkingEnv(ONE), PoseReward())
+
+
+def moved(env, state, pose):
+    physics = env.physics.init(jnp.asarray([pose], jnp.float32), state.physics.vehicle)
+    return state.replace(physics=physics, motion=env.physics.read(physics))
+
+
+def test_the_reward_is_the_weighted_norm_of_highway_env():
+    # Worked by hand: 0.64 m along x is 0.0064, whose root is 0.08; 1 rad askew besides
+    # adds 0.02 (1 - cos 1 + sin 1).
+    norm = PoseReward().norm
+    at = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    off = np.array([0.0064, 0.0, 3.0, 3.0, 1.0, 0.0])
+    askew = np.array([0.0064, 0.0, 0.0, 0.0, math.cos(1), math.sin(1)])
+    turned = math.sqrt(0.0064 + 0.02 * (1 - math.cos(1) + math.sin(1)))
+    found = norm(np.stack([at, off, askew]), at)
+    np.testing.assert_allclose(found, [0.0, 0.08, turned], rtol=1e-5)
+
+
+def test_steps_pay_what_compute_reward_says_one_by_one_and_all_at_once():
+    env = gymnasium.make_vec(GOAL, 16)
+    single = gymnasium.make(GOAL).unwrapped
+    env.reset(seed=0)
+    actions = np.tile(np.array([0.0, 1.0], np.float32), (16, 1))
+    crashes = 0
+    for _ in range(60):
+        observation, reward, terminated, truncated, infos = env.step(actions)
+        done, final = terminated | truncated, infos.get("final_info", infos)
+        crashed = np.where(done, final["crashed"], infos["crashed"])
+        seen = [
+            infos["final_obs"][i]
+            if done[i]
+            else {k: v[i] for k, v in observation.items()}
+            for i in range(16)
+        ]
+        achieved, desired = (
+            np.stack([each[name] for each in seen])
+            for name in ("achieved_goal", "desired_goal")
+        )
+        rows = [{"crashed": value} for value in crashed]
+        paid = single.compute_reward(achieved, desired, rows)
+        np.testing.assert_allclose(paid, reward, atol=1e-5)
+        first = single.compute_reward(achieved[0], desired[0], rows[0])
+        assert first == pytest.approx(reward[0], abs=1e-5)
+        relabelled = single.compute_reward(achieved, achieved, [{}])
+        np.testing.assert_array_equal(relabelled, 0.0)
+        crashes += crashed.sum()
+    assert crashes > 0
+
+
+def test_the_goal_is_seen_in_the_desired_goal_alone(goal):
+    state, vector = jax.jit(goal.reset)(jax.random.key(0))
+    other = dataclasses.replace(state, goal=(state.goal + 7) % 36)
+    act = jnp.zeros((1, 2))
+    step = jax.jit(goal.step)
+    one, two = (goal.split(step(s, act)[1].observation) for s in (state, other))
+    np.testing.assert_array_equal(one["observation"], two["observation"])
+    np.testing.assert_array_equal(one["achieved_goal"], two["achieved_goal"])
+    assert not np.allclose(one["desired_goal"], two["desired_goal"])
+    assert vector.shape == (1, goal.observation_size)
+
+
+def test_a_car_nose_in_in_the_middle_of_its_goal_has_reached_it(goal):
+    state, _ = jax.jit(goal.reset)(jax.random.key(0))
+    step = jax.jit(goal.step)
+    bay = np.asarray(state.layout.bay_pose[state.goal[0]])
+    nose_in = bay + np.array([0.0, 0.0, math.pi])
+    after, timestep = step(moved(goal.parking, state, nose_in), jnp.zeros((1, 2)))
+    seen = goal.split(np.asarray(timestep.observation))
+    np.testing.assert_allclose(seen["achieved_goal"], seen["desired_goal"], atol=1e-3)
+    assert timestep.terminated.all()
+    assert timestep.reward[0] == pytest.approx(0.0, abs=0.03)
+    assert not after.active.any()
+    # Backed in it is parked, though not in the goal pose.
+    _, timestep = step(moved(goal.parking, state, bay), jnp.zeros((1, 2)))
+    assert timestep.terminated.all()
+    assert timestep.reward[0] == pytest.approx(-math.sqrt(0.04), abs=0.01)
+    # In the middle of the lot it is neither.
+    centre = [0.0, 0.0, bay[2]]
+    _, timestep = step(moved(goal.parking, state, centre), jnp.zeros((1, 2)))
+    assert not timestep.terminated.any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"weights": (1.0, 1.0)}, "6 numbers of at least 0"),
+        ({"weights": (1.0, 1.0, -1.0, 0.0, 0.0, 0.0)}, "6 numbers of at least 0"),
+        ({"power": 0.0}, "power must be positive"),
+        ({"threshold": -1.0}, "threshold must be positive"),
+        ({"crash": -1.0}, "crash must be at least 0"),
+    ],
+)
+def test_impossible_rewards_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        PoseReward(**changes)
+
+
+def test_goal_poses_are_for_one_agent_that_stays():
+    with pytest.raises(ValueError, match="num_agents = 1"):
+        GoalParking(ParkingEnv(EnvConfig(num_agents=1)), PoseReward())
+    with pytest.raises(ValueError, match="encoding 'continuous', not IndexObservation"):
+        gymnasium.make(GOAL, config="tanner-qlearning")

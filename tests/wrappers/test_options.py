@@ -1,0 +1,59 @@
+"""Options by keyword: what they set, and what is refused."""
+
+import dataclasses
+
+import pytest
+
+from carpark_mj.config import EnvConfig, EpisodeConfig, reward_preset
+from carpark_mj.registry import SQUARE
+from carpark_mj.wrappers.options import OPTIONS, configure, shared_env
+
+
+def test_every_option_sets_its_field():
+    found = configure(
+        {
+            "layout": "compact",
+            "agents": 3,
+            "parked_cars": 5,
+            "rule": "precise",
+            "reward": "tanner",
+            "physics": "bicycle",
+        }
+    )
+    assert found == EnvConfig(
+        layout="compact",
+        num_agents=3,
+        num_parked_cars=5,
+        episode=EpisodeConfig(parked_rule="precise"),
+        reward=reward_preset("tanner"),
+        physics="bicycle",
+    )
+
+
+def test_options_change_a_config_or_a_named_environment():
+    assert configure({"config": "square"}) == SQUARE
+    few = configure({"config": SQUARE, "agents": 2})
+    assert few == dataclasses.replace(SQUARE, num_agents=2)
+    assert configure({}) == EnvConfig()
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"agent": 2}, TypeError, "unknown option 'agent'; choose from .*'agents'"),
+        ({"layout": "mars"}, ValueError, "unknown layout 'mars'; choose from"),
+        ({"rule": "near"}, ValueError, "unknown parked_rule 'near'; choose from"),
+        ({"reward": "none"}, ValueError, "unknown reward 'none'; choose from"),
+        ({"physics": "box2d"}, ValueError, "unknown physics 'box2d'; choose from"),
+        ({"agents": 0}, ValueError, "num_agents must be at least 1, not 0"),
+        ({"config": "moon"}, ValueError, "unknown environment 'moon'; choose from"),
+        ({"config": 3}, ValueError, "an EnvConfig or a name, not 3"),
+    ],
+)
+def test_impossible_options_are_refused(options, error, message):
+    with pytest.raises(error, match=message):
+        configure(options, OPTIONS)
+
+
+def test_an_environment_is_made_once():
+    assert shared_env(EnvConfig(num_agents=1)) is shared_env(EnvConfig(num_agents=1))
