@@ -24,6 +24,7 @@ _HOMES = {
     "SpawnConfig": "carpark_mj.config",
     "load_policy": "carpark_mj.policy.loading",
     "make_layout": "carpark_mj.layouts",
+    "parallel_env": "carpark_mj.wrappers.pettingzoo",
 }
 
 __all__ = [*sorted(_HOMES), "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -9,8 +9,9 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import OUTCOMES
 from carpark_mj.evaluation.rollout import evaluation_key
 from carpark_mj.policy.networks import Policy, as_argument
-from carpark_mj.rendering.snapshot import aimed_at
+from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.types import State, TimeStep
 
 
 class LiveLot:
@@ -22,6 +23,7 @@ class LiveLot:
         goal_pose: (agents, 3) goal bays; NaN for agents that explore.
         goal_size: (agents, 2) sizes of goal bays [m]; NaN for agents that explore.
         seconds: simulated time since the start [s].
+        traces: traced poses in a control step.
     """
 
     def __init__(self, env: ParkingEnv, policy: Policy, seed: int) -> None:
@@ -46,9 +48,9 @@ class LiveLot:
             env.fleet.agents,
             env.fleet.parked_vehicles(np.asarray(state.parked_cars.size)),
         )
-        traces = self._run_once()
+        self.traces = self._run_once()
         # One call of `step` is one traced pose.
-        self.stage.model.opt.timestep = config.sim.ctrl_dt / traces
+        self.stage.model.opt.timestep = config.sim.ctrl_dt / self.traces
         self.reset()
 
     def _control_step(self, policy, carry, key):
@@ -61,9 +63,20 @@ class LiveLot:
             "size": timestep.motion.size[: self._count],
             "parked_pose": state.parked_cars.pose_w,
             "goal": after.goal[: self._count],
+            **self._record(state, observation, action, timestep),
             **{name: getattr(timestep.events, name).sum() for name in OUTCOMES},
         }
         return (after, timestep.observation), seen
+
+    def _record(
+        self,
+        state: State,
+        observation: jax.Array,
+        action: jax.Array,
+        timestep: TimeStep,
+    ) -> dict[str, jax.Array]:
+        """What else to keep of a control step, by name; nothing here."""
+        return {}
 
     def _run_once(self) -> int:
         """Compiles; returns the number of poses traced in a control step."""
@@ -80,16 +93,21 @@ class LiveLot:
         self._aim(np.asarray(state.goal[: self._count]))
         motion = jax.tree.map(lambda x: x[: self._count], state.motion)
         self.stage.reset()
-        self.stage.place(
+        self._place(
             np.asarray(motion.pose_w),
             np.asarray(motion.steering),
             np.asarray(state.parked_cars.pose_w),
             np.asarray(motion.size),
         )
 
+    @property
+    def begins(self) -> bool:
+        """Whether the next call of `step` begins a control step."""
+        return self._seen is None or self._trace == len(self._seen["pose_w"])
+
     def step(self) -> bool:
         """Advances by one traced pose; True if a control step has begun with it."""
-        begins = self._seen is None or self._trace == len(self._seen["pose_w"])
+        begins = self.begins
         if begins:
             key = jax.random.fold_in(self._key, self._steps)
             self._carry, seen = self._step(self._policy, self._carry, key)
@@ -102,13 +120,35 @@ class LiveLot:
         seen = self._seen
         assert seen is not None
         pose = seen["pose_w"][self._trace]
-        self.stage.place(pose, seen["steering"], seen["parked_pose"], seen["size"])
+        self._place(pose, seen["steering"], seen["parked_pose"], seen["size"])
         self._trace += 1
         return begins
+
+    def snapshot(self) -> Snapshot:
+        """The present instant, as pictures show it."""
+        pose_w, steering, parked_pose, size = self._shown
+        return Snapshot(
+            seconds=self.seconds,
+            pose_w=pose_w,
+            steering=steering,
+            goal_pose=self.goal_pose,
+            goal_size=self.goal_size,
+            parked_pose=parked_pose,
+            active=np.ones(len(pose_w), bool),
+            state=("",) * len(pose_w),
+            tally=dict(self.tally()),
+            flashes=(),
+            size=size,
+        )
+
+    def _place(self, *shown: np.ndarray) -> None:
+        """Places poses, steering, parked cars' poses and sizes; see `Stage.place`."""
+        self._shown = shown
+        self.stage.place(*shown)
 
     def _aim(self, goal: np.ndarray) -> None:
         self.goal_pose, self.goal_size = aimed_at(self._layout, goal)
 
-    def tally(self) -> Iterator[tuple[str, int]]:
+    def tally(self) -> Iterator[tuple[str, float]]:
         """Episodes ended so far, by outcome."""
         return iter(self._ended.items())

@@ -45,7 +45,7 @@ class Snapshot:
         parked_pose: (parked cars, 3) footprint centres.
         active: (agents,) bool, the agent's episode is running.
         state: a word or two per agent: what it does, or how its episode ended.
-        tally: episodes ended so far, by outcome.
+        tally: numbers to show by name: episodes ended so far, by outcome.
         flashes: episodes that ended a moment ago.
         size: (agents, 2) footprints [m]; None if all are equal.
     """
@@ -58,7 +58,7 @@ class Snapshot:
     parked_pose: np.ndarray
     active: np.ndarray
     state: tuple[str, ...]
-    tally: dict[str, int]
+    tally: dict[str, float]
     flashes: tuple[Flash, ...]
     size: np.ndarray | None = None
 

@@ -9,6 +9,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.window import NO_DISPLAY, has_display
 from carpark_mj.types import State
 
 SIZE = 960, 540  # pixels
@@ -49,6 +50,8 @@ class Screen:
         Raises:
             RenderingError: there is no display.
         """
+        if not has_display():  # MuJoCo's viewer would end the program
+            raise RenderingError(f"render_mode 'human': {NO_DISPLAY}")
         stage, _ = self._place(state, lot)
         if self._window is None:
             import mujoco.viewer

@@ -1,0 +1,285 @@
+"""Drive a car yourself: keyboard or gamepad in a window, or a page for a browser.
+
+python -m carpark_mj.play --layout street
+python -m carpark_mj.play --policy square --camera chase:0
+python -m carpark_mj.play --replay runs/play/drive-0.npz --video drive.mp4
+
+Keys: arrows or WASD steer and drive, space brakes, R restarts the lot, N takes the next
+one, Q ends. Gamepad: left stick, right trigger ahead, left trigger back. Without a
+display a page is served instead, with a steering wheel and a pedal to pull.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.rendering.window import Window, has_display
+
+if not has_display():
+    choose_gl()  # before MuJoCo is imported; windows have an OpenGL of their own
+
+from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.cli.driver import command_help, find_driver
+from carpark_mj.cli.scene import SceneConfig, default_env, env_config
+from carpark_mj.env import ParkingEnv
+from carpark_mj.play.controls import KEYS, Controls, from_gamepad, from_keys, stop
+from carpark_mj.play.demonstration import Demonstration, load_demonstration
+from carpark_mj.play.driven import DrivenLot
+from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.policy.networks import Policy
+from carpark_mj.rendering.renderer import RenderingError
+from carpark_mj.rendering.web import HOST, PORT, make_live_viewer, require_web
+
+PROGRAM = "python -m carpark_mj.play"
+COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
+
+
+@dataclasses.dataclass(frozen=True)
+class PlayConfig:
+    """Settings of `python -m carpark_mj.play`.
+
+    Attributes:
+        layout: name of a lot or a family, or a layout file; default `square`, or the
+            policy's.
+        policy: pretrained policy, run folder or checkpoint file that drives the other
+            cars; without one they stand.
+        num_agents: cars, yours included; default 1, or as the policy was trained.
+        num_parked_cars: default 16, or as many as a smaller lot has room for, or as the
+            policy was trained.
+        vehicle: preset of all cars; default `compact`, or the policy's.
+        seed: of the lot; the next lot has the next.
+        view: `window`, or `web` for a page on this machine; default by whether there is
+            a display.
+        camera: of the window: `topdown`, `overview`, `chase:0`, `driver:0` or `split`.
+        out: folder in which every drive is saved as drive-K.npz.
+        replay: a saved drive to look at instead.
+        video: `.mp4` or `.gif` to write the replay to.
+        port: of the page.
+    """
+
+    layout: str | None = None
+    policy: str = ""
+    num_agents: int | None = None
+    num_parked_cars: int | None = None
+    vehicle: str | None = None
+    seed: int = 0
+    view: Literal["", "window", "web"] = ""
+    camera: str = "split"
+    out: str = "runs/play"
+    replay: str = ""
+    video: str = ""
+    port: int = PORT
+
+    def __post_init__(self) -> None:
+        if self.video and not self.replay:
+            raise ValueError("video needs a drive to show: give --replay FILE.npz")
+
+    @property
+    def shown_in(self) -> str:
+        """`window` or `web`."""
+        return self.view or ("window" if has_display() else "web")
+
+
+def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
+    """The environment to drive in, and who drives the other cars."""
+    scene = SceneConfig(
+        layout=config.layout,
+        view="web",
+        num_agents=config.num_agents if config.policy else config.num_agents or 1,
+        num_parked_cars=config.num_parked_cars,
+        vehicle=config.vehicle,
+    )
+    if config.policy:
+        driver = find_driver(config.policy)
+        env = ParkingEnv(env_config(scene, driver.env))
+        return env, driver.policy(env)
+    env = ParkingEnv(env_config(scene, default_env(scene)))
+    return env, zero_policy(env.action_spec)
+
+
+def replay(demonstration: Demonstration) -> DrivenLot:
+    """The lot of a recorded drive, in which everybody does the same again."""
+    env = ParkingEnv(demonstration.config)
+    step = 0
+
+    def read(lot: DrivenLot) -> np.ndarray:
+        nonlocal step
+        step = 0 if lot.seconds == 0.0 else step + 1
+        return demonstration.actions[min(step, len(demonstration) - 1)]
+
+    others = zero_policy(env.action_spec)
+    return DrivenLot(env, others, demonstration.seed, read)
+
+
+def save(lot: DrivenLot, folder: Path) -> None:
+    """Saves what has been driven, if anything, under the next free number."""
+    demonstration = lot.demonstration
+    if demonstration is None:
+        return
+    number = 0
+    while (path := folder / f"drive-{number}.npz").exists():
+        number += 1
+    demonstration.save(path)
+    score = f"score {lot.score:.1f}"
+    print(f"saved {path}: {lot.seconds:.0f} s, {score}", flush=True)
+
+
+def pad(action: np.ndarray, size: int) -> np.ndarray:
+    """Actions (1, size) of agent 0, its goal choice that of tracking the first bay."""
+    return np.concatenate([action, np.ones(size - 2, np.float32)])[None]
+
+
+def play_in_window(config: PlayConfig) -> None:
+    """Drives in a window until it is closed; every drive is saved."""
+    from carpark_mj.play.picture import SIZE, Picture
+
+    env, others = make_env(config)
+    window = Window("carpark_mj", SIZE)
+    controls, seed = Controls(), config.seed
+
+    def read(lot: DrivenLot) -> np.ndarray:
+        nonlocal controls
+        gamepad = window.gamepad()
+        held = window.held(KEYS)
+        if gamepad is not None and not held:
+            controls = from_gamepad(gamepad[0])
+        else:
+            controls = from_keys(held, controls, lot.speed, env.config.sim.ctrl_dt)
+        return pad(controls.action, env.action_spec.size)
+
+    wanted = "N"
+    try:
+        while wanted == "N":
+            lot = DrivenLot(env, others, seed, read)
+            picture = Picture(lot, config.camera)
+            wanted, seed = "R", seed + 1
+            try:
+                while wanted == "R":
+                    wanted = _drive(lot, picture.draw, window)
+                    save(lot, Path(config.out))
+                    lot.reset()
+            except BaseException:
+                save(lot, Path(config.out))
+                raise
+            finally:
+                picture.close()
+    finally:
+        window.close()
+
+
+def _drive(lot: DrivenLot, draw: Callable[[], np.ndarray], window: Window) -> str:
+    """Drives in real time until a key of `COMMANDS` is pressed; returns that."""
+    while window.held(COMMANDS):  # until the last one is released
+        window.show(draw())
+    due = time.monotonic()
+    while not window.closed:
+        lot.step()
+        window.show(draw())
+        pressed = window.held(COMMANDS)
+        if pressed:
+            return min(pressed)
+        due = max(due + lot.stage.model.opt.timestep, time.monotonic() - 1.0)
+        time.sleep(max(0.0, due - time.monotonic()))
+    return "Q"
+
+
+def serve_wheel(config: PlayConfig) -> tuple[Any, DrivenLot, dict[str, Any]]:
+    """Serves a lot to drive in a browser.
+
+    Returns:
+        The viewer, whose `run` never returns, the lot, and the sliders `wheel` and
+        `pedal`.
+    """
+    require_web()  # before the work
+    env, others = make_env(config)
+    held: dict[str, Any] = {}
+
+    def read(lot: DrivenLot) -> np.ndarray:
+        steer, pedal = (held[k].value if held else 0.0 for k in ("wheel", "pedal"))
+        return pad(Controls(-steer, pedal).action, env.action_spec.size)
+
+    lot = DrivenLot(env, others, config.seed, read)
+    viewer, server = make_live_viewer(lot, config.port)
+    with server.gui.add_folder("Drive"):
+        held["wheel"] = server.gui.add_slider("Wheel, right > 0", -1.0, 1.0, 0.05, 0.0)
+        held["pedal"] = server.gui.add_slider("Pedal, ahead > 0", -1.0, 1.0, 0.05, 0.0)
+        straight = server.gui.add_button("Straight")
+        brake = server.gui.add_button("Brake")
+        saving = server.gui.add_button("Save drive")
+
+    @straight.on_click
+    def _(_: Any) -> None:
+        held["wheel"].value = 0.0
+
+    @brake.on_click
+    def _(_: Any) -> None:
+        held["pedal"].value = stop(lot.speed)
+
+    @saving.on_click
+    def _(_: Any) -> None:
+        save(lot, Path(config.out))
+
+    print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
+    return viewer, lot, held
+
+
+def show_replay(config: PlayConfig) -> None:
+    """Shows a recorded drive: as a video, in a window or in a browser."""
+    demonstration = load_demonstration(Path(config.replay))
+    lot = replay(demonstration)
+    if config.video:
+        from carpark_mj.play.picture import film
+
+        count = film(lot, config.camera, len(demonstration), Path(config.video))
+        print(f"wrote {config.video}: {count} frames")
+    elif config.shown_in == "web":
+        require_web()
+        viewer, server = make_live_viewer(lot, config.port)
+        print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
+        viewer.run()
+    else:
+        from carpark_mj.play.picture import SIZE, Picture
+
+        window, picture = Window("carpark_mj", SIZE), Picture(lot, config.camera)
+        while _drive(lot, picture.draw, window) == "R":
+            lot.reset()
+
+
+def main(config: PlayConfig) -> None:
+    """Plays, or replays.
+
+    Raises:
+        CheckpointError: the policy cannot be read.
+        ValueError: impossible settings, or a file that is no drive.
+        OSError: a file cannot be read or written, or the browser view is missing.
+    """
+    keep_compiled_programs()
+    if config.replay:
+        show_replay(config)
+    elif config.shown_in == "window":
+        play_in_window(config)
+    else:
+        viewer, lot, _ = serve_wheel(config)
+        try:
+            viewer.run()
+        finally:
+            save(lot, Path(config.out))
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command("play", lambda: _run(arguments), (RenderingError,))
+
+
+def _run(arguments: Sequence[str] | None) -> None:
+    try:
+        from carpark_mj.cli.flags import read_flags
+    except ImportError:
+        raise OSError("flags need tyro: pip install 'carpark_mj[eval]'") from None
+    description = command_help(__doc__)
+    main(read_flags(PlayConfig, arguments, description=description, prog=PROGRAM))

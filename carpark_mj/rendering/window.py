@@ -1,0 +1,80 @@
+"""A window that shows pictures and tells which keys and gamepad controls are held."""
+
+import os
+import sys
+from typing import Any
+
+import numpy as np
+
+NO_DISPLAY = "no display to open a window on (DISPLAY and WAYLAND_DISPLAY are unset)"
+
+
+def has_display() -> bool:
+    """Whether a window can be opened."""
+    wanted = ("DISPLAY", "WAYLAND_DISPLAY")
+    return sys.platform != "linux" or any(os.environ.get(name) for name in wanted)
+
+
+class Window:
+    """A window of GLFW's, in which MuJoCo draws the pixels."""
+
+    def __init__(self, title: str, size: tuple[int, int]) -> None:
+        """Opens it.
+
+        Args:
+            title: in its bar.
+            size: width and height of the pictures [pixels].
+
+        Raises:
+            OSError: there is no display.
+        """
+        if not has_display():
+            raise OSError(NO_DISPLAY)
+        import glfw
+        import mujoco
+
+        if not glfw.init():
+            raise OSError(NO_DISPLAY)
+        glfw.window_hint(glfw.RESIZABLE, False)
+        self._glfw, self._draw = glfw, mujoco.mjr_drawPixels
+        self._window: Any = glfw.create_window(*size, title, None, None)
+        glfw.make_context_current(self._window)
+        empty = mujoco.MjModel.from_xml_string("<mujoco/>")
+        self._context = mujoco.MjrContext(empty, mujoco.mjtFontScale.mjFONTSCALE_100)
+        self._viewport = mujoco.MjrRect(0, 0, *size)
+
+    def show(self, picture: np.ndarray) -> None:
+        """Shows a picture (height, width, 3) uint8 and reads the keys."""
+        self._glfw.make_context_current(self._window)
+        flipped = np.ascontiguousarray(picture[::-1]).ravel()
+        self._draw(flipped, None, self._viewport, self._context)
+        self._glfw.swap_buffers(self._window)
+        self._glfw.poll_events()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the user has closed it."""
+        return bool(self._glfw.window_should_close(self._window))
+
+    def held(self, names: tuple[str, ...]) -> set[str]:
+        """Which of some keys are held, by GLFW's names without `KEY_`."""
+        glfw = self._glfw
+        return {
+            name
+            for name in names
+            if glfw.get_key(self._window, getattr(glfw, f"KEY_{name}")) == glfw.PRESS
+        }
+
+    def gamepad(self) -> tuple[list[float], list[int]] | None:
+        """Axes and buttons of the first gamepad in GLFW's order; None without one."""
+        glfw = self._glfw
+        if not glfw.joystick_is_gamepad(glfw.JOYSTICK_1):
+            return None
+        state = glfw.get_gamepad_state(glfw.JOYSTICK_1)
+        return (list(state.axes), list(state.buttons)) if state else None
+
+    def close(self) -> None:
+        """Closes it."""
+        self._glfw.make_context_current(self._window)
+        self._context.free()
+        self._glfw.destroy_window(self._window)

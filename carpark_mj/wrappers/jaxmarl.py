@@ -1,0 +1,113 @@
+"""A lot as a JaxMARL environment: dicts by agent, everything under `jit` and `vmap`."""
+
+# The library may be absent, and its environments all override its type of states.
+# pyright: basic, reportMissingImports=false, reportIncompatibleMethodOverride=false
+
+import dataclasses
+from functools import partial
+from typing import Unpack
+
+import jax
+import jax.numpy as jnp
+from jaxmarl.environments.multi_agent_env import MultiAgentEnv
+from jaxmarl.environments.spaces import Box, Discrete
+
+from carpark_mj.evaluation.aggregation import OUTCOMES
+from carpark_mj.types import State
+from carpark_mj.wrappers.action_table import action_table
+from carpark_mj.wrappers.joint import joint_env
+from carpark_mj.wrappers.options import Options, configure
+from carpark_mj.wrappers.spaces import observation_space
+
+Arrays = dict[str, jax.Array]
+
+
+class JaxMarlParking(MultiAgentEnv):
+    """A lot whose agents have one episode each; `step` resets it when all have ended.
+
+    Observations (observation_size,), rewards () and dones () are dicts by agent;
+    `dones["__all__"]` is that of the lot. An agent whose episode has ended stays done,
+    observes zeros and earns nothing. Infos are (num_agents,) bool by outcome, True in
+    the step in which an episode ends.
+    """
+
+    def __init__(self, *, discrete: bool = False, **options: Unpack[Options]) -> None:
+        """Builds the environment.
+
+        Args:
+            discrete: actions are () rows of `action_table`, as for Q-learning;
+                otherwise (2,) steer and pedal.
+            **options: see `carpark_mj.wrappers.options.Options`.
+
+        Raises:
+            TypeError: unknown option.
+            ValueError: impossible value, or continuous actions with parts that are not.
+        """
+        config = configure(options)
+        super().__init__(config.num_agents)
+        self._env = joint_env(config)
+        spec = self._env.action_spec
+        if spec.choices and not discrete:
+            raise ValueError(
+                "the grid and chosen goals have actions that are indices: give "
+                "discrete=True"
+            )
+        self._table = jnp.asarray(action_table(spec)) if discrete else None
+        box = observation_space(config)
+        seen = Box(jnp.asarray(box.low), jnp.asarray(box.high), box.shape)
+        act = Box(-1.0, 1.0, (spec.size,))
+        if self._table is not None:
+            act = Discrete(len(self._table))
+        self._action_shape = (self.num_agents, *act.shape)
+        self.observation_spaces = dict.fromkeys(self.agents, seen)
+        self.action_spaces = dict.fromkeys(self.agents, act)
+
+    @partial(jax.jit, static_argnums=(0,))
+    def reset(self, key: jax.Array) -> tuple[Arrays, State]:
+        """Starts a lot; `key` is consumed."""
+        state, observation = self._env.reset(key)
+        return self._by_agent(observation), state
+
+    def step_env(
+        self, key: jax.Array, state: State, actions: Arrays
+    ) -> tuple[Arrays, State, Arrays, Arrays, Arrays]:
+        """A step without reset; `key` is consumed, instead of the state's own.
+
+        Raises:
+            ValueError: actions of another shape.
+        """
+        action = jnp.stack([actions[agent] for agent in self.agents])
+        if action.shape != self._action_shape:
+            raise ValueError(
+                f"actions must be of shape {self._action_shape}, not {action.shape}"
+            )
+        if self._table is not None:
+            action = self._table[action]
+        state, step = self._env.step(dataclasses.replace(state, key=key), action)
+        done = step.terminated | step.truncated
+        return (
+            self._by_agent(step.observation),
+            state,
+            self._by_agent(step.reward),
+            self._by_agent(done) | {"__all__": done.all()},
+            {outcome: getattr(step.events, outcome) for outcome in OUTCOMES},
+        )
+
+    @partial(jax.jit, static_argnums=(0,))
+    def get_avail_actions(self, state: State) -> Arrays:
+        """Masks (number of actions,) bool of discrete actions: all, at all times."""
+        number = 0 if self._table is None else len(self._table)
+        return dict.fromkeys(self.agents, jnp.ones(number, bool))
+
+    @property
+    def name(self) -> str:
+        """Of the environment."""
+        return "carpark_mj"
+
+    @property
+    def agent_classes(self) -> dict[str, list[str]]:
+        """All agents are alike."""
+        return {"car": self.agents}
+
+    def _by_agent(self, values: jax.Array) -> Arrays:
+        return dict(zip(self.agents, values, strict=True))

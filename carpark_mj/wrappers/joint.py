@@ -1,0 +1,55 @@
+"""One episode per agent: who finishes waits until the whole lot has.
+
+Multi-agent libraries know episodes of a group only, which agents leave one by one.
+"""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.types import State, TimeStep
+
+
+class JointEnv(ParkingEnv):
+    """A lot whose agents have one episode each, and leave when it ends.
+
+    Agents that had finished before a step, and absent ones, observe zeros, earn nothing
+    and are terminated, so that nothing is bootstrapped from them. The lot's episode is
+    over when all agents are terminated or truncated.
+    """
+
+    def __init__(self, config: EnvConfig | None = None) -> None:
+        """Builds the environment; `config.episode.respawn` does not matter."""
+        config = config or EnvConfig()
+        episode = dataclasses.replace(config.episode, respawn=False)
+        super().__init__(dataclasses.replace(config, episode=episode))
+
+    @property
+    def agents(self) -> list[str]:
+        """Names of the agents, in order."""
+        return [f"agent_{k}" for k in range(self.num_agents)]
+
+    def step(
+        self,
+        state: State,
+        action: jax.Array,
+        hitbox_scale: jax.Array | None = None,
+    ) -> tuple[State, TimeStep]:
+        """See `ParkingEnv.step`; `observation` is what agents see at the step's end."""
+        waiting = ~state.active
+        state, timestep = super().step(state, action, hitbox_scale)
+        return state, dataclasses.replace(
+            timestep,
+            observation=jnp.where(waiting[:, None], 0.0, timestep.observation),
+            terminated=timestep.terminated | waiting,
+        )
+
+
+@functools.lru_cache(maxsize=32)
+def joint_env(config: EnvConfig) -> JointEnv:
+    """The environment of a configuration, made and compiled only once."""
+    return JointEnv(config)

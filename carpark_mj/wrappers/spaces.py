@@ -1,0 +1,54 @@
+"""Gymnasium's spaces of what one agent observes and does."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations import make_fields
+
+
+def observation_space(config: EnvConfig) -> spaces.Box:
+    """The vector (observation_size,) of an agent, float32.
+
+    Bounded by the ranges of its fields, or unbounded where sensors add noise.
+    """
+    fields = make_fields(config)
+    size = [field.size for field in fields]
+    low = np.repeat(np.array([field.low for field in fields], np.float32), size)
+    high = np.repeat(np.array([field.high for field in fields], np.float32), size)
+    if config.sensors.is_on:
+        low, high = np.full_like(low, -np.inf), np.full_like(high, np.inf)
+    # Zeros are what absent and finished agents observe.
+    return spaces.Box(np.minimum(low, 0.0), np.maximum(high, 0.0), dtype=np.float32)
+
+
+def action_space(spec: ActionSpec) -> spaces.Space[Any]:
+    """The action of an agent.
+
+    A `Box` of numbers in [-1, 1], a `MultiDiscrete` of indices, or a `Tuple` of both.
+    """
+    numbers = spaces.Box(-1.0, 1.0, (spec.continuous,), np.float32)
+    if not spec.choices:
+        return numbers
+    indices = spaces.MultiDiscrete(list(spec.choices))
+    return spaces.Tuple((numbers, indices)) if spec.continuous else indices
+
+
+def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
+    """An element of `action_space` as the vector (size,) that the environment takes.
+
+    Raises:
+        AssertionError: another shape, or NaN.
+    """
+    parts = action if isinstance(action, tuple) else (action,)
+    flat = np.concatenate([np.asarray(part, np.float32) for part in parts], axis=-1)
+    if flat.shape != (spec.size,):
+        raise AssertionError(
+            f"an action must be of shape ({spec.size},), not {flat.shape}"
+        )
+    if np.isnan(flat).any():
+        raise AssertionError(f"an action must be free of NaN, not {flat}")
+    return flat.astype(spec.dtype)

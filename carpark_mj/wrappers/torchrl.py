@@ -1,0 +1,181 @@
+"""A batch of lots as one TorchRL environment, agents grouped as `agents`."""
+
+# Its types do not fit its own use, and it may be absent.
+# pyright: basic, reportMissingImports=false, reportArgumentType=false
+
+from typing import Any, Unpack
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from carpark_mj.wrappers.action_table import action_table
+from carpark_mj.wrappers.joint import joint_env
+from carpark_mj.wrappers.options import Options, configure
+from carpark_mj.wrappers.screen import Screen
+from carpark_mj.wrappers.spaces import observation_space
+from carpark_mj.wrappers.torch_batch import TorchBatch
+
+GROUP = "agents"
+_ENDS = ("done", "terminated", "truncated")
+_OUTCOMES = ("parked", "crashed")
+
+
+class TorchRLParking(EnvBase):
+    """`lots` lots whose agents have one episode each; batch size (lots,).
+
+    Keys are those of TorchRL's own multi-agent environments: under `agents`, of shape
+    (lots, agents), `observation`, `action`, `reward`, `done`, `terminated`, `truncated`
+    and, in `info`, whether the agent `parked` or `crashed` in the step; at the root
+    `done`, `terminated` and `truncated` (lots, 1) of the lots, which are done when all
+    of their agents are.
+
+    An agent whose episode has ended stays terminated, observes zeros and earns nothing
+    until its lot is reset. All tensors are on the device on which JAX computes, and
+    share memory with its arrays. Actions that are NaN or out of range are sanitized,
+    not refused.
+
+    Attributes:
+        group_map: names of the agents of the group.
+    """
+
+    def __init__(
+        self,
+        lots: int = 1,
+        *,
+        device: torch.device | str | None = None,
+        seed: int | None = None,
+        discrete: bool = False,
+        **options: Unpack[Options],
+    ) -> None:
+        """Builds the environment; it is compiled by the first reset and step.
+
+        Args:
+            lots: number of lots.
+            device: must be JAX's; None = that.
+            seed: of lot 0, the next lot has the next; None = unpredictable.
+            discrete: actions are rows of `action_table`; otherwise steer and pedal in
+                [-1, 1].
+            **options: see `carpark_mj.wrappers.options.Options`.
+
+        Raises:
+            TypeError: unknown option.
+            ValueError: impossible value, another device than JAX's, or continuous
+                actions with parts that are not.
+        """
+        env = joint_env(configure(options))
+        spec = env.action_spec
+        if spec.choices and not discrete:
+            raise ValueError(
+                "the grid and chosen goals have actions that are indices: give "
+                "discrete=True"
+            )
+        self._lots = TorchBatch(env, lots, restart=False)
+        on = self._lots.device
+        if device is not None and torch.empty(0, device=device).device != on:
+            raise ValueError(
+                f"device must be {on}, on which JAX computes, not {device}"
+            )
+        super().__init__(device=on, batch_size=torch.Size([lots]))
+        self.group_map = {GROUP: env.agents}
+        self._env, self._seed = env, seed
+        self._screen = Screen(env)
+        self._table = None
+        if discrete:
+            self._table = torch.from_numpy(action_table(spec)).to(on)
+        self._make_specs()
+
+    def _make_specs(self) -> None:
+        """Specs of one lot; those of the batch follow from them."""
+        agents = (self._env.num_agents,)
+        box = observation_space(self._env.config)
+        low, high = (
+            torch.tensor(bound).expand(*agents, -1) for bound in (box.low, box.high)
+        )
+        action = (
+            Bounded(-1.0, 1.0, (*agents, self._env.action_spec.size))
+            if self._table is None
+            else Categorical(len(self._table), agents)
+        )
+
+        def flags(names: tuple[str, ...], *shape: int) -> dict[str, Categorical]:
+            return {
+                name: Categorical(2, (*shape, 1), dtype=torch.bool) for name in names
+            }
+
+        def grouped(specs: dict[str, Any]) -> Composite:
+            return Composite({GROUP: Composite(specs, shape=agents)}).to(self.device)
+
+        info = Composite(flags(_OUTCOMES, *agents), shape=agents)
+        self.full_action_spec_unbatched = grouped({"action": action})
+        self.full_observation_spec_unbatched = grouped(
+            {"observation": Bounded(low, high), "info": info}
+        )
+        self.full_reward_spec_unbatched = grouped({"reward": Unbounded((*agents, 1))})
+        done = grouped(flags(_ENDS, *agents))
+        done.update(Composite(flags(_ENDS)).to(self.device))
+        self.full_done_spec_unbatched = done
+
+    def _reset(
+        self, tensordict: TensorDictBase | None = None, **kwargs: Any
+    ) -> TensorDict:
+        """Begins the lots that `_reset` (lots, 1) names; without it, all."""
+        due = None if tensordict is None else tensordict.get("_reset", None)
+        if due is None:
+            observation, self._seed = self._lots.reset(self._seed), None
+        else:
+            observation = self._lots.restart(due.reshape(-1))
+        active = torch.from_dlpack(self._lots.batch.state.active)
+        no = torch.zeros_like(active)
+        group = {"observation": observation, "info": self._group(parked=no, crashed=no)}
+        return self._pack(group, terminated=~active, truncated=no)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        action = tensordict.get((GROUP, "action"))
+        if self._table is not None:
+            action = self._table[action]
+        step = self._lots.step(action)
+        group = {
+            "observation": step.observation,
+            "reward": step.reward[..., None],
+            "info": self._group(parked=step.parked, crashed=step.crashed),
+        }
+        return self._pack(group, step.terminated, step.truncated)
+
+    def _pack(
+        self, group: dict[str, Any], terminated: torch.Tensor, truncated: torch.Tensor
+    ) -> TensorDict:
+        """Adds the ends of agents' episodes (lots, agents) and of the lots'."""
+        done = terminated | truncated
+        over = done.all(dim=1)
+        cut = over & truncated.any(dim=1)
+        ends = self._group(done=done, terminated=terminated, truncated=truncated)
+        return TensorDict(
+            {
+                GROUP: TensorDict({**group, **ends}, ends.batch_size),
+                "done": over[:, None],
+                "terminated": (over & ~cut)[:, None],
+                "truncated": cut[:, None],
+            },
+            self.batch_size,
+            device=self.device,
+        )
+
+    def _group(self, **values: torch.Tensor) -> TensorDict:
+        """Values (lots, agents) as entries (lots, agents, 1)."""
+        shape = (*self.batch_size, self._env.num_agents)
+        return TensorDict({k: v[..., None] for k, v in values.items()}, shape)
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Takes effect at the next whole reset."""
+        self._seed = seed
+
+    def render(self, lot: int = 0) -> Any:
+        """A picture (height, width, 3) uint8 of a lot, as an array of NumPy."""
+        return self._screen.picture(self._lots.batch.state, lot)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Closes what draws."""
+        self._screen.close()
+        super().close(raise_if_closed=raise_if_closed)

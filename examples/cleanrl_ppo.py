@@ -1,0 +1,217 @@
+"""PPO in one file, after CleanRL's: torch learns from lots that JAX simulates.
+
+pip install ".[eval]" torch
+python examples/cleanrl_ppo.py
+
+Every agent of every lot is an environment of its own; all share one policy. It prints
+and draws the rate of parking as training goes on, and measures it on other seeds.
+Success is `strict`: within the lines, straight, at rest.
+"""
+
+import dataclasses
+import os
+import time
+from pathlib import Path
+
+import torch
+import tyro
+from matplotlib.figure import Figure
+from torch import nn
+from torch.distributions import Normal
+
+from carpark_mj.cli.common import enable_output_fusion
+from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.wrappers.joint import joint_env
+from carpark_mj.wrappers.torch_batch import TorchBatch
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Settings of the example.
+
+    Attributes:
+        minutes: of training.
+        lots: simulated at once.
+        agents: in every lot.
+        layout: of the lots.
+        seed: of training; evaluation has another.
+        unroll: steps between updates.
+        epochs: passes over the steps of an update.
+        minibatches: in an epoch.
+        learning_rate: at the start; falls to a tenth.
+        discount: per step.
+        gae_lambda: of generalised advantage estimation.
+        clip: of the probability ratio.
+        entropy: weight of the bonus.
+        out: picture of the learning curve.
+    """
+
+    minutes: float = 12.0
+    lots: int = 64
+    agents: int = 2
+    layout: str = "tanner"
+    seed: int = 0
+    unroll: int = 64
+    epochs: int = 4
+    minibatches: int = 16
+    learning_rate: float = 1e-3
+    discount: float = 0.99
+    gae_lambda: float = 0.92
+    clip: float = 0.2
+    entropy: float = 1e-3
+    out: Path = Path("cleanrl_ppo.png")
+
+
+class Agent(nn.Module):
+    """Actor and critic."""
+
+    def __init__(self, observation: int, action: int) -> None:
+        """Two hidden layers each."""
+        super().__init__()
+
+        def network(size: int, gain: float) -> nn.Sequential:
+            layers = (nn.Linear(observation, 128), nn.Linear(128, 128))
+            head = nn.Linear(128, size)
+            for layer in layers:
+                nn.init.orthogonal_(layer.weight, 2**0.5)
+            nn.init.orthogonal_(head.weight, gain)
+            return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), head)
+
+        self.mean, self.critic = network(action, 0.01), network(1, 1.0)
+        self.log_std = nn.Parameter(torch.full((action,), -0.5))
+
+    def policy(self, observation: torch.Tensor) -> Normal:
+        """The distribution of actions; those out of range are clipped."""
+        return Normal(self.mean(observation), self.log_std.exp())
+
+    def value(self, observation: torch.Tensor) -> torch.Tensor:
+        """The discounted sum of rewards to come."""
+        return self.critic(observation)[..., 0]
+
+
+def main(settings: Settings) -> None:
+    """Trains, draws and evaluates."""
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    enable_output_fusion()  # both before JAX computes anything
+    torch.manual_seed(settings.seed)
+    config = EnvConfig(
+        layout=settings.layout,
+        num_agents=settings.agents,
+        episode=EpisodeConfig(final_observation=True),
+    )
+    lots = TorchBatch(ParkingEnv(config), settings.lots)
+    if lots.device.type == "cpu":
+        torch.set_num_threads(1)  # JAX has the other core
+    observation = lots.reset(settings.seed)
+    agent = Agent(observation.shape[-1], 2).to(lots.device)
+    optimizer = torch.optim.Adam(agent.parameters(), settings.learning_rate, eps=1e-5)
+    scheduled = settings.learning_rate
+
+    begun, points, ends = time.perf_counter(), [], []
+    steps = 0
+    while (gone := (time.perf_counter() - begun) / 60 / settings.minutes) < 1.0:
+        optimizer.param_groups[0]["lr"] = scheduled * (1.0 - 0.9 * gone)
+        batch = {
+            name: []
+            for name in ("observation", "action", "log_prob", "value", "reward", "done")
+        }
+        for _ in range(settings.unroll):
+            with torch.no_grad():
+                policy, value = agent.policy(observation), agent.value(observation)
+                action = policy.sample()
+                step = lots.step(action)
+                # What an episode that time has cut would still have earned.
+                rest = settings.discount * agent.value(step.final_observation)
+            done = step.terminated | step.truncated
+            for name, tensor in (
+                ("observation", observation),
+                ("action", action),
+                ("log_prob", policy.log_prob(action).sum(-1)),
+                ("value", value),
+                ("reward", step.reward + rest * step.truncated),
+                ("done", done.float()),
+            ):
+                batch[name].append(tensor)
+            ends.append((step.parked.sum(), done.sum()))
+            observation = step.observation
+        data = {name: torch.stack(tensors) for name, tensors in batch.items()}
+        with torch.no_grad():
+            advantage = gae(settings, data, agent.value(observation))
+        data |= {"advantage": advantage, "target": advantage + data["value"]}
+        update(settings, agent, optimizer, data)
+        steps += done.numel() * settings.unroll
+        parked, ended = (sum(x).item() for x in zip(*ends, strict=True))
+        if ended >= 2000:
+            points.append((steps, parked / ended))
+            ends = []
+            minutes = (time.perf_counter() - begun) / 60
+            print(f"{minutes:5.1f} min {steps:>11,} steps {parked / ended:6.1%} parked")
+            draw(settings, points)
+    rate, episodes = evaluate(agent, config, settings.seed + 10**6)
+    print(f"held out: {rate:.1%} of {episodes} episodes parked")
+
+
+def gae(settings: Settings, data: dict, last_value: torch.Tensor) -> torch.Tensor:
+    """Advantages (unroll, lots, agents) of the steps."""
+    advantage, total = torch.zeros_like(data["reward"]), 0.0
+    following = last_value
+    for t in reversed(range(settings.unroll)):
+        goes_on = settings.discount * (1.0 - data["done"][t])
+        delta = data["reward"][t] + goes_on * following - data["value"][t]
+        total = delta + settings.gae_lambda * goes_on * total
+        advantage[t], following = total, data["value"][t]
+    return advantage
+
+
+def update(
+    settings: Settings, agent: Agent, optimizer: torch.optim.Optimizer, data: dict
+) -> None:
+    """Some epochs of PPO's clipped loss."""
+    flat = {name: tensor.flatten(0, 2) for name, tensor in data.items()}
+    count = len(flat["reward"])
+    for _ in range(settings.epochs):
+        order = torch.randperm(count, device=flat["reward"].device)
+        for rows in order.chunk(settings.minibatches):
+            part = {name: tensor[rows] for name, tensor in flat.items()}
+            policy = agent.policy(part["observation"])
+            log_prob = policy.log_prob(part["action"]).sum(-1)
+            ratio = (log_prob - part["log_prob"]).exp()
+            clipped = ratio.clamp(1.0 - settings.clip, 1.0 + settings.clip)
+            gain = part["advantage"]
+            gain = (gain - gain.mean()) / (gain.std() + 1e-8)
+            actor_loss = -torch.min(ratio * gain, clipped * gain).mean()
+            error = agent.value(part["observation"]) - part["target"]
+            entropy = policy.entropy().sum(-1).mean()
+            loss = actor_loss + 0.5 * (error**2).mean() - settings.entropy * entropy
+            optimizer.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(agent.parameters(), 1.0)
+            optimizer.step()
+
+
+@torch.no_grad()
+def evaluate(agent: Agent, config: EnvConfig, seed: int) -> tuple[float, int]:
+    """The rate of parking of the mean action, one episode of each agent of 512 lots."""
+    lots = TorchBatch(joint_env(config), 512, restart=False)
+    observation, parked = lots.reset(seed), 0
+    for _ in range(config.episode.max_steps):
+        step = lots.step(agent.mean(observation))
+        observation, parked = step.observation, parked + step.parked.sum().item()
+    episodes = 512 * config.num_agents
+    return parked / episodes, episodes
+
+
+def draw(settings: Settings, points: list[tuple[int, float]]) -> None:
+    """Draws the learning curve."""
+    figure = Figure(figsize=(6, 4))
+    axes = figure.subplots()
+    axes.plot(*zip(*points, strict=True))
+    axes.set(xlabel="agent steps", ylabel="share of episodes parked", ylim=(0, 1))
+    axes.set_title(f"PPO, {settings.agents} agents, {settings.layout}")
+    axes.grid(alpha=0.3)
+    figure.savefig(settings.out, dpi=120, bbox_inches="tight")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings, description=__doc__))

@@ -1,0 +1,136 @@
+"""Lots driven by hand: who drives what, recording and replay."""
+
+import numpy as np
+import pytest
+
+from carpark_mj.cli.play import PlayConfig, main, make_env, pad, replay, run, save
+from carpark_mj.play.demonstration import STEPS, load_demonstration
+from carpark_mj.play.driven import DrivenLot
+
+STEPS_DRIVEN = 6
+
+
+def swerve(lot):
+    """Another action at every step."""
+    return np.float32([[np.sin(5 * lot.seconds), 0.8]])
+
+
+@pytest.fixture(scope="module")
+def lot():
+    env, others = make_env(PlayConfig(num_agents=2, num_parked_cars=3))
+    return DrivenLot(env, others, 0, swerve)
+
+
+def drive(lot, steps=STEPS_DRIVEN):
+    lot.reset()
+    for _ in range(steps * lot.traces):
+        lot.step()
+    return lot.demonstration
+
+
+def test_only_the_first_car_obeys_the_driver(lot):
+    drive(lot)
+    moved = np.abs(lot.demonstration.poses[-1] - lot.demonstration.poses[0])[:, :2]
+    assert moved[0].max() > 0.3
+    assert moved[1].max() < 1e-3
+    assert lot.speed > 0.5
+
+
+def test_everything_is_recorded(lot):
+    drive(lot)
+    found = lot.demonstration
+    assert len(found) == STEPS_DRIVEN
+    assert found.observations.shape[:2] == found.rewards.shape == (STEPS_DRIVEN, 2)
+    assert found.poses.shape == (STEPS_DRIVEN, 2, 3)
+    asked = [[np.sin(5 * 0.2 * k), 0.8] for k in range(STEPS_DRIVEN)]
+    np.testing.assert_allclose(found.actions[:, 0], asked, atol=1e-5)
+    assert not found.actions[:, 1].any()
+    assert lot.score == pytest.approx(found.rewards[:, 0].sum(), abs=1e-5)
+    assert dict(lot.tally())["score"] == round(lot.score, 1)
+    # What an agent saw came before what it did: its own speed, the first field.
+    assert found.observations[0, 0, 0] == 0.0
+    assert found.observations[1, 0, 0] > 0.0
+    lot.reset()
+    assert lot.demonstration is None
+    assert lot.score == 0.0
+
+
+def test_a_saved_drive_is_the_same_when_replayed(lot, tmp_path):
+    first = drive(lot)
+    save(lot, tmp_path)
+    save(lot, tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["drive-0.npz", "drive-1.npz"]
+    loaded = load_demonstration(tmp_path / "drive-0.npz")
+    assert loaded.config == first.config
+    assert loaded.seed == first.seed
+    again = drive(replay(loaded))
+    for name in STEPS:
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(first, name))
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+
+
+def test_nothing_is_saved_of_a_lot_nobody_drove_in(lot, tmp_path):
+    lot.reset()
+    save(lot, tmp_path)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_drive_is_filmed(lot, tmp_path):
+    drive(lot, 2)
+    save(lot, tmp_path)
+    video = tmp_path / "drive.gif"
+    drive_file = str(tmp_path / "drive-0.npz")
+    main(PlayConfig(replay=drive_file, video=str(video), camera="topdown"))
+    from PIL import Image
+
+    with Image.open(video) as film:
+        assert film.n_frames == 2 * lot.traces
+
+
+def test_chosen_goals_are_bays_that_the_driver_tracks():
+    np.testing.assert_array_equal(pad(np.float32([0.5, -1]), 3), [[0.5, -1, 1]])
+
+
+def test_a_page_has_a_wheel_and_a_pedal_that_drive():
+    pytest.importorskip("mjviser")
+    from carpark_mj.cli.play import serve_wheel
+
+    viewer, lot, held = serve_wheel(PlayConfig(num_parked_cars=2, port=8767))
+    try:
+        for _ in range(lot.traces):
+            lot.step()
+        held["wheel"].value, held["pedal"].value = 0.5, 1.0
+        for _ in range(lot.traces):
+            lot.step()
+        np.testing.assert_allclose(lot.demonstration.actions[:, 0], [[0, 0], [-0.5, 1]])
+    finally:
+        viewer._server.stop()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--video", "a.mp4"], "give --replay"),
+        (["--replay", "none.npz"], "cannot use none.npz"),
+        (["--view", "tv"], "view"),
+        (["--layout", "moon", "--view", "web"], "unknown layout 'moon'"),
+        (["--view", "window"], "no display"),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert run(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_other_files_are_no_drives(tmp_path):
+    path = tmp_path / "x.npz"
+    np.savez(path, x=np.zeros(2))
+    with pytest.raises(ValueError, match="is not a demonstration"):
+        load_demonstration(path)
+    path.write_text("hello")
+    with pytest.raises(ValueError, match="is not a demonstration"):
+        load_demonstration(path)

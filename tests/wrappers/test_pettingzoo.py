@@ -1,0 +1,149 @@
+"""A lot as PettingZoo sees it."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pettingzoo")
+
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+import carpark_mj
+from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.rendering.renderer import RenderingError
+
+SMALL = {"agents": 3, "parked_cars": 2, "physics": "bicycle"}
+
+
+@pytest.fixture(scope="module")
+def env():
+    return carpark_mj.parallel_env(**SMALL)
+
+
+def idle(env):
+    return {agent: np.zeros(2, np.float32) for agent in env.agents}
+
+
+def test_pettingzoo_accepts_the_environment(env):
+    parallel_api_test(env, num_cycles=200)
+
+
+def test_the_same_seeds_give_the_same_episodes():
+    parallel_seed_test(lambda: carpark_mj.parallel_env(**SMALL), num_cycles=200)
+
+
+def test_agents_leave_one_by_one_and_say_how_it_ended(env):
+    env.reset(seed=1)
+    assert env.agents == env.possible_agents == ["agent_0", "agent_1", "agent_2"]
+    outcomes, counts = {}, []
+    while env.agents:
+        counts.append(len(env.agents))
+        # Only the first drives, straight ahead until it hits something.
+        actions = idle(env) | {a: np.float32([0, 1]) for a in env.agents[:1]}
+        *_, terminated, truncated, infos = env.step(actions)
+        for agent, info in infos.items():
+            ended = terminated[agent] or truncated[agent]
+            assert ended == (agent not in env.agents)
+            assert terminated[agent] == (info["is_success"] or info["crashed"])
+            if ended:
+                outcomes[agent] = info
+    assert outcomes.keys() == {*env.possible_agents}
+    assert outcomes["agent_0"] == {"is_success": False, "crashed": True}
+    assert 1 in counts
+    assert counts == sorted(counts, reverse=True)
+
+
+def test_the_state_is_all_observations_and_zeros_of_those_who_have_left(env):
+    observations, _ = env.reset(seed=1)
+    np.testing.assert_array_equal(env.state(), np.concatenate([*observations.values()]))
+    assert env.state_space.contains(env.state())
+    while "agent_0" in env.agents:
+        observations, *_ = env.step(idle(env) | {"agent_0": np.float32([0, 1])})
+    last = env.state().reshape(3, -1)[0]
+    np.testing.assert_array_equal(last, observations["agent_0"])
+    assert last.any()
+    observations, *_ = env.step(idle(env))
+    assert "agent_0" not in observations
+    assert not env.state().reshape(3, -1)[0].any()
+
+
+def test_an_agent_hears_nothing_of_actions_of_those_who_have_left(env):
+    env.reset(seed=1)
+    while "agent_0" in env.agents:
+        env.step(idle(env) | {"agent_0": np.float32([0, 1])})
+    with pytest.raises(
+        AssertionError, match=r"not of \['agent_0', 'agent_1', 'agent_2"
+    ):
+        env.step(dict.fromkeys(env.possible_agents, np.zeros(2)))
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.zeros(3), r"shape \(2,\), not \(3,\)"),
+        (np.zeros((1, 2)), r"shape \(2,\), not \(1, 2\)"),
+        (np.array([np.nan, 0]), "NaN"),
+    ],
+)
+def test_wrong_shapes_and_nan_are_refused(env, action, message):
+    env.reset(seed=0)
+    with pytest.raises(AssertionError, match=message):
+        env.step(idle(env) | {"agent_1": action})
+
+
+def test_nothing_works_before_reset():
+    env = carpark_mj.parallel_env(**SMALL, render_mode="rgb_array")
+    for call in (lambda: env.step({}), env.state, env.render):
+        with pytest.raises(AssertionError, match="reset"):
+            call()
+
+
+def test_a_step_after_the_last_agent_has_left_warns_and_does_nothing(env, caplog):
+    env.reset(seed=0)
+    env.agents = []
+    assert env.step({}) == ({}, {}, {}, {}, {})
+
+
+def test_unknown_options_and_values_are_refused_in_one_sentence():
+    with pytest.raises(TypeError, match="unknown option 'cars'; choose from"):
+        carpark_mj.parallel_env(cars=3)
+    with pytest.raises(ValueError, match="unknown layout 'moon'"):
+        carpark_mj.parallel_env(layout="moon")
+    with pytest.raises(ValueError, match="unknown render_mode 'ansi'"):
+        carpark_mj.parallel_env(render_mode="ansi")
+
+
+def test_chosen_goals_and_the_grid_have_their_own_action_spaces():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        chosen = EnvConfig(
+            num_agents=2, num_parked_cars=2, goals=GoalConfig(dynamic=True)
+        )
+        for base in (chosen, "tanner-fixed"):
+            env = carpark_mj.parallel_env(config=base, agents=2)
+            env.reset(seed=0)
+            for _ in range(2):
+                space = env.action_space("agent_0")
+                env.step({agent: space.sample() for agent in env.agents})
+    assert space.shape == (2,)
+
+
+def test_a_picture_shows_the_agents(env):
+    env = carpark_mj.parallel_env(**SMALL, render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    assert before.shape == (540, 960, 3)
+    assert before.dtype == np.uint8
+    env.step({agent: np.float32([0, 1]) for agent in env.agents})
+    env.step({agent: np.float32([0, 1]) for agent in env.agents})
+    assert (env.render() != before).any()
+    env.close()
+
+
+def test_a_window_needs_a_display(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    env = carpark_mj.parallel_env(**SMALL, render_mode="human")
+    with pytest.raises(RenderingError, match="no display"):
+        env.reset(seed=0)

@@ -1,0 +1,180 @@
+"""A batch of lots as TorchRL sees it."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torchrl")
+
+import torch
+from gymnasium.error import ResetNeeded
+from tensordict import TensorDict
+from torchrl.envs.utils import check_env_specs
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.registry import TANNER_DYNAMIC
+from carpark_mj.wrappers.torchrl import TorchRLParking
+
+SMALL = {"agents": 2, "parked_cars": 2, "physics": "bicycle"}
+LOTS = 8
+MAX_STEPS = EnvConfig().episode.max_steps
+
+
+@pytest.fixture(scope="module")
+def env():
+    return TorchRLParking(LOTS, seed=0, **SMALL)
+
+
+def drive_one(tensordict):
+    """Agent 0 drives straight ahead; agent 1 stands, or backs up in every other lot."""
+    action = torch.zeros(LOTS, 2, 2)
+    action[:, 0, 1] = 1.0
+    action[::2, 1, 1] = -1.0
+    return tensordict.set(("agents", "action"), action)
+
+
+@pytest.fixture(scope="module")
+def rollout(env):
+    """250 steps: lots end and are reset apart from each other."""
+    env.set_seed(0)
+    return env.rollout(250, drive_one, break_when_any_done=False)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        SMALL,
+        SMALL | {"discrete": True},
+        {"config": TANNER_DYNAMIC, "agents": 2, "discrete": True},
+        {"config": EnvConfig(num_agents=3, min_agents=1, physics="bicycle")},
+    ],
+    ids=["continuous", "discrete", "indices", "absent"],
+)
+def test_torchrl_accepts_the_environment(options):
+    check_env_specs(TorchRLParking(3, seed=0, **options))
+
+
+def test_tensors_are_grouped_by_agent(env, rollout):
+    assert rollout.batch_size == (LOTS, 250)
+    assert rollout["agents"].batch_size == (LOTS, 250, 2)
+    assert rollout["next", "agents", "reward"].shape == (LOTS, 250, 2, 1)
+    assert rollout["next", "done"].shape == (LOTS, 250, 1)
+    assert env.group_map == {"agents": ["agent_0", "agent_1"]}
+    assert env.observation_spec["agents", "observation"].is_in(
+        rollout["agents", "observation"][:, 0]
+    )
+
+
+def test_agents_stay_done_observe_zeros_and_earn_nothing(rollout):
+    before = rollout["agents", "done"][..., 0]
+    after = rollout["next", "agents"]
+    assert before.any()
+    assert after["terminated"][before].all()
+    assert not after["truncated"][before].any()
+    assert not after["observation"][before].any()
+    assert not after["reward"][before].any()
+    # In the step in which it ends an agent still sees where.
+    ends = after["done"][..., 0] & ~before
+    assert after["observation"][ends].any(dim=-1).all()
+    crashed = after["info", "crashed"]
+    assert crashed[ends & (after["truncated"][..., 0] == 0)].any()
+    assert not crashed[before].any()
+
+
+def test_a_lot_is_done_when_its_agents_are_and_only_that_lot_is_reset(rollout):
+    over = rollout["next", "done"][..., 0]
+    np.testing.assert_array_equal(
+        over, rollout["next", "agents", "done"].all(2)[..., 0]
+    )
+    steps = over.nonzero()[:, 1]
+    assert len(steps.unique()) > 1  # not all at once
+    first, following = rollout[:, :-1], rollout[:, 1:]
+    over = over[:, :-1]
+    # After the end agents are there again; elsewhere time goes on.
+    assert not following["agents", "done"][over].any()
+    assert following["agents", "observation"][over].any(dim=-1).all()
+    np.testing.assert_array_equal(
+        following["agents", "observation"][~over],
+        first["next", "agents", "observation"][~over],
+    )
+    np.testing.assert_array_equal(
+        following["agents", "done"][~over], first["next", "agents", "done"][~over]
+    )
+
+
+def test_a_lot_cut_by_time_is_truncated_not_terminated(rollout):
+    over = rollout["next", "done"][..., 0]
+    by_time = rollout["next", "agents", "truncated"].any(2)[..., 0]
+    assert (over & by_time).any()
+    assert (over & ~by_time).any()
+    for lot in range(LOTS):  # resets of other lots do not touch its clock
+        ends = np.flatnonzero(over[lot])
+        lengths = np.diff(ends, prepend=-1)
+        np.testing.assert_array_equal(lengths == MAX_STEPS, by_time[lot][ends])
+    np.testing.assert_array_equal(rollout["next", "truncated"][..., 0], over & by_time)
+    np.testing.assert_array_equal(
+        rollout["next", "terminated"][..., 0], over & ~by_time
+    )
+
+
+def test_the_same_seed_gives_the_same_lots(env, rollout):
+    env.set_seed(0)
+    np.testing.assert_array_equal(
+        env.reset()["agents", "observation"], rollout["agents", "observation"][:, 0]
+    )
+    assert (env.reset()["agents", "observation"] != 0).any()
+
+
+def test_discrete_actions_are_rows_of_the_table(env):
+    """The middle row brakes, as zeros do."""
+    discrete = TorchRLParking(LOTS, discrete=True, **SMALL)
+    results = []
+    for one, action in (
+        (discrete, torch.full((LOTS, 2), 38)),
+        (env, torch.zeros(LOTS, 2, 2)),
+    ):
+        one.set_seed(3)
+        start = one.reset()
+        after = one.step(start.set(("agents", "action"), action))
+        results.append(after["next", "agents", "observation"])
+    assert discrete.action_spec["agents", "action"].space.n == 77
+    np.testing.assert_allclose(*results, atol=1e-5)
+
+
+def test_gradients_end_at_the_environment(env):
+    start = env.reset()
+    action = torch.zeros(LOTS, 2, 2, requires_grad=True)
+    after = env.step(start.set(("agents", "action"), action))
+    assert not after["next", "agents", "reward"].requires_grad
+
+
+def test_bad_input_is_refused(env):
+    start = env.reset()
+    with pytest.raises(ValueError, match=r"\(8, 2, 2\).*not \(8, 2, 3\)"):
+        env.step(start.clone().set(("agents", "action"), torch.zeros(LOTS, 2, 3)))
+    with pytest.raises(RuntimeError, match="batch_size"):
+        env.step(TensorDict({"agents": {"action": torch.zeros(3, 2, 2)}}, [3]))
+    fresh = TorchRLParking(LOTS, **SMALL)
+    with pytest.raises(ResetNeeded, match="reset"):
+        fresh.step(start.clone().set(("agents", "action"), torch.zeros(LOTS, 2, 2)))
+    with pytest.raises(TypeError, match="unknown option 'cars'"):
+        TorchRLParking(cars=2)
+    with pytest.raises(ValueError, match="device must be cpu"):
+        TorchRLParking(device="meta")
+    with pytest.raises(ValueError, match="give discrete=True"):
+        TorchRLParking(config=TANNER_DYNAMIC)
+
+
+def test_nan_is_sanitized_on_the_device(env):
+    env.set_seed(3)
+    start = env.reset()
+    action = torch.full((LOTS, 2, 2), torch.nan)
+    after = env.step(start.set(("agents", "action"), action))
+    assert after["next", "agents", "observation"].isfinite().all()
+
+
+def test_a_picture_of_a_lot_can_be_drawn(env):
+    env.reset()
+    picture = env.render(lot=1)
+    assert picture.ndim == 3
+    assert picture.dtype == np.uint8
+    assert picture.std() > 5
