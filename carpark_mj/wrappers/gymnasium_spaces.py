@@ -1,13 +1,13 @@
-"""Gymnasium's spaces of an agent's observations and actions."""
+"""Spaces of Gymnasium environments with one agent each."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
 from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.observations import make_fields
-from carpark_mj.observations.fields import Field
+from carpark_mj.wrappers import spaces as agent_spaces
 from carpark_mj.wrappers.batch import LotEnv
 from carpark_mj.wrappers.goal import GoalParking
 
@@ -23,28 +23,20 @@ def action_space(spec: ActionSpec) -> spaces.Space[Any]:
             "goals.dynamic must be False except with physics 'grid': an array cannot "
             "hold the controls of a car and the index of a goal"
         )
-    if spec.choices:
-        return spaces.MultiDiscrete([*spec.choices], dtype=np.int32)
-    return spaces.Box(-1.0, 1.0, (spec.continuous,), np.float32)
+    return agent_spaces.action_space(spec)
 
 
 def observation_space(env: LotEnv) -> spaces.Space[Any]:
-    """The ranges of the fields; of a goal environment a dictionary."""
+    """What the agent observes; of a goal environment a dictionary."""
+    box = partial(agent_spaces.observation_space, env.config)
     if isinstance(env, GoalParking):
-        goal = _box(env.goal_fields)
+        goal = box(env.goal_fields)
         return spaces.Dict(
-            observation=_box(env.fields), achieved_goal=goal, desired_goal=goal
+            observation=box(env.fields), achieved_goal=goal, desired_goal=goal
         )
-    return _box(make_fields(env.config))
+    return box()
 
 
 def split_observation(env: LotEnv, vector: np.ndarray) -> Any:
     """Observations (...) of `observation_space` from the vectors (..., size) of it."""
     return env.split(vector) if isinstance(env, GoalParking) else vector
-
-
-def _box(fields: tuple[Field, ...]) -> spaces.Box:
-    sizes = [field.size for field in fields]
-    low = np.repeat([field.low for field in fields], sizes)
-    high = np.repeat([field.high for field in fields], sizes)
-    return spaces.Box(low.astype(np.float32), high.astype(np.float32))

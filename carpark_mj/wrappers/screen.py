@@ -51,18 +51,14 @@ class Screen:
             RenderingError: there is no display.
         """
         if not has_display():  # MuJoCo's viewer would end the program
-            raise RenderingError(f"render_mode 'human': {NO_DISPLAY}")
+            raise RenderingError(
+                f"render_mode 'human': {NO_DISPLAY}; 'rgb_array' needs none"
+            )
         stage, _ = self._place(state, lot)
         if self._window is None:
             import mujoco.viewer
 
-            try:
-                self._window = mujoco.viewer.launch_passive(stage.model, stage.data)
-            except Exception as error:  # GLFW and the viewer raise many kinds
-                raise RenderingError(
-                    "render_mode 'human' needs a display; 'rgb_array' does not "
-                    f"({error})"
-                ) from None
+            self._window = mujoco.viewer.launch_passive(stage.model, stage.data)
         self._window.sync()
 
     def close(self) -> None:

@@ -1,5 +1,6 @@
 """Gymnasium's spaces of what one agent observes and does."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,15 +8,18 @@ from gymnasium import spaces
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.observations import make_fields
+from carpark_mj.observations import Field, make_fields
 
 
-def observation_space(config: EnvConfig) -> spaces.Box:
-    """The vector (observation_size,) of an agent, float32.
+def observation_space(
+    config: EnvConfig, fields: Sequence[Field] | None = None
+) -> spaces.Box:
+    """The vector (size,) of some fields, float32; of all an agent observes by default.
 
-    Bounded by the ranges of its fields, or unbounded where sensors add noise.
+    Bounded by the ranges of the fields, or unbounded where sensors add noise.
     """
-    fields = make_fields(config)
+    if fields is None:
+        fields = make_fields(config)
     size = [field.size for field in fields]
     low = np.repeat(np.array([field.low for field in fields], np.float32), size)
     high = np.repeat(np.array([field.high for field in fields], np.float32), size)
@@ -33,7 +37,7 @@ def action_space(spec: ActionSpec) -> spaces.Space[Any]:
     numbers = spaces.Box(-1.0, 1.0, (spec.continuous,), np.float32)
     if not spec.choices:
         return numbers
-    indices = spaces.MultiDiscrete(list(spec.choices))
+    indices = spaces.MultiDiscrete([*spec.choices], dtype=np.int32)
     return spaces.Tuple((numbers, indices)) if spec.continuous else indices
 
 

@@ -125,9 +125,10 @@ def test_a_run_says_before_how_long_it_takes(tmp_path, capsys):
     )
     resumed = announcement(cpu, 1000, 90.0)
     left = cpu.minutes - 1.5
-    assert resumed.startswith(f"trains for at most {left:g} minutes or 31.8 M steps, ")
+    assert resumed.startswith(f"trains for at most {left:g} minutes or 41.8 M steps, ")
     assert (
-        estimate(cpu, 0, 30.0, 80_000.0) == "at 80,000 steps/s: 10.9 minutes, 50 M steps"
+        estimate(cpu, 0, 30.0, 80_000.0)
+        == "at 80,000 steps/s: 10.9 minutes, 50 M steps"
     )
 
 
