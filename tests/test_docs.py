@@ -30,7 +30,7 @@ from carpark_mj.config import (
 )
 from carpark_mj.mdp.goal_rewards import GOAL_TERMS
 from carpark_mj.mdp.rewards import TERMS
-from carpark_mj.observations import markdown_table, observation_size
+from carpark_mj.observations import make_fields, markdown_table, observation_size
 from carpark_mj.registry import ENVIRONMENTS, TANNER_FIXED
 from carpark_mj.vehicle import PRESETS
 from learners.hosts import read_hosts
@@ -96,8 +96,8 @@ COMMAND_LINES = sorted({c for page in PAGES for c in commands(page.read_text())}
 @pytest.mark.parametrize(
     ("page", "name", "expected"),
     [
-        (MDP, "observation table", lambda: markdown_table(EnvConfig())),
-        (MDP, "tanner observation table", lambda: markdown_table(TANNER_FIXED)),
+        (MDP, "observation table", lambda: markdown_table(make_fields(EnvConfig()))),
+        (MDP, "tanner observation table", lambda: markdown_table(make_fields(TANNER_FIXED))),
         (VEHICLE, "physics table", lambda: excerpt(REPORT)),
     ],
 )

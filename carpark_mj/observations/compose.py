@@ -1,6 +1,7 @@
 """The observation vector of an environment: its encoding's values in declared order."""
 
 import dataclasses
+from collections.abc import Iterable
 
 import jax
 import jax.numpy as jnp
@@ -75,13 +76,13 @@ def observation_size(config: EnvConfig) -> int:
     return sum(field.size for field in make_fields(config))
 
 
-def markdown_table(config: EnvConfig) -> str:
-    """The fields as a markdown table; of repeated entities the first."""
+def markdown_table(fields: Iterable[Field]) -> str:
+    """Fields as a markdown table; of repeated entities the first."""
     rows = ["| field | size | range | meaning [unit] |", "|---|---|---|---|"]
     rows += [
         f"| `{field.name}` | {field.size} | {field.low:g} … {field.high:g} | "
         f"{field.meaning} |"
-        for field in make_fields(config)
+        for field in fields
         if field.index == 0
     ]
     return "\n".join(rows)

@@ -38,19 +38,19 @@ class TyreParameters:
 
     Attributes:
         friction: peak friction coefficient, dry asphalt [gi].
-        cornering_stiffness: lateral force per slip angle and load [1/rad] [gi],
+        cornering_stiffness: lateral force per slip angle and load [1/rad], [gi],
             including steering and suspension compliance.
-        slip_stiffness: longitudinal force per slip and load [1] [gi].
-        lateral_relaxation: lateral relaxation length [m] [est].
-        longitudinal_relaxation: longitudinal relaxation length [m] [est].
+        slip_stiffness: longitudinal force per slip and load [1], [gi].
+        lateral_relaxation: lateral relaxation length [m], [est].
+        longitudinal_relaxation: longitudinal relaxation length [m], [est].
         lateral_damping: bristle damping [N s/m] per wheel [est].
         longitudinal_damping: bristle damping [N s/m] per wheel [est].
-        torsion_relaxation: relaxation length of the scrub torque [m] [est].
-        torsion_yield: twist of the patch at which it slips [rad] [est].
-        patch_radius: effective radius of the contact patch [m] [sh].
-        rolling_resistance: force per load [1] [est], passenger-car radial.
-        vertical_stiffness: suspension and tyre in series, per corner [N/m] [est].
-        vertical_damping: per corner [N s/m] [est].
+        torsion_relaxation: relaxation length of the scrub torque [m], [est].
+        torsion_yield: twist of the patch at which it slips [rad], [est].
+        patch_radius: effective radius of the contact patch [m], [sh].
+        rolling_resistance: force per load [1], [est], passenger-car radial.
+        vertical_stiffness: suspension and tyre in series, per corner [N/m], [est].
+        vertical_damping: per corner [N s/m], [est].
     """
 
     friction: float = 0.9
@@ -143,7 +143,7 @@ class VehicleParameters:
         max_deceleration: brake at full pedal [m/s^2], service braking [est].
         max_speed: forwards limit of the pedal [m/s], a car park's walking pace.
         max_reverse_speed: reverse limit of the pedal [m/s].
-        speed_limit_time: time constant of the speed limiter [s] [est].
+        speed_limit_time: time constant of the speed limiter [s], [est].
         front_brake: share of the brake torque at the front axle [cr].
         hold_deceleration: torque of the holding brake, as m/s^2 on the car [est]; the
             tyres lock first.

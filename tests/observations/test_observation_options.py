@@ -326,7 +326,7 @@ def test_fields_have_ranges_meanings_and_names_of_their_own(num_tracked_bays):
         fields = make_fields(config_of(observation, num_tracked_bays))
         assert len({field.name for field in fields}) == len(fields)
         assert all(field.low < field.high and field.meaning for field in fields)
-    rows = markdown_table(config_of(TannerObservation(tracked_cars=3)))
+    rows = markdown_table(make_fields(config_of(TannerObservation(tracked_cars=3))))
     assert "car_0_speed" in rows
     assert "car_1_speed" not in rows
 

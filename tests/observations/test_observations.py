@@ -78,7 +78,7 @@ def test_the_table_of_fields_describes_the_whole_vector(config):
 
 def test_the_markdown_table_has_a_row_for_every_field_of_the_first_car_of_a_kind():
     config = config_of(ContinuousObservation(3, 2), num_tracked_bays=4)
-    rows = markdown_table(config).splitlines()[2:]
+    rows = markdown_table(make_fields(config)).splitlines()[2:]
     once = config_of(ContinuousObservation(1, 1), num_tracked_bays=1)
     names = [field.name for field in make_fields(once)]
     assert [row.split("`")[1] for row in rows] == names

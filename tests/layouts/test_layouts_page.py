@@ -1,0 +1,33 @@
+"""docs/layouts.md names every layout as it is, and its example runs."""
+
+import re
+from pathlib import Path
+from typing import get_args
+
+from carpark_mj.config import LayoutName
+from carpark_mj.layouts import layout_config
+
+PAGE = (Path(__file__).parents[2] / "docs" / "layouts.md").read_text()
+
+
+def test_the_table_of_layouts_is_that_of_the_code():
+    table = PAGE.split("<!-- layouts -->\n")[1].split("<!-- end of layouts -->")[0]
+    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (\d+) \| (\w+) \|", table, re.M)
+    configs = {name: layout_config(name) for name in get_args(LayoutName)}
+    assert {row[0]: row[1:] for row in rows} == {
+        name: (
+            type(config).__name__,
+            str(config.min_bays),
+            "yes" if config.is_random else "no",
+        )
+        for name, config in configs.items()
+    }
+
+
+def test_the_example_of_the_page_runs():
+    [snippet] = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
+    names = {}
+    exec(snippet, names)
+    configs = [names[name] for name in ("back_in", "deck", "often_deck")]
+    assert names["env"].layout_config == configs[2]
+    assert configs[2].members[:2] == (configs[0], configs[1])

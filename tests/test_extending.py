@@ -1,0 +1,100 @@
+"""The examples of docs/extending.md run, and do what the page says of them."""
+
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.layouts import FAMILIES, DesignCar, generate
+from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.json_file import read_json
+from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
+
+PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
+SECTIONS = {
+    section.split("\n", 1)[0]: section
+    for section in re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]
+}
+
+
+def block(name, language):
+    """The only block of code of a section in a language."""
+    [found] = re.findall(rf"^```{language}\n(.*?)^```", SECTIONS[name], re.M | re.S)
+    return found
+
+
+def run(name):
+    """What the example of a section defines."""
+    names = {"__name__": "example"}
+    exec(block(name, "python"), names)
+    return names
+
+
+@pytest.fixture(autouse=True)
+def registries(monkeypatch):
+    """What examples register is gone after each test."""
+    for registry in (FAMILIES, PRESETS):
+        for name in ("court", "taxi"):
+            monkeypatch.setitem(registry, name, None)
+            monkeypatch.delitem(registry, name)
+
+
+def test_the_layout_file_is_valid(tmp_path):
+    path = tmp_path / "my_lot.json"
+    path.write_text(block("A layout", "json"))
+    assert read_json(path).num_bays == 3
+
+
+def test_every_lot_of_the_new_family_is_valid():
+    config = run("A layout")["CourtConfig"]()
+    make = jax.jit(generate, static_argnums=0)
+    lots = [make(config, jax.random.key(number)) for number in range(20)]
+    assert not any(describe_faults(lot, DesignCar().size) for lot in lots)
+    assert {int(lot.bay_mask.sum()) for lot in lots} == {6, 7, 8, 9, 10}
+
+
+def test_the_new_reward_term_is_paid_for_haste_only():
+    timestep = run("A reward term")["timestep"]
+    haste, speed = timestep.reward_terms["haste"], np.abs(timestep.motion.speed)
+    assert speed[0] > 1.5 > speed[1]
+    np.testing.assert_allclose(haste, [-0.01 * (speed[0] - 1.5), 0.0], rtol=1e-6)
+    total = sum(timestep.reward_terms.values())
+    np.testing.assert_allclose(timestep.reward, total, atol=1e-6)
+
+
+def test_the_new_field_is_observed_at_reset_and_in_steps():
+    names = run("An observation field")
+    env, observation = names["env"], names["observation"]
+    assert observation.shape == (2, env.observation_size)
+    np.testing.assert_array_equal(observation[:, -1], 0.0)
+    np.testing.assert_allclose(names["timestep"].observation[:, -1], 1 / 200)
+
+
+def test_the_new_vehicle_drives_alone_and_in_a_fleet():
+    names = run("A vehicle")
+    state, _ = jax.jit(names["env"].reset)(jax.random.key(0))
+    assert state.physics.vehicle.wheelbase == pytest.approx(2.7)
+    assert names["mixed"].fleet.agents == (names["taxi"], PRESETS["city"])
+
+
+def test_the_new_back_end_drives_a_circle_about_the_rear_axle():
+    names = run("A physics back end")
+    physics = names["env"].physics
+    vehicle = make_vehicle(COMPACT)
+    state = physics.init(jnp.zeros(3), vehicle)
+    rear = []
+    for _ in range(20):
+        state = physics.step(state, jnp.array([1.0, 0.3]))
+        x, y, yaw = physics.read(state).pose_w
+        offset = vehicle.centre_offset
+        rear.append((x - offset * jnp.cos(yaw), y - offset * jnp.sin(yaw)))
+    radius = vehicle.wheelbase / jnp.tan(vehicle.max_steering)
+    middle = np.array([-vehicle.centre_offset, radius])
+    distance = np.linalg.norm(np.array(rear) - middle, axis=-1)
+    np.testing.assert_allclose(distance, radius, atol=5e-3)
+    speed = names["timestep"].motion.speed
+    assert speed[0] == pytest.approx(0.5 * vehicle.max_speed)
+    assert speed[1] == pytest.approx(-vehicle.max_reverse_speed)
