@@ -46,9 +46,10 @@ class ParkingEnv:
     - episodes belong to agents: one that parks, crashes or times out respawns alone
       (or stays put, `EpisodeConfig.respawn`) while the others continue.
 
-    >>> env = ParkingEnv(EnvConfig(num_agents=2))
-    >>> state, observation = jax.jit(env.reset)(jax.random.key(0))
-    >>> state, timestep = jax.jit(env.step)(state, jnp.zeros((2, 2)))
+    Examples:
+        >>> env = ParkingEnv(EnvConfig(num_agents=2))
+        >>> state, observation = jax.jit(env.reset)(jax.random.key(0))
+        >>> state, timestep = jax.jit(env.step)(state, jnp.zeros((2, 2)))
 
     Attributes:
         config: what was configured.

@@ -6,13 +6,14 @@ models (road-wheel steering rate, brake bias); [gi] Gillespie, Fundamentals of V
 Dynamics (tyre stiffness per load, friction); [sh] Sharp & Granger, steering torques at
 parking speed (contact patch); [est] our estimate.
 
-A custom car:
+Examples:
+    A custom car:
 
->>> from dataclasses import replace
->>> from carpark_mj import ParkingEnv
->>> from carpark_mj.vehicle import COMPACT
->>> taxi = replace(COMPACT, wheelbase=2.7, length=4.4, mass=1500.0, turning_circle=11.2)
->>> env = ParkingEnv(vehicle=taxi)
+    >>> from dataclasses import replace
+    >>> from carpark_mj import ParkingEnv
+    >>> from carpark_mj.vehicle import COMPACT
+    >>> taxi = replace(COMPACT, length=4.4, wheelbase=2.7, turning_circle=11.2)
+    >>> env = ParkingEnv(vehicle=taxi)
 """
 
 import dataclasses

@@ -1,15 +1,16 @@
 """Parking as a task of BenchMARL, for all of its algorithms by name.
 
->>> from benchmarl.algorithms import MappoConfig
->>> from benchmarl.experiment import Experiment, ExperimentConfig
->>> from benchmarl.models import MlpConfig
->>> task = ParkingTask.PARK.get_task({"agents": 4})
->>> experiment = Experiment(
-...     task, MappoConfig.get_from_yaml(), MlpConfig.get_from_yaml(), seed=0,
-...     critic_model_config=MlpConfig.get_from_yaml(),
-...     config=ExperimentConfig.get_from_yaml(), callbacks=[Rates()],
-... )
->>> experiment.run()
+Examples:
+    >>> from benchmarl.algorithms import MappoConfig
+    >>> from benchmarl.experiment import Experiment, ExperimentConfig
+    >>> from benchmarl.models import MlpConfig
+    >>> task = ParkingTask.PARK.get_task({"agents": 4})
+    >>> experiment = Experiment(
+    ...     task, MappoConfig.get_from_yaml(), MlpConfig.get_from_yaml(), seed=0,
+    ...     critic_model_config=MlpConfig.get_from_yaml(),
+    ...     config=ExperimentConfig.get_from_yaml(), callbacks=[Rates()],
+    ... )
+    >>> experiment.run()
 """
 
 # Its types do not fit its own use, and it may be absent.

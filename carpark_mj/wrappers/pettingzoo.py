@@ -30,8 +30,9 @@ def parallel_env(
 ) -> "ParkingParallelEnv":
     """A lot with several agents, each with one episode.
 
-    >>> env = carpark_mj.parallel_env(layout="compact", agents=4)
-    >>> observations, infos = env.reset(seed=0)
+    Examples:
+        >>> env = carpark_mj.parallel_env(layout="compact", agents=4)
+        >>> observations, infos = env.reset(seed=0)
 
     Args:
         render_mode: `rgb_array`, `human` (a window, drawn at every step) or None.

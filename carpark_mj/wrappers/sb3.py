@@ -23,8 +23,9 @@ class ParkVecEnv(VecEnv):
     Infos hold `is_success`, `crashed` and `TimeLimit.truncated`, at the end of an
     episode also `terminal_observation`. Wrap it in `VecMonitor` for returns.
 
-    >>> vec_env = ParkVecEnv("carpark_mj/Park-v0", 64, layout="compact")
-    >>> model = PPO("MlpPolicy", VecMonitor(vec_env))
+    Examples:
+        >>> vec_env = ParkVecEnv("carpark_mj/Park-v0", 64, layout="compact")
+        >>> model = PPO("MlpPolicy", VecMonitor(vec_env))
     """
 
     def __init__(self, name: str, num_envs: int = 1, **options: Any) -> None:
