@@ -97,7 +97,11 @@ COMMAND_LINES = sorted({c for page in PAGES for c in commands(page.read_text())}
     ("page", "name", "expected"),
     [
         (MDP, "observation table", lambda: markdown_table(make_fields(EnvConfig()))),
-        (MDP, "tanner observation table", lambda: markdown_table(make_fields(TANNER_FIXED))),
+        (
+            MDP,
+            "tanner observation table",
+            lambda: markdown_table(make_fields(TANNER_FIXED)),
+        ),
         (VEHICLE, "physics table", lambda: excerpt(REPORT)),
     ],
 )

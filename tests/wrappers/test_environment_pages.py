@@ -128,9 +128,7 @@ def test_a_table_of_an_environment_is_the_generated_one(name, marker, expected):
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_lists_all_arguments_with_their_defaults(name):
     kind, options = MADE_BY[name]
-    found = re.findall(
-        r"^\| `(\w+)` \| `([^|]+)` \|", section(name, "arguments"), re.M
-    )
+    found = re.findall(r"^\| `(\w+)` \| `([^|]+)` \|", section(name, "arguments"), re.M)
     own = {
         argument: repr(parameter.default)
         for argument, parameter in inspect.signature(kind).parameters.items()
