@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from carpark_mj.config import EnvConfig
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
-from carpark_mj.layouts import Layout
+from carpark_mj.layouts import Layout, layout_config
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.bays import bay_fits
@@ -62,8 +62,11 @@ class Episodes:
         self._fleet = fleet
         self._goals = goals
         self._physics = physics
-        has_goals = config.occupancy is not None and not config.goals.dynamic
-        self._limits_agents = has_goals and config.min_agents is not None
+        may_be_fewer = config.occupancy is not None and config.min_agents is not None
+        bays = layout_config(config.layout).min_bays
+        self._limits_agents = (
+            may_be_fewer and not config.goals.dynamic and config.num_agents > bays // 2
+        )
 
     def begin_lot(
         self, layout: Layout, key: jax.Array, num_present: jax.Array | None = None
