@@ -166,6 +166,11 @@ class EnvConfig:
                 "reward.route and observation.route need fixed goals and cars on open "
                 "ground: goals.dynamic = False, and a physics other than grid"
             )
+        if self.reward.reeds_shepp and self.physics == "grid":
+            raise ValueError(
+                f"reward.reeds_shepp {self.reward.reeds_shepp} needs cars that steer: "
+                "a physics other than grid"
+            )
         self._check_observation()
 
     def _check_observation(self) -> None:

@@ -28,6 +28,10 @@ class RewardConfig:
         progress: reward per metre gained towards the goal; negative when moving away.
         route: measure the distances of `progress` and `alignment` along the lanes
             (`carpark_mj.layouts.routes`) instead of straight; fixed goals only.
+        reeds_shepp: distance to the goal within which the way to go becomes the
+            shortest one of a car that steers so far and no farther, gear changes
+            included, nose in or nose out [m]; it is mixed in linearly down to a quarter
+            of this distance. 0 = never.
         alignment: reward per radian of misalignment with the goal's axis removed,
             fading with the distance to the goal; negative when it grows.
         alignment_range: distance at which the alignment reward has faded to 1/e [m].
@@ -54,6 +58,7 @@ class RewardConfig:
     time: float = 1.0
     progress: float = 0.2
     route: bool = False
+    reeds_shepp: float = 0.0
     alignment: float = 0.5
     alignment_range: float = 4.0
     approach: float = 0.0

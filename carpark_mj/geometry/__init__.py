@@ -15,6 +15,7 @@ from carpark_mj.geometry.boxes import (
     swept_half_size,
 )
 from carpark_mj.geometry.nearest import nearest
+from carpark_mj.geometry.reeds_shepp import reeds_shepp_length
 from carpark_mj.geometry.se2 import (
     axis_angle_error,
     norm,
@@ -39,6 +40,7 @@ __all__ = [
     "point_box_distance",
     "ray_box_distance",
     "ray_disc_distance",
+    "reeds_shepp_length",
     "rotate",
     "swept_half_size",
     "to_local",

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, RewardConfig
-from carpark_mj.geometry import axis_angle_error, norm
+from carpark_mj.geometry import axis_angle_error, norm, reeds_shepp_length
+from carpark_mj.types import CarParameters as Car
 from carpark_mj.types import Motion
 
 NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of Tanner's finer grid: rounding
@@ -34,6 +35,36 @@ def goal_potential(
     misalignment = axis_angle_error(pose_w[..., 2] - goal_pose[..., 2])
     fading = jnp.exp(-distance / weights.alignment_range)
     return -(weights.progress * distance + weights.alignment * misalignment * fading)
+
+
+def mix_in_maneuver(
+    reach: float, distance: jax.Array, car: Car, motion: Motion, goal_pose: jax.Array
+) -> jax.Array:
+    """Ways to go (...) [m] near the goal as a car has to drive them.
+
+    Args:
+        reach: `RewardConfig.reeds_shepp`.
+        distance: (...) length of the way, straight or along the lanes [m].
+        car: (...) parameters.
+        motion: (...) of the cars.
+        goal_pose: (..., 3).
+    """
+    radius = car.wheelbase / jnp.tan(car.max_steering)
+    start = _rear_axle(motion.pose_w, car)
+    turned = goal_pose + jnp.array([0.0, 0.0, jnp.pi])
+    length = jnp.minimum(
+        reeds_shepp_length(start, _rear_axle(goal_pose, car), radius),
+        reeds_shepp_length(start, _rear_axle(turned, car), radius),
+    )
+    share = jnp.clip((reach - distance) / (0.75 * reach), 0.0, 1.0)
+    return distance + share * (length - distance)
+
+
+def _rear_axle(pose: jax.Array, car: Car) -> jax.Array:
+    """Poses (..., 3) of rear axles of cars with centres at poses (..., 3)."""
+    ahead = jnp.stack([jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])], axis=-1)
+    xy = pose[..., :2] - car.centre_offset[..., None] * ahead
+    return jnp.concatenate([xy, pose[..., 2:]], axis=-1)
 
 
 def is_nearer(

@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.geometry import axis_angle_error
+from carpark_mj.geometry import axis_angle_error, norm
 from carpark_mj.layouts.lanes import has_lanes
 from carpark_mj.layouts.routes import way_to
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.clearance import agent_clearance
 from carpark_mj.mdp.goal_rewards import GOAL_TERMS, goal_terms
-from carpark_mj.mdp.progress import goal_potential, is_nearer
+from carpark_mj.mdp.progress import goal_potential, is_nearer, mix_in_maneuver
 from carpark_mj.types import Motion, Transition
 
 TERMS = (
@@ -100,11 +100,15 @@ def effort(config: EnvConfig, transition: Transition) -> Effort:
 
 def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax.Array:
     """Potential (num_agents,) of a motion with regard to the goals of the step."""
-    weights, state, distance = config.reward, transition.after, None
+    weights, state, target = config.reward, transition.after, transition.target_pose
+    distance = norm(motion.xy - target[:, :2])
     if weights.route:
         goal = transition.goal
         distance = way_to(state.routes, state.layout, motion.xy, goal).length
-    return goal_potential(weights, motion.pose_w, transition.target_pose, distance)
+    if weights.reeds_shepp:
+        car = transition.before.physics.vehicle
+        distance = mix_in_maneuver(weights.reeds_shepp, distance, car, motion, target)
+    return goal_potential(weights, motion.pose_w, target, distance)
 
 
 def _drive_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Array]:

@@ -27,6 +27,7 @@ PHYSICAL = EnvConfig()
 LIMITS = {"max_speed": 3.0, "max_reverse_speed": 2.0, "steering_rate": 0.42}
 GOAL = (10.0, 0.0, 0.0)
 LOT = lot([(0.0, 0.0, 0.0)])
+LIMITED_RADIUS = 2.5 / math.tan(0.6)  # m, of the rear axle of `hand_cars`
 
 
 def events(count, **true):
@@ -178,6 +179,38 @@ def test_progress_can_count_the_way_along_the_lanes():
         got[route] = float(reward_terms(config, driven)["progress"][0])
     assert got[True] == pytest.approx(0.5 * 2.0, abs=1e-5)
     assert got[False] == pytest.approx(-0.5 * (math.hypot(2, 15.5) - 15.5), abs=1e-5)
+
+
+def test_near_the_goal_every_metre_of_a_maneuver_can_pay():
+    """Along a circle into the bay, which its straight distance hardly pays for."""
+    radius = LIMITED_RADIUS
+    reward = RewardConfig(progress=1.0, alignment=0.0, reeds_shepp=100.0)
+    angle = np.array([0.0, 0.1, 0.2])  # of the rear axle about the turn's centre
+    rear = radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=-1)
+    ahead = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    centre = rear + 1.25 * ahead  # `hand_cars`: 1.25 m ahead of the axle
+    path = np.concatenate([centre, angle[:, None]], axis=-1)
+    got = terms(reward, cars(path[:-1]), cars(path[1:]), path[-1])["progress"]
+    np.testing.assert_allclose(got, 0.1 * radius, rtol=2e-3)
+
+
+def test_far_from_the_goal_the_way_is_straight_and_it_changes_steadily():
+    way = RewardConfig(progress=1.0, alignment=0.0)
+    near = dataclasses.replace(way, reeds_shepp=8.0)
+    far = [(-9.0, 0.5, 1.0), (-8.5, 0.5, 1.0)]
+    for reward in (way, near):
+        got = terms(reward, cars(far[:1]), cars(far[1:]), (0.0, 0.0, 0.0))["progress"]
+        expected = math.hypot(9.0, 0.5) - math.hypot(8.5, 0.5)
+        np.testing.assert_allclose(got, expected, atol=1e-5)
+    x = np.linspace(-9.0, -1.0, 400)
+    poses = np.stack([x, np.full_like(x, 0.5), np.full_like(x, 1.0)], axis=-1)
+    steps = terms(near, cars(poses[:-1]), cars(poses[1:]), (0.0, 0.0, 0.0))["progress"]
+    assert np.abs(steps).max() < 5 * (x[1] - x[0])
+
+
+def test_the_grid_has_no_maneuvers():
+    with pytest.raises(ValueError, match=r"reeds_shepp 8.0 needs cars that steer"):
+        EnvConfig(physics="grid", reward=RewardConfig(reeds_shepp=8.0))
 
 
 def drive(distances, speed=1.0, steering=0.0):
