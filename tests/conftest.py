@@ -5,6 +5,7 @@ import atexit
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 
 os.environ["JAX_PLATFORMS"] = "cpu"
 # Most of the time goes into compiling programs that run once: a third less of it.
@@ -20,9 +21,21 @@ from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before anything imports MuJoCo
 
+import jax
 import pytest
 
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+
+
+@pytest.fixture(scope="module", autouse=True)
+def released_programs() -> Iterator[None]:
+    """Releases a file's compiled programs behind it.
+
+    Each takes tens of memory maps, of which Linux allows a process 65,530: beyond
+    them the next program to load ends it with a segmentation fault.
+    """
+    yield
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.compiling import optimized_jit
 from helpers.oracle import CCar
 
 from carpark_mj.config import SimConfig
@@ -154,7 +155,7 @@ def make_recorder(sim: SimConfig) -> Callable[[list[Drive]], list[Track]]:
     """Compiles a program that drives up to NUM_CARS cars and records every substep."""
     physics = MjxPhysics(dataclasses.replace(sim, sim_dt=DT, ctrl_dt=DT, trace_dt=DT))
 
-    @jax.jit
+    @optimized_jit
     def run(poses: jax.Array, vehicles: Vehicle, controls: jax.Array) -> Track:
         def step(state: CarState, control: jax.Array):
             state = physics.step(state, control)
