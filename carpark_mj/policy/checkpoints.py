@@ -11,6 +11,7 @@ import io
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Generator
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,10 @@ def write_atomically(path: Path, write: Any) -> None:
         temporary.replace(path)
 
 
+# What NumPy raises of damaged files.
+_UNREADABLE = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error)
+
+
 def _named_leaves(tree: Any) -> dict[str, Any]:
     leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
     return {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
@@ -96,7 +101,7 @@ def save(path: Path, tree: Any, header: dict[str, Any]) -> None:
     }
     text = json.dumps({"format": FORMAT, **header})
     arrays[_HEADER] = np.frombuffer(text.encode(), np.uint8)
-    write_atomically(path, lambda temporary: np.savez(temporary, **arrays))
+    write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
 
 
 def _reason(error: Exception) -> str:
@@ -112,7 +117,7 @@ def _open(path: Path) -> Any:
         file = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
     except FileNotFoundError:
         raise CheckpointError(f"no checkpoint at {path}") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise CheckpointError(
             f"{path} is no readable checkpoint: {_reason(error)}"
         ) from None
@@ -124,7 +129,7 @@ def _open(path: Path) -> Any:
 def _read(file: Any, path: Path, name: str) -> np.ndarray:
     try:
         return file[name]
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise CheckpointError(f"{path} is damaged at {name}: {error}") from None
 
 

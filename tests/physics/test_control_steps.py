@@ -1,0 +1,195 @@
+"""Control steps of 20 substeps: traces, batches and broken numbers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.drives import VAN, Drive, make_recorder, stack
+
+from carpark_mj.config import SimConfig
+from carpark_mj.physics import MjxPhysics
+from carpark_mj.physics.mjx import CarState
+from carpark_mj.types import Motion
+from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+
+NUM_COPIES = 6
+CONTROLS = np.array(
+    [[0.5, 1.0], [-1.0, 0.7], [0.0, -1.0], [0.3, 0.3], [1.0, -0.5], [0.0, 0.0]],
+    np.float32,
+)
+POSES = np.array([[i, 2.0 * i, 0.7 * i - 2.0] for i in range(NUM_COPIES)], np.float32)
+
+
+@pytest.fixture(scope="module")
+def physics() -> MjxPhysics:
+    return MjxPhysics(SimConfig())
+
+
+@pytest.fixture(scope="module")
+def step(physics: MjxPhysics):
+    return jax.jit(physics.step)
+
+
+@pytest.fixture(scope="module")
+def start(physics: MjxPhysics) -> CarState:
+    cars = [COMPACT, VAN] * (NUM_COPIES // 2)
+    return physics.init(jnp.array(POSES), stack([make_vehicle(c) for c in cars]))
+
+
+@pytest.fixture(scope="module")
+def moving(step, start: CarState) -> CarState:
+    """Six cars after 1 s of driving."""
+    state = start
+    for _ in range(5):
+        state = step(state, CONTROLS)
+    return state
+
+
+def see(physics: MjxPhysics, state: CarState) -> Motion:
+    return jax.device_get(physics.read(state))
+
+
+def take(tree, index):
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def spoil(state: CarState, field: str, car: int, value: float) -> CarState:
+    leaf = getattr(state, field)
+    first = (car,) + (0,) * (leaf.ndim - 1)
+    return state.replace(**{field: leaf.at[first].set(value)})
+
+
+def test_cars_start_at_rest_where_they_are_put(physics: MjxPhysics, start: CarState):
+    seen = see(physics, start)
+    # float32 rounding.
+    assert seen.pose_w == pytest.approx(POSES, abs=1e-6)
+    assert not seen.velocity_b.any()
+    assert not seen.yaw_rate.any()
+    assert seen.finite.all()
+    assert seen.trace_w == pytest.approx(np.repeat(POSES[:, None], 4, 1), abs=1e-6)
+
+
+def test_a_start_heading_is_wrapped(physics: MjxPhysics, compact: Vehicle):
+    seen = see(physics, physics.init(jnp.array([1.0, 2.0, 3.0 + 4 * np.pi]), compact))
+    assert seen.pose_w == pytest.approx([1.0, 2.0, 3.0], abs=2e-6)  # float32
+
+
+def test_a_control_step_is_its_substeps_and_traces_them_evenly(physics, step):
+    drives = [
+        Drive(COMPACT, tuple(pose), [(12.0, *control)])
+        for pose, control in zip(POSES, CONTROLS, strict=True)
+    ]
+    substeps = np.stack([t.pose for t in make_recorder(SimConfig())(drives)])
+    state = physics.init(jnp.array(POSES), stack([make_vehicle(COMPACT)] * NUM_COPIES))
+    for i in range(5):
+        state = step(state, CONTROLS)
+        seen = see(physics, state)
+        assert seen.trace_w.shape == (NUM_COPIES, 4, 3)
+        expected = substeps[:, 20 * i :][:, [4, 9, 14, 19]]
+        # Two programs in float32, measured 2.4e-7.
+        assert seen.trace_w == pytest.approx(expected, abs=3e-6)
+        assert np.array_equal(seen.pose_w, seen.trace_w[:, -1])
+
+
+@pytest.mark.parametrize(
+    ("trace_dt", "count"), [(0.2, 1), (0.1, 2), (0.07, 4), (0.05, 4), (0.01, 20)]
+)
+def test_traces_are_the_fewest_that_respect_their_longest_time(
+    trace_dt: float, count: int
+):
+    assert SimConfig(trace_dt=trace_dt).num_traces == count
+
+
+def test_any_leading_batch_shape_gives_the_same_motion(
+    physics: MjxPhysics, step, start: CarState, moving: CarState
+):
+    def fold(tree):
+        return jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), tree)
+
+    expected = see(physics, step(moving, CONTROLS))
+    folded = see(physics, step(fold(moving), fold(CONTROLS)))
+    placed = physics.init(fold(jnp.array(POSES)), fold(start.vehicle))
+    assert np.array_equal(placed.qpos, fold(start).qpos)
+    leaves = [jax.tree.leaves(tree) for tree in (expected, folded)]
+    for flat, grid in zip(*leaves, strict=True):
+        assert grid.shape == (2, 3, *flat.shape[1:])
+        # Other shapes are other programs in float32, measured 6e-8.
+        assert grid.reshape(flat.shape) == pytest.approx(flat, abs=1e-6)
+
+
+def test_a_car_with_broken_velocity_is_put_to_rest_where_it_was_and_flagged(
+    physics: MjxPhysics, step, moving: CarState
+):
+    before = see(physics, moving)
+    after = step(spoil(moving, "qvel", 1, np.nan), CONTROLS)
+    seen = see(physics, after)
+    assert seen.finite.tolist() == [True, False, True, True, True, True]
+    assert seen.pose_w[1] == pytest.approx(before.pose_w[1], abs=1e-6)  # float32
+    assert np.array_equal(seen.trace_w[1], np.tile(seen.pose_w[1], (4, 1)))
+    assert not seen.velocity_b[1].any()
+    assert seen.yaw_rate[1] == 0.0
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after))
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("which", [0, 1])
+def test_broken_controls_either_clip_or_leave_the_car_where_it_was(
+    physics: MjxPhysics, step, moving: CarState, broken: float, which: int
+):
+    controls = CONTROLS.copy()
+    controls[2, which] = broken
+    after = step(moving, controls)
+    seen = see(physics, after)
+    if np.isnan(broken):
+        before = see(physics, moving)
+        assert seen.finite.tolist() == [True, True, False, True, True, True]
+        assert seen.pose_w[2] == pytest.approx(before.pose_w[2], abs=1e-6)  # float32
+        assert seen.steering[2] == before.steering[2]
+    else:
+        controls[2, which] = np.sign(broken)
+        clipped = see(physics, step(moving, controls))
+        assert seen.finite.all()
+        assert np.array_equal(seen.pose_w, clipped.pose_w)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after))
+
+
+def test_a_contained_car_drives_on_with_the_next_good_step(
+    physics: MjxPhysics, step, moving: CarState
+):
+    state = step(spoil(moving, "qvel", 1, np.nan), CONTROLS)
+    broken = CONTROLS.copy()
+    broken[2] = np.nan
+    state = step(state, broken)
+    stuck = see(physics, state)
+    for _ in range(5):
+        state = step(state, CONTROLS)
+    seen = see(physics, state)
+    assert stuck.finite.tolist() == [True, True, False, True, True, True]
+    assert seen.finite.all()
+    travelled = np.linalg.norm((seen.pose_w - stuck.pose_w)[:, :2], axis=1)
+    assert (travelled[1:3] > 0.2).all()
+
+
+def test_a_broken_car_leaves_its_neighbours_alone(
+    physics: MjxPhysics, step, moving: CarState
+):
+    broken = CONTROLS.copy()
+    broken[4] = np.nan
+    spoiled = spoil(spoil(moving, "qvel", 1, np.nan), "qvel", 3, np.inf)
+    after, expected = step(spoiled, broken), step(moving, CONTROLS)
+    neighbours = np.array([0, 2, 5])
+    assert after.finite.tolist() == [True, False, True, False, False, True]
+    leaves = [jax.tree.leaves(tree) for tree in (after, expected)]
+    for got, good in zip(*leaves, strict=True):
+        assert np.array_equal(got[neighbours], good[neighbours])
+
+
+def test_a_car_whose_position_is_already_broken_is_flagged_every_step(
+    physics: MjxPhysics, step, moving: CarState
+):
+    # `step` never stores such a position itself, and keeps none it could go back to:
+    # only a new start repairs it.
+    state = spoil(moving, "qpos", 1, np.nan)
+    for _ in range(2):
+        state = step(state, CONTROLS)
+        assert see(physics, state).finite.tolist() == [True, False] + [True] * 4
