@@ -10,11 +10,7 @@ and is written only if onnxruntime computes the policy's actions with it.
 import sys
 from collections.abc import Sequence
 
-from carpark_mj.cli.common import (
-    enable_output_fusion,
-    keep_compiled_programs,
-    run_command,
-)
+from carpark_mj.cli.common import keep_compiled_programs, run_command
 from carpark_mj.cli.driver import command_help
 from carpark_mj.cli.export import ExportConfig, main
 from carpark_mj.cli.flags import read_flags
@@ -31,6 +27,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    enable_output_fusion()
+    # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
     keep_compiled_programs()
     sys.exit(run())

@@ -45,7 +45,7 @@ def run(script: str, flags: str | None) -> str:
 @pytest.mark.parametrize(
     "script",
     [
-        *("train/ppo.py", "train/q_learning.py", "train/export.py"),
+        *("train/ppo.py", "train/q_learning.py"),
         *("eval/evaluate.py", "eval/render.py"),
     ],
 )
