@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import EnvConfig, ParkedRule
+from carpark_mj.config import EnvConfig, FleetConfig, ParkedRule
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy import pretrained
 from carpark_mj.policy.baselines import random_policy, zero_policy
@@ -79,13 +79,19 @@ def output_folder(checkpoint: Path) -> Path:
 def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> EnvConfig:
     """The environment with the settings that are not None replaced.
 
-    A number of agents is that of every lot, unless `min_agents` is given too.
+    A number of agents is that of every lot, unless `min_agents` is given too, and so is
+    one of parked cars, instead of an occupancy. A `vehicle` is that of all cars,
+    instead of a fleet.
     """
     if rule is not None:
         changes["episode"] = dataclasses.replace(env.episode, parked_rule=rule)
     given = {name: value for name, value in changes.items() if value is not None}
     if "num_agents" in given:
         given.setdefault("min_agents", None)
+    if "num_parked_cars" in given:
+        given["occupancy"] = None
+    if "vehicle" in given:
+        given["fleet"] = FleetConfig()
     physics = given.get("physics", env.physics)
     if (physics == "grid") != (env.physics == "grid"):
         raise ValueError(

@@ -31,6 +31,7 @@ class EvaluateConfig:
         min_agents: least number of agents, so that lots have from here to the number of
             agents, each number equally often; default: that of the run, or always
             `num_agents` if that is given.
+        vehicle: kind of all cars; default: that of the run, or its fleet.
         layout: the lot, a name or a layout file, or a comma-separated list of them;
             default: that of the run.
         num_parked_cars: number of parked cars; default: that of the run.
@@ -49,6 +50,7 @@ class EvaluateConfig:
     rule: ParkedRule | None = None
     num_agents: int | None = None
     min_agents: int | None = None
+    vehicle: str | None = None
     layout: str | None = None
     num_parked_cars: int | None = None
     physics: PhysicsName | None = None
@@ -85,6 +87,7 @@ def main(config: EvaluateConfig) -> Evaluation:
         num_agents=config.num_agents,
         min_agents=config.min_agents,
         num_parked_cars=config.num_parked_cars,
+        vehicle=config.vehicle,
         layout=config.layout,
         physics=config.physics,
         metrics=MetricsConfig(driving=True, safety=True),

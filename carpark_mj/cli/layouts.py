@@ -1,8 +1,9 @@
-"""Inspects layouts: pictures, checks of their plans, test runs of their scenes.
+"""Inspects layouts: pictures, files, checks of their plans, runs of their scenes.
 
 python -m carpark_mj.layouts --plot lots.png
 python -m carpark_mj.layouts --check 1000 --run 20
 python -m carpark_mj.layouts street my_lot.json --check 1000
+python -m carpark_mj.layouts lot --seed 3 --save lot.json
 """
 
 import dataclasses
@@ -28,9 +29,11 @@ from carpark_mj.layouts import (
     layout_config,
 )
 from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.json_file import layout_text
 from carpark_mj.layouts.plot import contact_sheet
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
+from carpark_mj.policy.checkpoints import write_atomically
 
 PROGRAM = "python -m carpark_mj.layouts"
 CHUNK = 250  # layouts drawn at once
@@ -131,6 +134,7 @@ class LayoutsConfig:
         plot: picture to write, with two lots of each layout.
         check: number of keys of each layout to check.
         run: number of scenes of each layout to run.
+        save: layout file to write, with the first lot of one layout.
         seed: seed of the keys.
     """
 
@@ -140,24 +144,37 @@ class LayoutsConfig:
     plot: str = ""
     check: int = 0
     run: int = 0
+    save: str = ""
     seed: int = 0
 
     def __post_init__(self) -> None:
         at_least(self, 0, "check", "run")
-        if not (self.plot or self.check or self.run):
+        if not (self.plot or self.check or self.run or self.save):
             raise ValueError(
-                "nothing to do: give --plot FILE, --check N or --run N (N > 0)"
+                "nothing to do: give --plot FILE, --save FILE, --check N or --run N "
+                "(N > 0)"
+            )
+        if self.save and (len(self.layouts) != 1 or not self.save.endswith(".json")):
+            raise ValueError(
+                "--save writes one lot of one layout to a .json file, not "
+                f"{', '.join(self.layouts) or 'all families'} to {self.save}"
             )
 
 
 def look(config: LayoutsConfig) -> bool:
-    """Draws, checks and runs; returns whether there were no problems.
+    """Draws, saves, checks and runs; returns whether there were no problems.
 
     Raises:
         ValueError: unknown layouts, or files that are none.
-        OSError: the picture cannot be written.
+        OSError: the picture or the layout file cannot be written.
     """
     shown = {name: name for name in config.layouts} or SHOWN
+    if config.save:
+        [drawn] = draw(config.layouts[0], 1, config.seed)
+        write_atomically(
+            Path(config.save), lambda file: file.write_text(layout_text(drawn))
+        )
+        print(f"wrote {config.save}: {int(drawn.bay_mask.sum())} bays")
     if config.plot:
         pictures = [
             (name, drawn)

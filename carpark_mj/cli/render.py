@@ -59,6 +59,7 @@ class RenderConfig:
         seed: seed of the held-out lot.
         num_agents: number of agents; default: that of the run.
         num_parked_cars: number of parked cars; default: that of the run.
+        vehicle: kind of all cars; default: that of the run, or its fleet.
         layout: the lot, a name or a layout file; default: that of the run.
         physics: back end; default: that of the run. In `scene` crashed cars push each
             other, spin and stop.
@@ -79,6 +80,7 @@ class RenderConfig:
     seed: int = 0
     num_agents: int | None = None
     num_parked_cars: int | None = None
+    vehicle: str | None = None
     layout: str | None = None
     physics: PhysicsName | None = None
     respawn: Literal["true", "false"] = "true"
@@ -146,6 +148,7 @@ def main(config: RenderConfig) -> Path:
         driver.env,
         num_agents=config.num_agents,
         num_parked_cars=config.num_parked_cars,
+        vehicle=config.vehicle,
         layout=config.layout,
         physics=config.physics,
     )

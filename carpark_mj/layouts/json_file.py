@@ -90,6 +90,38 @@ class _Decoder(json.JSONDecoder):
         self.scan_once = scanner.py_make_scanner(self)  # pyright: ignore
 
 
+def layout_text(layout: Layout) -> str:
+    """The file of one layout, as text; padding is left out.
+
+    Args:
+        layout: without batch dimensions.
+    """
+    entries = [f'"format": "{FORMAT}"']
+    for rows, schema in _SCHEMA.items():
+        row = rows.removesuffix("s")
+        mask = np.asarray(getattr(layout, f"{row}_mask"))
+        columns = [
+            np.asarray(getattr(layout, f"{row}_{part}"))[mask].tolist()
+            for part in schema
+        ]
+        lines = [
+            json.dumps(
+                {
+                    part: value
+                    if form is bool or isinstance(form, int)
+                    # An enumeration of kinds.
+                    else form(value).name.lower()
+                    for (part, form), value in zip(schema.items(), values, strict=True)
+                }
+            )
+            for values in zip(*columns, strict=True)
+        ]
+        inner = "".join(f"\n  {line}," for line in lines).removesuffix(",")
+        entries.append(f'"{rows}": [{inner}]')
+    entries.append(f'"extent": {json.dumps(np.asarray(layout.extent).tolist())}')
+    return "{" + ",\n ".join(entries) + "}\n"
+
+
 def _parse(text: str) -> Layout:
     data = json.loads(text, cls=_Decoder)
     if not isinstance(data, dict):

@@ -3,7 +3,7 @@
 import pytest
 
 from carpark_mj.cli.driver import adapt
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import ContinuousObservation, EnvConfig, FleetConfig
 
 RUN = EnvConfig(num_agents=5, min_agents=3)
 
@@ -23,3 +23,19 @@ def test_a_number_of_agents_is_that_of_every_lot_unless_the_least_is_given(
     changes, counts
 ):
     assert list(adapt(RUN, **changes).agent_counts) == counts
+
+
+def test_a_vehicle_is_that_of_all_cars_instead_of_a_fleet():
+    fleet = FleetConfig(agents=("city", "van"), parked_cars=("suv",))
+    run = EnvConfig(fleet=fleet, observation=ContinuousObservation(own_car=True))
+    assert run.fleet.is_on
+    alike = adapt(run, vehicle="sedan")
+    assert alike.vehicle == "sedan"
+    assert not alike.fleet.is_on
+    assert adapt(run).fleet == run.fleet
+
+
+def test_a_number_of_parked_cars_is_that_of_every_lot():
+    run = EnvConfig(num_parked_cars=29, occupancy=(0.2, 0.8))
+    assert adapt(run, num_parked_cars=10).occupancy is None
+    assert adapt(run, num_agents=3).occupancy == (0.2, 0.8)
