@@ -160,7 +160,7 @@ class ParkingEnv:
             action: (num_agents, action_spec.size); agents that have finished, or are
                 absent, brake instead. What is NaN or out of range is sanitized and
                 counted in the metric `invalid_actions`.
-            hitbox_scale: see `find_hits`; None = 1.
+            hitbox_scale: see `terminations.judge`; None = 1.
 
         Returns:
             The next state, and what agents get from the step.

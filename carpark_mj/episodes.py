@@ -103,7 +103,10 @@ class Episodes:
             if not config.goals.dynamic:  # nor an agent for whose car there is no bay
                 present = present & (goal != NO_BAY)
         placing = start_placing(goal, bay, nowhere, everybody)
-        placing = place_all(self._goals.first_pose, inputs, placing, spawn_key)
+        first_key = None
+        if config.spawn.kinds_at_reset:
+            spawn_key, first_key = jax.random.split(spawn_key)
+        placing = place_all(self._goals.place_first, inputs, placing, spawn_key)
         # The absent are the last to be placed, so that nobody has made room for them.
         pose_w = place_absent_agents(placing.pose_w, present)
         physics = self._physics.init(pose_w, vehicles)
@@ -125,7 +128,7 @@ class Episodes:
             present=present,
             routes=make_routes(layout) if config.follows_routes else None,
         )
-        return self._goals.begin(state, placing, everybody, None)
+        return self._goals.begin(state, placing, state.active, first_key)
 
     def end(self, state: State, events: Events, keys: StepKeys) -> State:
         """Ends the episodes of agents that are done.

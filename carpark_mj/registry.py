@@ -8,17 +8,25 @@ implementation disagree, or do not say, the choice is:
   from the drawing; cars are 0.1 world units smaller than drawn.
 - no turning at standstill, all headings are drawn at spawns, and ring k has diameter k:
   as in the reference implementation, without its two bugs.
+- episodes of table C.1 have 85 steps. The recorded runs of figure 5.1 are of an older
+  implementation, in which cars turn at standstill and episodes have 70 steps: all
+  returns are multiples of 1/140. `tanner-qlearning-recorded` has these two.
 - weights of the table's defaults, time 0.5 and approach 1: they break the study's own
   rule (approach below time), but only they give the returns it reports.
 - leaving the world counts as a crash: the outer walls are hit first.
-- when an agent parks, the parked car farthest from all agents moves (text), not a
-  random one (implementation); `SpawnConfig.relocation` has both.
+- when an agent parks, any parked car moves, at random, as in all published runs: the
+  implementation means to spare those that agents track, but compares ids that are never
+  equal. The text moves the one farthest from all agents, by which goals are lost half
+  as often; `SpawnConfig.relocation` has all three.
 - an agent loses its goal when the bay is no longer among the num_tracked_bays nearest,
   not the n_track nearest (text). This has the reward of giving the goal up, and losing
   it to another agent that parks there has none (implementation; not in the text).
 - tracked bays keep their slots (text); the implementation orders them by distance.
 - starts on a collision course: the other agent's distance to its own goal must be long
   enough, as the starting agent has no position yet. At a reset goals are not redrawn.
+- starts are drawn until they keep their distance, 16,016 poses at most; a close start
+  is one walk, and random if that ends too near to another agent (implementation).
+- an agent's next goal may be its last one (implementation).
 - larger hitboxes in training: until a number of agent steps, the counter that ends the
   training (the implementation compares another one and probably never switches back).
 - parking and crashing are terminal, a timeout is not: see `train/q_learning.py`.
@@ -65,9 +73,10 @@ TANNER_QLEARNING = EnvConfig(
     spawn=SpawnConfig(
         close_ratio=0.0,
         min_distance=9 * WORLD_UNIT,
-        num_candidates=16,
         spacing=WORLD_UNIT,
+        relocation="any",
     ),
+    goals=GoalConfig(may_repeat=True),
     episode=EpisodeConfig(parked_rule="tanner", max_steps=85),
     reward=RewardConfig(
         park=10.0,
@@ -81,6 +90,13 @@ TANNER_QLEARNING = EnvConfig(
         closeness=0.0,
     ),
     observation=IndexObservation(),
+)
+
+# As the runs of figure 5.1 were recorded.
+TANNER_QLEARNING_RECORDED = dataclasses.replace(
+    TANNER_QLEARNING,
+    grid=dataclasses.replace(TANNER_QLEARNING.grid, turn_at_rest=True),
+    episode=dataclasses.replace(TANNER_QLEARNING.episode, max_steps=70),
 )
 
 # Figure 5.2: every bay but the goal taken, rings of 14, 11, 10, 6 and 7 world units.
@@ -106,8 +122,12 @@ TANNER_FIXED = EnvConfig(
         crash_ratio=0.2,
         crash_distance=13.125 * WORLD_UNIT,
         min_distance=13.125 * WORLD_UNIT,
+        max_redraws=1000,
         spacing=GridConfig().point_size,
+        relocation="any",
+        kinds_at_reset=True,
     ),
+    goals=GoalConfig(may_repeat=True),
     episode=EpisodeConfig(parked_rule="tanner", max_steps=200),
     reward=reward_preset("tanner"),
     observation=TannerObservation(),
@@ -169,6 +189,7 @@ ENVIRONMENTS: dict[str, EnvConfig] = {
     "tanner-fixed": TANNER_FIXED,
     "tanner-dynamic": TANNER_DYNAMIC,
     "tanner-qlearning": TANNER_QLEARNING,
+    "tanner-qlearning-recorded": TANNER_QLEARNING_RECORDED,
     "tanner-qlearning-rings": TANNER_QLEARNING_RINGS,
 }
 

@@ -1,6 +1,7 @@
 """Trains by tabular Q-learning on the grid: the first experiments of Tanner 2022.
 
     python train/q_learning.py                                    # figure 5.1
+    python train/q_learning.py --preset tanner-qlearning-recorded # as recorded
     python train/q_learning.py --preset tanner-qlearning-rings    # figure 5.2
     python train/q_learning.py --resume runs/tanner-qlearning-0   # continues a run
     python train/q_learning.py --help-all                         # every setting

@@ -76,15 +76,22 @@ def output_folder(checkpoint: Path) -> Path:
     return folder.parent if folder.name == "checkpoints" else folder
 
 
-def adapt(env: EnvConfig, rule: ParkedRule | None = None, **changes: Any) -> EnvConfig:
+def adapt(
+    env: EnvConfig,
+    rule: ParkedRule | None = None,
+    hitbox_scale: float | None = None,
+    **changes: Any,
+) -> EnvConfig:
     """The environment with the settings that are not None replaced.
 
     A number of agents is that of every lot, unless `min_agents` is given too, and so is
     one of parked cars, instead of an occupancy. A `vehicle` is that of all cars,
     instead of a fleet.
     """
-    if rule is not None:
-        changes["episode"] = dataclasses.replace(env.episode, parked_rule=rule)
+    episode = {"parked_rule": rule, "hitbox_scale": hitbox_scale}
+    episode = {name: value for name, value in episode.items() if value is not None}
+    if episode:
+        changes["episode"] = dataclasses.replace(env.episode, **episode)
     given = {name: value for name, value in changes.items() if value is not None}
     if "num_agents" in given:
         given.setdefault("min_agents", None)

@@ -27,6 +27,8 @@ class EvaluateConfig:
         episodes: number of episodes, rounded up to the same number per agent.
         seed: seed of the held-out lots; training never uses these keys.
         rule: parked rule to evaluate under; default: that of the run.
+        hitbox_scale: factor on the cars' lengths and widths in collision tests;
+            default: that of the run's environment.
         num_agents: number of agents; default: that of the run.
         min_agents: least number of agents, so that lots have from here to the number of
             agents, each number equally often; default: that of the run, or always
@@ -48,6 +50,7 @@ class EvaluateConfig:
     episodes: int = 1024
     seed: int = 0
     rule: ParkedRule | None = None
+    hitbox_scale: float | None = None
     num_agents: int | None = None
     min_agents: int | None = None
     vehicle: str | None = None
@@ -84,6 +87,7 @@ def main(config: EvaluateConfig) -> Evaluation:
     env_config = adapt(
         driver.env,
         rule=config.rule,
+        hitbox_scale=config.hitbox_scale,
         num_agents=config.num_agents,
         min_agents=config.min_agents,
         num_parked_cars=config.num_parked_cars,

@@ -11,7 +11,12 @@ from rich.progress import track
 
 from carpark_mj.cli.common import MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.config import ContinuousObservation, EnvConfig, PhysicsName
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    PhysicsName,
+    TannerObservation,
+)
 from carpark_mj.config.checks import positive
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.checkpoints import require_writable, write_atomically
@@ -29,7 +34,7 @@ from carpark_mj.rendering.renderer import (
     camera_names,
 )
 from carpark_mj.rendering.rollout import Recording, record
-from carpark_mj.rendering.snapshot import frames_per_second, num_frames
+from carpark_mj.rendering.snapshot import Tracked, frames_per_second, num_frames
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
@@ -47,8 +52,8 @@ class RenderConfig:
             `frame.png` in the run folder, `gallery.png` here for the gallery.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
             wheel, or `split:K`: topdown and chase:K side by side.
-        show: comma-separated extras: `tracked` links every agent to the cars it tracks,
-            `rings` draws the circles in which it counts walls.
+        show: comma-separated extras: `tracked` links every agent to the cars and bays
+            it tracks, `rings` draws the circles in which it counts walls.
         seconds: length of the video [s].
         fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
         frame: write a still at this time [s] instead of a video.
@@ -207,17 +212,19 @@ def _renderer(
 
 
 def _show(config: RenderConfig, env: EnvConfig) -> Show:
-    seen = env.observation
-    agents = parked_cars = 0
+    seen, tracked = env.observation, None
     if "tracked" in config.extras:
-        if not isinstance(seen, ContinuousObservation):
+        if isinstance(seen, ContinuousObservation):
+            tracked = Tracked(seen.tracked_agents, seen.tracked_parked_cars)
+        elif isinstance(seen, TannerObservation):
+            tracked = Tracked(cars=seen.tracked_cars)
+        else:
             raise ValueError(
-                "show 'tracked' needs agents and parked cars tracked apart, as the "
-                f"continuous encoding does, not {seen.encoding!r}"
+                "show 'tracked' needs an encoding that tracks cars, 'continuous' or "
+                f"'tanner', not {seen.encoding!r}"
             )
-        agents, parked_cars = seen.tracked_agents, seen.tracked_parked_cars
     rings = seen.rings.diameters if "rings" in config.extras else ()
-    return Show(tracked_agents=agents, tracked_parked_cars=parked_cars, rings=rings)
+    return Show(tracked, rings)
 
 
 def _write_frames(

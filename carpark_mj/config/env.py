@@ -145,6 +145,10 @@ class EnvConfig:
             )
         if self.goals.dynamic:
             self.reward.goals.check()
+            if self.goals.may_repeat:
+                raise ValueError(
+                    "goals.may_repeat needs fixed goals, goals.dynamic = False"
+                )
         elif self.goals.num_tracked_bays != GoalConfig.num_tracked_bays:
             raise ValueError(
                 f"goals.num_tracked_bays {self.goals.num_tracked_bays} needs dynamic "
@@ -170,6 +174,12 @@ class EnvConfig:
             raise ValueError(
                 f"reward.reeds_shepp {self.reward.reeds_shepp} needs cars that steer: "
                 "a physics other than grid"
+            )
+        scale = self.episode.hitbox_scale
+        if scale != 1.0 and self.physics == "scene":
+            raise ValueError(
+                "episode.hitbox_scale must be 1 in scene physics, where crashes are "
+                f"contacts, not {scale}"
             )
         self._check_observation()
 
@@ -217,16 +227,6 @@ class EnvConfig:
             raise ValueError(
                 f"giving_way.scheme {scheme!r} is about tracked agents: observation "
                 "must track at least 1, not 0"
-            )
-        others = self.num_agents - 1 + self.num_parked_cars
-        if (
-            isinstance(observation, TannerObservation)
-            and observation.tracked_cars > others
-        ):
-            raise ValueError(
-                f"observation.tracked_cars must be at most {others} (the other "
-                f"{self.num_agents - 1} agents and {self.num_parked_cars} parked "
-                f"cars), not {observation.tracked_cars}"
             )
 
     @property

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from carpark_mj.config.checks import whole
+from carpark_mj.config.checks import require_kinds, whole
 
 TOLERANCE = 1e-9  # by which (3.5) may fail, for 0.1 + 0.2 is not 0.3
 
@@ -16,12 +16,16 @@ class GoalConfig:
         dynamic: every agent chooses its goal itself, at every step, among the free
             bays it tracks; otherwise the environment draws one for each episode.
         num_tracked_bays: nearest free bays that an agent tracks (n_space).
+        may_repeat: whether the goal of an episode may be that of the one before; fixed
+            goals only.
     """
 
     dynamic: bool = False
     num_tracked_bays: int = 1
+    may_repeat: bool = False
 
     def __post_init__(self) -> None:
+        require_kinds(self, may_repeat=bool)
         whole(self, 1, "num_tracked_bays")
 
 
@@ -74,16 +78,21 @@ class GoalRewards:
     def check(self) -> None:
         """Refuses rewards for exploring for ever or changing goals by a detour.
 
+        The study asks for a negative `change_goal`, but publishes a run with 0.
+
         Raises:
             ValueError: (3.5), and with it (3.6), or a sign is violated.
         """
-        for name in ("continue_explore", "change_goal"):
-            value = getattr(self, name)
-            if value >= 0.0:
-                raise ValueError(
-                    f"reward.goals.{name} must be negative with dynamic goals, not "
-                    f"{value}"
-                )
+        if self.continue_explore >= 0.0:
+            raise ValueError(
+                "reward.goals.continue_explore must be negative with dynamic goals, "
+                f"not {self.continue_explore}"
+            )
+        if self.change_goal > 0.0:
+            raise ValueError(
+                "reward.goals.change_goal must be at most 0 with dynamic goals, not "
+                f"{self.change_goal}"
+            )
         if abs(self.stop + self.stop_explore - self.change_goal) > TOLERANCE:
             raise ValueError(
                 "reward.goals must have change_goal = stop_goal + stop_explore, not "

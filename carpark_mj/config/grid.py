@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import whole
+from carpark_mj.config.checks import require_kinds, whole
 
 WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
 
@@ -21,6 +21,7 @@ class GridConfig:
         max_reverse: highest level of speed in reverse.
         max_acceleration: most levels of speed by which one action changes the speed.
         max_turn: most headings by which one action turns the car.
+        turn_at_rest: whether a car at standstill turns, too.
     """
 
     points: int = 16
@@ -30,9 +31,12 @@ class GridConfig:
     max_reverse: int = 2
     max_acceleration: int = 2
     max_turn: int = 3
+    turn_at_rest: bool = False
 
     def __post_init__(self) -> None:
-        whole(self, 1, *(f.name for f in dataclasses.fields(self)))
+        require_kinds(self, turn_at_rest=bool)
+        numbers = {f.name for f in dataclasses.fields(self)} - {"turn_at_rest"}
+        whole(self, 1, *sorted(numbers))
         if 2 * self.max_turn >= self.headings:
             raise ValueError(
                 f"max_turn must be less than half of {self.headings} headings, not "

@@ -154,7 +154,7 @@ class TannerObservation:
 
     Attributes:
         tracked_cars: number of nearest cars observed, agents and parked cars in one
-            list (n_track).
+            list (n_track); where there are fewer, the list is padded with -1.
         bay_parts: what is observed of the goal, or of every tracked bay.
         view: region in which cars and free bays are tracked.
         share: what is observed of tracked agents in addition to their poses.

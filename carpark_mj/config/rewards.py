@@ -38,7 +38,7 @@ class RewardConfig:
         approach: reward per step that ends nearer to the goal, penalty per step that
             does not (Tanner's "move towards goal").
         smoothness: penalty per step, times the steering change as a share of the
-            largest; on the grid times the turn, which is 0 at standstill.
+            largest; on the grid times the turn over the largest.
         smoothness_by_speed: multiply the smoothness penalty by the share of the top
             speed.
         reverse: penalty per step in reverse.

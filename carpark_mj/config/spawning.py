@@ -4,9 +4,9 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose, ratio, whole
+from carpark_mj.config.checks import at_least, choose, ratio, require_kinds, whole
 
-RelocationRule = Literal["furthest", "random"]
+RelocationRule = Literal["furthest", "random", "any"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,10 +26,16 @@ class SpawnConfig:
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
             taken, or the one with most room to the other agents if none does.
+        max_redraws: how often so many poses are drawn again, at random, while none
+            keeps `min_distance`.
         spacing: spacing of the grid of start positions [m], centred in a spawn region
             and including its edges; 0 = anywhere.
         relocation: which parked car moves into a bay where an agent has parked: the one
-            `furthest` from all agents, or a `random` one that no agent tracks.
+            `furthest` from all agents, a `random` one that no agent tracks, or `any`, a
+            random one that agents may track.
+        kinds_at_reset: whether a lot of agents that choose their goals begins with
+            starts of all kinds, too; otherwise they are random there. With fixed goals
+            they are always of all kinds.
     """
 
     close_ratio: float = 0.2
@@ -39,8 +45,10 @@ class SpawnConfig:
     reverse_ratio: float = 0.0
     min_distance: float = 7.38
     num_candidates: int = 16
+    max_redraws: int = 0
     spacing: float = 0.0
     relocation: RelocationRule = "furthest"
+    kinds_at_reset: bool = False
 
     def __post_init__(self) -> None:
         ratio(self, "close_ratio", "crash_ratio", "reverse_ratio")
@@ -53,4 +61,6 @@ class SpawnConfig:
         distances = ("close_distance", "crash_distance", "min_distance", "spacing")
         at_least(self, 0.0, *distances)
         whole(self, 1, "num_candidates")
+        whole(self, 0, "max_redraws")
+        require_kinds(self, kinds_at_reset=bool)
         choose("relocation", self.relocation, RelocationRule)

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import choose, whole
+from carpark_mj.config.checks import choose, positive, whole
 from carpark_mj.config.grid import WORLD_UNIT
 
 ParkedRule = Literal["tanner", "strict", "precise"]
@@ -63,6 +63,8 @@ class EpisodeConfig:
         parked_rule: what "parked" means, by name, see
             `carpark_mj.config.PARKED_RULES`.
         max_steps: control steps until an episode is truncated (timeout).
+        hitbox_scale: factor on the cars' lengths and widths in collision tests, in
+            evaluations too. Those of walls and discs are not scaled.
         respawn: whether an agent whose episode ends starts a new one at once; otherwise
             it brakes and stays where it is until the lot is reset.
         final_observation: whether `TimeStep` also carries the observation at the end of
@@ -71,9 +73,11 @@ class EpisodeConfig:
 
     parked_rule: ParkedRule = "strict"
     max_steps: int = 200
+    hitbox_scale: float = 1.0
     respawn: bool = True
     final_observation: bool = False
 
     def __post_init__(self) -> None:
         choose("parked_rule", self.parked_rule, ParkedRule)
         whole(self, 1, "max_steps")
+        positive(self, "hitbox_scale")

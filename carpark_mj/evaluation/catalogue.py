@@ -22,9 +22,9 @@ POOLS: dict[Pool, str] = {
     "least": "median, 5 % quantile and minimum over episodes",
     "most": "median, 95 % quantile and maximum over episodes",
 }
-START_STEPS = (
-    2  # a crash this early is attributed to the spawn, not the policy (Tanner)
-)
+# A crash this early is attributed to the spawn, not to the policy: the study's step
+# count is below 2 then.
+START_STEPS = 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,7 +82,7 @@ OUTCOME = (
     _rate("hit_wall", "crashed into a wall or disc", "Total Crashes Wall"),
     _rate(
         "crashed_at_start",
-        f"crashed within the first {START_STEPS} steps",
+        "crashed in the first step",
         "Total Crashes StartEpisode",
     ),
     Metric("episode_return", "", "sum of rewards", "mean", "Final Mean Reward"),

@@ -17,7 +17,12 @@ from carpark_mj.mdp.giving_way import find_contexts
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.exploring import first_goals, place_exploring
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
-from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
+from carpark_mj.mdp.spawning.poses import (
+    random_pose,
+    redraw,
+    spawn_shapes,
+    split_redraws,
+)
 from carpark_mj.mdp.tracked_bays import target_pose, update_tracked_bays
 from carpark_mj.observations.tracking import bays_in_view, tracks
 from carpark_mj.types import NO_BAY, Events, GoalEvents, State
@@ -30,22 +35,28 @@ class ChosenGoals:
         """Takes the rules."""
         self._config = config
 
-    def first_pose(
+    def place_first(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
-    ) -> jax.Array:
-        """Random: there is no goal to start close to, or on the way to."""
+    ) -> Placing:
+        """Random, unless `SpawnConfig.kinds_at_reset`: nobody has a goal yet."""
         around = surroundings(inputs, placing, agent)
         around = dataclasses.replace(around, others=~placing.waiting)
         spawn = self._config.spawn
+        if spawn.kinds_at_reset:
+            return place_exploring(spawn, inputs, placing, around, key)
+        key, again = split_redraws(spawn, key)
         draws = draw_uniform(spawn_shapes(spawn), key)
-        return random_pose(spawn, inputs.layout, around, draws)
+        pose = random_pose(spawn, inputs.layout, around, draws)
+        pose = redraw(spawn, inputs.layout, around, pose, again)
+        return placing.set(agent, pose_w=pose)
 
     def place(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
     ) -> Placing:
         """Sends the agent exploring, from a pose that may be close to a bay."""
         placing = placing.set(agent, goal=NO_BAY)
-        return place_exploring(self._config.spawn, inputs, placing, agent, key)
+        around = surroundings(inputs, placing, agent)
+        return place_exploring(self._config.spawn, inputs, placing, around, key)
 
     def init_tracked_bays(self) -> jax.Array:
         """Empty slots (num_agents, num_tracked_bays) int32."""

@@ -48,8 +48,8 @@ def find_hits(state: State, hitbox_scale: jax.Array | None = None) -> Hits:
 
     Args:
         state: of the lot at the end of the step.
-        hitbox_scale: () factor on all cars' lengths and widths, a training aid; None =
-            1. It has no effect in physics with contacts.
+        hitbox_scale: () factor on all cars' lengths and widths; None = 1. It has no
+            effect in physics with contacts.
     """
     motion, parked_cars = state.motion, state.parked_cars
     if motion.touched is not None:

@@ -28,8 +28,10 @@ from carpark_mj.mdp.spawning.placing import (
 from carpark_mj.mdp.spawning.poses import (
     SpawnDraws,
     draw_kind,
+    redraw,
     spawn_pose,
     spawn_shapes,
+    split_redraws,
 )
 from carpark_mj.mdp.spawning.reverse import ReverseDraws, reverse_pose, reverse_shapes
 from carpark_mj.types import NO_BAY, Events, State
@@ -67,19 +69,20 @@ class FixedGoals:
     def __init__(self, config: EnvConfig) -> None:
         """Takes the rules of spawning."""
         self._config = config.spawn
+        self._may_repeat = config.goals.may_repeat
 
-    def first_pose(
+    def place_first(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
-    ) -> jax.Array:
+    ) -> Placing:
         """A start of any kind for the given goal."""
         config, layout = self._config, inputs.layout
         around = surroundings(inputs, placing, agent)
         around = dataclasses.replace(around, others=~placing.waiting)
         goal_pose = layout.bay_pose[placing.goal]
-        draws = draw_uniform(self._shapes(inputs, placing), key)
-        pose = self._pose(inputs, placing, around, agent, draws)
+        draws, key = self._draw(inputs, placing, key)
+        pose = self._pose(inputs, placing, around, draws, key)
         if not config.crash_ratio:
-            return pose
+            return placing.set(agent, pose_w=pose)
         # The goal is given here, so that an attempt draws another target only.
         targets = Targets(placing.xy, goal_pose[:, :2], ~placing.waiting)
         own_xy = goal_pose[agent, :2]
@@ -87,7 +90,8 @@ class FixedGoals:
             lambda draws: crash_pose(config, layout, around, own_xy, targets, draws)
         )(draws.course)
         crash = draw_kind(config, draws.start.kind).crash & good.any()
-        return jnp.where(crash, tried[jnp.argmax(good)], pose)
+        pose = jnp.where(crash, tried[jnp.argmax(good)], pose)
+        return placing.set(agent, pose_w=pose)
 
     def place(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
@@ -97,10 +101,10 @@ class FixedGoals:
         An agent that starts on a collision course gets the goal that made it possible.
         """
         config, layout = self._config, inputs.layout
-        draws = draw_uniform(self._shapes(inputs, placing), key)
+        draws, key = self._draw(inputs, placing, key)
         drawn = self.new_goal(inputs, placing, agent, draws.goal)
         around = surroundings(inputs, drawn, agent)
-        pose = self._pose(inputs, drawn, around, agent, draws)
+        pose = self._pose(inputs, drawn, around, draws, key)
         drawn = drawn.set(agent, pose_w=pose)
         if not config.crash_ratio:
             return drawn
@@ -129,13 +133,14 @@ class FixedGoals:
         inputs: SpawnInputs,
         placing: Placing,
         around: Surroundings,
-        agent: jax.Array,
         draws: PlaceDraws,
+        key: jax.Array,
     ) -> jax.Array:
         """A start pose (3,) of any kind but a collision course."""
-        config, layout = self._config, inputs.layout
+        config, layout, agent = self._config, inputs.layout, around.agent
         goal_pose = layout.bay_pose[placing.goal[agent]]
         pose = spawn_pose(config, layout, around, goal_pose, draws.start)
+        pose = redraw(config, layout, around, pose, key)
         if not config.reverse_ratio:
             return pose
         out, found = reverse_pose(inputs, placing, around, agent, draws.reverse)
@@ -152,11 +157,12 @@ class FixedGoals:
         """Draws a new goal for one agent.
 
         Uniform over the bays that are no agent's goal, those with a parked car
-        included. A parked car there makes way: to the agent's old goal if that is empty
-        and farther than `min_distance` from every other agent, otherwise to a random
-        bay like that. If there is none, the goal is drawn among the bays without parked
-        cars. With no bay to choose the agent keeps its goal; a car of a fleet that has
-        come there when the agent parked makes way to any free bay, best one it fits.
+        included; the agent's old one is among them if `GoalConfig.may_repeat`. A parked
+        car there makes way: to the agent's old goal if that is empty and farther than
+        `min_distance` from every other agent, otherwise to a random bay like that. If
+        there is none, the goal is drawn among the bays without parked cars. With no bay
+        to choose the agent keeps its goal; a car of a fleet that has come there when
+        the agent parked makes way to any free bay, best one it fits.
 
         Args:
             inputs: the lot and who fits where.
@@ -174,8 +180,8 @@ class FixedGoals:
         gap = norm(layout.bay_pose[:, None, :2] - placing.xy)
         gap = jnp.where(other, gap, jnp.inf).min(axis=-1)
 
-        candidate = layout.bay_mask & ~is_goal
         others_goal = (is_goal & (rows != old)) | ~layout.bay_mask
+        candidate = ~others_goal if self._may_repeat else layout.bay_mask & ~is_goal
         refuge = ~others_goal & ~has_car & (gap > self._config.min_distance)
         # A refuge must not be the new goal itself, which has a car, so it never is.
         can_move = refuge.any()
@@ -200,9 +206,14 @@ class FixedGoals:
         placing = dataclasses.replace(placing, parked_bay=parked_bay)
         return placing.set(agent, goal=goal, found=found)
 
-    def _shapes(self, inputs: SpawnInputs, placing: Placing) -> PlaceDraws:
+    def _draw(
+        self, inputs: SpawnInputs, placing: Placing, key: jax.Array
+    ) -> tuple[PlaceDraws, jax.Array]:
+        """The numbers of a start, and a key to draw again; `key` is consumed."""
+        key, again = split_redraws(self._config, key)
         num_agents, num_bays = placing.goal.shape[0], inputs.layout.num_bays
-        return place_shapes(self._config, num_agents, num_bays)
+        shapes = place_shapes(self._config, num_agents, num_bays)
+        return draw_uniform(shapes, key), again
 
     def init_tracked_bays(self) -> None:
         """Agents track no bays."""

@@ -27,10 +27,10 @@ class Goals(Protocol):
         """Updates tracked bays; goals that are no longer among them are lost."""
         ...
 
-    def first_pose(
+    def place_first(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
-    ) -> jax.Array:
-        """Start pose (3,) of one agent () of a lot that begins; `key` is consumed."""
+    ) -> Placing:
+        """Start pose of one agent () of a lot that begins; `key` is consumed."""
         ...
 
     def place(
@@ -75,7 +75,7 @@ class Goals(Protocol):
             state: with all agents placed.
             placing: how they were placed.
             begun: (num_agents,) bool, who begins.
-            key: consumed; None when the whole lot begins.
+            key: consumed; None = nobody begins with a goal chosen.
         """
         ...
 

@@ -101,10 +101,10 @@ def relocate_parked_cars(
 ) -> ParkedCars:
     """Moves a parked car into every bay where an agent has just parked.
 
-    The car farthest from all agents moves, so that no agent sees it move; or, by
-    `SpawnConfig.relocation`, a random one that no agent tracks, and any if they track
-    them all. No car moves twice in a step. Of cars that differ in size only those move
-    that fit into the bay.
+    The car farthest from all agents moves, so that no agent sees it move. Or, by
+    `SpawnConfig.relocation`, a random one: of those that no agent tracks, if there are
+    such (`random`), or of all (`any`). No car moves twice in a step. Of cars that
+    differ in size only those move that fit into the bay.
 
     Args:
         config: the rule, and how many parked cars an agent tracks.
@@ -126,7 +126,7 @@ def relocate_parked_cars(
         bay, moved, waiting = carry
         agent = jnp.argmax(waiting)
         goal = state.goal[agent]
-        if rule == "random":
+        if rule != "furthest":
             agent_key = jax.random.fold_in(key, agent)
             score = jax.random.uniform(agent_key, bay.shape)
             score = score + jnp.where(tracked, 0.0, 1.0)

@@ -56,8 +56,12 @@ def judge(
     Args:
         config: rules.
         state: at the end of the step, which its `step` counts.
-        hitbox_scale: for crashes only, see `find_hits`.
+        hitbox_scale: () for crashes only, see `find_hits`; it multiplies the config's.
+            None = 1.
     """
+    if config.hitbox_scale != 1.0:
+        aid = 1.0 if hitbox_scale is None else hitbox_scale
+        hitbox_scale = jnp.float32(config.hitbox_scale) * aid
     layout, goal, motion = state.layout, state.goal, state.motion
     hits = find_hits(state, hitbox_scale)
     diverged = state.active & ~motion.finite

@@ -3,8 +3,10 @@
 Whole numbers inside: a point, a level of speed and a heading, which counts clockwise
 from +y as in the study. They become metres and radians only in `read`. A car moves by
 its new speed along its new heading, to the nearest point, and cannot turn at standstill
-(as in the reference implementation; the paper does not say so). Nothing stops it: the
-task detects collisions, at the ends of steps only, as in the reference implementation.
+unless `GridConfig.turn_at_rest`: the reference implementation forbids it, the paper
+does not say so, and in the recorded Q-learning runs, which are older, cars turn.
+Nothing stops a car: the task detects collisions, at the ends of steps only, as in the
+reference implementation.
 """
 
 import dataclasses
@@ -90,7 +92,9 @@ class GridPhysics(FactoredPhysics[GridState]):
         grid = self.grid
         level = state.level + controls[..., 0] - grid.max_acceleration
         level = jnp.clip(level, -grid.max_reverse, grid.max_forward)
-        turn = jnp.where(level == 0, 0, controls[..., 1] - grid.max_turn)
+        turn = controls[..., 1] - grid.max_turn
+        if not grid.turn_at_rest:
+            turn = jnp.where(level == 0, 0, turn)
         heading = jnp.mod(state.heading + turn, grid.headings)
         point = state.point + self._moves[level + grid.max_reverse, heading]
         return dataclasses.replace(

@@ -10,7 +10,7 @@ import numpy as np
 
 from carpark_mj.rendering.gl import MISSING_GL
 from carpark_mj.rendering.markers import Markers
-from carpark_mj.rendering.snapshot import Snapshot, tracked_points
+from carpark_mj.rendering.snapshot import Snapshot, Tracked, tracked_points
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
 from carpark_mj.scene.materials import agent_colour
@@ -31,13 +31,12 @@ class Show:
     """Extras to draw.
 
     Attributes:
-        tracked_agents: nearest agents linked to each agent.
-        tracked_parked_cars: nearest parked cars linked to each agent.
+        tracked: what is linked to each agent, and with it the bays it tracks; None =
+            nothing.
         rings: diameters of the circles about each agent [m].
     """
 
-    tracked_agents: int = 0
-    tracked_parked_cars: int = 0
+    tracked: Tracked | None = None
     rings: tuple[float, ...] = ()
 
 
@@ -109,11 +108,8 @@ class LotRenderer:
                 markers.line(here, goal, (*rgb, 0.9), 0.07, 0.05)
             for diameter in self._show.rings:
                 markers.circle(here, diameter / 2, (*rgb, 0.5), 0.05)
-        if self._show.tracked_agents or self._show.tracked_parked_cars:
-            links = tracked_points(
-                seen, self._show.tracked_agents, self._show.tracked_parked_cars
-            )
-            for agent, point in links:
+        if self._show.tracked is not None:
+            for agent, point in tracked_points(seen, self._show.tracked):
                 rgb = agent_colour(agent)[:3]
                 markers.line(seen.pose_w[agent], point, (*rgb, 0.6), 0.025, 0.04)
         for flash in seen.flashes:

@@ -34,6 +34,8 @@ class Recording:
         step: (t, agents) control steps made in the episode, this one included.
         size: (t, agents, 2) footprints during the steps [m]; None if all are equal.
         parked_size: (parked cars, 2) footprints [m]; None if all are equal.
+        tracked_bays: (t, agents, slots) bays tracked during the steps, `NO_BAY` in
+            empty slots; None while goals are fixed.
     """
 
     layout: Layout
@@ -50,6 +52,7 @@ class Recording:
     step: np.ndarray
     size: np.ndarray | None = None
     parked_size: np.ndarray | None = None
+    tracked_bays: np.ndarray | None = None
 
 
 def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Recording:
@@ -78,6 +81,8 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
             "step": state.step + 1,
             "size": timestep.motion.size,
         }
+        if state.tracked_bays is not None:
+            frame["tracked_bays"] = state.tracked_bays
         return (after, timestep.observation), frame
 
     run = jax.jit(lambda policy, *xs: jax.lax.scan(partial(step, policy), *xs))

@@ -1,6 +1,7 @@
 """What is visible at one instant of a recording."""
 
 import dataclasses
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,6 +49,8 @@ class Snapshot:
         tally: numbers to show by name: episodes ended so far, by outcome.
         flashes: episodes that ended a moment ago.
         size: (agents, 2) footprints [m]; None if all are equal.
+        tracked_bay_xy: (agents, slots, 2) centres of tracked bays, NaN in empty slots;
+            None while goals are fixed.
     """
 
     seconds: float
@@ -61,6 +64,7 @@ class Snapshot:
     tally: dict[str, float]
     flashes: tuple[Flash, ...]
     size: np.ndarray | None = None
+    tracked_bay_xy: np.ndarray | None = None
 
 
 def num_frames(recording: Recording) -> int:
@@ -78,6 +82,10 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
     traces = recording.pose_w.shape[1]
     step, trace = divmod(index, traces)
     goal_pose, goal_size = aimed_at(recording.layout, recording.goal[step])
+    bay_xy, bays = None, recording.tracked_bays
+    if bays is not None:
+        pose, _ = aimed_at(recording.layout, bays[step].reshape(-1))
+        bay_xy = pose[:, :2].reshape(*bays.shape[1:], 2)
     # What happens in a step is known when it is over.
     over = (index + 1) // traces
     ended = {name: getattr(recording, name) for name in OUTCOMES}
@@ -101,11 +109,12 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
         tally={name: int(events[:over].sum()) for name, events in ended.items()},
         flashes=tuple(flashes),
         size=None if recording.size is None else recording.size[step],
+        tracked_bay_xy=bay_xy,
     )
 
 
 def aimed_at(layout: Layout, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (agents, 3) and sizes (agents, 2) of goals; NaN for agents that explore."""
+    """Poses (agents, 3) and sizes (agents, 2) of goals (agents,); NaN of `NO_BAY`."""
     has_goal = (goal != NO_BAY)[:, None]
     bay = np.minimum(goal, layout.num_bays - 1)
     pose, size = np.asarray(layout.bay_pose)[bay], np.asarray(layout.bay_size)[bay]
@@ -125,25 +134,47 @@ def _state(recording: Recording, step: int, agent: int) -> str:
     return f"{state}, explores" if exploring else state
 
 
-def tracked_points(
-    snapshot: Snapshot, num_agents: int, num_parked_cars: int
-) -> list[tuple[int, np.ndarray]]:
-    """(agent, point (2,)) for every car an agent tracks, as its observation has it."""
-    own = jnp.asarray(snapshot.pose_w[:, :2])
+@dataclasses.dataclass(frozen=True)
+class Tracked:
+    """How many of the nearest an observation tracks, for the links to them.
+
+    Attributes:
+        agents: other agents.
+        parked_cars: parked cars.
+        cars: agents and parked cars in one list.
+    """
+
+    agents: int = 0
+    parked_cars: int = 0
+    cars: int = 0
+
+
+def tracked_points(snapshot: Snapshot, tracked: Tracked) -> list[tuple[int, Any]]:
+    """(agent, point (2,)) for every car and every bay an agent tracks."""
+    agents, parked = snapshot.pose_w[:, :2], snapshot.parked_pose[:, :2]
+    others = ~np.eye(len(agents), dtype=bool)
+    parked_mask = np.ones((len(agents), len(parked)), bool)
+    both = np.concatenate([agents, parked]), np.concatenate([others, parked_mask], 1)
     pairs = []
-    for others, count, mask in (
-        (snapshot.pose_w, num_agents, ~jnp.eye(len(own), dtype=bool)),
-        (
-            snapshot.parked_pose,
-            num_parked_cars,
-            jnp.ones((len(own), len(snapshot.parked_pose)), bool),
-        ),
+    for points, mask, count in (
+        (agents, others, tracked.agents),
+        (parked, parked_mask, tracked.parked_cars),
+        (*both, tracked.cars),
     ):
-        if not count or not len(others):
+        if not count or not len(points):
             continue
-        index, present = nearest(own, jnp.asarray(others[:, :2]), mask, count)
+        index, present = nearest(
+            jnp.asarray(agents), jnp.asarray(points), jnp.asarray(mask), count
+        )
         pairs += [
-            (int(agent), others[int(index[agent, slot]), :2])
+            (int(agent), points[int(index[agent, slot])])
             for agent, slot in np.argwhere(np.asarray(present))
+        ]
+    if snapshot.tracked_bay_xy is not None:
+        pairs += [
+            (agent, point)
+            for agent, points in enumerate(snapshot.tracked_bay_xy)
+            for point in points
+            if not np.isnan(point).any()
         ]
     return pairs

@@ -39,3 +39,10 @@ def test_a_number_of_parked_cars_is_that_of_every_lot():
     run = EnvConfig(num_parked_cars=29, occupancy=(0.2, 0.8))
     assert adapt(run, num_parked_cars=10).occupancy is None
     assert adapt(run, num_agents=3).occupancy == (0.2, 0.8)
+
+
+def test_rule_and_hitboxes_are_set_alone_and_together():
+    both = adapt(RUN, rule="precise", hitbox_scale=1.1).episode
+    assert (both.parked_rule, both.hitbox_scale) == ("precise", 1.1)
+    assert adapt(RUN, hitbox_scale=1.1).episode.parked_rule == RUN.episode.parked_rule
+    assert adapt(RUN).episode == RUN.episode

@@ -17,7 +17,7 @@ from carpark_mj.config import (
 DYNAMIC = GoalConfig(dynamic=True)
 BAD_REWARDS = [
     ({"continue_explore": 0.0}, "continue_explore must be negative .* not 0.0"),
-    ({"change_goal": 0.1}, "change_goal must be negative .* not 0.1"),
+    ({"change_goal": 0.1}, "change_goal must be at most 0 .* not 0.1"),
     ({"stop_goal": -0.06}, r"change_goal = stop_goal \+ .* -0.05 = -0.06 \+ 0.0"),
     ({"stop_explore": 0.1, "stop_goal": -0.05}, "change_goal = stop_goal"),
 ]
@@ -37,6 +37,12 @@ def test_rewards_that_break_the_constraints_are_refused_with_dynamic_goals(
 def test_rewards_that_obey_the_constraints_to_rounding_are_taken():
     pay = GoalRewards(stop_explore=-0.1, stop_goal=-0.2, change_goal=-0.1 - 0.2)
     assert EnvConfig(goals=DYNAMIC, reward=RewardConfig(goals=pay)).goals.dynamic
+
+
+def test_changing_goals_may_cost_nothing_as_in_a_run_of_the_study():
+    pay = GoalRewards(change_goal=0.0)
+    reward = EnvConfig(goals=DYNAMIC, reward=RewardConfig(goals=pay)).reward
+    assert reward.goals.stop == 0.0  # by rule (3.5)
 
 
 def test_other_impossible_settings_are_refused_in_a_sentence():

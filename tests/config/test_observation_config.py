@@ -81,14 +81,6 @@ def test_impossible_settings_are_refused_in_a_sentence(make, settings, message):
             "share.goal_headings needs fixed goals",
         ),
         (
-            {
-                "observation": TannerObservation(7),
-                "num_agents": 3,
-                "num_parked_cars": 4,
-            },
-            r"must be at most 6 \(the other 2 agents and 4 parked cars\), not 7",
-        ),
-        (
             {"fleet": FleetConfig(agents=("city", "van"))},
             "fleet.agents needs observation.own_car = True",
         ),

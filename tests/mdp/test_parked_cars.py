@@ -181,6 +181,14 @@ def test_a_random_car_moves_that_no_agent_tracks(tanner):
     np.testing.assert_allclose(moves(5), [0.25] * 4, atol=0.07)
 
 
+def test_any_car_may_move_whoever_tracks_it():
+    state = row_of([0, 5], [1, 2, 3, 4], [0, 48])
+    after = relocations(EnvConfig(spawn=SpawnConfig(relocation="any")), state, [0])
+    moved = after != np.array([1, 2, 3, 4])
+    assert (moved.sum(axis=1) == 1).all()
+    np.testing.assert_allclose(moved.mean(axis=0), [0.25] * 4, atol=0.07)
+
+
 def test_agents_in_one_list_with_parked_cars_take_their_places_in_it():
     # Of two cars each the agents at 0 and 6 track each other and the one at 10.
     state = row_of([0, 5], [1, 2, 3, 4], [0, 6])
@@ -195,6 +203,7 @@ RULES = {
     "furthest": FURTHEST,
     "random": random_rule(2),
     "random, tanner": random_rule(3, tanner=True),
+    "any": EnvConfig(spawn=SpawnConfig(relocation="any")),
 }
 
 
@@ -230,7 +239,7 @@ def test_every_agent_that_parks_moves_one_car_and_no_tracked_one_without_need(ru
     pose = np.asarray(layout.bay_pose)
     np.testing.assert_array_equal(after.pose_w, pose[after.bay])
     assert (parked.sum(axis=1) > 1).sum() > 100  # several in one step
-    if rule != "furthest":
+    if rule.startswith("random"):
         spared = np.minimum(parked.sum(axis=1), (~tracked).sum(axis=1))
         np.testing.assert_array_equal((moved & ~tracked).sum(axis=1), spared)
         assert (moved & tracked).any() == (parked.sum(axis=1) > spared).any()

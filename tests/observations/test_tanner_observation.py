@@ -96,6 +96,18 @@ def test_a_parked_car_may_be_the_nearest_and_has_no_goal():
     np.testing.assert_array_equal(gone, see(CONFIG, LOT, PAIR, [3, 1]))
 
 
+def test_an_agent_alone_in_an_empty_lot_has_nothing_to_track():
+    config = EnvConfig(
+        physics="grid", num_agents=1, num_parked_cars=0, observation=CONFIG
+    )
+    env = ParkingEnv(config)
+    state, seen = jax.jit(env.reset)(jax.random.key(0))
+    _, timestep = jax.jit(env.step)(state, jnp.zeros((1, 2), jnp.int32))
+    for observation in (seen, timestep.observation):
+        np.testing.assert_array_equal(observation[0, 5:], [-1.0] * 6)
+        assert (observation[0, :5] >= 0.0).all()
+
+
 @pytest.mark.parametrize(
     ("goal", "seen_of_1", "own"),
     [

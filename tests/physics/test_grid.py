@@ -69,6 +69,19 @@ def test_a_coarse_drive_by_hand():
     np.testing.assert_array_equal(path.turn[:, 0], [0, 1, 0, 0, -1])
 
 
+def test_cars_turn_at_rest_if_the_grid_lets_them():
+    # As above, so that the third and fourth heading change too: 1 + 1, then back to 1.
+    grid = dataclasses.replace(COARSE, turn_at_rest=True)
+    physics, state = start(grid, [[0.0, 0.0, math.pi / 2]])
+    controls = jnp.array([[2, KEEP], [KEEP, 2], [0, 2], [KEEP, 0], [0, 0]])[:, None]
+    path = drive(physics, state, controls)
+    np.testing.assert_array_equal(path.heading[:, 0], [0, 1, 2, 1, 0])
+    np.testing.assert_array_equal(path.turn[:, 0], [0, 1, 1, -1, -1])
+    np.testing.assert_array_equal(
+        path.point[:, 0], [[0, 1], [1, 2], [1, 2], [1, 2], [1, 1]]
+    )
+
+
 def test_a_fine_move_by_hand():
     # Level 4 along 15 deg is 16 points: (16 sin 15, 16 cos 15) = (4.14, 15.45).
     physics, state = start(FINE, [[0.0, 0.0, math.pi / 2]])
@@ -275,6 +288,8 @@ def test_named_environments_can_be_built(name):
 def test_impossible_grids_and_grounds_are_refused_in_a_sentence():
     with pytest.raises(ValueError, match="points must be at least 1, not 0"):
         GridConfig(points=0)
+    with pytest.raises(ValueError, match="turn_at_rest must be of bool, not 2"):
+        GridConfig(turn_at_rest=2)  # pyright: ignore
     with pytest.raises(ValueError, match=r"max_turn must be less than half of 8 .* 4"):
         GridConfig(headings=8, max_turn=4)
     with pytest.raises(ValueError, match=r"no ground: grade_x must stay 0.0, not 0.1"):

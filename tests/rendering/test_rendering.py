@@ -21,6 +21,7 @@ from carpark_mj.rendering.snapshot import (
     FLASH_SECONDS,
     Flash,
     Snapshot,
+    Tracked,
     frames_per_second,
     snapshot,
     tracked_points,
@@ -272,7 +273,7 @@ def test_a_split_frame_is_two_views_side_by_side(renderer):
 
 
 def test_links_and_rings_are_drawn_when_asked_for(renderer):
-    show = Show(tracked_agents=1, tracked_parked_cars=1, rings=(8.0,))
+    show = Show(Tracked(1, 1), rings=(8.0,))
     made = LotRenderer(Stage(LAYOUT, COMPACT, 2, 2), "topdown", (640, 360), show)
     try:
         plain, extra = draw(renderer), draw(made)
@@ -289,12 +290,16 @@ def test_links_and_rings_are_drawn_when_asked_for(renderer):
     assert near((POSE[0, :2] + POSE[1, :2]) / 2)  # between the agents
 
 
+def links(what, tracked):
+    """What is tracked, as (agent, (x, y))."""
+    return [(agent, tuple(point)) for agent, point in tracked_points(what, tracked)]
+
+
 def test_tracked_points_are_the_nearest_cars_of_each_agent():
     pose = np.array([[0.0, 0, 0], [3, 0, 0], [10, 0, 0]])
     parked = np.array([[0.0, 5, 0], [9, 5, 0]])
     what = seen(pose=pose, goal=np.array([1, 2, 3]), parked=parked)
-    found = [(agent, tuple(point)) for agent, point in tracked_points(what, 1, 1)]
-    assert sorted(found) == [
+    assert sorted(links(what, Tracked(1, 1))) == [
         (0, (0.0, 5.0)),
         (0, (3.0, 0.0)),
         (1, (0.0, 0.0)),
@@ -302,9 +307,21 @@ def test_tracked_points_are_the_nearest_cars_of_each_agent():
         (2, (3.0, 0.0)),
         (2, (9.0, 5.0)),
     ]
-    assert tracked_points(what, 0, 0) == []
+    assert links(what, Tracked()) == []
+    # In one list the nearest is an agent for 0 and 1 and a parked car for 2.
+    together = [(0, (3.0, 0.0)), (1, (0.0, 0.0)), (2, (9.0, 5.0))]
+    assert links(what, Tracked(cars=1)) == together
     empty = dataclasses.replace(what, parked_pose=np.zeros((0, 3)))
-    assert len(tracked_points(empty, 5, 2)) == 6  # two others each, no parked car
+    assert len(links(empty, Tracked(5, 2))) == 6  # two others each, no parked car
+
+
+def test_tracked_bays_are_linked_and_empty_slots_are_not():
+    none = [np.nan, np.nan]
+    bays = np.array([[[1.0, 2.0], none], [none, none], [[3.0, 4.0], [5.0, 6.0]]])
+    what = seen(pose=np.zeros((3, 3)), goal=np.array([1, 2, 3]))
+    what = dataclasses.replace(what, tracked_bay_xy=bays)
+    expected = [(0, (1.0, 2.0)), (2, (3.0, 4.0)), (2, (5.0, 6.0))]
+    assert links(what, Tracked()) == expected
 
 
 @pytest.mark.parametrize("outcome", ["parked", "crashed"])

@@ -11,14 +11,27 @@ import pytest
 
 import q_learning
 from carpark_mj.cli import evaluate
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.rollout import evaluate as evaluate_policy
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.q_table import action_choices, make_table_policy, state_index
 from carpark_mj.policy.runs import checkpoint_files
+from carpark_mj.registry import TANNER_QLEARNING, TANNER_QLEARNING_RECORDED
 from learners.q_learning import train
 from learners.q_learning.config import QLearningConfig
 from learners.q_learning.curve import rolling_mean
 from learners.q_learning.learner import QLearner, Training
 from learners.run_folder import LOCK, open_run
+
+# Best actions of the study's four recorded Q-tables, by its smallest share of random
+# actions (omarathon/rl-multi-agent-car-parking, q-learning-results): a digit for every
+# bearing and, within it, speed; a digit is the acceleration plus 3 times the turn.
+RECORDED = {
+    "0.001": "511016013000433763076878",
+    "0": "876223250006476763876877",
+    "0.0001": "872210236006436613863576",
+    "0.3": "854487072008200604513652",
+}
 
 SMALL = QLearningConfig(
     name="small", num_seeds=2, episodes=30, eval_episodes=10, window=10
@@ -50,6 +63,28 @@ def test_a_table_policy_takes_the_first_of_the_best():
     observation = jnp.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
     choices, _ = policy(observation, jax.random.key(0))
     np.testing.assert_array_equal(choices, [[0, 0], [1, 1], [1, 0]])
+
+
+def drive_recorded(digits, env):
+    """Summary of whole episodes that a recorded table drives in an environment."""
+    best = np.array([*map(int, digits)]).reshape(8, 3)
+    action = 3 * (best % 3) + best // 3
+    table = jax.nn.one_hot(jnp.array(action.T.reshape(-1)), 9)
+    policy = make_table_policy(table, (3, 8), (3, 3))
+    return evaluate_policy(ParkingEnv(env), policy, 512, seed=0, num_lots=256).summary
+
+
+@pytest.mark.parametrize("digits", RECORDED.values(), ids=RECORDED)
+def test_the_study_s_tables_park_always_in_the_dynamics_they_were_recorded_in(digits):
+    summary = drive_recorded(digits, TANNER_QLEARNING_RECORDED)
+    assert summary["parked"]["rate"] == 1.0
+    # Published: 10.20 to 10.22 over the last 500 episodes, of many starts.
+    assert summary["episode_return"] == pytest.approx(10.21, abs=0.03)
+
+
+def test_the_study_s_tables_mostly_fail_where_cars_do_not_turn_at_rest():
+    rate = drive_recorded(RECORDED["0.001"], TANNER_QLEARNING)["parked"]["rate"]
+    assert 0.3 < rate < 0.5
 
 
 def test_lots_with_several_numbers_of_agents_are_refused_in_a_sentence():

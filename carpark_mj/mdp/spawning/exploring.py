@@ -14,13 +14,15 @@ from carpark_mj.config import SpawnConfig
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import marked
 from carpark_mj.mdp.spawning.draws import draw_uniform, pick
-from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, surroundings
+from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, Surroundings
 from carpark_mj.mdp.spawning.poses import (
     close_points,
     draw_heading,
     draw_kind,
     random_pose,
+    redraw,
     spawn_shapes,
+    split_redraws,
     walk_numbers,
 )
 from carpark_mj.types import NO_BAY
@@ -54,10 +56,10 @@ def place_exploring(
     config: SpawnConfig,
     inputs: SpawnInputs,
     placing: Placing,
-    agent: jax.Array,
+    around: Surroundings,
     key: jax.Array,
 ) -> Placing:
-    """Draws where an agent () starts to explore.
+    """Draws where an agent starts to explore.
 
     A close start draws one point, see `close_points`, for every free bay that is no
     agent's goal, and picks a random one of those that keep `min_distance` to every
@@ -67,14 +69,15 @@ def place_exploring(
         config: spawning rules.
         inputs: the lot.
         placing: all agents, this one exploring.
-        agent: () int32 index.
+        around: what the agent keeps away from, and which it is.
         key: consumed.
     """
     layout = inputs.layout
+    key, again = split_redraws(config, key)
     draws = draw_uniform(_shapes(config, layout), key)
     kind = draw_kind(config, draws.start.kind)
-    around = surroundings(inputs, placing, agent)
     pose = random_pose(config, layout, around, draws.start)
+    pose = redraw(config, layout, around, pose, again)
     bay = jnp.full((), NO_BAY, jnp.int32)
     if config.close_ratio:
         others_goal = jnp.where(around.others, placing.goal, NO_BAY)
@@ -94,7 +97,7 @@ def place_exploring(
         drawn = pick(good, draws.order)
         pose = jnp.where(close, poses[drawn], pose)
         bay = jnp.where(close, drawn, bay)
-    return placing.set(agent, pose_w=pose, close_bay=bay, conflict=kind.crash)
+    return placing.set(around.agent, pose_w=pose, close_bay=bay, conflict=kind.crash)
 
 
 def first_goals(
@@ -108,7 +111,7 @@ def first_goals(
 
     After a close start it is the bay next to it with a probability of one half, if the
     agent tracks it; in conflict a random one of the tracked bays that are another
-    agent's goal. All others explore.
+    agent's goal, goals of close starts included. All others explore.
 
     Args:
         placing: how they were placed.
@@ -117,19 +120,17 @@ def first_goals(
         begun: (num_agents,) bool, who begins.
         key: consumed.
     """
-
-    def first(
-        close_bay: jax.Array, conflict: jax.Array, tracked: jax.Array, draws: jax.Array
-    ) -> jax.Array:
-        real = tracked != NO_BAY
-        takes = draws[0] < TAKES_CLOSE_BAY
-        takes = takes & (real & (tracked == close_bay)).any()
-        wanted = real & (tracked[:, None] == goal).any(axis=1)
-        shared = tracked[pick(wanted, draws[1:])]
-        choice = jnp.where(conflict & wanted.any(), shared, NO_BAY)
-        return jnp.where(takes, close_bay, choice).astype(jnp.int32)
-
     num_agents, num_slots = tracked_bays.shape
     draws = jax.random.uniform(key, (num_agents, 1 + num_slots))
-    drawn = jax.vmap(first)(placing.close_bay, placing.conflict, tracked_bays, draws)
-    return jnp.where(begun, drawn, goal)
+    real, close_bay = tracked_bays != NO_BAY, placing.close_bay
+    takes = begun & (draws[:, 0] < TAKES_CLOSE_BAY)
+    takes = takes & (real & (tracked_bays == close_bay[:, None])).any(axis=1)
+    goal = jnp.where(takes, close_bay, jnp.where(begun, NO_BAY, goal))
+
+    def share(tracked: jax.Array, real: jax.Array, scores: jax.Array) -> jax.Array:
+        wanted = real & (tracked[:, None] == goal).any(axis=1)
+        return jnp.where(wanted.any(), tracked[pick(wanted, scores)], NO_BAY)
+
+    shared = jax.vmap(share)(tracked_bays, real, draws[:, 1:])
+    conflict = begun & placing.conflict & ~takes
+    return jnp.where(conflict, shared, goal).astype(jnp.int32)

@@ -194,16 +194,15 @@ def start_placing(
 
 
 Place = Callable[[SpawnInputs, Placing, jax.Array, jax.Array], Placing]
-FirstPose = Callable[[SpawnInputs, Placing, jax.Array, jax.Array], jax.Array]
 
 
 def place_all(
-    first_pose: FirstPose, inputs: SpawnInputs, placing: Placing, key: jax.Array
+    place_first: Place, inputs: SpawnInputs, placing: Placing, key: jax.Array
 ) -> Placing:
     """Places all agents of a lot that begins, in the order of their numbers.
 
     Args:
-        first_pose: `Goals.first_pose`.
+        place_first: `Goals.place_first`.
         inputs: the lot.
         placing: all are waiting, with the goals they begin with.
         key: consumed.
@@ -213,8 +212,8 @@ def place_all(
         placing: Placing, draw: tuple[jax.Array, jax.Array]
     ) -> tuple[Placing, None]:
         agent, key = draw
-        pose_w = first_pose(inputs, placing, agent, key)
-        return placing.set(agent, pose_w=pose_w, waiting=False), None
+        placing = place_first(inputs, placing, agent, key)
+        return placing.set(agent, waiting=False), None
 
     num_agents = placing.goal.shape[0]
     draws = jnp.arange(num_agents), jax.random.split(key, num_agents)

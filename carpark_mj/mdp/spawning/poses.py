@@ -11,19 +11,19 @@ import jax.numpy as jnp
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.geometry import norm, rotate, wrap_angle
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.spawning.draws import pick_weighted
+from carpark_mj.mdp.spawning.draws import draw_uniform, pick_weighted
 from carpark_mj.mdp.spawning.placing import Surroundings
 
 
 class SpawnDraws(NamedTuple):
-    """Uniform numbers in [0, 1) for one start of n candidates.
+    """Uniform numbers in [0, 1) for one start of n candidates and m walks.
 
     Attributes:
         kind: () see `draw_kind`.
         region: (n,) which spawn region.
         point: (n, 2) where in it.
         heading: (n,) see `draw_heading`.
-        walk: (n, k) see `close_points`.
+        walk: (m, k) see `close_points`.
     """
 
     kind: Any
@@ -50,7 +50,8 @@ class SpawnKind(NamedTuple):
 def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
     """Shapes of the numbers of a start, for `draw_uniform`."""
     n = config.num_candidates
-    return SpawnDraws((), (n,), (n, 2), (n,), (n, walk_numbers(config)))
+    walks = 1 if config.spacing else n
+    return SpawnDraws((), (n,), (n, 2), (n,), (walks, walk_numbers(config)))
 
 
 def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
@@ -76,10 +77,10 @@ def spawn_pose(
     Headings are uniform within the spread of the spawn region. A random spawn is
     uniform over the spawn regions; a close one lies on a walk of up to
     `close_distance` from the region's point nearest to the goal, or is random if other
-    agents leave no room there. The first of `num_candidates` draws that keeps
-    `min_distance` to every other agent is taken, else the one whose outline is farthest
-    from theirs.
-    Draws where the car would touch something are taken only if there is no other.
+    agents leave no room there; with a spacing it has one walk only, as in the study.
+    The first of `num_candidates` draws that keeps `min_distance` to every other agent
+    is taken, else the one whose outline is farthest from theirs. Draws where the car
+    would touch something are taken only if there is no other.
 
     Args:
         config: spawning rules.
@@ -112,6 +113,48 @@ def random_pose(
     return _best(config, around, jnp.concatenate([xy, yaw[:, None]], axis=-1))
 
 
+def split_redraws(config: SpawnConfig, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """A key for a start and one for `redraw`, if it is used; `key` is consumed."""
+    if not config.max_redraws:
+        return key, key
+    first, again = jax.random.split(key)
+    return first, again
+
+
+def redraw(
+    config: SpawnConfig,
+    layout: Layout,
+    around: Surroundings,
+    pose: jax.Array,
+    key: jax.Array,
+) -> jax.Array:
+    """Draws a start pose (3,) again, at random, until it keeps `min_distance`.
+
+    It may still not after `max_redraws` rounds of `num_candidates`.
+
+    Args:
+        config: spawning rules.
+        layout: the lot.
+        around: what to keep away from.
+        pose: (3,) drawn so far.
+        key: consumed.
+    """
+    if not config.max_redraws:
+        return pose
+    shapes = spawn_shapes(config)._replace(walk=(0, 0))
+
+    def goes_on(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
+        count, pose = carry
+        return (count < config.max_redraws) & ~_keeps(config, around, pose[None])[0]
+
+    def again(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        count, _ = carry
+        draws = draw_uniform(shapes, jax.random.fold_in(key, count))
+        return count + 1, random_pose(config, layout, around, draws)
+
+    return jax.lax.while_loop(goes_on, again, (jnp.int32(0), pose))[1]
+
+
 def _random_points(
     config: SpawnConfig, layout: Layout, draws: SpawnDraws
 ) -> tuple[jax.Array, jax.Array]:
@@ -128,10 +171,15 @@ def _random_points(
 
 def _best(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
     """The first of poses (n, 3) that keeps its distance, else that of most room."""
-    touches = around.touches(pose)
-    keeps = ~touches & (around.distance(pose[:, :2]) > config.min_distance)
-    room = jnp.where(touches, -1.0, around.room(pose))
+    keeps = _keeps(config, around, pose)
+    room = jnp.where(around.touches(pose), -1.0, around.room(pose))
     return pose[jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(room))]
+
+
+def _keeps(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
+    """(n,) bool, whether poses (n, 3) keep their distance and touch nothing."""
+    far = around.distance(pose[:, :2]) > config.min_distance
+    return ~around.touches(pose) & far
 
 
 def draw_heading(layout: Layout, region: jax.Array, number: jax.Array) -> jax.Array:

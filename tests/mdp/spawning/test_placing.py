@@ -176,7 +176,7 @@ def test_at_a_reset_agents_start_on_course_for_those_placed_before_them():
 
     def place(goal, parked_cars, key):
         placing = start_placing(goal, parked_cars.bay, nowhere, everybody)
-        return place_all(goals.first_pose, alike(parked_cars), placing, key)
+        return place_all(goals.place_first, alike(parked_cars), placing, key)
 
     keys = jax.random.split(jax.random.key(5), 300)
     after = jax.device_get(jax.jit(jax.vmap(place))(goal, parked_cars, keys))
@@ -312,7 +312,7 @@ def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
     )
     size = jnp.array([[PRESETS["van"].length, PRESETS["van"].width]])
     goals, small = FixedGoals(EnvConfig()), jnp.array([[1.0, 1.0]])
-    first, later = (place_all, goals.first_pose), (place_waiting, goals.place)
+    first, later = (place_all, goals.place_first), (place_waiting, goals.place)
 
     def share_touching(how, new, old, fits):
         inputs = SpawnInputs(layout, parked_at(), new, old, BayFits(fits))

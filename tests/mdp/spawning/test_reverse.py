@@ -216,7 +216,7 @@ def ends_of(layout, spawn, agents=((0.0, 40.0, 0.0),), parked=None, count=1500):
     placing = start_placing(jnp.arange(len(agents)), parked.bay, pose, waiting)
 
     def one(key):
-        return goals.first_pose(inputs, placing, jnp.array(0), key)
+        return goals.place_first(inputs, placing, jnp.array(0), key).pose_w[0]
 
     return np.asarray(jax.jit(jax.vmap(one))(keys_of(3, count)))
 
@@ -282,7 +282,7 @@ def test_agents_of_a_lot_that_begins_do_not_overlap():
         placing = start_placing(
             goal, jnp.zeros(0, jnp.int32), jnp.zeros((6, 3)), waiting
         )
-        return place_all(goals.first_pose, inputs, placing, key).pose_w
+        return place_all(goals.place_first, inputs, placing, key).pose_w
 
     boxes = polygons(begin(keys_of(5, 300)), compact.size[0])
     gaps = shapely.distance(boxes[:, :, None], boxes[:, None])

@@ -9,7 +9,7 @@ import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import at_least, positive, ratio
+from carpark_mj.config.checks import at_least, choose, positive, ratio
 from carpark_mj.policy.networks import NetworkConfig
 from learners.ppo.curriculum_config import CurriculumConfig
 from learners.run_folder import RunConfig
@@ -24,7 +24,10 @@ PresetName = Literal[
     "tanner-fixed",
     "tanner-fixed-original",
     "tanner-dynamic",
+    "tanner-dynamic-original",
 ]
+
+VariantName = Literal["brax", "ml-agents"]
 
 _BY_HARDWARE = tyro.conf.arg(
     help_behavior_hint="(default: auto, which is gpu where JAX finds one, else cpu)"
@@ -74,6 +77,8 @@ class PPOConfig(RunConfig):
         discount: discount factor per control step, at the start.
         gae_lambda: lambda of generalised advantage estimation.
         max_grad_norm: global norm to which gradients are clipped.
+        variant: whose details: Brax's, or those of ML-Agents, see
+            `learners.ppo.ml_agents`.
         averaged_updates: the policy that is evaluated is the exponential moving average
             over about this many updates; 1 = the last one.
         hitbox_scale: factor on the cars' lengths and widths in collision tests during
@@ -105,6 +110,7 @@ class PPOConfig(RunConfig):
     discount: float = 0.99
     gae_lambda: float = 0.92
     max_grad_norm: float = 1.0
+    variant: VariantName = "brax"
     averaged_updates: int = 32
     hitbox_scale: float = 1.0
     hitbox_steps: int = 0
@@ -160,6 +166,9 @@ class PPOConfig(RunConfig):
                 f"hitbox_scale must be 1 in scene physics, where crashes are contacts, "
                 f"not {self.hitbox_scale}"
             )
+        choose("variant", self.variant, VariantName)
+        if self.variant == "ml-agents":
+            self._check_ml_agents()
         if self.curriculum.target_rate and not self.lot_life:
             raise ValueError(
                 f"curriculum.target_rate {self.curriculum.target_rate} needs lot_life "
@@ -170,6 +179,28 @@ class PPOConfig(RunConfig):
             raise ValueError(
                 f"num_lots x num_agents = {agents} must be a multiple of "
                 f"num_minibatches {self.num_minibatches}"
+            )
+
+    def _check_ml_agents(self) -> None:
+        """Refuses what the details of ML-Agents are not made for.
+
+        Raises:
+            ValueError: naming the setting and what it needs.
+        """
+        if self.env.physics != "grid":
+            raise ValueError(
+                "variant 'ml-agents' needs actions of choices only, env.physics "
+                f"'grid', not {self.env.physics!r}"
+            )
+        if self.networks.encoder != "flat":
+            raise ValueError(
+                "variant 'ml-agents' needs networks.encoder 'flat', not "
+                f"{self.networks.encoder!r}"
+            )
+        if len(self.env.agent_counts) > 1:
+            raise ValueError(
+                "variant 'ml-agents' needs the same number of agents in all lots, "
+                f"env.min_agents = None, not {self.env.min_agents}"
             )
 
     @property

@@ -16,6 +16,7 @@ from learners.ppo.advantages import compute_advantages
 from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum import discount, schedule
 from learners.ppo.loss import Minibatch, Weights, ppo_loss
+from learners.ppo.ml_agents import ml_agents_loss, prepare_steps
 from learners.ppo.rollout import Rollout, drop_absent
 from learners.ppo.state import AXIS, TrainingState
 
@@ -40,7 +41,8 @@ def learn(
     """Learns from the rollout of this device's agents.
 
     Values and advantages are those of the parameters at the start of an epoch. A
-    minibatch holds all steps of its agents; devices average their gradients.
+    minibatch holds all steps of its agents; devices average their gradients. With the
+    details of ML-Agents they are those of the start, and a minibatch holds any steps.
 
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.
@@ -51,9 +53,12 @@ def learn(
         entropy_cost=schedule(config.entropy_cost, config.entropy_cost_end, progress),
         clip=schedule(config.clip, config.clip_end, progress),
     )
-    normalizer = update_normalizer(
-        inputs, state.normalizer, rollout.observation, rollout.weight, AXIS
-    )
+    ml_agents = config.variant == "ml-agents"
+    normalizer = state.normalizer
+    if not ml_agents:
+        normalizer = update_normalizer(
+            inputs, normalizer, rollout.observation, rollout.weight, AXIS
+        )
     if rollout.weight is not None:
         key, drop_key = jax.random.split(key)
         count = num_learned(config, rollout.reward.shape[1])
@@ -84,17 +89,25 @@ def learn(
             weight=rollout.weight,
         )
 
+    old: Any = jax.tree.map(_flat, prepare(unravel(start))) if ml_agents else None
+    if ml_agents:
+        old = prepare_steps(unravel(start), networks, normalizer, old)
+    loss: Any = ml_agents_loss if ml_agents else ppo_loss
+
     def epoch(carry: Any, key: jax.Array) -> tuple[Any, Any]:
-        steps = prepare(unravel(carry[0]))
+        steps = old if ml_agents else prepare(unravel(carry[0]))
 
         def minibatch(carry: Any, part: Any) -> tuple[Any, Any]:
             params, moments = carry
-            agents, loss_key = part
-            grads, losses = jax.grad(ppo_loss, has_aux=True)(
+            chosen, loss_key = part
+            batch = jax.tree.map(
+                lambda x: x[chosen] if ml_agents else _flat(x[:, chosen]), steps
+            )
+            grads, losses = jax.grad(loss, has_aux=True)(
                 unravel(params),
                 networks,
                 normalizer,
-                jax.tree.map(lambda x: _flat(x[:, agents]), steps),
+                batch,
                 weights,
                 loss_key,
             )
@@ -104,7 +117,9 @@ def learn(
             return (params - learning_rate * updates, moments), losses
 
         shuffle_key, loss_key = jax.random.split(key)
-        order = jax.random.permutation(shuffle_key, rollout.reward.shape[1])
+        # Of steps, or of agents.
+        count = rollout.reward.size if ml_agents else rollout.reward.shape[1]
+        order = jax.random.permutation(shuffle_key, count)
         parts = (
             order.reshape(config.num_minibatches, -1),
             jax.random.split(loss_key, config.num_minibatches),

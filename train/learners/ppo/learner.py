@@ -25,6 +25,7 @@ from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum import crash_scale, training_env
 from learners.ppo.epochs import learn, network_params
 from learners.ppo.families import make_families
+from learners.ppo.ml_agents import initial_weights
 from learners.ppo.rollout import Rollout, Totals, collect
 from learners.ppo.state import AXIS, TrainingState, state_specs
 
@@ -92,6 +93,9 @@ class Learner:
             self.networks.policy_network.init(policy_key),
             self.networks.value_network.init(value_key),
         )
+        if self.config.variant == "ml-agents":
+            key, weights_key = jax.random.split(key)
+            params = initial_weights(params, weights_key)
         rates = self.families.init()
         lots = self.families.draw(rates, env_key, self.config.num_lots)
         state = TrainingState(

@@ -93,7 +93,6 @@ def ppo_loss(
     entropy_loss = -weights.entropy_cost * mean(distribution.entropy(logits, key))
     total_loss = policy_loss + v_loss + entropy_loss
 
-    drawn_from = distribution.create_dist(logits)
     return total_loss, {
         "total_loss": total_loss,
         "policy_loss": policy_loss,
@@ -101,6 +100,13 @@ def ppo_loss(
         "entropy_loss": entropy_loss,
         # The estimate of KL(old || new) of least variance, http://joschu.net/blog/kl-approx.html
         "kl_mean": mean(ratio - 1.0 - log_ratio),
+        **describe_policy(distribution.create_dist(logits)),
+    }
+
+
+def describe_policy(drawn_from: Any) -> dict[str, jax.Array]:
+    """Spread and location of the distribution that actions are drawn from."""
+    return {
         "policy_dist_mean_std": drawn_from.scale.mean(),
         "policy_dist_max_std": drawn_from.scale.max(),
         "policy_dist_min_std": drawn_from.scale.min(),

@@ -5,17 +5,13 @@ names of their environments in `carpark_mj.registry` and are meant for a GPU: `s
 `dynamic` and `anywhere` train real cars, the rest are the experiments of Tanner 2022,
 16 M agent steps with settings of our own.
 
-`tanner-fixed-original` has the study's hyperparameters, table 5.1, as far as this loop
-has them, for 12.8 M steps: the study's last 3.2 M of 16 M have a learning rate of about
-zero. What differs:
+`tanner-fixed-original` and `tanner-dynamic-original` have the study's hyperparameters,
+table 5.1, and the details of its trainer (`learners.ppo.ml_agents`), for 12.8 M steps:
+the study's last 3.2 M of 16 M have a learning rate of about zero. What differs:
 
 - an update has 4032 agent steps, 32 of each of 126 agents in 18 lots; the study's has
   4096, of 7 agents in one lot, in trajectories of at most 128 steps.
-- a minibatch of 32 is 32 consecutive steps of one agent, not 32 random steps, and its
-  advantages are normalised by themselves, not with those of the whole update.
-- the clipped ratio is that of the whole action, not of each branch; the value's change
-  is not clipped, and its loss has half the weight.
-- observations are normalised, and weights start as Brax starts them (LeCun).
+- a timed-out step is masked, as in all our PPO; the study bootstraps from it.
 """
 
 import dataclasses
@@ -122,6 +118,7 @@ _ORIGINAL = PPOConfig(
     discount=0.999,
     gae_lambda=0.925,
     max_grad_norm=1e9,  # the study does not clip gradients
+    variant="ml-agents",
     averaged_updates=1,
     networks=NetworkConfig((256, 256, 256), (256, 256, 256), encoder="flat"),
     env=TANNER_FIXED,
@@ -140,10 +137,14 @@ PRESETS: dict[str, PPOConfig] = {
     "tanner-dynamic": dataclasses.replace(
         _STUDY, preset="tanner-dynamic", env=TANNER_DYNAMIC
     ),
+    "tanner-dynamic-original": dataclasses.replace(
+        _ORIGINAL, preset="tanner-dynamic-original", env=TANNER_DYNAMIC
+    ),
 }
 
 _HARDWARE = {name: "CPU" if name == "cpu" else "GPU" for name in PRESETS}
-_HARDWARE["tanner-fixed-original"] += ", hyperparameters of the study"
+for _name in ("tanner-fixed-original", "tanner-dynamic-original"):
+    _HARDWARE[_name] += ", hyperparameters of the study"
 
 SUMMARIES = {
     name: f"{_HARDWARE[name]}, {config.num_steps / 1e6:g} M steps"

@@ -8,7 +8,9 @@ from carpark_mj.config.checks import at_least, ratio
 from carpark_mj.registry import TANNER_QLEARNING
 from learners.run_folder import RunConfig
 
-QLearningPreset = Literal["tanner-qlearning", "tanner-qlearning-rings"]
+QLearningPreset = Literal[
+    "tanner-qlearning", "tanner-qlearning-recorded", "tanner-qlearning-rings"
+]
 
 # What the short help lists.
 RUN_SETTINGS = (
@@ -34,8 +36,9 @@ class QLearningConfig(RunConfig):
     5.1.1; names follow its table C.6.
 
     Attributes:
-        preset: experiment the other flags start from: `tanner-qlearning`, figure 5.1,
-            or `tanner-qlearning-rings`, figure 5.2.
+        preset: experiment the other flags start from: `tanner-qlearning`, figure 5.1 as
+            the study's tables have it, `tanner-qlearning-recorded`, as its runs were
+            recorded, or `tanner-qlearning-rings`, figure 5.2.
         num_seeds: independent trainings in parallel, each with its own table.
         num_lots: lots that share a table; 1 as in the study, more is faster.
         episodes: training episodes per seed, over which the rates decay.
