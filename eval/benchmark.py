@@ -2,6 +2,7 @@
 
 python eval/benchmark.py                                   # this checkout
 python eval/benchmark.py --what env --batches 512 4096
+python eval/benchmark.py --what ppo --preset tanner-fixed --runs 1 4 16
 python eval/benchmark.py --against main~1 --out benchmark.csv
 python eval/benchmark.py --peer highway-env --batches 1024  # pip install '.[sb3,peers]'
 
@@ -51,6 +52,7 @@ class BenchmarkConfig:
         num_parked_cars: number of parked cars in each lot of `env`.
         preset: preset of `ppo`, with the batch as its number of lots; `auto` chooses by
             whether there is a GPU.
+        runs: numbers of runs side by side of `ppo`, each with a batch of its own.
         steps: control steps of 0.2 s per timing of `env` and `physics`; `ppo` times
             updates.
         timings: timings in each process; the best is reported.
@@ -69,6 +71,7 @@ class BenchmarkConfig:
     num_agents: int = EnvConfig.num_agents
     num_parked_cars: int = EnvConfig.num_parked_cars
     preset: str = "auto"
+    runs: tuple[int, ...] = (1,)
     steps: int = 20
     timings: int = 10
     clock: Clock = "wall"
@@ -81,8 +84,9 @@ class BenchmarkConfig:
                 raise ValueError(
                     f"{name} must be at least 1, not {getattr(self, name)}"
                 )
-        if not self.batches or min(self.batches) < 1:
-            raise ValueError(f"batches must be positive, not {self.batches}")
+        for name in ("batches", "runs"):
+            if min(getattr(self, name), default=0) < 1:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
         for name in ("what", "layouts", "cars"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must name at least one")
@@ -100,10 +104,12 @@ class BenchmarkConfig:
                 self.steps,
                 self.timings,
                 self.clock,
+                runs,
             )
             for what in self.what
             for variant in variants[what]
             for lots in self.batches
+            for runs in (self.runs if what == "ppo" else (1,))
         ]
 
 

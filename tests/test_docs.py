@@ -34,6 +34,7 @@ from carpark_mj.observations import make_fields, markdown_table, observation_siz
 from carpark_mj.registry import ENVIRONMENTS, TANNER_FIXED
 from carpark_mj.vehicle import PRESETS
 from learners.hosts import read_hosts
+from learners.ppo.arguments import read_runs
 from learners.ppo.config import PPOConfig
 from learners.ppo.presets import PRESETS as PPO_PRESETS
 from learners.q_learning.config import QLearningConfig
@@ -216,10 +217,15 @@ def test_a_command_exists_and_takes_its_flags(line):
         return
     if program == "-m carpark_mj.scene":
         arguments = complete(arguments)
-    if program == "train/ppo.py":
-        arguments = read_hosts(arguments)[1]
     config = COMMANDS.get(program) or settings_of(program)
-    read_flags(config, arguments, preset(config, arguments))
+
+    def read(words):
+        return read_flags(config, words, preset(config, words))
+
+    if program == "train/ppo.py":
+        read_runs(read_hosts(arguments)[1], read)
+    else:
+        read(arguments)
 
 
 def settings_of(program):

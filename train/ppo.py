@@ -3,6 +3,7 @@
     python train/ppo.py                        # preset by hardware, runs/cpu-0 or gpu-0
     python train/ppo.py --resume runs/cpu-0    # continues where it stopped
     python train/ppo.py --preset tanner-fixed  # the study's grid world
+    python train/ppo.py --preset tanner-fixed --seeds 0..7       # runs side by side
     python train/ppo.py --help-all             # every setting
     python train/ppo.py --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
     srun python train/ppo.py --coordinator auto                          # a cluster
@@ -10,11 +11,9 @@
 Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at once.
 """
 
-import contextlib
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import jax
 
@@ -45,39 +44,36 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def run_on_host(arguments: Sequence[str]) -> int:
     """Trains on this host; returns the exit code."""
-    from learners import hosts
-    from learners.memory import require_memory
-    from learners.ppo.config import RUN_SETTINGS
-    from learners.ppo.learner import Learner
+    from learners.ppo.arguments import read_runs
+    from learners.ppo.config import RUN_SETTINGS, PPOConfig
     from learners.ppo.presets import PRESETS, SUMMARIES
-    from learners.ppo.train import TrainingDivergedError, finish, train
-    from learners.run_folder import open_run
+    from learners.ppo.run import train_runs
+    from learners.ppo.train import MAX_SKIPPED
     from learners.settings import read_settings
 
     hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
-    config = read_settings(
-        PRESETS[hardware], PRESETS, arguments, __doc__, RUN_SETTINGS, SUMMARIES
-    )
-    learner = Learner(config)  # refuses impossible lots before a folder is made
-    require_memory(learner.least_memory() // jax.process_count())
-    hosts.require_same(repr(config))
-    try:
-        with contextlib.ExitStack() as stack:
-            opened = hosts.on_first(lambda: stack.enter_context(open_run(config)))
-            # Others only read the checkpoint of a run to resume, if it is one.
-            folder = opened or Path(config.resume or config.runs_dir)
-            done = train(config, learner, folder)
-            hosts.part()
-            if not done:
-                print(f"stopped; continue with: python train/ppo.py --resume {folder}")
-                return 0
-            if hosts.is_first():
-                finish(config, folder)
-    except TrainingDivergedError as error:
-        print(f"ppo: {error}", file=sys.stderr)
-        return 1
-    print(f"done: {folder}")
-    return 0
+
+    def read(arguments: Sequence[str]) -> PPOConfig:
+        return read_settings(
+            PRESETS[hardware], PRESETS, arguments, __doc__, RUN_SETTINGS, SUMMARIES
+        )
+
+    ended = train_runs(read_runs(arguments, read))
+    stopped = [str(folder) for folder, outcome in ended if outcome == "stopped"]
+    if stopped:
+        print(
+            f"stopped; continue with: python train/ppo.py --resume {' '.join(stopped)}"
+        )
+    for folder, outcome in ended:
+        if outcome == "done":
+            print(f"done: {folder}")
+        if outcome == "diverged":
+            print(
+                f"ppo: {MAX_SKIPPED} updates in a row came out non-finite; the "
+                f"checkpoints in {folder} are from before",
+                file=sys.stderr,
+            )
+    return int(any(outcome == "diverged" for _, outcome in ended))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

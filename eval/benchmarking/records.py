@@ -21,6 +21,7 @@ class Job:
         steps: control steps per timing; `ppo` times updates instead.
         timings: of which the best counts.
         clock: by which they are taken.
+        runs: of `ppo`, side by side in one program.
     """
 
     what: What
@@ -31,6 +32,7 @@ class Job:
     steps: int
     timings: int
     clock: Clock
+    runs: int = 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +43,8 @@ class Measurement:
         device: the GPU's name, or the number of CPU cores.
         jax: version.
         mujoco: version.
-        what: measured, with the preset of `ppo` or the tyres and substep of `physics`.
+        what: measured, with the preset and runs of `ppo` or the tyres and substep of
+            `physics`.
         layout: of the lots; empty for `physics`.
         agents: in each lot.
         lots: simulated at once.

@@ -26,6 +26,7 @@ from benchmarking.timing import CLOCKS, best_time
 # Where the parts of the PPO trainer are, newest place first.
 PPO_HOMES = {
     "Learner": ("learners.ppo.learner", "learner"),
+    "GroupLearner": ("learners.ppo.group",),
     "PRESETS": ("learners.ppo.presets", "presets"),
     "configure_jax": ("ppo",),
 }
@@ -101,15 +102,24 @@ def ppo_subject(job: Job) -> Subject:
     if name not in presets:
         raise ValueError(f"unknown preset {name!r}; choose from {sorted(presets)}")
     config = dataclasses.replace(presets[name], num_lots=job.lots)
-    learner = find_ppo("Learner")(config)
+    what = f"ppo {name}"
+    if job.runs == 1:
+        learner = find_ppo("Learner")(config)
+        program = learner.compile()
+    else:
+        seeds = range(job.runs)
+        configs = [dataclasses.replace(config, seed=seed) for seed in seeds]
+        learner = find_ppo("GroupLearner")(configs)
+        program = jax.jit(learner.compile(), donate_argnums=0)
+        what += f", {job.runs} runs"
     layout = config.env.layout
     return Subject(
-        what=f"ppo {name}",
+        what=what,
         layout=layout if isinstance(layout, str) else layout.family,
         agents=config.env.num_agents,
         unit="agent-steps",
-        count=config.steps_per_update,
-        program=learner.compile(),
+        count=job.runs * config.steps_per_update,
+        program=program,
         carry=learner.init(),
     )
 

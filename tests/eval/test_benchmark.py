@@ -122,6 +122,12 @@ def test_each_round_measures_every_variant_in_every_batch():
     assert asked == [(*variant, lots) for variant in variants for lots in (4, 8)]
 
 
+def test_only_ppo_has_several_runs_side_by_side():
+    config = benchmark.BenchmarkConfig(cars=("brush",), runs=(1, 4))
+    asked = [(job.what, job.runs) for job in config.jobs()]
+    assert asked == [("env", 1), ("ppo", 1), ("ppo", 4), ("physics", 1)]
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -131,6 +137,7 @@ def test_each_round_measures_every_variant_in_every_batch():
         {"num_agents": 0},
         {"batches": ()},
         {"batches": (8, 0)},
+        {"runs": (1, 0)},
         {"what": ()},
         {"layouts": ()},
     ],

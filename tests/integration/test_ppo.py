@@ -185,6 +185,34 @@ def test_two_hosts_train_like_two_devices_of_one(finished, environment):
             np.testing.assert_allclose(ours[name], whole[name], atol=1e-5, err_msg=name)
 
 
+def test_seeds_side_by_side_are_runs_like_any_other(environment, tmp_path):
+    start = (*TINY, "--runs-dir", str(tmp_path), "--name")
+    stop = ("--time-limit", "1e-4")  # reached in the first update
+    done = run(environment, "train/ppo.py", *start, "group", "--seeds", "0..1", *stop)
+    assert done.returncode == 0, done.stderr
+    folders = [str(tmp_path / f"group-{seed}") for seed in range(2)]
+    assert f"--resume {' '.join(folders)}\n" in done.stdout
+    done = run(environment, "train/ppo.py", "--resume", *folders)
+    assert done.returncode == 0, done.stderr
+    # On two devices, each of which has one run whole.
+    alone = run(
+        environment | {"JAX_NUM_CPU_DEVICES": "1"},
+        *("train/ppo.py", *start, "alone", "--seed", "1"),
+    )
+    assert alone.returncode == 0, alone.stderr
+    ours, theirs = map(Path, (folders[1], tmp_path / "alone"))
+    assert {p.name for p in ours.iterdir()} == {p.name for p in theirs.iterdir()}
+    assert len(metrics(ours)) == UPDATES
+    a, b = np.load(checkpoint(ours)), np.load(checkpoint(theirs))
+    assert set(a.files) == set(b.files)
+    for name in a.files:
+        if name != "header":
+            # What rounds otherwise in a vectorised program, through 20 updates.
+            np.testing.assert_allclose(a[name], b[name], atol=1e-4, err_msg=name)
+    done = run(environment, "eval/evaluate.py", folders[0], "--episodes", "8")
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_run_is_one_process_s_and_ctrl_c_leaves_a_checkpoint(finished, environment):
     folder = finished[0].parent / "stopped"
     arguments = (*TINY, "--num-steps", "10000000", "--checkpoint-updates", "1000000")
@@ -264,6 +292,9 @@ BAD = {
     "minibatches": (("--num-minibatches", "7"), "multiple of num_minibatches 7"),
     "no run": (("--resume", "nowhere"), "no run at nowhere"),
     "settings on resume": (("--resume", "nowhere", "--seed", "1"), "drop seed"),
+    "no runs": (("--resume", "nowhere", "too"), "no run at nowhere"),
+    "seeds": (("--seeds", "0-3"), "seeds must be like 0..7 or 1,5,9, not '0-3'"),
+    "too many runs": (("--seeds", "0..999", "--num-lots", "8192"), "GiB of memory"),
     "unwritable": (("--runs-dir", "/proc/runs"), "/proc/runs"),
     "unknown preset": (("--preset", "nope"), "'nope' for argument '--preset'"),
     "unknown flag": (("--num-lot", "3"), "perhaps you meant --num-lots"),

@@ -61,8 +61,8 @@ def trained(folder, update_seconds, **changes):
     """Whether training was done, and the metrics of all its updates."""
     config = dataclasses.replace(CONFIG, **changes)
     learner = SlowLearner(config, update_seconds)
-    done = train(config, learner, folder, lambda: learner.now)
-    return done, read_metrics(folder)
+    (outcome,) = train(learner, [folder], lambda: learner.now)
+    return outcome == "done", read_metrics(folder)
 
 
 def test_a_slow_machine_stops_in_time_at_the_end_of_the_schedules(tmp_path):

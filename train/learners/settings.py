@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -84,6 +84,16 @@ def read_config(cls: type[Config], folder: Path) -> Config:
         return runs.from_dict(cls, described["config"])
     except (TypeError, ValueError) as error:
         raise CheckpointError(f"{path} is no config of a run: {error}") from None
+
+
+def list_settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Names and values of all settings, nested ones by their path."""
+    for field in dataclasses.fields(config):
+        name, value = f"{prefix}{field.name}", getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from list_settings(value, f"{name}.")
+        else:
+            yield name, value
 
 
 def _named_preset(arguments: Sequence[str]) -> str:

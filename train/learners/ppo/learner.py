@@ -5,7 +5,7 @@ Brax. Lots are sharded over the devices, parameters replicated, gradients averag
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -79,6 +79,12 @@ class Learner:
         )
         devices = jax.devices()[: num_devices(config)]
         self.mesh = Mesh(devices, (AXIS,))
+        self.specs = state_specs()
+
+    @property
+    def configs(self) -> tuple[PPOConfig, ...]:
+        """Of every run that is trained."""
+        return (self.config,)
 
     def init(self) -> TrainingState:
         """The state before the first update, laid out over the devices."""
@@ -86,8 +92,12 @@ class Learner:
 
     def build(self) -> TrainingState:
         """The state before the first update (pure)."""
+        return self.begin(jax.random.key(self.config.seed))
+
+    def begin(self, seed: jax.Array) -> TrainingState:
+        """The state of a run with this seed, a key, before the first update (pure)."""
         # fold_in 0 is training's half of the seed; evaluation uses 1.
-        key = jax.random.fold_in(jax.random.key(self.config.seed), 0)
+        key = jax.random.fold_in(seed, 0)
         policy_key, value_key, env_key, key = jax.random.split(key, 4)
         params = network_params(
             self.networks.policy_network.init(policy_key),
@@ -126,7 +136,7 @@ class Learner:
         layers = (*config.networks.policy_layers, *config.networks.value_layers)
         unroll = config.steps_per_update * self.env.observation_size
         activations = config.steps_per_update // config.num_minibatches * sum(layers)
-        numbers = unroll + activations
+        numbers = len(self.configs) * (unroll + activations)
         return num_bytes((state, state.policy, state.value)) + 4 * numbers
 
     def place(self, state: TrainingState) -> TrainingState:
@@ -143,11 +153,20 @@ class Learner:
             state = jax.jit(_without_keys, out_shardings=self._whole)(state)
         return jax.device_get(state)
 
+    def split(self, state: TrainingState) -> list[TrainingState]:
+        """The state of every run."""
+        return [state]
+
+    def join(self, states: Sequence[TrainingState]) -> TrainingState:
+        """The state of all runs, from that of every one."""
+        (state,) = states
+        return state
+
     def set_seconds(self, state: TrainingState, seconds: float) -> TrainingState:
         """The state with what is used of the budget; nothing recompiles for it."""
-        return dataclasses.replace(
-            state, seconds=_put(np.float32(seconds), self._whole)
-        )
+        used = np.full(state.seconds.shape, seconds, np.float32)
+        shardings: Any = self._shardings()
+        return dataclasses.replace(state, seconds=_put(used, shardings.seconds))
 
     @property
     def _whole(self) -> NamedSharding:
@@ -156,17 +175,17 @@ class Learner:
     def _shardings(self) -> TrainingState:
         return jax.tree.map(
             lambda spec: NamedSharding(self.mesh, spec),
-            state_specs(),
+            self.specs,
             is_leaf=lambda x: isinstance(x, PartitionSpec),
         )
 
     def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
         """The jitted update `state -> (state, metrics)`; it consumes the state."""
         update = jax.shard_map(
-            lambda state: self.update(jax.tree.map(_without_input, state)),
+            lambda state: self.update(jax.tree.map(without_input, state)),
             mesh=self.mesh,
-            in_specs=(state_specs(),),
-            out_specs=(state_specs(), PartitionSpec()),
+            in_specs=(self.specs,),
+            out_specs=(self.specs, PartitionSpec()),
             check_vma=False,
         )
         # Also given for the results; otherwise on one device JAX treats some lots as
@@ -264,7 +283,7 @@ class Learner:
         episodes cut off are truncated correctly. They do not count as episodes that
         ended.
         """
-        num_lots = self.config.num_lots // self.mesh.size
+        num_lots = self.config.num_lots // self.mesh.shape[AXIS]
         lots = due_lots(update, num_lots, self.config.lot_life)
         return self.env.renew(
             env_state, lots, *self.families.draw(rates, key, len(lots))
@@ -304,7 +323,7 @@ def _is_key(x: Any) -> bool:
     return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
 
 
-def _without_input(x: jax.Array) -> jax.Array:
+def without_input(x: jax.Array) -> jax.Array:
     """The array, as a constant if it is empty: JAX drops inputs that nothing uses.
 
     XLA 0.11 crashes partitioning a `shard_map` with an empty input (a lot without discs

@@ -3,8 +3,10 @@
 import csv
 import math
 from pathlib import Path
+from typing import Any
 
 from tensorboardX import SummaryWriter
+from tensorboardX.proto.summary_pb2 import Summary
 
 from carpark_mj.policy.runs import write_csv
 
@@ -38,10 +40,14 @@ class MetricsLog:
             writer.writeheader()
         writer.writerow(row)
         self._file.flush()
-        step = int(row["env_steps"])
-        for name, value in row.items():
-            if name not in ("update", "env_steps") and math.isfinite(value):
-                self._board.add_scalar(name, value, step)
+        scalars = [
+            Summary.Value(tag=name, simple_value=value)
+            for name, value in row.items()
+            if name not in ("update", "env_steps") and math.isfinite(value)
+        ]
+        # One event: with one for each scalar a row takes 3 ms, for every run.
+        events: Any = self._board.file_writer
+        events.add_summary(Summary(value=scalars), int(row["env_steps"]))
 
     def close(self) -> None:
         """Flushes and closes both."""

@@ -1,57 +1,73 @@
-"""A PPO run: the loop over updates, and the outputs at its end."""
+"""Training of PPO: the loop over updates, with its log and checkpoints."""
 
 import contextlib
 import dataclasses
-import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import jax
+import numpy as np
 
 from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy.checkpoints import CheckpointError
 from learners import hosts
 from learners.loop import Loop
 from learners.ppo.config import PPOConfig
-from learners.ppo.curve import plot_learning_curve
 from learners.ppo.forecast import MEASURED_SECONDS, announcement, estimate
 from learners.ppo.learner import Learner
 from learners.ppo.metrics_log import MetricsLog
 from learners.ppo.state import TrainingState
+from learners.settings import list_settings
 
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
 
+# Whether a run came to its end, was stopped before, or kept coming out non-finite.
+Outcome = Literal["done", "stopped", "diverged"]
 
-class TrainingDivergedError(Exception):
-    """Updates keep coming out non-finite."""
 
-
-def print_settings(config: PPOConfig, folder: Path, learner: Learner) -> None:
-    """Prints every setting, one a line."""
+def print_settings(learner: Learner, folders: Sequence[Path]) -> None:
+    """Prints every setting, one a line; where runs differ, the values of all."""
     device = jax.devices()[0]
     where = f"{learner.mesh.size} x {device.device_kind}"
     if jax.process_count() > 1:
         where += f" of {jax.process_count()} hosts"
-    print(f"run {folder} on {where}")
-
-    def lines(prefix: str, settings: dict[str, Any]) -> None:
-        for name, value in settings.items():
-            if isinstance(value, dict):
-                lines(f"{prefix}{name}.", value)
-            else:
-                print(f"  {prefix}{name} = {value}")
-
-    lines("", dataclasses.asdict(config))
+    print(f"run {', '.join(map(str, folders))} on {where}")
+    for settings in zip(*map(list_settings, learner.configs), strict=True):
+        values = [str(value) for _, value in settings]
+        text = values[0] if len({*values}) == 1 else ", ".join(values)
+        print(f"  {settings[0][0]} = {text}")
 
 
-def load_or_init(learner: Learner, folder: Path) -> TrainingState:
-    """The newest checkpoint of the run, or a fresh state if it has none."""
-    if not runs.checkpoint_files(folder):
+def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
+    """The newest checkpoints of the runs, or a fresh state if they have none.
+
+    Raises:
+        CheckpointError: some are damaged, or the runs share no step.
+    """
+    if not any(runs.checkpoint_files(folder) for folder in folders):
         return learner.init()
-    path = runs.latest_checkpoint(folder)
-    template = vars(learner.shapes())
-    return learner.place(TrainingState(**checkpoints.load(path, template)))
+    template = vars(jax.eval_shape(lambda: learner.split(learner.build())[0]))
+    states = [
+        TrainingState(**checkpoints.load(path, template))
+        for path in _checkpoints_of_one_step(folders)
+    ]
+    return learner.place(learner.join(states))
+
+
+def _checkpoints_of_one_step(folders: Sequence[Path]) -> list[Path]:
+    """The newest ones that all runs have: a kill may come between two of a step."""
+    newest = [runs.latest_checkpoint(folder) for folder in folders]
+    name = min(path.name for path in newest)
+    paths = [path.with_name(name) for path in newest]
+    for folder, path in zip(folders, paths, strict=True):
+        if not path.exists():
+            raise CheckpointError(
+                f"{folder} has no checkpoint {name}, where another run stands: "
+                "resume them one by one"
+            )
+    return paths
 
 
 def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
@@ -67,41 +83,42 @@ def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
 
 
 def train(
-    config: PPOConfig,
     learner: Learner,
-    folder: Path,
+    folders: Sequence[Path],
     clock: Callable[[], float] = time.monotonic,
-) -> bool:
-    """Trains until done, stopped or at the time limit; True when done.
+) -> list[Outcome]:
+    """Trains until done, stopped or at the time limit; returns each run's outcome.
 
-    It is done after `num_steps`, or after `minutes` if that is sooner.
+    Runs are done after `num_steps`, or after `minutes` if that is sooner. One that
+    diverges writes nothing any more; its checkpoints are from before.
 
     Args:
-        config: of the run.
-        learner: of the config.
-        folder: of the run; only host 0 writes to it.
+        learner: of the runs.
+        folders: of the runs; only host 0 writes to them.
         clock: gives the time [s].
 
     Raises:
-        TrainingDivergedError: the updates keep coming out non-finite.
         CheckpointError: a checkpoint to resume from is damaged.
     """
-    print_settings(config, folder, learner)
+    config, count = learner.config, len(folders)
+    print_settings(learner, folders)
     loop = Loop("PPO", config, clock)
-    state = load_or_init(learner, folder)
+    state = load_or_init(learner, folders)
     update = learner.compile()
-    first = done = int(state.update)
-    used = float(state.seconds)  # by the runs that this one continues
+    first = done = int(np.ravel(state.update)[0])
+    used = float(np.ravel(state.seconds)[0])  # by the runs that these continue
     print(announcement(config, done, used))
     print("compiling ...", flush=True)
-    skipped, in_a_row = int(state.skipped), 0
+    skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
+    diverged = np.zeros(count, bool)
     begun = 0.0
     leaving = told = False
     progress = float(config.progress(done, used))
-    with loop.over(1.0, progress), _metrics(folder, done) as log:
-        while progress < 1.0 and not leaving:
+    with loop.over(1.0, progress), _metrics(folders, done) as log:
+        while progress < 1.0 and not leaving and not diverged.all():
             state, metrics = update(state)
-            row = {name: float(x) for name, x in jax.device_get(metrics).items()}
+            # By name (runs,).
+            values = {name: np.ravel(x) for name, x in jax.device_get(metrics).items()}
             done += 1
             due = loop.checkpoint_is_due
             seconds, leaving, due = hosts.largest(
@@ -113,69 +130,53 @@ def train(
             begun = begun or loop.seconds  # the first update includes compilation
             made = (done - first - 1) * config.steps_per_update
             rate = made / (loop.seconds - begun) if made else 0.0
-            in_a_row = in_a_row + 1 if row["skipped"] > skipped else 0
-            skipped = int(row["skipped"])
-            if in_a_row >= MAX_SKIPPED:
-                raise TrainingDivergedError(
-                    f"{in_a_row} updates in a row came out non-finite; the checkpoints "
-                    f"in {folder} are from before"
-                )
+            in_a_row = np.where(values["skipped"] > skipped, in_a_row + 1, 0)
+            skipped = values["skipped"]
+            diverged |= in_a_row >= MAX_SKIPPED
             steps = done * config.steps_per_update
-            log(
-                {
-                    "update": done,
-                    "env_steps": steps,
-                    "seconds": loop.seconds,
-                    "steps_per_second": rate,
-                    **row,
-                }
-            )
+            row = {
+                "update": done,
+                "env_steps": steps,
+                "seconds": loop.seconds,
+                "steps_per_second": rate,
+            }
+            going = [k for k in range(count) if not diverged[k]]
+            for k in going:
+                log(k, row | {name: float(x[k]) for name, x in values.items()})
             if not told and made and loop.seconds - begun > MEASURED_SECONDS:
                 loop.say(estimate(config, done, seconds, rate))
                 told = True
             loop.show(
                 progress,
-                f"{steps / 1e6:.2f} M  {rate:>7,.0f} steps/s  "
-                f"[green]parked {row['episode/parked']:5.1%}[/]  "
-                f"[red]crashed {row['episode/crashed']:5.1%}[/]",
+                f"{count * steps / 1e6:.2f} M  {count * rate:>7,.0f} steps/s  "
+                f"[green]parked {values['episode/parked'].mean():5.1%}[/]  "
+                f"[red]crashed {values['episode/crashed'].mean():5.1%}[/]",
             )
             if config.checkpoint_updates:
                 due = done % config.checkpoint_updates == 0
             if due or leaving or progress >= 1.0:
-                whole = learner.gather(state)
-                hosts.on_first(lambda whole=whole: save(folder, config, whole))
+                states = learner.split(learner.gather(state))
+                hosts.on_first(
+                    lambda states=states, going=going: [
+                        save(folders[k], learner.configs[k], states[k]) for k in going
+                    ]
+                )
                 loop.saved()
-    return progress >= 1.0
+    ended: Outcome = "done" if progress >= 1.0 else "stopped"
+    return ["diverged" if failed else ended for failed in diverged]
 
 
 @contextlib.contextmanager
-def _metrics(folder: Path, done: int) -> Generator[Callable[[dict[str, float]], None]]:
-    """What writes a row of metrics; on host 0 alone."""
+def _metrics(
+    folders: Sequence[Path], done: int
+) -> Generator[Callable[[int, dict[str, float]], None]]:
+    """What writes a row of metrics of the k-th run; on host 0 alone."""
     if not hosts.is_first():
-        yield lambda row: None
+        yield lambda k, row: None
         return
-    with contextlib.closing(MetricsLog(folder, done)) as log:
-        yield log.write
-
-
-def finish(config: PPOConfig, folder: Path) -> None:
-    """Learning curve, evaluation on held-out seeds and a video of the trained policy.
-
-    Every part is made anew from what lies in the folder.
-    """
-    print(f"wrote {plot_learning_curve(folder)}")
-    if config.eval_episodes:
-        from carpark_mj.cli import evaluate
-
-        evaluate.main(
-            evaluate.EvaluateConfig(run=str(folder), episodes=config.eval_episodes)
-        )
-    if config.video_seconds:
-        from carpark_mj.cli import render
-
-        try:
-            render.main(
-                render.RenderConfig(run=str(folder), seconds=config.video_seconds)
-            )
-        except render.RenderingError as error:
-            print(f"no video: {error}", file=sys.stderr)
+    with contextlib.ExitStack() as stack:
+        logs = [
+            stack.enter_context(contextlib.closing(MetricsLog(folder, done)))
+            for folder in folders
+        ]
+        yield lambda k, row: logs[k].write(row)
