@@ -11,6 +11,7 @@ from typing import get_args
 
 import pytest
 
+from carpark_mj.cli.analysis import AnalysisConfig
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
@@ -39,6 +40,8 @@ from learners.ppo.config import PPOConfig
 from learners.ppo.presets import PRESETS as PPO_PRESETS
 from learners.q_learning.config import QLearningConfig
 from learners.q_learning.presets import Q_PRESETS
+from studies.config import StudyConfig
+from sweeps.config import SweepConfig
 from vehicle_suite.table import excerpt
 
 ROOT = Path(__file__).parents[1]
@@ -58,6 +61,9 @@ COMMANDS = {
     "train/ppo.py": PPOConfig,
     "train/q_learning.py": QLearningConfig,
     "train/export.py": ExportConfig,
+    "train/study.py": StudyConfig,
+    "train/sweep.py": SweepConfig,
+    "eval/analysis.py": AnalysisConfig,
     "eval/evaluate.py": EvaluateConfig,
     "eval/render.py": RenderConfig,
     "-m carpark_mj.scene": SceneConfig,

@@ -25,6 +25,7 @@ FLOORS = (
     ("env",),
     ("registry", "registration", "policy"),
     ("evaluation",),
+    ("analysis",),
     ("rendering",),
     ("wrappers", "play"),
     ("cli",),

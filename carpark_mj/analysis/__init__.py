@@ -1,0 +1,1 @@
+"""Several runs together: tables with intervals, plots, one page."""

@@ -1,0 +1,148 @@
+"""Finished runs as records of their settings and metrics."""
+
+import csv
+import dataclasses
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from carpark_mj.policy.checkpoints import CheckpointError
+
+# What differs between runs without changing what is trained.
+_INCIDENTAL = ("name", "runs_dir", "resume", "time_limit", "seed", "preset")
+
+
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """A run that was evaluated.
+
+    Attributes:
+        name: of its folder.
+        settings: dotted name to value, of all settings of the trainer.
+        metrics: name to number; a rate is one number, quantiles have their own names.
+        seed: random seed.
+        folder: of the run; None of a published one.
+        versions: of the packages that trained it.
+        device: what trained it.
+    """
+
+    name: str
+    settings: Mapping[str, Any]
+    metrics: Mapping[str, float]
+    seed: int = 0
+    folder: Path | None = None
+    versions: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    device: str = ""
+
+
+def read_run(folder: Path) -> Record:
+    """Reads a run that `train/ppo.py` or a sweep has finished.
+
+    Raises:
+        CheckpointError: there is no run, or it has no evaluation.
+    """
+    described = _read_json(folder / "config.json", "config")
+    evaluation = _read_json(folder / "evaluation.json", "summary")
+    settings = dict(_flatten(described["config"]))
+    return Record(
+        name=folder.name,
+        settings=settings,
+        metrics=flat_metrics(evaluation["summary"]),
+        seed=int(settings.get("seed", 0)),
+        folder=folder,
+        versions=described.get("versions", {}),
+        device=described.get("device", ""),
+    )
+
+
+def run_folders(paths: Sequence[Path]) -> list[Path]:
+    """The folders of runs and of the runs of sweeps.
+
+    Raises:
+        CheckpointError: a path is neither.
+    """
+    folders: list[Path] = []
+    for path in paths:
+        if (path / "sweep.json").exists():
+            folders += sorted(child.parent for child in path.glob("runs/*/config.json"))
+        elif (path / "config.json").exists():
+            folders.append(path)
+        else:
+            raise CheckpointError(f"{path} is neither a run nor a sweep")
+    return folders
+
+
+def swept_settings(paths: Sequence[Path], records: Sequence[Record]) -> list[str]:
+    """What the runs differ in: what sweeps say they vary, else what varies.
+
+    Of runs of several presets it is the preset.
+    """
+    if len({record.settings.get("preset") for record in records}) > 1:
+        return ["preset"]
+    names: list[str] = []
+    for path in paths:
+        if (path / "sweep.json").exists():
+            swept = _read_json(path / "sweep.json", "swept")["swept"]
+            names += [fields[0] for fields in swept]
+    if names:
+        return list(dict.fromkeys(names))
+    known = dict.fromkeys(name for record in records for name in record.settings)
+    return [
+        name
+        for name in known
+        if name not in _INCIDENTAL
+        and len({str(record.settings.get(name)) for record in records}) > 1
+    ]
+
+
+def read_curve(folder: Path, column: str) -> list[tuple[float, float]]:
+    """`(agent steps, value)` of a column of a run's `metrics.csv`, finite ones."""
+    path = folder / "metrics.csv"
+    if not path.exists():
+        return []
+    points: list[tuple[float, float]] = []
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            try:
+                step, value = float(row["env_steps"]), float(row[column])
+            except (KeyError, TypeError, ValueError):  # an unfinished line
+                continue
+            if math.isfinite(value) and float(row.get("episodes") or 1) > 0:
+                points.append((step, value))
+    return points
+
+
+def flat_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
+    """The summary of an evaluation with one number per name."""
+    metrics: dict[str, float] = {}
+    for name, value in summary.items():
+        if not isinstance(value, dict):
+            metrics[name] = float(value)
+        elif "rate" in value:
+            metrics[name] = float(value["rate"])
+        else:
+            metrics |= {f"{name}_{part}": float(x) for part, x in value.items()}
+    return metrics
+
+
+def _flatten(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in config.items():
+        if isinstance(value, dict):
+            yield from _flatten(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _read_json(path: Path, key: str) -> dict[str, Any]:
+    """Reads a JSON object that must have a key."""
+    try:
+        data = json.loads(path.read_text())
+    except (FileNotFoundError, NotADirectoryError):
+        raise CheckpointError(f"no {path.name} in {path.parent}") from None
+    except ValueError as error:
+        raise CheckpointError(f"{path} is damaged: {error}") from None
+    if not isinstance(data, dict) or key not in data:
+        raise CheckpointError(f"{path} has no {key!r}")
+    return data

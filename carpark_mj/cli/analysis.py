@@ -1,0 +1,182 @@
+"""What `python eval/analysis.py` does: several runs as tables, plots and a page."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from carpark_mj.analysis.page import picture, table, videos, write_page
+from carpark_mj.analysis.plots import plot_curves, plot_metric
+from carpark_mj.analysis.points import (
+    Point,
+    Sources,
+    group,
+    run_rows,
+    spread_rows,
+)
+from carpark_mj.analysis.runs import Record, read_run, run_folders, swept_settings
+from carpark_mj.policy.checkpoints import CheckpointError, require_writable
+from carpark_mj.policy.runs import write_csv
+
+METRICS = ("parked", "crashed", "timed_out", "length")
+CURVES = ("episode/parked", "episode/crashed")
+METHOD = (
+    "Interquartile means (iqm) with 95 % intervals from a bootstrap of runs within "
+    "each point; of three runs or fewer the iqm is the mean. Outliers are more than 5 "
+    "robust standard deviations from the median of their point."
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class AnalysisConfig:
+    """Settings of `python eval/analysis.py`.
+
+    Attributes:
+        runs: run folders and folders of sweeps.
+        by: settings by which runs are put together, in full (`env.num_agents`); the
+            first is the horizontal axis. Default: what the sweeps vary.
+        metrics: of the evaluations, see docs/metrics.md.
+        out: folder to write to; default: the sweep's if one is given, else
+            `runs/analysis`.
+    """
+
+    runs: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN...")
+    ] = ()
+    by: tuple[str, ...] = ()
+    metrics: tuple[str, ...] = METRICS
+    out: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.metrics:
+            raise ValueError("metrics must name at least one")
+
+
+def main(config: AnalysisConfig) -> Path:
+    """Reads, draws and writes; returns the page.
+
+    Raises:
+        CheckpointError: a folder is neither a run nor a sweep.
+        ValueError: no evaluated runs, or an unknown setting or metric.
+        OSError: the folder cannot be written.
+    """
+    if not config.runs:
+        raise ValueError("give at least one run folder or sweep")
+    paths = [Path(name) for name in config.runs]
+    records, missing = read_records(run_folders(paths))
+    if not records:
+        raise ValueError(f"no evaluated run in {', '.join(config.runs)}")
+    by = list(config.by) or swept_settings(paths, records)
+    for name in by:
+        if not any(name in record.settings for record in records):
+            raise ValueError(f"no run has a setting {name!r}")
+    for name in config.metrics:
+        if not any(name in record.metrics for record in records):
+            known = sorted({metric for record in records for metric in record.metrics})
+            raise ValueError(f"no run has a metric {name!r}; there are {known}")
+    is_sweep = len(paths) == 1 and (paths[0] / "sweep.json").exists()
+    out = Path(config.out or (paths[0] if is_sweep else "runs/analysis"))
+    title = ", ".join(path.name or str(path) for path in paths)
+    return analyse({"runs": records}, by, config.metrics, out, title, missing)
+
+
+def read_records(folders: Sequence[Path]) -> tuple[list[Record], list[str]]:
+    """The evaluated runs, and why the others are none."""
+    records: list[Record] = []
+    missing: list[str] = []
+    for folder in folders:
+        try:
+            records.append(read_run(folder))
+        except CheckpointError as error:
+            missing.append(str(error))
+    return records, missing
+
+
+def analyse(
+    sources: Sources,
+    by: Sequence[str],
+    metrics: Sequence[str],
+    out: Path,
+    title: str,
+    notes: Sequence[str] = (),
+) -> Path:
+    """Writes tables, plots and `report.html` of runs; returns the page.
+
+    Args:
+        sources: whose runs, by name; the first are ours.
+        by: settings by which they are put together.
+        metrics: to show.
+        out: folder.
+        title: of the page.
+        notes: what is to be said first, such as runs that are missing.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    page = out / "report.html"
+    require_writable(page)
+    points = group(sources, by)
+    spreads = spread_rows(points, by, metrics)
+    each = run_rows(points, by, metrics)
+    write_csv(out / "spread.csv", spreads)
+    write_csv(out / "runs.csv", each)
+    _print_table(spreads, title)
+    for note in notes:
+        print(note)
+    parts: list[tuple[str, str]] = []
+    for path, heading in _plots(out, points, by, metrics, title):
+        parts.append((heading, picture(path)))
+    parts += [("Points", table(spreads)), ("Runs", table(each))]
+    ours = [record for records in sources.values() for record in records]
+    if films := videos(page, ours):
+        parts.append(("Videos", films))
+    write_page(page, title, [*notes, METHOD, *_provenance(ours)], parts)
+    print(f"wrote {page}, {out / 'spread.csv'}, {out / 'runs.csv'}")
+    return page
+
+
+def _plots(
+    out: Path,
+    points: Sequence[Point],
+    by: Sequence[str],
+    metrics: Sequence[str],
+    title: str,
+) -> list[tuple[Path, str]]:
+    """Draws; returns the pictures and their headings."""
+    drawn: list[tuple[Path, str]] = []
+    for metric in metrics if by else ():
+        path = out / f"{metric}.png"
+        plot_metric(path, points, by, metric, title)
+        drawn.append((path, f"{metric.replace('_', ' ')} against {by[0]}"))
+    for column in CURVES:
+        path = out / f"curve_{column.rpartition('/')[2]}.png"
+        if plot_curves(path, points, column, title):
+            drawn.append((path, f"learning curves, {column.rpartition('/')[2]}"))
+    return drawn
+
+
+def _print_table(rows: Sequence[dict[str, Any]], title: str) -> None:
+    shown = Table(title=title)
+    for name in rows[0] if rows else ():
+        shown.add_column(name)
+    for row in rows:
+        words = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()]
+        shown.add_row(*words)
+    Console().print(shown)
+
+
+def _provenance(records: Sequence[Record]) -> list[str]:
+    """What trained the runs, if it is known."""
+    trained = [record for record in records if record.folder]
+    if not trained:
+        return []
+    devices = sorted({record.device for record in trained})
+    versions = sorted(
+        {f"{name} {v}" for record in trained for name, v in record.versions.items()}
+    )
+    return [f"{len(trained)} runs on {', '.join(devices)}; {', '.join(versions)}."]

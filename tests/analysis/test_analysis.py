@@ -1,0 +1,159 @@
+"""Runs put together: points, tables, pictures, the page, and what is refused."""
+
+import csv
+import dataclasses
+import math
+import re
+
+import pytest
+from helpers.sweeping import write_run
+
+import analysis
+from carpark_mj.analysis.page import table, videos
+from carpark_mj.analysis.points import group, run_rows, spread_rows
+from carpark_mj.analysis.runs import Record, flat_metrics, read_curve, read_run
+from carpark_mj.cli.analysis import analyse
+from learners.ppo.presets import PRESETS
+
+BASE = PRESETS["tanner-fixed"]
+
+
+def record(agents, seed, parked, **settings):
+    settings = {"env.num_agents": agents, **settings}
+    return Record(f"a{agents}-{seed}", settings, {"parked": parked}, seed)
+
+
+RECORDS = [
+    record(10, 0, 0.5),
+    record(10, 1, 0.49),
+    record(10, 2, 0.51),
+    record(2, 1, 0.85),
+    record(2, 0, 0.9),
+    record(2, 2, 0.1),
+]
+
+
+def make_runs(folder, counts=(1, 2), seeds=2):
+    """Evaluated runs with curves."""
+    for agents in counts:
+        env = dataclasses.replace(BASE.env, num_agents=agents)
+        for seed in range(seeds):
+            run = folder / f"a{agents}-{seed}"
+            config = dataclasses.replace(BASE, env=env, seed=seed)
+            write_run(
+                run, config, crashed=0.1 * agents + 0.01 * seed, timed_out=0.0, length=3
+            )
+            (run / "metrics.csv").write_text(
+                "update,env_steps,episodes,episode/parked\n"
+                f"1,100,0,0.0\n2,200,5,0.{agents}\n3,300,5,0.5\n4,400,"
+            )
+    return sorted(str(path) for path in folder.iterdir())
+
+
+def test_runs_of_equal_settings_are_a_point_in_order_of_value_and_seed():
+    points = group({"ours": RECORDS}, ["env.num_agents"])
+    assert [point.values for point in points] == [(2.0,), (10.0,)]
+    assert points[0].numbers("parked") == [0.9, 0.85, 0.1]
+    assert math.isnan(points[0].numbers("length")[0])
+
+
+def test_published_text_and_our_numbers_are_the_same_setting():
+    other = dataclasses.replace(RECORDS[0], settings={"env.num_agents": "10"})
+    ours, theirs = group({"ours": RECORDS[:1], "theirs": [other]}, ["env.num_agents"])
+    assert ours.values == theirs.values
+
+
+def test_the_tables_have_every_run_and_every_point():
+    points = group({"ours": RECORDS}, ["env.num_agents"])
+    rows = spread_rows(points, ["env.num_agents"], ["parked"])
+    found = [(row["env.num_agents"], row["runs"], row["median"]) for row in rows]
+    assert found == [("2", 3, 0.85), ("10", 3, 0.5), ("all", 6, pytest.approx(0.505))]
+    each = run_rows(points, ["env.num_agents"], ["parked"])
+    assert [row["outlier"] for row in each] == ["", "", "parked", "", "", ""]
+    assert table(each).count('class="outlier"') == 1
+
+
+def test_a_summary_becomes_one_number_per_name():
+    summary = {"parked": {"rate": 0.5, "low": 0.4}, "length": 3, "jerk": {"p95": 2.0}}
+    assert flat_metrics(summary) == {"parked": 0.5, "length": 3.0, "jerk_p95": 2.0}
+
+
+def test_a_curve_ends_at_an_unfinished_line_and_skips_updates_without_episodes(
+    tmp_path,
+):
+    make_runs(tmp_path, (1,), 1)
+    assert read_curve(tmp_path / "a1-0", "episode/parked") == [(200, 0.1), (300, 0.5)]
+    assert read_curve(tmp_path / "a1-0", "other") == []
+
+
+def test_a_run_is_read_with_its_settings_seed_and_versions(tmp_path):
+    make_runs(tmp_path)
+    found = read_run(tmp_path / "a2-1")
+    assert found.settings["env.num_agents"] == 2
+    assert found.settings["env.reward.park"] == 1.0
+    assert (found.seed, found.metrics["parked"]) == (1, 0.5)
+    assert found.versions["jax"]
+
+
+def test_the_command_leaves_tables_pictures_and_one_page(tmp_path, capsys):
+    runs = make_runs(tmp_path / "runs")
+    (tmp_path / "runs" / "a1-0" / "video.mp4").touch()
+    out = tmp_path / "out"
+    assert analysis.run([*runs, "--out", str(out)]) == 0
+    assert "env.num_agents" in capsys.readouterr().out
+    with (out / "runs.csv").open(newline="") as file:
+        assert [row["env.num_agents"] for row in csv.DictReader(file)] == [*"1122"]
+    for name in ("parked", "crashed", "length", "curve_parked"):
+        assert (out / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
+    page = (out / "report.html").read_text()
+    sources = re.findall(r'src="([^"]{11})', page)
+    assert len(sources) == 5
+    assert {*sources} == {"data:image/"}
+    assert 'href="../runs/a1-0/video.mp4"' in page
+
+
+def test_text_in_the_page_is_escaped(tmp_path):
+    bad = [dataclasses.replace(RECORDS[0], name="<b>&")]
+    page = analyse({"<i>": bad}, [], ["parked"], tmp_path, "a<b").read_text()
+    assert "<b>&" not in page
+    assert "<i>" not in page
+    assert "&lt;b&gt;&amp;" in page
+
+
+def test_two_sources_and_settings_that_are_words_can_be_drawn(tmp_path):
+    words = [record("few", 0, 0.3), record("many", 0, 0.4), record("many", 1, math.nan)]
+    sources = {"ours": words, "published": words[:1]}
+    analyse(sources, ["env.num_agents"], ["parked"], tmp_path, "words")
+    assert (tmp_path / "parked.png").exists()
+
+
+def test_no_video_is_no_list(tmp_path):
+    assert videos(tmp_path / "a.html", RECORDS) == ""
+
+
+def test_runs_without_an_evaluation_are_named(tmp_path, capsys):
+    runs = make_runs(tmp_path)
+    (tmp_path / "a1-0" / "evaluation.json").unlink()
+    assert analysis.run([*runs, "--out", str(tmp_path / "out")]) == 0
+    assert f"no evaluation.json in {tmp_path / 'a1-0'}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        ([], "give at least one run folder or sweep"),
+        (["nowhere"], "nowhere is neither a run nor a sweep"),
+        (["a1-0", "--by", "env.colour"], "no run has a setting 'env.colour'"),
+        (["a1-0", "--metrics", "joy"], "no run has a metric 'joy'; there are"),
+        (["a1-0", "--metrics"], "metrics must name at least one"),
+        (["a1-0", "--out", "a1-0/config.json"], "cannot use a1-0/config.json"),
+    ],
+)
+def test_bad_input_is_one_sentence(flags, said, tmp_path, monkeypatch, capsys):
+    make_runs(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert analysis.run(flags) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("analysis: ")
+    assert said in told
+    assert told.count("\n") == 1

@@ -1,0 +1,119 @@
+"""Repeats the experiments of Tanner 2022, beside the published numbers.
+
+    python train/study.py --list
+    python train/study.py --figure 5.8                 # its sweep, table and plots
+    python train/study.py --all --minutes 60           # what fits, and what does not
+    python train/study.py --figure 5.5 --cluster slurm
+
+Every figure has a folder below `runs/study`: a sweep (`train/sweep.py`), `report.html`
+with the published runs drawn in, and `verdicts.md`. The same command continues.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from carpark_mj.analysis.points import group
+from carpark_mj.analysis.runs import run_folders
+from carpark_mj.cli.analysis import analyse, read_records
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
+from learners.ppo.presets import PRESETS
+from studies.budget import Cost, choose, cost, measured_rate
+from studies.config import StudyConfig
+from studies.figures import (
+    ELSEWHERE,
+    EXPERIMENTS,
+    FIGURES,
+    Experiment,
+    experiment_of,
+    plan_of,
+)
+from studies.published import SOURCE, published_runs
+from studies.verdicts import write_verdicts
+from sweep import prepare
+from sweeps.axes import read_axis
+from sweeps.manage import run_sweep
+from sweeps.plan import Plan, Run, checked_runs
+
+
+def describe() -> None:
+    """Prints a line per figure."""
+    for figure in FIGURES:
+        if figure in ELSEWHERE:
+            print(f"{figure:5} {ELSEWHERE[figure]}")
+            continue
+        experiment = experiment_of(figure)
+        note = f"; {experiment.note}" if experiment.note else ""
+        print(
+            f"{figure:5} {experiment.title}: {experiment.base}, "
+            f"{' x '.join(experiment.fields)}, {len(plan_of(experiment))} runs{note}"
+        )
+
+
+def report(experiment: Experiment, folder: Path) -> Path | None:
+    """Writes the page and the verdicts of what is done; None if nothing is."""
+    records, missing = read_records(run_folders([folder]))
+    if not records:
+        return None
+    sources = {"ours": records, SOURCE: published_runs(experiment.figures)}
+    title = f"Figure {', '.join(experiment.figures)}: {experiment.title}"
+    note = f"Reading: {experiment.note}." if experiment.note else ""
+    notes = [text for text in (note, *missing) if text]
+    page = analyse(sources, experiment.fields, experiment.metrics, folder, title, notes)
+    write_verdicts(
+        folder / "verdicts.md",
+        group(sources, experiment.fields),
+        experiment.fields,
+        experiment.metrics,
+    )
+    return page
+
+
+def say_budget(chosen: Sequence[Cost], rest: Sequence[Cost], minutes: float) -> None:
+    """Says what will be run, and what is left out."""
+    for words, costs in (("runs", chosen), ("leaves out", rest)):
+        for one in costs:
+            print(
+                f"{words} figure {', '.join(one.experiment.figures)}: {one.left} of "
+                f"{one.runs} runs, about {one.minutes:.0f} min one at a time"
+            )
+    if rest:
+        print(f"{len(rest)} experiments do not fit {minutes:g} minutes")
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs the study; returns the exit code, 1 if runs have failed."""
+    config = read_flags(StudyConfig, arguments, description=__doc__)
+    if config.list:
+        describe()
+        return 0
+    wanted = EXPERIMENTS if config.all else (experiment_of(config.figure),)
+    prepare(config.cluster)
+    work: dict[str, tuple[Experiment, Plan, list[Run], Path]] = {}
+    for experiment in wanted:
+        changes = tuple(read_axis(x, PRESETS[experiment.base]) for x in config.set)
+        if several := [axis.fields[0] for axis in changes if axis.is_swept]:
+            raise ValueError(f"set takes one value each, not several of {several[0]}")
+        plan = plan_of(experiment, config.repeats, config.seed, changes)
+        folder = Path(config.runs_dir) / experiment.name
+        work[experiment.name] = experiment, plan, checked_runs(plan), folder
+    rate = measured_rate([(folder, runs) for _, _, runs, folder in work.values()])
+    costs = [cost(each, runs, folder, rate) for each, _, runs, folder in work.values()]
+    chosen, rest = choose(costs, config.minutes, config.jobs or 1)
+    say_budget(chosen, rest, config.minutes)
+    failed = 0
+    for one in chosen:
+        experiment, plan, runs, folder = work[one.experiment.name]
+        failed += run_sweep(folder, plan, runs, config.where)["failed"]
+        report(experiment, folder)
+    return 1 if failed else 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command("study", lambda: run(arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
