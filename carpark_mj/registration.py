@@ -13,6 +13,10 @@ ENTRY_POINTS: dict[str, tuple[str | None, str]] = {
         f"{_ROOM}.gymnasium_goal:ParkGoalEnv",
         f"{_ROOM}.gymnasium_vector:ParkGoalVectorEnv",
     ),
+    "carpark_mj/Slots-v0": (
+        f"{_ROOM}.gymnasium_slots:SlotsEnv",
+        f"{_ROOM}.gymnasium_slots:SlotsVectorEnv",
+    ),
     # Its environments are agents that share lots: there is no single one.
     "carpark_mj/ParkMany-v0": (None, f"{_ROOM}.gymnasium_vector:ParkManyVectorEnv"),
 }

@@ -1,6 +1,6 @@
-"""Environments by name: our own, and those of the study behind this gym, Tanner 2022.
+"""Environments by name: our own, and those of the studies behind this gym.
 
-Tables are those of the study's appendix C. Where its text and the reference
+Tables are those of the appendix C of Tanner 2022. Where its text and the reference
 implementation disagree, or do not say, the choice is:
 
 - grid points per world unit: the position granularity squared, so 74 x 74 for 1.
@@ -48,6 +48,7 @@ from carpark_mj.config import (
     RewardConfig,
     RingConfig,
     SensorConfig,
+    SimConfig,
     SpawnConfig,
     TannerObservation,
     reward_preset,
@@ -182,6 +183,21 @@ ANYWHERE = EnvConfig(
     ),
 )
 
+# Pandita 2022: highway-env's car in a lot where all other slots are taken; 150 steps at
+# 5 Hz. With goal poses, reward and ends of `carpark_mj.wrappers.slots`.
+PANDITA = EnvConfig(
+    layout="slots",
+    vehicle="highway",
+    num_agents=1,
+    num_parked_cars=11,
+    physics="highway",
+    sim=SimConfig(sim_dt=1 / 15, trace_dt=1 / 15),
+    spawn=SpawnConfig(close_ratio=0.0),
+    episode=EpisodeConfig(max_steps=150),
+)
+# The same for real cars.
+SLOTS = dataclasses.replace(PANDITA, vehicle="compact", physics="mjx", sim=SimConfig())
+
 ENVIRONMENTS: dict[str, EnvConfig] = {
     "square": SQUARE,
     "dynamic": DYNAMIC,
@@ -191,6 +207,8 @@ ENVIRONMENTS: dict[str, EnvConfig] = {
     "tanner-qlearning": TANNER_QLEARNING,
     "tanner-qlearning-recorded": TANNER_QLEARNING_RECORDED,
     "tanner-qlearning-rings": TANNER_QLEARNING_RINGS,
+    "slots": SLOTS,
+    "pandita": PANDITA,
 }
 
 

@@ -165,10 +165,10 @@ def test_agents_drive_as_in_a_lot_in_which_the_absent_do_not_exist(name):
     assert min(parked, crashed) > 0
 
 
-@pytest.mark.parametrize("physics", ["mjx", "bicycle", "grid", "scene"])
+@pytest.mark.parametrize("physics", ["mjx", "bicycle", "highway", "grid", "scene"])
 def test_absent_agents_stand_still_far_from_each_other_and_see_zeros(physics):
     seen = TannerObservation() if physics == "grid" else ContinuousObservation()
-    slope = 0.0 if physics in ("grid", "bicycle") else 0.1
+    slope = 0.0 if physics in ("grid", "bicycle", "highway") else 0.1
     config = EnvConfig(
         num_agents=4,
         num_parked_cars=2,

@@ -62,6 +62,9 @@ SHOWN: dict[str, LayoutConfig | str] = {
     "lot, angled": LotConfig(
         angle=(50.0, 75.0), two_way=False, extra_aisle=(0.0, 0.6), boundary="kerb"
     ),
+    "slots": "slots",
+    "slots_diagonal": "slots_diagonal",
+    "slots_parallel": "slots_parallel",
     "mixture": "mixture",
     **{
         f"{family}, {orientation}, {level}": config(

@@ -34,7 +34,7 @@ from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import SpawnConfig
 from carpark_mj.config.terminations import EpisodeConfig
 
-PhysicsName = Literal["mjx", "scene", "bicycle", "grid"]
+PhysicsName = Literal["mjx", "scene", "bicycle", "highway", "grid"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,9 +45,10 @@ class EnvConfig:
         layout: the lot, by name: `tanner` (the study's square, 3.375 m x 5.625 m
             bays), `compact` (the same with 2.5 m x 5.0 m bays), or a family with its
             default settings: `street`, `street_parallel`, `angled`, `lot`,
-            `garage_row`, `dead_end`, `mixture`. Or a layout file (.json, or a TPCAP
-            case as .csv). A comma-separated list is a mixture. From Python also the
-            config of a family, see `carpark_mj.layouts`.
+            `garage_row`, `dead_end`, `slots` (Pandita 2022; also `slots_diagonal`,
+            `slots_parallel`, `slots_single`, `slots_single_diagonal`), `mixture`. Or a
+            layout file (.json, or a TPCAP case as .csv). A comma-separated list is a
+            mixture. From Python also the config of a family, see `carpark_mj.layouts`.
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,
@@ -62,8 +63,9 @@ class EnvConfig:
         jitter: variation of parked cars' poses in their bays, and of their sizes.
         physics: back end. `mjx`: every car is simulated on its own, crashes are found
             by box tests. `scene`: the whole lot in one C MuJoCo world, crashes are its
-            contacts; slow. `bicycle`: kinematic cars whose tyres never slip. `grid`:
-            the grid world of the study, with integer actions.
+            contacts; slow. `bicycle`: kinematic cars whose tyres never slip. `highway`:
+            highway-env's, which obey at once. `grid`: the grid world of the study, with
+            integer actions.
         sim: time steps and ground.
         grid: granularities of `grid` physics.
         goals: whether the environment or the agents choose the goals.

@@ -164,9 +164,9 @@ class Fleet:
     def _goal_bays(self, layout: Layout) -> jax.Array:
         """Bays (kinds, bays) bool that can be goals of each kind of car."""
         if not self.mixed:  # any bay is a goal for the one kind of car
-            return jnp.ones((1, layout.num_bays), bool)
+            return layout.goal_mask[None]
         slack = PARKED_RULES[self._config.episode.parked_rule].slack
-        return fits(layout.bay_size, self._kinds.size, slack)
+        return fits(layout.bay_size, self._kinds.size, slack) & layout.goal_mask
 
     def _num_parked_cars(self, layout: Layout, key: jax.Array) -> jax.Array:
         """How many parked cars the lot has; a whole number within the range."""

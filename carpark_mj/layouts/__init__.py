@@ -8,6 +8,7 @@ from carpark_mj.layouts.lot_config import LotConfig
 from carpark_mj.layouts.mixture import MixtureConfig
 from carpark_mj.layouts.registry import (
     FAMILIES,
+    NAMED,
     SQUARES,
     generate,
     generate_member,
@@ -16,6 +17,7 @@ from carpark_mj.layouts.registry import (
     member_shares,
     mixture,
 )
+from carpark_mj.layouts.slots import SlotsConfig
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
@@ -33,6 +35,7 @@ from carpark_mj.layouts.types import (
 __all__ = [
     "COMPACT",
     "FAMILIES",
+    "NAMED",
     "ROWS",
     "SQUARES",
     "TANNER",
@@ -47,6 +50,7 @@ __all__ = [
     "LotConfig",
     "Maxima",
     "MixtureConfig",
+    "SlotsConfig",
     "SquareConfig",
     "StreetConfig",
     "StreetParallelConfig",

@@ -8,8 +8,8 @@
      "spawns": [{"pose": ..., "size": ..., "spread": 0.1}],
      "extent": [half_x, half_y]}
 
-Metres and radians; `Layout` explains the fields. Kinds are `standard`,
-`accessible`, `family`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`. `bays`,
+Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessible`,
+`family`, `reserved`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`. `bays`,
 `spawns` and `extent` are needed; `kind` is by default the first of its list, `one_way`
 true and `spread` 0.1. Files of another version and invalid layouts (`layouts.checks`)
 are refused; messages about a row name its line.

@@ -14,6 +14,7 @@ BAY_COLOURS = {
     BayKind.STANDARD: "#ffffff",
     BayKind.ACCESSIBLE: "#9ec9f5",
     BayKind.FAMILY: "#f7c6dd",
+    BayKind.RESERVED: "#e3e3e3",
 }
 WALL_COLOURS = {
     WallKind.WALL: "#555555",

@@ -14,6 +14,7 @@ from carpark_mj.layouts.garage_row import GarageRowConfig, garage_row
 from carpark_mj.layouts.lot import lot
 from carpark_mj.layouts.lot_config import LotConfig
 from carpark_mj.layouts.mixture import MixtureConfig
+from carpark_mj.layouts.slots import SLOTS, SlotsConfig, slots
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
 from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig, street
 from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
@@ -59,11 +60,14 @@ FAMILIES: dict[str, Family] = {
     "lot": Family(LotConfig, lot),
     "garage_row": Family(GarageRowConfig, garage_row),
     "dead_end": Family(DeadEndConfig, dead_end),
+    "slots": Family(SlotsConfig, slots),
     "from_file": Family(FromFileConfig, from_file),
     "mixture": Family(MixtureConfig, draw_mixture),
 }
 
 SQUARES: dict[str, SquareConfig] = {"tanner": TANNER, "compact": COMPACT}
+# Configs with a name of their own, besides the defaults of the families.
+NAMED: dict[str, LayoutConfig] = {**SQUARES, **SLOTS}
 
 
 def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
@@ -82,8 +86,8 @@ def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
         return mixture(layout.split(","))
     if layout.endswith(LAYOUT_FILES):
         return FromFileConfig(path=layout)
-    if layout in SQUARES:
-        return SQUARES[layout]
+    if layout in NAMED:
+        return NAMED[layout]
     if layout not in get_args(LayoutName):
         raise ValueError(
             f"unknown layout {layout!r}; choose from {sorted(get_args(LayoutName))} "
@@ -113,7 +117,7 @@ def member_shares(config: LayoutConfig) -> dict[str, float]:
     """The members of a mixture by name, with their shares of the lots.
 
     A config that is no mixture is its own only member. Members are named after their
-    family, squares after their layout; a repeated name gets a number.
+    family, or as `NAMED` has them; a repeated name gets a number.
     """
     if not isinstance(config, MixtureConfig):
         return {_name(config): 1.0}
@@ -128,7 +132,7 @@ def member_shares(config: LayoutConfig) -> dict[str, float]:
 
 
 def _name(config: LayoutConfig) -> str:
-    names = [name for name, known in SQUARES.items() if known == config]
+    names = [name for name, known in NAMED.items() if known == config]
     return names[0] if names else config.family
 
 

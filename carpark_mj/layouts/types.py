@@ -19,6 +19,7 @@ class BayKind(enum.IntEnum):
     STANDARD = 0
     ACCESSIBLE = 1
     FAMILY = 2
+    RESERVED = 3  # for parked cars: no agent's goal while another bay is free
 
 
 class WallKind(enum.IntEnum):
@@ -95,6 +96,11 @@ class Layout:
     def num_bays(self) -> int:
         """Bays, padding included."""
         return self.bay_mask.shape[-1]
+
+    @property
+    def goal_mask(self) -> jax.Array:
+        """(..., bays) bool, the bays that fixed goals are drawn from."""
+        return self.bay_mask & (self.bay_kind != BayKind.RESERVED)
 
 
 # Kinds of rows: the first part of a field's name.

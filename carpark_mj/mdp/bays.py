@@ -42,9 +42,10 @@ def marked(layout: Layout, bay: jax.Array) -> jax.Array:
 
 
 def shuffled_bays(layout: Layout, key: jax.Array) -> jax.Array:
-    """Indices (bays,) int32 of the bays in random order; padding comes last."""
+    """Indices (bays,) int32 in random order: bays for goals, reserved ones, padding."""
     score = jax.random.uniform(key, layout.bay_mask.shape)
-    return jnp.argsort(jnp.where(layout.bay_mask, score, 2.0)).astype(jnp.int32)
+    score = jnp.where(layout.goal_mask, score, score + 1.0)
+    return jnp.argsort(jnp.where(layout.bay_mask, score, 3.0)).astype(jnp.int32)
 
 
 class Wanted(NamedTuple):

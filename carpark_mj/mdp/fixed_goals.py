@@ -156,7 +156,7 @@ class FixedGoals:
     ) -> Placing:
         """Draws a new goal for one agent.
 
-        Uniform over the bays that are no agent's goal, those with a parked car
+        Uniform over `Layout.goal_mask` less the agents' goals, bays with a parked car
         included; the agent's old one is among them if `GoalConfig.may_repeat`. A parked
         car there makes way: to the agent's old goal if that is empty and farther than
         `min_distance` from every other agent, otherwise to a random bay like that. If
@@ -181,7 +181,7 @@ class FixedGoals:
         gap = jnp.where(other, gap, jnp.inf).min(axis=-1)
 
         others_goal = (is_goal & (rows != old)) | ~layout.bay_mask
-        candidate = ~others_goal if self._may_repeat else layout.bay_mask & ~is_goal
+        candidate = layout.goal_mask & ~(others_goal if self._may_repeat else is_goal)
         refuge = ~others_goal & ~has_car & (gap > self._config.min_distance)
         # A refuge must not be the new goal itself, which has a car, so it never is.
         can_move = refuge.any()

@@ -7,8 +7,9 @@ the wheelbase L,
 
     x' = v cos(yaw + b),  y' = v sin(yaw + b),  yaw' = v sin(b) / (L / 2).
 
-highway-env takes the car's length for L and steers at once; here L is the wheelbase,
-and steering and pedal act as in `vehicle.drive`, so that a policy drives both cars.
+highway-env takes the car's length for L and obeys at once, see `highway`. Here L is the
+wheelbase, and steering and pedal act as in `vehicle.drive`, so that a policy drives
+both cars.
 """
 
 import dataclasses
@@ -30,7 +31,7 @@ from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.vehicle import Vehicle
 
-_Carry = tuple[jax.Array, jax.Array, drive.Actuators]  # pose_w, speed, actuators
+Carry = tuple[jax.Array, jax.Array, drive.Actuators]  # pose_w, speed, actuators
 
 
 @struct.dataclass
@@ -102,6 +103,8 @@ def accelerate(
 class BicyclePhysics(FactoredPhysics[BicycleState]):
     """The kinematic bicycle behind the `Physics` interface."""
 
+    name = "bicycle"
+
     def __init__(self, sim: SimConfig) -> None:
         """Takes the time steps.
 
@@ -109,7 +112,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
             ValueError: a slope, a slippery surface or contact tyres, which would have
                 no effect.
         """
-        require_plain_ground(sim, "bicycle")
+        require_plain_ground(sim, self.name)
         self.sim = sim
 
     @full_float32
@@ -119,7 +122,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
         still = jnp.zeros(pose_w.shape[:-1], pose_w.dtype)
         shape = (*still.shape, self.sim.num_traces, 3)
         return BicycleState(
-            pose_w=_shift(pose, -_ahead(vehicle)),
+            pose_w=_shift(pose, -self.ahead(vehicle)),
             speed=still,
             actuators=drive.Actuators(steering=still, drive=still),
             vehicle=vehicle,
@@ -155,24 +158,12 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
         )
 
     def _step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
-        vehicle, dt = state.vehicle, self.sim.sim_dt
-
-        def substep(carry: _Carry) -> _Carry:
-            pose, speed, actuators = carry
-            steering = drive.steer_towards(vehicle, actuators.steering, controls[0], dt)
-            angle = steering + vehicle.steering_offset
-            rear = speed * jnp.cos(slip_angle(angle))
-            torque, brake = drive.demanded_torques(vehicle, controls[1], rear, rear)
-            torque = drive.approach(actuators.drive, torque, vehicle.drive_lag, dt)
-            faster = accelerate(vehicle, speed, torque, brake, dt)
-            pose = advance(pose, (speed + faster) / 2, angle, vehicle.wheelbase, dt)
-            return pose, faster, drive.Actuators(steering, torque)
-
+        vehicle = state.vehicle
         carry, trace = run_substeps(
             self.sim,
-            substep,
+            lambda carry: self.substep(vehicle, controls, carry),
             (state.pose_w, state.speed, state.actuators),
-            lambda carry: _shift(carry[0], _ahead(vehicle)),
+            lambda carry: _shift(carry[0], self.ahead(vehicle)),
         )
         pose, speed, actuators = carry
         stepped = dataclasses.replace(
@@ -191,10 +182,22 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
         )
         return contain_non_finite((carry, trace), stepped, at_rest)
 
+    def ahead(self, vehicle: Vehicle) -> jax.Array:
+        """Footprint's centre ahead of the middle between the axles (...) [m]."""
+        return vehicle.centre_offset - vehicle.wheelbase / 2
 
-def _ahead(vehicle: Vehicle) -> jax.Array:
-    """Footprint's centre ahead of the middle between the axles (...) [m]."""
-    return vehicle.centre_offset - vehicle.wheelbase / 2
+    def substep(self, vehicle: Vehicle, controls: jax.Array, carry: Carry) -> Carry:
+        """One car after a substep of `SimConfig.sim_dt`; controls (2,)."""
+        dt = self.sim.sim_dt
+        pose, speed, actuators = carry
+        steering = drive.steer_towards(vehicle, actuators.steering, controls[0], dt)
+        angle = steering + vehicle.steering_offset
+        rear = speed * jnp.cos(slip_angle(angle))
+        torque, brake = drive.demanded_torques(vehicle, controls[1], rear, rear)
+        torque = drive.approach(actuators.drive, torque, vehicle.drive_lag, dt)
+        faster = accelerate(vehicle, speed, torque, brake, dt)
+        pose = advance(pose, (speed + faster) / 2, angle, vehicle.wheelbase, dt)
+        return pose, faster, drive.Actuators(steering, torque)
 
 
 def _shift(pose_w: jax.Array, distance: jax.Array) -> jax.Array:

@@ -6,6 +6,7 @@ from carpark_mj.physics.base import Physics, PhysicsState, erase_state
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.contact import ContactPhysics
 from carpark_mj.physics.grid import GridPhysics
+from carpark_mj.physics.highway import HighwayPhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.vehicle import VehicleParameters
@@ -29,6 +30,8 @@ def make_physics(
         return erase_state(GridPhysics(config.grid, config.sim))
     if config.physics == "bicycle":
         return erase_state(BicyclePhysics(config.sim))
+    if config.physics == "highway":
+        return erase_state(HighwayPhysics(config.sim))
     if config.physics == "mjx":
         return erase_state((ContactPhysics if contact else MjxPhysics)(config.sim))
     if contact:

@@ -16,9 +16,14 @@ defaults, on which published policies were trained.
 """
 
 import dataclasses
+import math
 
 from carpark_mj.config import WORLD_UNIT
-from carpark_mj.vehicle.parameters import TyreParameters, VehicleParameters
+from carpark_mj.vehicle.parameters import (
+    TyreParameters,
+    VehicleParameters,
+    kerb_to_kerb,
+)
 
 # Fiat 500 (2007), front-driven.
 CITY = VehicleParameters(
@@ -179,11 +184,28 @@ PRESETS: dict[str, VehicleParameters] = {
 }
 
 
-# Not a car: the box of Tanner 2022, 7.9 x 3.9 world units (his colliders are 0.1
-# smaller than what he draws), on the compact's chassis. For the grid.
+# Not cars, but boxes on the compact's chassis.
 BOXES: dict[str, VehicleParameters] = {
+    # Tanner 2022, 7.9 x 3.9 world units (his colliders are 0.1 smaller than what he
+    # draws). For the grid.
     "tanner": dataclasses.replace(
         COMPACT, length=7.9 * WORLD_UNIT, width=3.9 * WORLD_UNIT
+    ),
+    # highway-env's car (1.12, `vehicle/kinematics.py` and the ranges of
+    # `envs/parking_env.py`). For `highway` physics, which reads nothing else.
+    "highway": dataclasses.replace(
+        COMPACT,
+        length=5.0,
+        width=2.0,
+        rear_overhang=(5.0 - COMPACT.wheelbase) / 2,
+        turning_circle=kerb_to_kerb(
+            COMPACT.wheelbase, COMPACT.track_width, COMPACT.tyre_width, math.pi / 4
+        ),
+        max_acceleration=5.0,
+        max_deceleration=5.0,
+        max_speed=40.0,
+        max_reverse_speed=40.0,
+        steering_rate=1000.0,  # at once
     ),
 }
 

@@ -19,7 +19,7 @@ from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.ego import GOAL_FIELDS
 from carpark_mj.observations.fields import Field
-from carpark_mj.types import Motion, State, TimeStep
+from carpark_mj.types import Events, Motion, State, TimeStep
 
 POSITION = 100.0  # m, scale of x and y
 SPEED = 5.0  # m/s, scale of velocities
@@ -78,6 +78,7 @@ class GoalParking:
         goal_fields: of the second and the third part.
     """
 
+    fields: tuple[Field, ...]
     goal_fields = FEATURES
 
     def __init__(self, parking: ParkingEnv, pose_reward: PoseReward) -> None:
@@ -117,7 +118,7 @@ class GoalParking:
     @property
     def observation_size(self) -> int:
         """Length of the vector."""
-        return len(self._kept) + 2 * NUM_FEATURES
+        return self._own_size + 2 * NUM_FEATURES
 
     @property
     def action_spec(self) -> ActionSpec:
@@ -126,7 +127,7 @@ class GoalParking:
 
     def split(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """The parts of vectors (..., observation_size) by Gymnasium's names."""
-        parts = np.split(vector, [len(self._kept), -NUM_FEATURES], axis=-1)
+        parts = np.split(vector, [self._own_size, -NUM_FEATURES], axis=-1)
         names = "observation", "achieved_goal", "desired_goal"
         return dict(zip(names, parts, strict=True))
 
@@ -136,23 +137,54 @@ class GoalParking:
         return state, self._vector(state, observation)
 
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
-        """Advances the lot; see `ParkingEnv.step`."""
-        state, timestep = self.parking.step(state, action)
-        norm = self.pose_reward.norm(pose_features(timestep.motion), _desired(state))
-        crashed = timestep.events.crashed
-        reached = (norm < self.pose_reward.threshold) & ~crashed
-        return dataclasses.replace(state, active=state.active & ~reached), (
+        """Advances the lot; see `ParkingEnv.step`. `parked` includes goals reached."""
+        after, timestep = self.parking.step(state, action)
+        norm = self.pose_reward.norm(pose_features(timestep.motion), _desired(after))
+        near = norm < self.pose_reward.threshold
+        events = self.judge(state.active, after.step, timestep.events, near)
+        return dataclasses.replace(after, active=state.active & ~events.done), (
             dataclasses.replace(
                 timestep,
-                observation=self._vector(state, timestep.observation),
-                reward=-norm - self.pose_reward.crash * crashed,
-                terminated=timestep.terminated | reached,
-                truncated=timestep.truncated & ~reached,
+                observation=self._vector(after, timestep.observation),
+                reward=-norm - self.pose_reward.crash * events.crashed,
+                terminated=events.parked | events.crashed,
+                truncated=events.timed_out | events.diverged,
+                events=events,
             )
         )
 
+    def judge(
+        self, active: jax.Array, step: jax.Array, events: Events, near: jax.Array
+    ) -> Events:
+        """How episodes stand after a step; all (1,).
+
+        Args:
+            active: before the step.
+            step: number of steps made.
+            events: by `EpisodeConfig`.
+            near: whether the norm is below the threshold.
+        """
+        del step
+        reached = active & near & ~events.crashed
+        return dataclasses.replace(
+            events,
+            parked=events.parked | reached,
+            timed_out=events.timed_out & ~reached,
+            diverged=events.diverged & ~reached,
+        )
+
+    def own_part(self, state: State, observation: jax.Array) -> jax.Array:
+        """The first part (1, n), of what the agent observes."""
+        del state
+        return observation[:, self._kept]
+
+    @property
+    def _own_size(self) -> int:
+        return sum(field.size for field in self.fields)
+
     def _vector(self, state: State, observation: jax.Array) -> jax.Array:
-        parts = observation[:, self._kept], pose_features(state.motion), _desired(state)
+        own = self.own_part(state, observation)
+        parts = own, pose_features(state.motion), _desired(state)
         return jnp.concatenate(parts, axis=-1)
 
 

@@ -27,7 +27,7 @@ from carpark_mj.config import (
     reward_preset,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import FAMILIES, SQUARES, StreetConfig, layout_config
+from carpark_mj.layouts import FAMILIES, NAMED, StreetConfig, layout_config
 
 IMPOSSIBLE = [
     (SimConfig, {"sim_dt": 1e-12}, "sim_dt must be at least ctrl_dt / 10000, 2e-05 s"),
@@ -339,7 +339,7 @@ def test_the_default_reward_is_the_shaped_preset():
 
 def test_every_layout_name_of_the_config_has_a_generator():
     names = get_args(LayoutName)
-    assert set(names) == {*SQUARES, *FAMILIES} - {"from_file"}
+    assert set(names) == {*NAMED, *FAMILIES} - {"from_file"}
     for name in names:
         config = layout_config(EnvConfig(layout=name).layout)
         assert FAMILIES[config.family].config is type(config)

@@ -10,7 +10,7 @@ from helpers.transitions import no_events
 
 from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.fleet.draw import Fleet
-from carpark_mj.layouts import Maxima, make_layout, pad_layout
+from carpark_mj.layouts import BayKind, Maxima, make_layout, pad_layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.fixed_goals import FixedGoals
 from carpark_mj.mdp.parked_cars import relocate_parked_cars
@@ -206,3 +206,29 @@ def test_a_full_row_swaps_goal_and_car_when_nobody_is_near():
     assert set(after.goal[:, 0]) == {1, 2, 3, 4}
     moved = after.parked_bay[np.arange(400), after.goal[:, 0] - 1]
     np.testing.assert_array_equal(moved, 0)
+
+
+def test_reserved_bays_are_no_goals_and_their_cars_come_back():
+    layout = make_layout("slots")  # slot 2 of 12 is not reserved
+    _, (goals, bays, _) = history(layout, 1, 11, num_steps=60)
+    assert (goals == 2).all()
+    others = np.delete(np.arange(12), 2)
+    expected = np.broadcast_to(others, bays.shape)
+    np.testing.assert_array_equal(np.sort(bays, axis=-1), expected)
+
+
+@pytest.mark.parametrize("occupancy", [None, (1.0, 1.0)])
+def test_goals_take_reserved_bays_only_when_no_other_is_free(occupancy):
+    layout = make_layout("tanner")
+    kind = jnp.full(36, BayKind.RESERVED).at[jnp.array([4, 20])].set(0)
+    layout = layout.replace(bay_kind=kind)
+    config = EnvConfig(num_agents=3, num_parked_cars=36, occupancy=occupancy)
+    if occupancy is None:
+        config = EnvConfig(num_agents=3, num_parked_cars=33)
+    fleet = Fleet(config, COMPACT)
+    keys = jax.random.split(jax.random.key(0), 40)
+    start = jax.jit(jax.vmap(lambda key: fleet.start(layout, key)))(keys)
+    goals, bays = np.asarray(start.goal), np.asarray(start.parked_cars.bay)
+    assert (np.isin(goals, [4, 20]).sum(axis=1) == 2).all()
+    assert len(set(goals[~np.isin(goals, [4, 20])].tolist())) > 5
+    assert not (goals[:, :, None] == bays[:, None]).any()

@@ -19,7 +19,8 @@ from carpark_mj.rendering.gallery import (
 
 def test_every_family_that_a_name_draws_is_in_the_gallery():
     others = {"tanner", "compact", "mixture"}  # squares, and a mix of the rest
-    assert set(FAMILIES) == set(get_args(LayoutName)) - others
+    drawn = {name for name in get_args(LayoutName) if not name.startswith("slots")}
+    assert set(FAMILIES) == drawn - others  # agents of slots share a start
 
 
 def test_cells_stand_in_rows_with_their_pictures_whole():

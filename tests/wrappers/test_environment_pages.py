@@ -13,9 +13,11 @@ from carpark_mj.config import REWARDS, EnvConfig
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.registration import ENTRY_POINTS
-from carpark_mj.wrappers.goal import GoalParking, PoseReward
+from carpark_mj.registry import PANDITA
+from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv
 from carpark_mj.wrappers.gymnasium_goal import GOAL_OPTIONS, ParkGoalEnv
+from carpark_mj.wrappers.gymnasium_slots import SLOTS_OPTIONS, SlotsEnv
 from carpark_mj.wrappers.gymnasium_vector import ParkManyVectorEnv
 from carpark_mj.wrappers.options import OPTIONS
 
@@ -23,6 +25,7 @@ FOLDER = Path(__file__).parents[2] / "docs" / "environments"
 PAGES = {
     "carpark_mj/Park-v0": "park",
     "carpark_mj/ParkGoal-v0": "park_goal",
+    "carpark_mj/Slots-v0": "slots",
     "carpark_mj/ParkMany-v0": "park_many",
 }
 TEXTS = {name: (FOLDER / f"{page}.md").read_text() for name, page in PAGES.items()}
@@ -30,6 +33,7 @@ TEXTS = {name: (FOLDER / f"{page}.md").read_text() for name, page in PAGES.items
 MADE_BY = {
     "carpark_mj/Park-v0": (ParkEnv, ONE_AGENT),
     "carpark_mj/ParkGoal-v0": (ParkGoalEnv, GOAL_OPTIONS),
+    "carpark_mj/Slots-v0": (SlotsEnv, SLOTS_OPTIONS),
     "carpark_mj/ParkMany-v0": (ParkManyVectorEnv, OPTIONS),
 }
 CONFIG = EnvConfig()
@@ -40,6 +44,11 @@ DEFAULTS = {
     "rule": CONFIG.episode.parked_rule,
     "reward": next(name for name, set_ in REWARDS.items() if set_ == CONFIG.reward),
     "physics": CONFIG.physics,
+}
+SLOTS = {
+    "config": "pandita",
+    "layout": PANDITA.layout,
+    "parked_cars": PANDITA.num_parked_cars,
 }
 CONTROLS = (
     ("steer", "target of the road-wheel angle over its limit, left positive"),
@@ -103,8 +112,8 @@ def goal(name, env):
 
 
 def pose_reward(name, env):
-    fields = dataclasses.fields(PoseReward)
-    rows = [(f"`{field.name}`", f"`{field.default}`") for field in fields]
+    parts = dataclasses.asdict(env.pose_reward).items()
+    rows = [(f"`{part}`", f"`{default}`") for part, default in parts]
     return table(("part of `pose_reward`", "default"), rows)
 
 
@@ -117,6 +126,7 @@ def pose_reward(name, env):
         ("carpark_mj/Park-v0", "rewards", rewards),
         ("carpark_mj/ParkGoal-v0", "goal", goal),
         ("carpark_mj/ParkGoal-v0", "pose reward", pose_reward),
+        ("carpark_mj/Slots-v0", "pose reward", pose_reward),
     ],
 )
 def test_a_table_of_an_environment_is_the_generated_one(name, marker, expected):
@@ -134,8 +144,11 @@ def test_a_page_lists_all_arguments_with_their_defaults(name):
         for argument, parameter in inspect.signature(kind).parameters.items()
         if argument not in ("options", "num_envs")
     }
-    expected = own | {option: repr(DEFAULTS.get(option)) for option in options}
-    assert dict(found) == expected | {"config": "EnvConfig()"}
+    defaults = SLOTS if kind is SlotsEnv else DEFAULTS
+    expected = own | {option: repr(defaults.get(option)) for option in options}
+    if kind is not SlotsEnv:
+        expected["config"] = "EnvConfig()"
+    assert dict(found) == expected
 
 
 @pytest.mark.parametrize("name", PAGES)
