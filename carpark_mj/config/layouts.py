@@ -38,6 +38,11 @@ class LayoutConfig:
         raise NotImplementedError
 
     @property
+    def min_goals(self) -> int:
+        """The fewest bays that any key gives that are not reserved for parked cars."""
+        return self.min_bays
+
+    @property
     def is_random(self) -> bool:
         """Whether other keys give other lots."""
         return True

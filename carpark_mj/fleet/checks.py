@@ -32,12 +32,12 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
                 f"{config.goals.num_tracked_bays}"
             )
         return
-    free = bays - agents
-    if free < 0:
+    if agents > lot.min_goals:
         name = "num_agents" if agents == config.num_agents else "min_agents"
         raise ValueError(
-            f"{name} must be at most {bays} (a goal bay each), not {agents}"
+            f"{name} must be at most {lot.min_goals} (a goal bay each), not {agents}"
         )
+    free = bays - agents
     if config.occupancy is None and config.num_parked_cars > free:
         raise ValueError(
             f"num_parked_cars must be at most {free} ({bays} bays less {agents} "

@@ -39,6 +39,11 @@ class FromFileConfig(LayoutConfig):
         return int(_read(self.path).bay_mask.sum())
 
     @property
+    def min_goals(self) -> int:
+        """The fewest bays that any key gives that are not reserved for parked cars."""
+        return int(_read(self.path).goal_mask.sum())
+
+    @property
     def is_random(self) -> bool:
         """Whether other keys give other lots."""
         return False

@@ -61,6 +61,11 @@ class MixtureConfig(LayoutConfig):
         return min(member.min_bays for member in self.members)
 
     @property
+    def min_goals(self) -> int:
+        """The fewest bays for goals that any key gives."""
+        return min(member.min_goals for member in self.members)
+
+    @property
     def entries(self) -> tuple[Entry, ...]:
         """Those of all members; not known if those of one are not."""
         entries = [member.entries for member in self.members]

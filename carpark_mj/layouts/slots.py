@@ -114,6 +114,11 @@ class SlotsConfig(LayoutConfig):
         return 2 * self.slots_per_row
 
     @property
+    def min_goals(self) -> int:
+        """One: the agent starts at one place."""
+        return 1
+
+    @property
     def is_random(self) -> bool:
         """Whether other keys give other lots."""
         return self.goal_slot is None

@@ -1,5 +1,6 @@
 """The lots of Pandita 2022 against positions worked by hand from the thesis."""
 
+import dataclasses
 import math
 
 import jax
@@ -8,6 +9,8 @@ import pytest
 import shapely
 from helpers.scenes import polygons
 
+from carpark_mj.config import EnvConfig
+from carpark_mj.fleet.checks import check_room
 from carpark_mj.layouts import (
     FAMILIES,
     NAMED,
@@ -20,6 +23,7 @@ from carpark_mj.layouts import (
     mixture,
 )
 from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.json_file import layout_text
 from carpark_mj.layouts.slots import centre_lines
 
 NAMES = ["slots", *(name for name in NAMED if name.startswith("slots"))]
@@ -176,3 +180,15 @@ def test_lots_that_cannot_exist_are_refused_in_one_sentence(changes, message):
     with pytest.raises(ValueError, match=message) as caught:
         SlotsConfig(**changes)
     assert "\n" not in str(caught.value)
+
+
+def test_a_second_agent_is_refused_for_it_has_no_bay(tmp_path):
+    path = tmp_path / "slots.json"
+    path.write_text(layout_text(make_layout("slots")))
+    mixed = mixture([SlotsConfig(), "tanner"])
+    for layout in ("slots", "slots_parallel", mixed, str(path)):
+        one = EnvConfig(layout=layout, num_agents=1, num_parked_cars=11)
+        check_room(one, layout_config(layout))
+        two = dataclasses.replace(one, num_agents=2, num_parked_cars=3)
+        with pytest.raises(ValueError, match="num_agents must be at most 1"):
+            check_room(two, layout_config(layout))
