@@ -207,8 +207,11 @@ def test_seeds_side_by_side_are_runs_like_any_other(environment, tmp_path):
     assert set(a.files) == set(b.files)
     for name in a.files:
         if name != "header":
-            # What rounds otherwise in a vectorised program, through 20 updates.
-            np.testing.assert_allclose(a[name], b[name], atol=1e-4, err_msg=name)
+            # What rounds otherwise in a vectorised program, through 20 updates:
+            # measured 3.3e-6 of drive forces of up to 600 N.
+            np.testing.assert_allclose(
+                a[name], b[name], rtol=1e-5, atol=1e-4, err_msg=name
+            )
     done = run(environment, "eval/evaluate.py", folders[0], "--episodes", "8")
     assert done.returncode == 0, done.stderr
 

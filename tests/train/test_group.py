@@ -138,7 +138,8 @@ def test_each_of_them_alone_changes_what_is_learned():
     changed = [insert(DYNAMIC, {path: settings[path] / 2}) for path in paths]
     first, *others = trained([DYNAMIC, *changed], 1)
     for path, other in zip(paths, others, strict=True):
-        assert largest_change(first, other) > 1e-4, path
+        # Measured 5e-5 of the entropy cost; equal settings differ by at most 1e-7.
+        assert largest_change(first, other) > 1e-5, path
 
 
 def test_a_program_is_decided_by_all_but_seeds_names_and_data():
