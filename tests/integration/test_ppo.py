@@ -208,7 +208,7 @@ def test_seeds_side_by_side_are_runs_like_any_other(environment, tmp_path):
     for name in a.files:
         if name != "header":
             # What rounds otherwise in a vectorised program, through 20 updates:
-            # measured 3.3e-6 of drive forces of up to 600 N.
+            # measured 3.3e-6 of the drive, up to 600 N m.
             np.testing.assert_allclose(
                 a[name], b[name], rtol=1e-5, atol=1e-4, err_msg=name
             )
