@@ -17,8 +17,8 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.rendering.renderer import RenderingError
 
-SINGLE = [name for name, (single, _) in ENTRY_POINTS.items() if single]
-PARK, GOAL, MANY = ENTRY_POINTS
+PARK, GOAL, MANY, _ = ENTRY_POINTS  # the last is test_gymnasium_slots.py's
+SINGLE = [PARK, GOAL]
 SHORT = EnvConfig(episode=EpisodeConfig(max_steps=5))
 AHEAD = np.array([0.0, 1.0], np.float32)
 
