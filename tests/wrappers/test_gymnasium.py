@@ -17,7 +17,7 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.rendering.renderer import RenderingError
 
-PARK, GOAL, MANY, _ = ENTRY_POINTS  # the last is test_gymnasium_slots.py's
+PARK, GOAL, SLOTS, MANY = ENTRY_POINTS  # SLOTS has a file of its own, too
 SINGLE = [PARK, GOAL]
 SHORT = EnvConfig(episode=EpisodeConfig(max_steps=5))
 AHEAD = np.array([0.0, 1.0], np.float32)
@@ -40,7 +40,7 @@ def assert_close(one, other):
         np.testing.assert_allclose(a, b, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", SINGLE)
+@pytest.mark.parametrize("name", [*SINGLE, SLOTS])
 def test_gymnasium_finds_no_fault(name):
     # It would open a window as well; pictures are looked at below.
     check_env(make(name), skip_render_check=True)  # a warning is an error here
