@@ -20,6 +20,7 @@ Info = Mapping[str, Any]
 class PoseRewardMixin:
     """The reward as a function of goals, as learners that relabel goals call it."""
 
+    default_reward = PoseReward()
     pose_reward: PoseReward
 
     def compute_reward(
@@ -70,7 +71,7 @@ class ParkGoalEnv(PoseRewardMixin, ParkEnv):
             pose_reward: reward, and when the goal is reached.
             **options: see `Options`, without `agents` and `reward`.
         """
-        self.pose_reward = pose_reward or PoseReward()
+        self.pose_reward = pose_reward or self.default_reward
         super().__init__(render_mode, camera, **options)
 
     def _make(self, options: Options) -> LotEnv:

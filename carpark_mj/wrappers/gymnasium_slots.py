@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from typing import Unpack
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import layout_config
@@ -27,15 +26,7 @@ class SlotsEnv(ParkGoalEnv):
       one in every slot but the goal's.
     """
 
-    def __init__(
-        self,
-        render_mode: str | None = None,
-        camera: str = "topdown",
-        pose_reward: PoseReward | None = None,
-        **options: Unpack[Options],
-    ) -> None:
-        """As of `ParkGoalEnv`."""
-        super().__init__(render_mode, camera, pose_reward or PANDITA_REWARD, **options)
+    default_reward = PANDITA_REWARD
 
     def _make(self, options: Options) -> LotEnv:
         return shared_slots_env(slots_config(options), self.pose_reward)
@@ -44,17 +35,7 @@ class SlotsEnv(ParkGoalEnv):
 class SlotsVectorEnv(ParkGoalVectorEnv):
     """`carpark_mj/Slots-v0` many times; see `ParkVectorEnv` and `SlotsEnv`."""
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        render_mode: str | None = None,
-        camera: str = "topdown",
-        pose_reward: PoseReward | None = None,
-        **options: Unpack[Options],
-    ) -> None:
-        """As of `ParkVectorEnv` and `SlotsEnv`."""
-        pose_reward = pose_reward or PANDITA_REWARD
-        super().__init__(num_envs, render_mode, camera, pose_reward, **options)
+    default_reward = PANDITA_REWARD
 
     def _make(self, options: Options) -> LotEnv:
         return shared_slots_env(slots_config(options), self.pose_reward)

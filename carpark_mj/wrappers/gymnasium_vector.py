@@ -166,7 +166,7 @@ class ParkGoalVectorEnv(PoseRewardMixin, ParkVectorEnv):
         **options: Unpack[Options],
     ) -> None:
         """As of `ParkVectorEnv` and `ParkGoalEnv`."""
-        self.pose_reward = pose_reward or PoseReward()
+        self.pose_reward = pose_reward or self.default_reward
         super().__init__(num_envs, render_mode, camera, **options)
 
     def _make(self, options: Options) -> LotEnv:
