@@ -14,6 +14,15 @@ from carpark_mj.mdp.metrics.goals import CONTEXTS
 from carpark_mj.mdp.rewards import term_names
 from carpark_mj.types import Events, GoalEvents, Motion, Transition
 
+# What an agent can do with its goal, as fields of `GoalEvents`.
+CHOICES = (
+    "continue_explore",
+    "stop_explore",
+    "continue_goal",
+    "change_goal",
+    "stop_goal",
+)
+
 
 def no_events(count: int, **true: Any) -> Events:
     """Nothing happened to anybody, except what is given as flags (count,)."""

@@ -1,0 +1,160 @@
+"""Choices and losses of goals, without an environment: by hand and by chance."""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import cars, lot
+from helpers.states import parked_in, state_of
+from helpers.transitions import CHOICES, no_events
+
+from carpark_mj.config import EnvConfig, EpisodeConfig, GoalConfig
+from carpark_mj.mdp.chosen_goals import ChosenGoals, taken_by_others, untracked
+from carpark_mj.types import NO_BAY
+
+# Five bays in a row, 4 m apart, and agents in front of it.
+ROW = lot([(x, 10.0, math.pi / 2) for x in (0, 4, 8, 12, 16)])
+
+
+def chosen_goals(agents, slots, respawn=True):
+    """The shipped rules for some agents, and slots of tracked bays."""
+    return ChosenGoals(
+        EnvConfig(
+            num_agents=agents,
+            goals=GoalConfig(dynamic=True, num_tracked_bays=slots),
+            episode=EpisodeConfig(respawn=respawn),
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("goal", "choice", "expected", "name"),
+    [
+        (NO_BAY, 0, NO_BAY, "continue_explore"),
+        (NO_BAY, 1, 4, "stop_explore"),
+        (NO_BAY, 2, NO_BAY, "continue_explore"),  # an empty slot
+        (4, 0, NO_BAY, "stop_goal"),
+        (4, 1, 4, "continue_goal"),
+        (4, 2, 4, "continue_goal"),  # an empty slot
+        (4, 3, 1, "change_goal"),
+        (1, 1, 4, "change_goal"),
+    ],
+)
+def test_every_choice_by_hand(goal, choice, expected, name):
+    goals = chosen_goals(1, 3)
+    before = state_of(
+        ROW,
+        cars([(0.0, 0.0, 0.0)]),
+        [goal],
+        parked_cars=parked_in(ROW, [0, 2, 3]),
+        tracked_bays=[[4, NO_BAY, 1]],
+    )
+    after = goals.choose(before, jnp.array([choice]))
+    assert (after.goal.tolist(), after.goal.dtype) == ([expected], jnp.int32)
+    ended, events = goals.update(before, after, no_events(1))
+    assert ended.goal.tolist() == [expected]
+    flags = {name: flag for name, flag in vars(events).items() if name != "contexts"}
+    assert [name for name, flag in flags.items() if flag[0]] == [name]
+    assert bool(events.exploring[0]) == (expected == NO_BAY)
+
+
+@functools.cache
+def random_steps(respawn=True, lots=1500, agents=4, slots=3):
+    """What becomes of goals in random states of a row with a parked car, as numpy.
+
+    Returns:
+        States before, when goals are chosen, and at the end; events, goal events.
+    """
+    goals = chosen_goals(agents, slots, respawn)
+
+    def step(key):
+        keys = jax.random.split(key, 8)
+        x = jax.random.uniform(keys[0], (agents,), minval=-8, maxval=24)
+        tracked = jax.vmap(lambda k: jax.random.permutation(k, 7)[:slots])(
+            jax.random.split(keys[1], agents)
+        )
+        tracked = jnp.where(tracked < 5, tracked, NO_BAY)
+        slot = jax.random.randint(keys[2], (agents,), 0, slots)
+        active = jax.random.bernoulli(keys[3], 0.8, (agents,))
+        goal = tracked[jnp.arange(agents), slot]
+        before = state_of(
+            ROW,
+            cars(jnp.pad(x[:, None], ((0, 0), (0, 2)))),
+            jnp.where(active, goal, NO_BAY),  # the finished ones have crashed
+            active=active,
+            parked_cars=parked_in(ROW, jax.random.randint(keys[4], (1,), 0, 5)),
+            tracked_bays=tracked,
+        )
+        choice = jax.random.randint(keys[5], (agents,), 0, slots + 1)
+        chosen = goals.choose(before, choice)
+        # Anybody may park that has a goal, but only one in a bay, or crash.
+        able = before.active & (chosen.goal != NO_BAY)
+        parked = able & jax.random.bernoulli(keys[6], 0.3, (agents,))
+        same = jnp.tril(chosen.goal[:, None] == chosen.goal, k=-1)
+        parked = parked & ~(same & parked).any(axis=1)
+        crashed = (
+            before.active & ~parked & jax.random.bernoulli(keys[7], 0.1, (agents,))
+        )
+        events = no_events(agents, parked=parked, crashed=crashed)
+        after = chosen
+        if not respawn:
+            after = chosen.replace(active=chosen.active & ~events.done)
+        ended, named = goals.update(before, after, events)
+        bare = [x.replace(key=None) for x in (before, chosen, ended)]
+        return *bare, events, named
+
+    keys = jax.random.split(jax.random.key(1), lots)
+    return jax.device_get(jax.jit(jax.vmap(step))(keys))
+
+
+def test_the_five_choices_partition_the_steps_of_active_agents():
+    before, chosen, _, _, events = random_steps()
+    active, has = before.active, chosen.goal != NO_BAY
+    flags = np.stack([getattr(events, name) for name in CHOICES])
+    np.testing.assert_array_equal(flags.sum(axis=0), active)
+    assert flags.any(axis=(1, 2)).all()
+    np.testing.assert_array_equal(events.exploring, active & ~has)
+    had = active & (before.goal != NO_BAY)
+    np.testing.assert_array_equal(flags[2:].any(axis=0), had)
+    np.testing.assert_array_equal(chosen.goal[~active], before.goal[~active])
+    assert not (events.lost_untracked & events.lost_taken).any()
+    lost = events.lost_untracked | events.lost_taken
+    assert not (lost & events.exploring).any()
+    assert events.lost_untracked.any()
+    assert events.lost_taken.any()
+
+
+@pytest.mark.parametrize("respawn", [True, False])
+def test_goals_are_lost_to_who_parks_there_and_when_no_longer_tracked(respawn):
+    before, chosen, ended, events, goals = random_steps(respawn)
+    done, goal = events.parked | events.crashed, chosen.goal
+    goes_on, has = before.active & ~done, goal != NO_BAY
+    others = ~np.eye(goal.shape[1], dtype=bool)
+    same = (goal[:, :, None] == goal[:, None]) & others
+    taken = goes_on & has & (same & events.parked[:, None]).any(axis=2)
+    np.testing.assert_array_equal(goals.lost_taken, taken)
+    tracked = (ended.tracked_bays == goal[..., None]).any(axis=2)
+    lost = goes_on & has & ~tracked & ~taken
+    np.testing.assert_array_equal(goals.lost_untracked, lost)
+    kept = np.where(goes_on & has & tracked & ~taken, goal, NO_BAY)
+    np.testing.assert_array_equal(ended.goal[goes_on], kept[goes_on])
+    # Whoever has parked and stays keeps the bay, in which it stands.
+    stays = events.parked & (not respawn)
+    kept = np.where(stays, goal, NO_BAY)
+    np.testing.assert_array_equal(ended.goal[done], kept[done])
+
+
+def test_whoever_has_the_goal_where_another_parks_loses_it():
+    goal = jnp.array([3, 3, 2, NO_BAY, 3, 2])
+    parked = jnp.array([False, True, False, False, False, False])
+    taken = taken_by_others(goal, parked)
+    np.testing.assert_array_equal(taken, [True, False, False, False, True, False])
+
+
+def test_who_has_no_goal_cannot_lose_it():
+    tracked = jnp.array([[3, 1], [3, NO_BAY], [NO_BAY, NO_BAY], [1, NO_BAY]])
+    goal = jnp.array([1, 2, NO_BAY, NO_BAY])
+    assert untracked(goal, tracked).tolist() == [False, True, False, False]
