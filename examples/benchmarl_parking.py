@@ -5,7 +5,8 @@ python examples/benchmarl_parking.py --algorithm ippo
 python examples/benchmarl_parking.py --algorithm mappo
 
 It prints how evaluated episodes end as training goes on, draws the curve, and measures
-the rates on held-out lots. Success is `strict`: within the lines, straight, at rest.
+the rates on held-out lots; Ctrl-C ends the training early. Success is `strict`: within
+the lines, straight, at rest.
 On a GPU JAX and torch share the memory, so JAX must not take all of it at once.
 """
 
@@ -152,7 +153,10 @@ def main(settings: Settings) -> None:
         config=experiment_config(settings, folder),
         callbacks=[curve],
     )
-    experiment.run()
+    try:
+        experiment.run()
+    except KeyboardInterrupt:
+        print("stopped; evaluating what has been learnt", flush=True)
     found = held_out_rates(experiment, options, settings.seed)
     episodes = 256 * settings.agents
     print(f"{name}, {episodes} episodes in held-out lots: {words(found)}")

@@ -58,6 +58,8 @@ class PPOConfig(RunConfig):
 
     Attributes:
         preset: settings the other flags start from.
+        warm_start: run whose networks the training starts from instead of random ones;
+            folder or checkpoint.
         num_steps: total number of agent steps.
         minutes: time after which training ends before `num_steps` are made, compiling
             included, evaluation and video not [min]; 0 = no limit. Schedules then
@@ -94,6 +96,7 @@ class PPOConfig(RunConfig):
     """
 
     preset: Annotated[PresetName, _BY_HARDWARE] = "auto"
+    warm_start: str = ""
     num_steps: int = 40_000_000
     minutes: float = 0.0
     num_lots: int = 64

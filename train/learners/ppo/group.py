@@ -37,6 +37,7 @@ REWARDS = "env.reward."
 DECIDES_A_BRANCH = "env.reward.reeds_shepp"
 # What the program does not read.
 OUTSIDE = (
+    "warm_start",
     "preset",
     "name",
     "runs_dir",

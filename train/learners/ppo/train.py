@@ -19,6 +19,7 @@ from learners.ppo.forecast import MEASURED_SECONDS, announcement, estimate
 from learners.ppo.learner import Learner
 from learners.ppo.metrics_log import MetricsLog
 from learners.ppo.state import TrainingState
+from learners.ppo.warm_start import warm_start
 from learners.settings import list_settings
 
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
@@ -44,10 +45,15 @@ def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
     """The newest checkpoints of the runs, or a fresh state if they have none.
 
     Raises:
-        CheckpointError: some are damaged, or the runs share no step.
+        CheckpointError: some are damaged, or the runs share no step; see `warm_start`.
+        ValueError: see `warm_start`.
     """
     if not any(runs.checkpoint_files(folder) for folder in folders):
-        return learner.init()
+        state = learner.init()
+        if not learner.config.warm_start:
+            return state
+        states = zip(learner.configs, learner.split(learner.gather(state)), strict=True)
+        return learner.place(learner.join([warm_start(c, s) for c, s in states]))
     template = vars(jax.eval_shape(lambda: learner.split(learner.build())[0]))
     states = [
         TrainingState(**checkpoints.load(path, template))

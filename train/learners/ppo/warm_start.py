@@ -1,0 +1,35 @@
+"""Warm starts: a training that begins with the networks of another run."""
+
+import dataclasses
+from pathlib import Path
+
+from carpark_mj.policy import checkpoints
+from carpark_mj.policy.loading import load_policy
+from learners.ppo.config import PPOConfig
+from learners.ppo.state import TrainingState
+
+# What a run takes over; optimizer, schedules, lots and counters are its own.
+TAKEN = ("normalizer", "policy", "average", "value")
+
+
+def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
+    """A state before the first update, with networks of the run `warm_start`.
+
+    Args:
+        config: of the training.
+        state: as it would begin otherwise.
+
+    Raises:
+        CheckpointError: the run has no checkpoint, or other networks.
+        ValueError: there is no such run, or its agents observe or do something else.
+    """
+    if not config.warm_start:
+        return state
+    if not Path(config.warm_start).exists():  # pretrained policies have no critic
+        raise ValueError(
+            "warm_start must be the folder or a checkpoint of a run, not "
+            f"{config.warm_start!r}"
+        )
+    path = load_policy(config.warm_start, env=config.env).path
+    template = {name: getattr(state, name) for name in TAKEN}
+    return dataclasses.replace(state, **checkpoints.load(path, template))
