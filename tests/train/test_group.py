@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import RewardConfig
+from carpark_mj.config import GivingWayConfig, RewardConfig
 from carpark_mj.config.goals import GoalRewards
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -36,13 +36,17 @@ FIXED = PPOConfig(
     networks=NetworkConfig((16,), (16,), encoder="flat"),
     env=dataclasses.replace(TANNER_FIXED, num_agents=2, num_parked_cars=4),
 )
-# Every weight of the rewards that can differ is above 0.
+# No weight of the rewards that can differ is 0.
 DYNAMIC = dataclasses.replace(
     FIXED,
     env=dataclasses.replace(
         TANNER_DYNAMIC,
         num_agents=2,
         num_parked_cars=4,
+        observation=dataclasses.replace(
+            TANNER_DYNAMIC.observation, global_information=True
+        ),
+        giving_way=GivingWayConfig("G,G,A", bad_goal=-0.2),
         reward=RewardConfig(
             final_speed=0.4,
             final_heading=0.3,
@@ -75,13 +79,17 @@ def halved(config: PPOConfig) -> PPOConfig:
     return insert(config, values)
 
 
-def trained(configs: Sequence[PPOConfig], updates: int) -> list[TrainingState]:
-    """The states of runs after some updates."""
+def trained(
+    configs: Sequence[PPOConfig], *updates: int
+) -> tuple[list[TrainingState], ...]:
+    """The states of runs after so many updates, rising numbers."""
     learner = make_learner(configs)
-    update, state = learner.compile(), learner.init()
-    for _ in range(updates):
+    update, state, states = learner.compile(), learner.init(), []
+    for number in range(1, updates[-1] + 1):
         state, _ = update(state)
-    return learner.split(host(state))
+        if number in updates:
+            states.append(learner.split(host(state)))
+    return tuple(states)
 
 
 def host(state: TrainingState) -> TrainingState:
@@ -114,29 +122,27 @@ def largest_change(one: TrainingState, other: TrainingState) -> float:
 def test_a_run_of_a_group_is_the_one_with_its_seed():
     seeds = (3, 2**32 - 1)
     configs = [dataclasses.replace(FIXED, seed=seed) for seed in seeds]
-    together = trained(configs, 2)
+    (together,) = trained(configs, 2)
     for config, state in zip(configs, together, strict=True):
-        (alone,) = trained([config], 2)
+        ((alone,),) = trained([config], 2)
         assert_same(state, alone)
     assert largest_change(*together) > 0.1
 
 
 def test_runs_may_differ_in_every_number_that_is_data():
-    configs = [DYNAMIC, halved(DYNAMIC)]
-    together = trained(configs, 3)
-    for config, state in zip(configs, together, strict=True):
-        (alone,) = trained([config], 3)
-        assert_same(state, alone)
-    # A hundred times the tolerance.
-    assert largest_change(*together) > 1e-3
-
-
-def test_each_of_them_alone_changes_what_is_learned():
+    """In all of them at once, and in each alone."""
     paths = ("learning_rate", "entropy_cost", "discount", "gae_lambda")
     paths += ("env.reward.time", "env.reward.progress", "env.reward.goals.stop_explore")
+    paths += ("env.giving_way.bad_goal",)
     settings = dict(list_settings(DYNAMIC))
     changed = [insert(DYNAMIC, {path: settings[path] / 2}) for path in paths]
-    first, *others = trained([DYNAMIC, *changed], 1)
+    configs = [DYNAMIC, halved(DYNAMIC)]
+    (first, _, *others), together = trained([*configs, *changed], 1, 3)
+    for config, state in zip(configs, together[:2], strict=True):
+        ((alone,),) = trained([config], 3)
+        assert_same(state, alone)
+    # A hundred times the tolerance.
+    assert largest_change(*together[:2]) > 1e-3
     for path, other in zip(paths, others, strict=True):
         # Measured 5e-5 of the entropy cost; equal settings differ by at most 1e-7.
         assert largest_change(first, other) > 1e-5, path
@@ -154,6 +160,7 @@ def test_a_program_is_decided_by_all_but_seeds_names_and_data():
         "env.num_agents": 4,
         "env.reward.reeds_shepp": 1.0,
         "env.reward.route": True,
+        "env.giving_way.scheme": "L,L,S",
         "env.reward.goals.lost_goal": -1.0,  # a branch: it is None in the other
         "networks.value_layers": (8,),
     }.items():
@@ -200,7 +207,7 @@ def test_a_run_of_a_group_goes_on_alone_as_in_the_group(stopped, tmp_path):
     together, alone = copied(folders, tmp_path / "a"), copied(folders, tmp_path / "b")
     assert train(make_learner(configs), together) == ["done", "done"]
     assert train(make_learner(configs[1:]), alone[1:]) == ["done"]
-    (whole,) = trained(configs[1:], FIXED.num_updates)
+    ((whole,),) = trained(configs[1:], FIXED.num_updates)
     for folder in (together[1], alone[1]):
         assert [row["update"] for row in read_metrics(folder)] == [1, 2, 3, 4]
         assert_same(host(load_or_init(Learner(configs[1]), [folder])), whole)

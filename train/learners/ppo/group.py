@@ -32,7 +32,9 @@ DATA = (
     "clip_end",
     "discount",
     "gae_lambda",
+    "env.giving_way.bad_goal",
 )
+ENV = "env."
 REWARDS = "env.reward."
 DECIDES_A_BRANCH = "env.reward.reeds_shepp"
 # What the program does not read.
@@ -155,9 +157,9 @@ class GroupLearner(Learner):
         run.config = insert(self.config, data)
         env = copy.copy(self.env.env)
         # Rewards are paid by `ParkingEnv.step`, from its config.
-        rewards = {path: x for path, x in data.items() if path.startswith(REWARDS)}
+        rewards = {path: x for path, x in data.items() if path.startswith(ENV)}
         env.config = insert(
-            env.config, {path.removeprefix("env."): x for path, x in rewards.items()}
+            env.config, {path.removeprefix(ENV): x for path, x in rewards.items()}
         )
         run.env = BraxParking(env)
         return run.update(state)

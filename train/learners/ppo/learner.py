@@ -5,6 +5,7 @@ Brax. Lots are sharded over the devices, parameters replicated, gradients averag
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -88,11 +89,16 @@ class Learner:
 
     def init(self) -> TrainingState:
         """The state before the first update, laid out over the devices."""
-        return self.place(jax.jit(self.build)())
+        return self.place(self._jitted_build())
 
     def build(self) -> TrainingState:
         """The state before the first update (pure)."""
         return self.begin(jax.random.key(self.config.seed))
+
+    @functools.cached_property
+    def _jitted_build(self) -> Callable[[], TrainingState]:
+        """`build`, traced once for the shapes and the state."""
+        return jax.jit(self.build)
 
     def begin(self, seed: jax.Array) -> TrainingState:
         """The state of a run with this seed, a key, before the first update (pure)."""
@@ -125,7 +131,7 @@ class Learner:
 
     def shapes(self) -> TrainingState:
         """Shapes and dtypes of a training state."""
-        return jax.eval_shape(self.build)
+        return jax.eval_shape(self._jitted_build)
 
     def least_memory(self) -> int:
         """Bytes that training needs at least, on all devices together.

@@ -54,7 +54,7 @@ def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
             return state
         states = zip(learner.configs, learner.split(learner.gather(state)), strict=True)
         return learner.place(learner.join([warm_start(c, s) for c, s in states]))
-    template = vars(jax.eval_shape(lambda: learner.split(learner.build())[0]))
+    template = vars(jax.eval_shape(lambda x: learner.split(x)[0], learner.shapes()))
     states = [
         TrainingState(**checkpoints.load(path, template))
         for path in _checkpoints_of_one_step(folders)
