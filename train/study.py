@@ -76,7 +76,8 @@ def say_budget(chosen: Sequence[Cost], rest: Sequence[Cost], minutes: float) -> 
         for one in costs:
             print(
                 f"{words} figure {', '.join(one.experiment.figures)}: {one.left} of "
-                f"{one.runs} runs, about {one.minutes:.0f} min one at a time"
+                f"{one.runs} runs in {one.programs} programs, about "
+                f"{one.minutes:.0f} min one at a time"
             )
     if rest:
         print(f"{len(rest)} experiments do not fit {minutes:g} minutes")
@@ -99,7 +100,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         folder = Path(config.runs_dir) / experiment.name
         work[experiment.name] = experiment, plan, checked_runs(plan), folder
     rate = measured_rate([(folder, runs) for _, _, runs, folder in work.values()])
-    costs = [cost(each, runs, folder, rate) for each, _, runs, folder in work.values()]
+    costs = [
+        cost(each, runs, folder, rate, config.side_by_side)
+        for each, _, runs, folder in work.values()
+    ]
     chosen, rest = choose(costs, config.minutes, config.jobs or 1)
     say_budget(chosen, rest, config.minutes)
     failed = 0

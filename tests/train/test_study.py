@@ -136,13 +136,17 @@ def test_a_verdict_needs_three_runs_of_each(ours, theirs, said):
     assert verdict(ours, theirs) == said
 
 
-def test_a_budget_is_spent_in_order_and_the_rest_is_named():
-    costs = [Cost(e, 3, 3, m) for e, m in zip(EXPERIMENTS, (10, 30, 5), strict=False)]
+def test_a_budget_goes_to_the_fewest_programs_first_and_the_rest_is_named():
+    programs, minutes = (3, 2, 3, 1), (10, 30, 5, 2)
+    costs = [
+        Cost(experiment, 3, 3, n, m)
+        for experiment, n, m in zip(EXPERIMENTS, programs, minutes, strict=False)
+    ]
     chosen, rest = choose(costs, 20.0)
-    assert [one.minutes for one in chosen] == [10, 5]
+    assert [one.minutes for one in chosen] == [2, 10, 5]
     assert [one.minutes for one in rest] == [30]
     assert choose(costs, 0.0)[1] == []
-    assert choose(costs, 23.0, at_once=2)[1] == []
+    assert choose(costs, 24.0, at_once=2)[1] == []
 
 
 def test_what_is_done_costs_nothing_and_says_how_fast_this_machine_is(tmp_path):
@@ -179,7 +183,7 @@ def test_what_exceeds_the_budget_is_not_run(tmp_path, capsys):
     assert study.main([*flags, "--cluster", "debug"]) == 0
     said = capsys.readouterr().out
     assert said.count("leaves out figure") == len(EXPERIMENTS)
-    assert "leaves out figure 5.18, 5.19, 5.20: 48 of 48 runs" in said
+    assert "leaves out figure 5.18, 5.19, 5.20: 48 of 48 runs in 6 programs" in said
     assert f"{len(EXPERIMENTS)} experiments do not fit 0.01 minutes" in said
     assert list(tmp_path.iterdir()) == []
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from studies.figures import Experiment
+from sweeps.groups import groups
 from sweeps.outcomes import read_outcome
 from sweeps.plan import Run, settings_of
 
@@ -22,17 +23,23 @@ class Cost:
         experiment: which.
         runs: of it, in all.
         left: that are not done.
+        programs: that train these, several side by side.
         minutes: estimated for these, one at a time [min].
     """
 
     experiment: Experiment
     runs: int
     left: int
+    programs: int
     minutes: float
 
 
 def cost(
-    experiment: Experiment, runs: Sequence[Run], folder: Path, rate: float
+    experiment: Experiment,
+    runs: Sequence[Run],
+    folder: Path,
+    rate: float,
+    side_by_side: int = 1,
 ) -> Cost:
     """Estimates an experiment.
 
@@ -40,11 +47,13 @@ def cost(
         experiment: which.
         runs: its runs.
         folder: of its sweep.
-        rate: agent steps per second, evaluation included.
+        rate: agent steps per second of a run, evaluation included.
+        side_by_side: most runs in one program.
     """
     left = [run for run in runs if read_outcome(folder, run).status != "done"]
     seconds = settings_of(left[0]).num_steps / rate * len(left) if left else 0.0
-    return Cost(experiment, len(runs), len(left), seconds / 60.0)
+    programs = len(groups(left, side_by_side))
+    return Cost(experiment, len(runs), len(left), programs, seconds / 60.0)
 
 
 def measured_rate(sweeps: Sequence[tuple[Path, Sequence[Run]]]) -> float:
@@ -60,7 +69,7 @@ def measured_rate(sweeps: Sequence[tuple[Path, Sequence[Run]]]) -> float:
 def choose(
     costs: Sequence[Cost], minutes: float, at_once: int = 1
 ) -> tuple[list[Cost], list[Cost]]:
-    """What fits a budget, in the order given, and what is left out.
+    """What fits a budget, what has the fewest programs first, and what is left out.
 
     Args:
         costs: of the experiments.
@@ -69,7 +78,7 @@ def choose(
     """
     chosen: list[Cost] = []
     rest: list[Cost] = []
-    for one in costs:
+    for one in sorted(costs, key=lambda cost: cost.programs):
         spent = sum(c.minutes for c in chosen) / at_once
         fits = not minutes or spent + one.minutes / at_once <= minutes
         (chosen if fits else rest).append(one)

@@ -14,7 +14,7 @@ class StudyConfig:
 
     Attributes:
         figure: number of a figure, `5.8`.
-        all: all figures, in order.
+        all: all figures, those of the fewest programs first.
         list: say what there is, and train nothing.
         minutes: budget [min]; what does not fit is named and left out. 0 = no limit.
         repeats: runs of every combination; 0 = as many as are published.
