@@ -14,7 +14,7 @@ from carpark_mj.policy.checkpoints import write_atomically
 
 GRID = 200  # points of a mean curve
 MAX_TICKS = 12  # of the horizontal axis; of more values it has round numbers
-# Ours in colours with a line; what it is compared with grey and dashed.
+MAX_INSIDE = 6  # lines whose legend lies on the plot; that of more is beside it
 _MARKERS = ("o", "x", "s", "^")
 
 
@@ -24,7 +24,8 @@ def plot_metric(
     """Draws a metric against the first setting, a line for each value of the others.
 
     Dots are runs, lines interquartile means, bands their 95 % intervals; a ring marks
-    an outlier. The first source is drawn in colours, the others in grey.
+    an outlier. Lines of the first source are solid, those of the others dashed: grey,
+    or in the colours of the first if it has several.
 
     Args:
         path: PNG to write.
@@ -47,7 +48,7 @@ def plot_metric(
                 for point, mark in zip(points, marks, strict=True)
                 if (point.source, point.values[1:]) == (source, rest)
             ]
-            style = _style(sources.index(source), shades.index(rest))
+            style = _style(sources.index(source), shades.index(rest), len(shades))
             names = [show(value) for value in rest]
             label = ", ".join([source, *names] if len(sources) > 1 else names)
             _draw_series(axes, own, place, metric, {**style, "label": label})
@@ -55,7 +56,12 @@ def plot_metric(
         if not numeric or len(place) <= MAX_TICKS:
             axes.set_xticks([*place.values()], [show(value) for value in place])
         if len(series) > 1:
-            axes.legend(title=", ".join(by[1:]) or None, fontsize="small")
+            where = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+            axes.legend(
+                title=", ".join(by[1:]) or None,
+                fontsize="small",
+                **(where if len(series) > MAX_INSIDE else {}),
+            )
 
 
 def plot_curves(
@@ -132,10 +138,9 @@ def _curve(record: Any, column: str) -> list[tuple[float, float]]:
     return read_curve(record.folder, column) if record.folder else []
 
 
-def _style(source: int, shade: int) -> dict[str, Any]:
-    grey = 0.25 + 0.12 * (shade % 5)
+def _style(source: int, shade: int, shades: int) -> dict[str, Any]:
     return {
-        "color": f"C{shade % 10}" if not source else (grey, grey, grey),
+        "color": "0.25" if source and shades == 1 else _colour(shade, shades),
         "marker": _MARKERS[source % len(_MARKERS)],
         "linestyle": "-" if not source else "--",
     }

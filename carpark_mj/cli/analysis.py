@@ -22,6 +22,7 @@ from carpark_mj.analysis.runs import Record, read_run, run_folders, swept_settin
 from carpark_mj.policy.checkpoints import CheckpointError, require_writable
 from carpark_mj.policy.runs import write_csv
 
+MAX_ROWS = 50  # of a table on the terminal; the files have all
 METRICS = ("parked", "crashed", "timed_out", "length")
 CURVES = ("episode/parked", "episode/crashed")
 METHOD = (
@@ -125,7 +126,8 @@ def analyse(
     each = run_rows(points, by, metrics)
     write_csv(out / "spread.csv", spreads)
     write_csv(out / "runs.csv", each)
-    _print_table(spreads, title)
+    if len(spreads) <= MAX_ROWS:
+        _print_table(spreads, title)
     for note in notes:
         print(note)
     parts: list[tuple[str, str]] = []

@@ -7,9 +7,11 @@ import re
 
 import pytest
 from helpers.sweeping import write_run
+from matplotlib.axes import Axes
 
 import analysis
 from carpark_mj.analysis.page import table, videos
+from carpark_mj.analysis.plots import plot_metric
 from carpark_mj.analysis.points import group, run_rows, spread_rows
 from carpark_mj.analysis.runs import Record, flat_metrics, read_curve, read_run
 from carpark_mj.cli.analysis import analyse
@@ -125,6 +127,25 @@ def test_two_sources_and_settings_that_are_words_can_be_drawn(tmp_path):
     sources = {"ours": words, "published": words[:1]}
     analyse(sources, ["env.num_agents"], ["parked"], tmp_path, "words")
     assert (tmp_path / "parked.png").exists()
+
+
+def test_a_setting_has_one_colour_whoever_s_runs_they_are(tmp_path, monkeypatch):
+    lines: dict[str, tuple[str, str]] = {}
+    plot = Axes.plot
+
+    def record_line(self, *data, **style):
+        if "label" in style:
+            lines[style["label"]] = style["color"], style["linestyle"]
+        return plot(self, *data, **style)
+
+    monkeypatch.setattr(Axes, "plot", record_line)
+    runs = [record(n, 0, 0.3, scheme=scheme) for n in (1, 2) for scheme in "ab"]
+    points = group({"ours": runs, "theirs": runs}, ["env.num_agents", "scheme"])
+    plot_metric(tmp_path / "x.png", points, ["env.num_agents", "scheme"], "parked")
+    colours = {name: colour for name, (colour, _) in lines.items()}
+    assert colours["ours, a"] == colours["theirs, a"]
+    assert colours["ours, b"] == colours["theirs, b"] != colours["ours, a"]
+    assert [dash for _, dash in lines.values()] == ["-", "-", "--", "--"]
 
 
 def test_no_video_is_no_list(tmp_path):
