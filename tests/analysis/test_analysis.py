@@ -10,11 +10,11 @@ from helpers.sweeping import write_run
 from matplotlib.axes import Axes
 
 import analysis
-from carpark_mj.analysis.page import table, videos
+from carpark_mj.analysis.page import SHOWN_ROWS, table, videos
 from carpark_mj.analysis.plots import plot_metric
 from carpark_mj.analysis.points import group, run_rows, spread_rows
 from carpark_mj.analysis.runs import Record, flat_metrics, read_curve, read_run
-from carpark_mj.cli.analysis import analyse
+from carpark_mj.cli.analysis import MAX_ROWS, analyse
 from learners.ppo.presets import PRESETS
 
 BASE = PRESETS["tanner-fixed"]
@@ -73,6 +73,21 @@ def test_the_tables_have_every_run_and_every_point():
     each = run_rows(points, ["env.num_agents"], ["parked"])
     assert [row["outlier"] for row in each] == ["", "", "parked", "", "", ""]
     assert table(each).count('class="outlier"') == 1
+
+
+def test_a_long_table_is_folded_and_what_is_missing_is_a_dash():
+    rows = [{"parked": math.nan}] * SHOWN_ROWS
+    assert "<details open>" in table(rows)
+    assert "<details>" in table([*rows, *rows[:1]])
+    assert table(rows).count("<td>–</td>") == SHOWN_ROWS
+
+
+def test_a_long_table_is_written_but_not_printed(tmp_path, capsys):
+    runs = [record(agents, 0, 0.5) for agents in range(MAX_ROWS)]
+    analyse({"ours": runs}, ["env.num_agents"], ["parked"], tmp_path, "long")
+    assert "env.num_agents" not in capsys.readouterr().out
+    # A header, and a row of all.
+    assert (tmp_path / "spread.csv").read_text().count("\n") == MAX_ROWS + 2
 
 
 def test_a_summary_becomes_one_number_per_name():

@@ -13,6 +13,7 @@ import pytest
 import submitit
 from helpers.sweeping import plan_runs, train, train_badly, train_slowly
 from submitit.core.submission import process_job
+from submitit.helpers import DelayedSubmission
 from submitit.slurm.test_slurm import mocked_slurm
 
 from sweeps import executor, slurm
@@ -128,8 +129,17 @@ def slurm_jobs(folder: Path, repeats=2) -> list[tuple[Work, submitit.Job]]:
     """Jobs of two runs and what Slurm is asked for."""
     plan, runs = plan_runs("num_agents=1", repeats=repeats)
     open_sweep(folder, plan, False)
-    asked = SlurmConfig(partition="gpu", time=90, gpus_per_node=2, mem_gb=8)
-    submitter = make_executor("slurm", folder / "logs", 3, asked, "agents")
+    asked = SlurmConfig(
+        partition="gpu",
+        qos="long",
+        constraint="h200",
+        time=90,
+        requeues=3,
+        gpus_per_node=2,
+        cpus_per_task=6,
+        mem_gb=8,
+    )
+    submitter = make_executor("slurm", folder / "logs", 1, asked, "agents")
     works = [Work(folder, (run,), train, own_process=False) for run in runs]
     return submit_all(submitter, works)
 
@@ -141,15 +151,20 @@ def test_a_submission_to_slurm_asks_for_what_it_was_told_and_runs(tmp_path):
         lines = script.read_text().splitlines()
         for flag in (
             "partition=gpu",
+            "qos=long",
+            "constraint=h200",
             "time=90",
             "gpus-per-node=2",
+            "cpus-per-task=6",
             "mem=8GB",
             "job-name=agents",
-            "array=0-1%2",
+            "array=0-1%1",
         ):
             assert f"#SBATCH --{flag}" in lines
         assert not any("account" in line for line in lines)
         for _, job in jobs:
+            delayed = DelayedSubmission.load(job.paths.submitted_pickle)
+            assert delayed._timeout_countdown == 3
             with mocked.job_context(job.job_id):
                 process_job(job.paths.folder)
         for work, _ in jobs:
@@ -166,6 +181,8 @@ def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypa
     names = [work.runs[0].name for work, _ in again]
     assert sorted(names) == ["seed=0", "seed=1", "seed=2"]
     assert not {job.job_id for _, job in again[1:]} & {*ids}
+    with mocked_slurm():  # it is still known after others were submitted
+        assert slurm_jobs(tmp_path, repeats=3)[0][1].job_id == ids[0]
 
 
 def test_without_slurm_there_is_one_sentence(tmp_path, monkeypatch):
