@@ -123,6 +123,7 @@ def test_the_command_leaves_tables_pictures_and_one_page(tmp_path, capsys):
     for name in ("parked", "crashed", "length", "curve_parked"):
         assert (out / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
     page = (out / "report.html").read_text()
+    assert "Interquartile means" in page
     sources = re.findall(r'src="([^"]{11})', page)
     assert len(sources) == 5
     assert {*sources} == {"data:image/"}
