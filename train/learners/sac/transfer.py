@@ -42,7 +42,7 @@ def success_matrix(
         for row in rows
         if row["policy"] == policy
     }
-    phases = max((row["phase"] for row in rows), default=0) + 1
+    phases = int(max((row["phase"] for row in rows), default=0)) + 1
     return np.array(
         [
             [found.get((phase, kind), math.nan) for kind in kinds]

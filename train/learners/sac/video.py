@@ -14,7 +14,7 @@ from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.rollout import Recording, record
-from carpark_mj.rendering.snapshot import frames_per_second, num_frames
+from carpark_mj.rendering.snapshot import num_frames
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.types import State

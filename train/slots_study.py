@@ -1,0 +1,118 @@
+"""Repeats the experiments of Pandita 2022 over seeds, beside what the thesis says.
+
+    python train/slots_study.py --list
+    python train/slots_study.py --experiment 10
+    python train/slots_study.py --all --minutes 9      # continues with the same command
+    python train/slots_study.py --all --preset pandita # the thesis's settings
+
+Every training is a run of `train/sac.py` in `runs/slots_study`, on a core of its own;
+`report.md` there has what is done, `matrix-NAME.png` success by phase and kind of lot.
+"""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.config.checks import at_least, positive, whole
+from learners.sac.config import SACPreset
+from studies.slots import EXPERIMENTS, SlotsExperiment, slots_experiment
+from studies.slots_jobs import Job, make_job, run_jobs
+from studies.slots_report import read_deployments, write_matrix, write_report
+
+
+@dataclasses.dataclass(frozen=True)
+class SlotsStudyConfig:
+    """Settings of `python train/slots_study.py`.
+
+    Attributes:
+        experiment: its number, or the name of one beyond the thesis.
+        all: all experiments.
+        list: say what there is, and train nothing.
+        seeds: runs of every training.
+        preset: of `train/sac.py`.
+        scale: factor on the thesis's budgets of steps.
+        minutes: after which runs save and stop [min]; 0 = no limit.
+        workers: runs at a time, each on one core; 0 = one for every core.
+        runs_dir: where runs are kept.
+    """
+
+    experiment: str = ""
+    all: bool = False
+    list: bool = False
+    seeds: int = 5
+    preset: SACPreset = "study"
+    scale: float = 1.0
+    minutes: float = 0.0
+    workers: int = 0
+    runs_dir: str = "runs/slots_study"
+
+    def __post_init__(self) -> None:
+        whole(self, 1, "seeds")
+        whole(self, 0, "workers")
+        positive(self, "scale")
+        at_least(self, 0, "minutes")
+        if bool(self.experiment) + self.all + self.list != 1:
+            raise ValueError("give one of --experiment NAME, --all and --list")
+
+
+def describe() -> None:
+    """Prints a line per experiment."""
+    for experiment in EXPERIMENTS:
+        phases = ", then ".join(experiment.phases(1.0))
+        print(f"{experiment.name:12} {experiment.title}: {phases} steps")
+
+
+def report(folder: Path, jobs: dict[SlotsExperiment, list[Job]]) -> Path:
+    """Writes the table and the matrices of what is done."""
+    results = {
+        experiment: [read_deployments(job) for job in runs if job.is_done]
+        for experiment, runs in jobs.items()
+    }
+    results = {experiment: runs for experiment, runs in results.items() if runs}
+    path = folder / "report.md"
+    write_report(path, results)
+    for experiment, runs in results.items():
+        write_matrix(folder / f"matrix-{experiment.name}.png", experiment, runs)
+    return path
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs experiments; returns the exit code, 1 if runs have failed."""
+    config = read_flags(SlotsStudyConfig, arguments, description=__doc__)
+    if config.list:
+        describe()
+        return 0
+    wanted = EXPERIMENTS if config.all else (slots_experiment(config.experiment),)
+    folder = Path(config.runs_dir)
+    jobs = {
+        experiment: [
+            make_job(experiment, config.preset, config.scale, seed, folder)
+            for seed in range(config.seeds)
+        ]
+        for experiment in wanted
+    }
+    # Long ones first; experiments that train alike have one job.
+    budget = {
+        job.folder: (sum(count for _, count in experiment.stages), job)
+        for experiment, runs in jobs.items()
+        for job in runs
+    }
+    order = sorted(budget.values(), key=lambda pair: -pair[0])
+    left = [job for _, job in order if not job.is_done]
+    print(f"{len(budget)} runs, {len(budget) - len(left)} of them done", flush=True)
+    failed = run_jobs(left, config.workers, config.minutes)
+    folder.mkdir(parents=True, exist_ok=True)
+    print(f"wrote {report(folder, jobs)}")
+    return 1 if failed else 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command("slots_study", lambda: run(arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,119 @@
+"""Runs of `train/sac.py` side by side, each in a process on a core of its own."""
+
+import dataclasses
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from studies.slots import SlotsExperiment
+
+SCRIPT = Path(__file__).parents[1] / "sac.py"
+LEAST = 1.0  # min that must be left for a run to begin
+# One core each: libraries that would start a thread for every core of the machine.
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A training with a seed; experiments that train alike share it.
+
+    Attributes:
+        folder: of the run.
+        flags: of `train/sac.py`, for a new run.
+    """
+
+    folder: Path
+    flags: tuple[str, ...]
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the run came to its end."""
+        return (self.folder / "evaluation.json").exists()
+
+    def command(self, minutes: float) -> list[str]:
+        """Begins or continues the run, for some minutes at most; 0 = no limit."""
+        limit = ["--time-limit", f"{minutes:.2f}"]
+        flags: Sequence[str] = self.flags
+        if (self.folder / "config.json").exists():
+            flags = "--resume", str(self.folder)
+        return [sys.executable, str(SCRIPT), *flags, *limit]
+
+
+def make_job(
+    experiment: SlotsExperiment, preset: str, scale: float, seed: int, folder: Path
+) -> Job:
+    """The training of an experiment with a seed, in a folder below `folder`."""
+    phases = experiment.phases(scale)
+    slug = "+".join(phase.replace(",", "-").replace(":", "_") for phase in phases)
+    extra = "".join(experiment.flags).replace("--", "-")
+    name = f"{experiment.replay}-{slug}{extra}-{seed}"
+    flags = ("--preset", preset, "--name", name, "--runs-dir", str(folder))
+    flags += ("--seed", str(seed), "--video-seconds", "0", "--phases", *phases)
+    flags += ("--replay", experiment.replay, *experiment.flags)
+    return Job(folder / name, flags)
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    workers: int,
+    minutes: float,
+    clock: Callable[[], float] = time.monotonic,
+) -> list[Job]:
+    """Runs what is not done; returns what has failed.
+
+    Args:
+        jobs: in the order in which they begin.
+        workers: processes at a time, each on a core; 0 = one for every core.
+        minutes: after which runs save and stop, to be continued; 0 = no limit.
+        clock: gives the time [s].
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    cores = cores[: workers or len(cores)]
+    waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
+    for job in jobs:
+        waiting.put(job)
+    failed: list[Job] = []
+    begun = clock()
+
+    def work(core: int) -> None:
+        while not waiting.empty():
+            left = minutes - (clock() - begun) / 60 if minutes else 0.0
+            if minutes and left < LEAST:
+                return
+            try:
+                job = waiting.get_nowait()
+            except queue.Empty:
+                return
+            code = _run(job, core, left)
+            print(f"{job.folder.name}: {_outcome(job, code)}", flush=True)
+            if code:
+                failed.append(job)
+
+    threads = [threading.Thread(target=work, args=(core,)) for core in cores]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return failed
+
+
+def _run(job: Job, core: int, minutes: float) -> int:
+    job.folder.parent.mkdir(parents=True, exist_ok=True)
+    environment = {**os.environ, **dict.fromkeys(_THREADS, "1")}
+    with job.folder.with_suffix(".log").open("a") as log:
+        process = subprocess.Popen(
+            job.command(minutes), stdout=log, stderr=log, env=environment
+        )
+        os.sched_setaffinity(process.pid, {core})
+        return process.wait()
+
+
+def _outcome(job: Job, code: int) -> str:
+    if code:
+        return f"failed with exit code {code}, see {job.folder.with_suffix('.log')}"
+    return "done" if job.is_done else "stopped, to be continued"

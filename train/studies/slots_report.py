@@ -1,0 +1,109 @@
+"""The experiments in slots as a table: the thesis, what is found, a verdict."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carpark_mj.evaluation.aggregation import wilson_interval
+from carpark_mj.policy.checkpoints import write_atomically
+from learners.sac.pictures import plot_matrix
+from learners.sac.transfer import success_matrix
+from studies.slots import DIAGONAL, PARALLEL, VERTICAL, Claim, SlotsExperiment
+from studies.slots_jobs import Job
+
+KINDS = (VERTICAL, DIAGONAL, PARALLEL)
+ENOUGH = 5  # seeds for a verdict
+CLEAR = 0.8  # share of seeds, or its complement, that is called always, or never
+
+# Rows of `deployments.csv` of the runs, by experiment.
+Results = Mapping[SlotsExperiment, Sequence[Sequence[dict[str, Any]]]]
+
+
+def read_deployments(job: Job) -> list[dict[str, Any]]:
+    """Rows of a run that is done, with numbers as numbers."""
+    import csv
+
+    with (job.folder / "deployments.csv").open(newline="") as file:
+        return [
+            {
+                name: value if name in ("kind", "policy") else float(value)
+                for name, value in row.items()
+            }
+            for row in csv.DictReader(file)
+        ]
+
+
+def verdict(claims: Sequence[Claim], success: Mapping[str, Sequence[float]]) -> str:
+    """Whether the seeds agree with what is claimed of every kind.
+
+    Args:
+        claims: of the thesis.
+        success: rates of the deterministic policies by kind, one for each seed.
+    """
+    if not claims:
+        return "not tried in the thesis"
+    seeds = min(len(success[claim.kind]) for claim in claims)
+    if seeds < ENOUGH:
+        return f"not decided: {seeds} seeds"
+    found: list[str] = []
+    for claim in claims:
+        rate = float(np.mean(success[claim.kind]))
+        as_claimed = rate if claim.parks else 1.0 - rate
+        if as_claimed < CLEAR:
+            word = (
+                "parks" if rate >= CLEAR else "fails" if rate <= 1 - CLEAR else "mixed"
+            )
+            found.append(f"{claim.kind} {word}")
+    return f"differs: {', '.join(found)}" if found else "agrees"
+
+
+def final_success(
+    runs: Sequence[Sequence[dict[str, Any]]], policy: str
+) -> dict[str, list[float]]:
+    """Success rates after the last phase by kind, one for each run."""
+    last = [success_matrix(rows, KINDS, policy)[-1] for rows in runs]
+    return {kind: [row[k] for row in last] for k, kind in enumerate(KINDS)}
+
+
+def write_report(path: Path, results: Results) -> None:
+    """Writes a markdown table with a row per experiment."""
+    head = ("experiment", "trained", "thesis", *KINDS, "verdict")
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for experiment, runs in results.items():
+        likeliest = final_success(runs, "deterministic")
+        sampled = final_success(runs, "sampled")
+        cells = [experiment.name, experiment.title, experiment.statement]
+        cells += [_cell(likeliest[kind], sampled[kind]) for kind in KINDS]
+        cells.append(verdict(experiment.claims, likeliest))
+        lines.append(f"| {' | '.join(cells)} |")
+    text = "\n".join(lines) + "\n"
+    write_atomically(path, lambda temporary: temporary.write_text(text))
+
+
+def write_matrix(
+    path: Path, experiment: SlotsExperiment, runs: Sequence[Sequence[dict[str, Any]]]
+) -> Path:
+    """Draws the success matrix of an experiment, the mean of its seeds."""
+    matrix = np.mean([success_matrix(rows, KINDS) for rows in runs], axis=0)
+    names = ["untrained", *(kinds.replace(",", ", ") for kinds, _ in experiment.stages)]
+    return plot_matrix(path, matrix, names, KINDS)
+
+
+def read_transfer(job: Job) -> dict[str, float]:
+    """Average, backward and forward transfer of a run that is done."""
+    found = json.loads((job.folder / "evaluation.json").read_text())
+    return found["transfer"]["deterministic"]
+
+
+def _cell(likeliest: Sequence[float], sampled: Sequence[float]) -> str:
+    """The share of seeds with its interval, and that of sampled actions."""
+    if not likeliest:
+        return ""
+    low, high = wilson_interval(sum(likeliest), len(likeliest))
+    return (
+        f"{np.mean(likeliest):.0%} ({low:.0%} to {high:.0%}), sampled "
+        f"{np.mean(sampled):.0%}"
+    )
