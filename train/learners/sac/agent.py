@@ -6,6 +6,8 @@
 from collections.abc import Callable
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from sbx import SAC
 from stable_baselines3.common.vec_env import VecMonitor
@@ -70,13 +72,15 @@ def make_agent(
 
 def arrays(agent: Agent) -> dict[str, Any]:
     """Everything that learns, and the buffer, as a tree of arrays."""
-    return {
+    learning = {
         "actor": agent.policy.actor_state,
         "critics": agent.policy.qf_state,
         "temperature": agent.ent_coef_state,
         "keys": [agent.key, agent.policy.key, agent.policy.noise_key],
-        "buffer": replay.snapshot(agent.replay_buffer),
     }
+    # Numbers among them are arrays only after the first update.
+    learning = jax.tree.map(jnp.asarray, learning)
+    return {**learning, "buffer": replay.snapshot(agent.replay_buffer)}
 
 
 def put_back(agent: Agent, tree: dict[str, Any]) -> None:

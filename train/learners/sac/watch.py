@@ -23,7 +23,7 @@ class Progress:
     """Where a run stands.
 
     Attributes:
-        phase: number of the phase, from 0.
+        phase: number of the phase, from 0; the number of phases after the last.
         steps: transitions made in the phase.
         episodes: that ended in the phase.
         total: transitions made in all phases.
@@ -37,7 +37,9 @@ class Progress:
     row: int = 0
 
     def share(self, config: SACConfig) -> float:
-        """Of the phase that is done, in [0, 1]."""
+        """Of the phase that is done, in [0, 1]; 1 after the last phase."""
+        if self.phase == len(config.phases):
+            return 1.0
         return config.schedule[self.phase].progress(self.steps, self.episodes)
 
     def learning_rate(self, config: SACConfig) -> float:
