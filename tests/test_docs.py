@@ -40,6 +40,8 @@ from learners.ppo.config import PPOConfig
 from learners.ppo.presets import PRESETS as PPO_PRESETS
 from learners.q_learning.config import QLearningConfig
 from learners.q_learning.presets import Q_PRESETS
+from learners.sac.config import SACConfig
+from learners.sac.presets import SAC_PRESETS
 from studies.config import StudyConfig
 from sweeps.config import SweepConfig
 from vehicle_suite.table import excerpt
@@ -60,6 +62,7 @@ REPORT = ROOT / "docs" / "physics" / "report.csv"
 COMMANDS = {
     "train/ppo.py": PPOConfig,
     "train/q_learning.py": QLearningConfig,
+    "train/sac.py": SACConfig,
     "train/export.py": ExportConfig,
     "train/study.py": StudyConfig,
     "train/sweep.py": SweepConfig,
@@ -257,7 +260,11 @@ def settings_in(path):
 
 def preset(config, arguments):
     """What a trainer's flags start from."""
-    presets = {PPOConfig: PPO_PRESETS, QLearningConfig: Q_PRESETS}.get(config)
+    presets = {
+        PPOConfig: PPO_PRESETS,
+        QLearningConfig: Q_PRESETS,
+        SACConfig: SAC_PRESETS,
+    }.get(config)
     if not presets or "--preset" not in arguments:
         return None
     return presets[arguments[arguments.index("--preset") + 1]]

@@ -1,7 +1,7 @@
 """The SAC of sbx as a run has it: made from settings, as arrays, as a policy."""
 
 # An extra that the type checker does without.
-# pyright: reportMissingImports=false
+# pyright: reportMissingImports=false, reportUntypedBaseClass=false
 
 from collections.abc import Callable
 from typing import Any
