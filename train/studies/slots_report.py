@@ -1,6 +1,6 @@
 """The experiments in slots as a table: the thesis, what is found, a verdict."""
 
-import json
+import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,8 @@ import numpy as np
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.policy.checkpoints import write_atomically
 from learners.sac.pictures import plot_matrix
-from learners.sac.transfer import success_matrix
+from learners.sac.phases import read_phase
+from learners.sac.transfer import success_matrix, transfer
 from studies.slots import DIAGONAL, PARALLEL, VERTICAL, Claim, SlotsExperiment
 from studies.slots_jobs import Job
 
@@ -24,8 +25,6 @@ Results = Mapping[SlotsExperiment, Sequence[Sequence[dict[str, Any]]]]
 
 def read_deployments(job: Job) -> list[dict[str, Any]]:
     """Rows of a run that is done, with numbers as numbers."""
-    import csv
-
     with (job.folder / "deployments.csv").open(newline="") as file:
         return [
             {
@@ -70,13 +69,14 @@ def final_success(
 
 def write_report(path: Path, results: Results) -> None:
     """Writes a markdown table with a row per experiment."""
-    head = ("experiment", "trained", "thesis", *KINDS, "verdict")
+    head = ("experiment", "trained", "thesis", *KINDS, "backward transfer", "verdict")
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for experiment, runs in results.items():
         likeliest = final_success(runs, "deterministic")
         sampled = final_success(runs, "sampled")
         cells = [experiment.name, experiment.title, experiment.statement]
         cells += [_cell(likeliest[kind], sampled[kind]) for kind in KINDS]
+        cells.append(_backward(experiment, runs))
         cells.append(verdict(experiment.claims, likeliest))
         lines.append(f"| {' | '.join(cells)} |")
     text = "\n".join(lines) + "\n"
@@ -92,10 +92,15 @@ def write_matrix(
     return plot_matrix(path, matrix, names, KINDS)
 
 
-def read_transfer(job: Job) -> dict[str, float]:
-    """Average, backward and forward transfer of a run that is done."""
-    found = json.loads((job.folder / "evaluation.json").read_text())
-    return found["transfer"]["deterministic"]
+def _backward(
+    experiment: SlotsExperiment, runs: Sequence[Sequence[dict[str, Any]]]
+) -> str:
+    """The mean backward transfer of the seeds, of several phases."""
+    phases = [read_phase(text) for text in experiment.phases(1.0)]
+    if len(phases) == 1:
+        return ""
+    found = [transfer(success_matrix(rows, KINDS), KINDS, phases) for rows in runs]
+    return f"{np.mean([each.backward for each in found]):+.2f}"
 
 
 def _cell(likeliest: Sequence[float], sampled: Sequence[float]) -> str:
