@@ -9,8 +9,8 @@ import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.policy.checkpoints import write_atomically
-from learners.sac.pictures import plot_matrix
 from learners.sac.phases import read_phase
+from learners.sac.pictures import plot_matrix
 from learners.sac.transfer import success_matrix, transfer
 from studies.slots import DIAGONAL, PARALLEL, VERTICAL, Claim, SlotsExperiment
 from studies.slots_jobs import Job
