@@ -137,6 +137,22 @@ def test_every_batch_has_its_share_of_relabelled_transitions(folder):
         assert 0.5 < batch.mean() < 1.0  # 0.8 of all
 
 
+def test_a_balanced_buffer_gives_phases_equal_shares(folder):
+    config = dataclasses.replace(TINY, at_switch="balance")
+    buffer = Training(config, folder).agent.replay_buffer
+    assert buffer.phase == 1
+    rows = buffer.phase_of_row[: buffer.pos]
+    assert (rows == 1).sum() > 0
+    sample = buffer.sample(400)
+    first = buffer.actions[: buffer.pos][rows == 0].reshape(-1, 2)
+    known = {tuple(action) for action in first.tolist()}
+    old = [tuple(action) in known for action in sample.actions.numpy().tolist()]
+    assert sum(old) == 200
+    lengths = buffer.ep_length.copy()
+    buffer.sample(10)
+    np.testing.assert_array_equal(buffer.ep_length, lengths)
+
+
 def test_a_cleared_buffer_has_nothing_to_sample(folder):
     agent = Training(TINY, folder).agent
     assert replay.is_ready(agent.replay_buffer)

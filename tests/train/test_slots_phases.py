@@ -54,6 +54,7 @@ def test_a_phase_ends_by_steps_or_by_episodes():
         ("--half-corridor 0.5", "half_corridor must be at least 1.00 m"),
         ("--rehearsal 1.5", r"rehearsal must lie in \[0, 1\], not 1.5"),
         ("--buffer-size 8", "buffer_size must be at least 32, not 8"),
+        ("--at-switch balance --replay plain", "at_switch balance needs replay her"),
         ("--hidden 0", "hidden must be one width or more"),
     ],
 )

@@ -155,6 +155,12 @@ EXPERIMENTS = (
         flags=("--rehearsal", "0.2"),
     ),
     SlotsExperiment(
+        "balance",
+        "as 10, both phases equally often in the batches",
+        _HER_PHASED,
+        flags=("--at-switch", "balance"),
+    ),
+    SlotsExperiment(
         "clear",
         "as 10, the buffer emptied at the switch",
         _HER_PHASED,

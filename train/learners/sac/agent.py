@@ -48,10 +48,12 @@ def make_agent(
     """
     buffer: dict[str, Any] = {"buffer_size": config.buffer_size}
     if config.replay == "her":
-        goals = {"n_sampled_goal": config.hindsight_goals}
-        # Without infos, so that relabelled transitions hold no crash, as in the thesis.
-        buffer["replay_buffer_class"] = replay.ShuffledHer
-        buffer["replay_buffer_kwargs"] = {**goals, "copy_info_dict": False}
+        buffer["replay_buffer_class"] = replay.PhasedHer
+        buffer["replay_buffer_kwargs"] = {
+            "n_sampled_goal": config.hindsight_goals,
+            "copy_info_dict": False,  # relabelled ones hold no crash, as in the thesis
+            "balance": config.at_switch == "balance",
+        }
     if config.replay == "none":
         buffer["buffer_size"] = config.num_cars  # the last step's
     return Agent(

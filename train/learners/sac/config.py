@@ -15,7 +15,7 @@ from learners.sac.phases import Phase, mixture, read_phase
 SACPreset = Literal["slots", "study", "pandita"]
 Replay = Literal["her", "plain", "none"]
 Environment = Literal["pandita", "slots"]
-AtSwitch = Literal["keep", "clear"]
+AtSwitch = Literal["keep", "clear", "balance"]
 
 # What the short help lists.
 RUN_SETTINGS = (
@@ -53,7 +53,8 @@ class SACConfig(RunConfig):
         replay: `her`, `plain`, or `none`: a buffer of the latest transitions only.
         hindsight_goals: relabelled transitions for each real one.
         rehearsal: share of the episodes on kinds of earlier phases.
-        at_switch: what becomes of the buffer at the beginning of a phase.
+        at_switch: what becomes of the buffer at the beginning of a phase: `keep`,
+            `clear`, or `balance`: kept, and all phases have equal shares of a sample.
         num_cars: simulated at once.
         gradient_steps: after each step of all cars.
         batch_size: transitions of a gradient step.
@@ -99,6 +100,8 @@ class SACConfig(RunConfig):
         choose("environment", self.environment, Environment)
         choose("replay", self.replay, Replay)
         choose("at_switch", self.at_switch, AtSwitch)
+        if self.at_switch == "balance" and self.replay != "her":
+            raise ValueError(f"at_switch balance needs replay her, not {self.replay}")
         whole(self, 1, "num_cars", "gradient_steps", "batch_size", "hindsight_goals")
         whole(self, 1, "eval_episodes", "random_steps")
         whole(self, self.num_cars, "buffer_size")

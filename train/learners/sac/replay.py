@@ -4,6 +4,7 @@
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false
 
 import warnings
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,31 +16,78 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 # What a buffer holds, and where it stands.
 _ARRAYS = ("actions", "rewards", "dones", "timeouts")
 _DICTS = ("observations", "next_observations")
-_EPISODES = ("ep_start", "ep_length", "_current_ep_start")
+_EPISODES = ("ep_start", "ep_length", "_current_ep_start", "phase_of_row")
 
 
-class ShuffledHer(HerReplayBuffer):
-    """Hindsight replay whose samples are in random order.
+class PhasedHer(HerReplayBuffer):
+    """Hindsight replay whose samples are in random order, from all phases if asked.
 
     Stable-Baselines3 gives first the real transitions, then all relabelled ones, and
     sbx cuts a sample into the batches of several gradient steps: without this the first
     batches would be real, the others relabelled.
+
+    Attributes:
+        phase: number of the phase of which transitions are added.
     """
+
+    def __init__(self, *args: Any, balance: bool = False, **kwargs: Any) -> None:
+        """As of `HerReplayBuffer`.
+
+        Args:
+            *args: of that.
+            balance: give all phases equal shares of a sample, however long they are.
+            **kwargs: of that.
+        """
+        super().__init__(*args, **kwargs)
+        self.phase, self._balance = 0, balance
+        self.phase_of_row = np.zeros(self.buffer_size, np.int64)
+
+    def add(self, *args: Any, **kwargs: Any) -> None:
+        """As of `HerReplayBuffer`."""
+        self.phase_of_row[self.pos] = self.phase
+        super().add(*args, **kwargs)
 
     def sample(self, batch_size: int, env: Any = None) -> DictReplayBufferSamples:
         """As of `HerReplayBuffer`."""
-        sample = super().sample(batch_size, env)
+        if self._balance:
+            sample = _join(self._sample_phases(batch_size, env))
+        else:
+            sample = super().sample(batch_size, env)
         order = torch.from_numpy(np.random.permutation(batch_size))  # noqa: NPY002
-        return DictReplayBufferSamples(
-            *(
-                {name: value[order] for name, value in part.items()}
-                if isinstance(part, dict)
-                else None
-                if part is None
-                else part[order]
-                for part in sample
-            )
+        return _map(lambda part: part[order], sample)
+
+    def _sample_phases(self, batch_size: int, env: Any) -> list[Any]:
+        """A sample of each phase of which an episode has ended."""
+        lengths = self.ep_length
+        ended = np.unique(self.phase_of_row[(lengths > 0).any(axis=1)])
+        samples: list[Any] = []
+        try:
+            for rows in np.array_split(np.arange(batch_size), len(ended)):
+                here = self.phase_of_row == ended[len(samples)]
+                # Rows of length 0 are not drawn.
+                self.ep_length = np.where(here[:, None], lengths, 0)
+                samples.append(super().sample(len(rows), env))
+        finally:
+            self.ep_length = lengths
+        return samples
+
+
+def _map(change: Callable[..., Any], *samples: Any) -> DictReplayBufferSamples:
+    """Changes tensor by tensor what samples hold at the same place."""
+    return DictReplayBufferSamples(
+        *(
+            {name: change(*(part[name] for part in parts)) for name in parts[0]}
+            if isinstance(parts[0], dict)
+            else None
+            if parts[0] is None
+            else change(*parts)
+            for parts in zip(*samples, strict=True)
         )
+    )
+
+
+def _join(samples: Sequence[Any]) -> DictReplayBufferSamples:
+    return _map(lambda *parts: torch.cat(parts), *samples)
 
 
 def end_episodes(buffer: DictReplayBuffer) -> None:

@@ -69,6 +69,7 @@ class Training:
         cars = agents.make_cars(self.config, layout, seed)
         if agent is not None:
             agent.set_env(cars)
+            agent.replay_buffer.phase = phase
         return cars
 
     def save(self) -> Path:
