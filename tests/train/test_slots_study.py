@@ -1,7 +1,10 @@
 """The experiments in slots: their data, their jobs and their verdicts."""
 
 import os
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -77,6 +80,33 @@ def test_no_job_begins_when_the_time_is_nearly_over(tmp_path):
     job = scripted(tmp_path / "late", "")
     assert run_jobs([job], workers=1, minutes=slots_jobs.LEAST / 2) == []
     assert not job.folder.with_suffix(".log").exists()
+
+
+INTERRUPTED = """
+import sys
+sys.path.insert(0, sys.argv[2])
+from pathlib import Path
+from studies.slots_jobs import Job, run_jobs
+code = "import time; print(1, flush=True); time.sleep(0.5); print(2)"
+Job.command = lambda self, minutes: [sys.executable, "-c", code]
+run_jobs([Job(Path(sys.argv[1]) / name, ()) for name in "ab"], 1, 0.0)
+"""
+
+
+def test_an_interrupt_waits_for_the_job_and_begins_no_other(tmp_path):
+    study = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, tmp_path, slots_jobs.SCRIPT.parent],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    log = tmp_path / "a.log"
+    while not log.exists() or not log.read_text():
+        time.sleep(0.02)
+    study.send_signal(signal.SIGINT)
+    _, error = study.communicate()
+    assert error.endswith(b"KeyboardInterrupt\n")
+    assert log.read_text() == "1\n2\n"
+    assert not (tmp_path / "b.log").exists()
 
 
 @pytest.mark.parametrize(

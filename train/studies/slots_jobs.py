@@ -1,5 +1,6 @@
 """Runs of `train/sac.py` side by side, each in a process on a core of its own."""
 
+import contextlib
 import dataclasses
 import os
 import queue
@@ -14,6 +15,7 @@ from studies.slots import SlotsExperiment
 
 SCRIPT = Path(__file__).parents[1] / "sac.py"
 LEAST = 1.0  # min that must be left for a run to begin
+POLL = 0.1  # s between looks at the runs
 # One core each: libraries that would start a thread for every core of the machine.
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -71,6 +73,9 @@ def run_jobs(
         workers: processes at a time, each on a core; 0 = one for every core.
         minutes: after which runs save and stop, to be continued; 0 = no limit.
         clock: gives the time [s].
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, which the runs have got too.
     """
     cores = sorted(os.sched_getaffinity(0))
     cores = cores[: workers or len(cores)]
@@ -97,9 +102,21 @@ def run_jobs(
     threads = [threading.Thread(target=work, args=(core,)) for core in cores]
     for thread in threads:
         thread.start()
-    for thread in threads:
-        thread.join()
+    try:
+        _wait(threads)
+    except KeyboardInterrupt:  # runs under way save and stop, no other begins
+        with contextlib.suppress(queue.Empty):
+            while True:
+                waiting.get_nowait()
+        _wait(threads)
+        raise
     return failed
+
+
+def _wait(threads: Sequence[threading.Thread]) -> None:
+    """Until all have ended; an interrupted `Thread.join` leaves them behind."""
+    while any(thread.is_alive() for thread in threads):
+        time.sleep(POLL)
 
 
 def _run(job: Job, core: int, minutes: float) -> int:
