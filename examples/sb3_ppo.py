@@ -18,7 +18,7 @@ enable_output_fusion()  # before JAX computes anything
 import torch  # noqa: E402
 from sb3_curve import Curve, rates  # noqa: E402
 from stable_baselines3 import PPO  # noqa: E402
-from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
 
 from carpark_mj.config import EnvConfig, SpawnConfig  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
@@ -52,7 +52,7 @@ def main(settings: Settings) -> None:
     # Three in ten episodes of training start where a car can get that leaves its bay.
     config = EnvConfig(spawn=SpawnConfig(reverse_ratio=0.3))
     env = ParkVecEnv(name, settings.lots, config=config, layout=layout)
-    env = VecMonitor(env)
+    env = VecNormalize(VecMonitor(env), norm_reward=False)
     curve = Curve(settings.minutes)
     model = PPO(
         "MlpPolicy",
@@ -77,6 +77,8 @@ def main(settings: Settings) -> None:
     model.learn(10**9, callback=curve)
     curve.plot(settings.out, f"PPO on {name}, {layout}")
     fresh = VecMonitor(ParkVecEnv(name, settings.lots, layout=layout))
+    fresh = VecNormalize(fresh, training=False, norm_reward=False)
+    fresh.obs_rms = env.obs_rms
     fresh.seed(settings.seed + 10**6)
     found = rates(model, fresh, settings.episodes)
     print(", ".join(f"{end} {rate:.1%}" for end, rate in found.items()))
