@@ -130,6 +130,10 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
             finite=jnp.ones(still.shape, bool),
         )
 
+    def set_speed(self, state: BicycleState, speed: jax.Array) -> BicycleState:
+        """Cars (...) as they stand, rolling straight on at speeds (...) [m/s]."""
+        return dataclasses.replace(state, speed=speed.astype(state.speed.dtype))
+
     @full_float32
     def step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
         """Advances by one control step; see `Physics.step`.

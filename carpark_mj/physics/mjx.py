@@ -106,6 +106,17 @@ class MjxPhysics(FactoredPhysics[CarState]):
         )
 
     @full_float32
+    def set_speed(self, state: CarState, speed: jax.Array) -> CarState:
+        """Cars (...) as they stand, rolling straight on at speeds (...) [m/s]."""
+        yaw, dof = state.trace_w[..., -1, 2], self.index.root_dof
+        qvel = jnp.zeros_like(state.qvel)
+        qvel = qvel.at[..., dof].set(speed * jnp.cos(yaw))
+        qvel = qvel.at[..., dof + 1].set(speed * jnp.sin(yaw))
+        spin = (speed / state.vehicle.wheel_radius)[..., None]
+        qvel = qvel.at[..., self.index.spin_dof].set(spin)
+        return dataclasses.replace(state, qvel=qvel)
+
+    @full_float32
     def step(self, state: CarState, controls: jax.Array) -> CarState:
         """Advances by one control step; see `Physics.step`.
 

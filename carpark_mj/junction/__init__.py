@@ -1,0 +1,14 @@
+"""The three-way junction of Cederle 2023: automated cars and a human-driven one."""
+
+from carpark_mj.junction.config import JunctionConfig, RasterConfig, RewardRules
+from carpark_mj.junction.env import JunctionEnv
+from carpark_mj.junction.scenarios import SCENARIOS, scenario
+
+__all__ = [
+    "SCENARIOS",
+    "JunctionConfig",
+    "JunctionEnv",
+    "RasterConfig",
+    "RewardRules",
+    "scenario",
+]

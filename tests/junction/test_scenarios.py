@@ -1,0 +1,54 @@
+"""Scenarios and settings."""
+
+import pytest
+
+from carpark_mj.config import SimConfig
+from carpark_mj.junction import SCENARIOS, JunctionConfig, JunctionEnv, RasterConfig
+from carpark_mj.junction.config import RewardRules
+
+
+@pytest.mark.parametrize(
+    ("name", "lengths", "humans", "solved"),
+    [
+        ("2av", [53.8, 63.3], 0, 100),
+        ("2av-hd", [68.1, 66.8], 1, 100),
+        ("3av", [58.8, 59.6, 58.3], 0, 120),
+        ("3av-hd", [63.8, 64.6, 63.3], 1, 120),
+    ],
+)
+def test_missions_are_as_long_as_those_of_the_study(name, lengths, humans, solved):
+    scenario = SCENARIOS[name]
+    found = [mission.length for mission in scenario.missions]
+    assert found == pytest.approx(lengths, abs=0.05)
+    assert len(scenario.human_cars) == humans
+    assert scenario.solved == solved
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"scenario": "4av"}, "unknown scenario '4av'; choose from"),
+        ({"cars": "boat"}, "unknown cars 'boat'"),
+        ({"observation": "lidar"}, "unknown observation 'lidar'"),
+        ({"end": "never"}, "unknown end 'never'"),
+        ({"max_steps": 0}, "max_steps must be at least 1, not 0"),
+        ({"jitter": 14.0}, r"jitter must be at most 13.47 m.*not 14.0"),
+        ({"jitter": -1.0}, "jitter must be at least 0"),
+        ({"raster": None}, "raster must be of RasterConfig, not None"),
+    ],
+)
+def test_impossible_settings_are_one_sentence(settings, message):
+    with pytest.raises(ValueError, match=message):
+        JunctionConfig(**settings)
+
+
+def test_impossible_parts_are_one_sentence():
+    with pytest.raises(ValueError, match="pixels must be at least 1, not 0"):
+        RasterConfig(pixels=0)
+    with pytest.raises(ValueError, match=r"unknown rewards.events 'both'"):
+        RewardRules(events="both")
+    with pytest.raises(ValueError, match="unknown vehicle 'tank'"):
+        JunctionEnv(JunctionConfig(cars="mjx", vehicle="tank"))
+    icy = SimConfig(ctrl_dt=0.1, surface="ice")
+    with pytest.raises(ValueError, match="bicycle physics has no tyres"):
+        JunctionEnv(JunctionConfig(cars="bicycle", sim=icy))
