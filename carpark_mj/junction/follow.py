@@ -17,7 +17,7 @@ from carpark_mj.vehicle.drive import HOLD_SPEED
 from carpark_mj.vehicle.vehicle import Vehicle
 
 # Tuned on the six routes of the junction with the preset `city`.
-LOOKAHEAD, LOOKAHEAD_TIME = 2.0, 0.35  # m, s
+LOOKAHEAD, LOOKAHEAD_TIME = 2.0, 0.3  # m, s
 GAIN, INTEGRAL_GAIN = 3.0, 0.6  # 1/s, 1/s^2
 
 
