@@ -6,6 +6,7 @@ python -m carpark_mj.scene --layout lot --seed 3 --view
 python -m carpark_mj.scene --layout lot --seed 3 --view web
 python -m carpark_mj.scene --policy runs/cpu-0 --view web
 python -m carpark_mj.scene --layout square --suspension --view
+python -m carpark_mj.scene --junction 3av-hd --out junction.xml
 """
 
 import dataclasses
@@ -23,6 +24,9 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.driver import adapt, command_help, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.junction import JunctionConfig, JunctionEnv
+from carpark_mj.junction.scene import HALF, drivable_junction
+from carpark_mj.junction.steered_car import road_car
 from carpark_mj.layouts import layout_config
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.rendering.live import LiveLot
@@ -34,7 +38,7 @@ from carpark_mj.rendering.web import (
     require_web,
 )
 from carpark_mj.scene.export import drivable_scene, scene_xml
-from carpark_mj.vehicle import preset
+from carpark_mj.vehicle import VehicleParameters, preset
 
 PROGRAM = "python -m carpark_mj.scene"
 NO_DISPLAY = (
@@ -62,6 +66,8 @@ class SceneConfig:
             has room for, or as the policy was trained.
         vehicle: preset of all cars; default `compact`, or the policy's.
         suspension: springs between the wheels and the cars to drive.
+        junction: scenario of the road junction, instead of a lot: `2av`, `2av-hd`,
+            `3av` or `3av-hd`, all cars to drive.
         seed: random seed of the lot and its cars.
         port: port of the browser page.
     """
@@ -74,6 +80,7 @@ class SceneConfig:
     num_parked_cars: int | None = None
     vehicle: str | None = None
     suspension: bool = False
+    junction: str = ""
     seed: int = 0
     port: int = PORT
 
@@ -84,8 +91,19 @@ class SceneConfig:
             raise ValueError(
                 "a policy drives in the browser only: give --view web alone"
             )
+        self._check_junction()
         if self.out and Path(self.out).suffix != ".xml":
             raise ValueError(f"out must end in .xml, not {self.out!r}")
+
+    def _check_junction(self) -> None:
+        """A junction has its own roads and cars."""
+        own = ("layout", "policy", "num_agents", "num_parked_cars", "suspension")
+        for name in own if self.junction else ():
+            if getattr(self, name):
+                raise ValueError(
+                    f"--junction {self.junction} has its own roads and cars: leave "
+                    f"--{name.replace('_', '-')} {getattr(self, name)} out"
+                )
 
 
 def env_config(config: SceneConfig, base: EnvConfig) -> EnvConfig:
@@ -101,8 +119,13 @@ def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
         The scene and the lot's half widths (2,) [m].
 
     Raises:
-        ValueError: unknown vehicle, or more cars than the lot holds.
+        ValueError: unknown vehicle or scenario, or more cars than the lot holds.
     """
+    if config.junction:
+        junction = JunctionEnv(JunctionConfig(config.junction))
+        state, _ = junction.reset(jax.random.key(config.seed))
+        pose_w = np.asarray(state.motion.pose_w)
+        return drivable_junction(vehicle(config), pose_w), np.array([HALF, HALF])
     env = ParkingEnv(env_config(config, default_env(config)))
     state, _ = jax.jit(env.reset)(jax.random.key(config.seed))
     spec = drivable_scene(
@@ -113,6 +136,17 @@ def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
         config.suspension,
     )
     return spec, np.asarray(state.layout.extent)
+
+
+def vehicle(config: SceneConfig) -> VehicleParameters:
+    """The cars to drive.
+
+    Raises:
+        ValueError: unknown vehicle.
+    """
+    if config.junction:
+        return road_car(preset(config.vehicle or JunctionConfig.vehicle))
+    return preset(env_config(config, default_env(config)).vehicle)
 
 
 def default_env(config: SceneConfig) -> EnvConfig:
@@ -163,8 +197,7 @@ def main(config: SceneConfig) -> None:
     if config.out:
         path = Path(config.out)
         path.parent.mkdir(parents=True, exist_ok=True)
-        vehicle = preset(env_config(config, default_env(config)).vehicle)
-        text = scene_xml(spec, vehicle, config.out)
+        text = scene_xml(spec, vehicle(config), config.out)
         write_atomically(path, lambda temporary: temporary.write_text(text))
         print(f"wrote {path}; open it: python -m mujoco.viewer --mjcf={path}")
     if blind:

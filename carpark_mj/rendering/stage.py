@@ -50,18 +50,22 @@ class Stage:
         self._sizes = np.array([(p.length, p.width) for p in self._kinds])
         self._kind = np.zeros(num_agents, int)
         self._parked_cars = tuple(parked_cars) or (params,) * num_parked_cars
-        self.model = build_scene(
-            layout,
-            params,
-            num_agents,
-            self._parked_cars,
-            agent_kinds=self._kinds,
-        ).compile()
+        self.model = self.build().compile()
         self.data = mujoco.MjData(self.model)
         self._parked = [
             self.model.joint(f"parked{k}/x").qposadr[0] for k in range(num_parked_cars)
         ]
         self.reset()
+
+    def build(self) -> mujoco.MjSpec:
+        """The scene to compile."""
+        return build_scene(
+            self.layout,
+            self.params,
+            self.num_agents,
+            self._parked_cars,
+            agent_kinds=self._kinds,
+        )
 
     def reset(self) -> None:
         """Turns the wheels back; the next poses are the first."""

@@ -20,8 +20,9 @@ from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 SETTLING = 5.0  # s, after which a car placed on the ground is at rest
 
+_PLACES = {"carpark": "car park", "junction": "road junction"}  # by model
 _GUIDE = """
-  A car park with {agents} to drive, made by carpark_mj.
+  A {place} with {agents} to drive, made by carpark_mj.
   Open it:  python -m mujoco.viewer --mjcf={name}
 
   Sliders of car K (panel "Control"):
@@ -136,6 +137,7 @@ def scene_xml(spec: mujoco.MjSpec, params: VehicleParameters, name: str) -> str:
     spec.compile()
     agents = sum(body.name.startswith("agent") for body in spec.worldbody.bodies)
     guide = _GUIDE.format(
+        place=_PLACES[spec.modelname],
         agents="1 car" if agents == 1 else f"{agents} cars",
         name=Path(name).name,
         rate=params.steering_rate,
