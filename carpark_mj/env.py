@@ -103,6 +103,11 @@ class ParkingEnv:
         return observation_size(self.config)
 
     @property
+    def respawns(self) -> bool:
+        """Whether `step` begins the next episodes itself."""
+        return self.config.episode.respawn
+
+    @property
     def action_spec(self) -> ActionSpec:
         """What an agent's action consists of."""
         return action_spec(self.config)

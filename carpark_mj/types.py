@@ -252,6 +252,11 @@ class Events:
     hit_wall: jax.Array
 
     @property
+    def success(self) -> jax.Array:
+        """(num_agents,) the agent has done what it should: parked."""
+        return self.parked
+
+    @property
     def done(self) -> jax.Array:
         """(num_agents,) the agent's episode has ended."""
         return self.parked | self.crashed | self.timed_out | self.diverged

@@ -11,6 +11,7 @@ from carpark_mj.junction.scenarios import Scenario, scenario
 CarModel = Literal["path", "bicycle", "mjx"]
 Encoding = Literal["vector", "image"]
 EventRule = Literal["added", "replaced"]
+ActionKind = Literal["index", "scalar"]
 EndRule = Literal["any", "all"]
 
 
@@ -62,6 +63,8 @@ class JunctionConfig:
         vehicle: preset of the cars that steer; those on paths are SMARTS's box.
         observation: `vector`, or `image`, the bird's-eye view.
         raster: of the image.
+        action: `index` of one of the four, or a `scalar` in [-1, 1], four ranges of
+            which stand for them: the study's MADDPG.
         rewards: what agents earn.
         end: `any`: the episode ends with the first agent that is done. `all`: agents
             leave one by one.
@@ -78,6 +81,7 @@ class JunctionConfig:
     vehicle: str = "city"
     observation: Encoding = "vector"
     raster: RasterConfig = dataclasses.field(default_factory=RasterConfig)
+    action: ActionKind = "index"
     rewards: RewardRules = dataclasses.field(default_factory=RewardRules)
     end: EndRule = "any"
     max_steps: int = 75
@@ -97,6 +101,7 @@ class JunctionConfig:
         )
         choose("cars", self.cars, CarModel)
         choose("observation", self.observation, Encoding)
+        choose("action", self.action, ActionKind)
         choose("end", self.end, EndRule)
         whole(self, 1, "max_steps")
         at_least(self, 0.0, "jitter")

@@ -28,7 +28,8 @@ class JunctionEnv:
     """Automated cars, and perhaps a human-driven one, cross a T-junction.
 
     - observation: (num_agents, *observation_shape), float32 vectors or uint8 images.
-    - action: (num_agents,) or (num_agents, 1) int, an index of `actions.ACTIONS`.
+    - action: (num_agents,) or (num_agents, 1), an index of `actions.ACTIONS`, or a
+      number that stands for one.
     - reward: (num_agents,), `rewards`.
     - episodes belong to the junction: with `JunctionConfig.end` "any" it is over as
       soon as one agent is done, with "all" when all are.
@@ -82,8 +83,8 @@ class JunctionEnv:
 
     @property
     def action_spec(self) -> ActionSpec:
-        """One index."""
-        return ActionSpec(0, (len(actions.ACTIONS),))
+        """One index, or one number."""
+        return actions.INDEX if self.config.action == "index" else actions.SCALAR
 
     @full_float32
     def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
@@ -135,14 +136,14 @@ class JunctionEnv:
 
         Args:
             state: current state.
-            action: (num_agents,) or (num_agents, 1) int; of agents that have finished
-                it does not matter.
+            action: (num_agents,) or (num_agents, 1); of agents that have finished it
+                does not matter.
 
         Returns:
             The next state, and what agents get from the step.
         """
         config, before, n = self.config, state, self.num_agents
-        state = self._move(before, action.reshape(n))
+        state = self._move(before, actions.parse(self.action_spec, action))
         events = terminations.judge(state, config.max_steps)
         unpaid = before.unpaid + (state.along - before.along)[:n]
         way, unpaid = rewards.pay_way(jnp.where(before.active, unpaid, 0.0))

@@ -4,6 +4,7 @@ As a `Layout` it goes wherever a lot goes: into the renderer, and into drivable 
 for any viewer.
 """
 
+import jax
 import mujoco
 import numpy as np
 
@@ -22,10 +23,12 @@ from carpark_mj.junction.roads import (
 from carpark_mj.junction.types import State
 from carpark_mj.layouts.build import assemble, lanes, walls
 from carpark_mj.layouts.types import Layout, WallKind
+from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene import materials
 from carpark_mj.scene.export import drivable_scene
 from carpark_mj.scene.markings import LINE_HEIGHT
+from carpark_mj.types import Motion
 from carpark_mj.vehicle import VehicleParameters
 
 KERB_WIDTH, KERB_HEIGHT = 0.15, 0.14  # m
@@ -123,16 +126,34 @@ class JunctionStage(Stage):
         add_paint(spec)
         return spec
 
-    def show(self, state: State) -> np.ndarray:
+    def snapshot(self, state: State) -> Snapshot:
         """Puts the cars of a state (no batch dimension) in their places.
 
         Returns:
-            Their poses (cars, 3) in the scene; those who have left are far off.
+            The instant for `LotRenderer`; cars that have left are far off.
         """
-        present = np.asarray(state.present)[:, None]
-        pose = np.where(present, np.asarray(state.motion.pose_w, float), _FAR)
-        self.place(pose, np.asarray(state.motion.steering, float), np.zeros((0, 3)))
-        return pose
+        present = np.asarray(state.present)
+        motion: Motion = jax.device_get(state.motion)
+        pose = np.where(present[:, None], np.asarray(motion.pose_w, float), _FAR)
+        goals = np.asarray(state.task.goal_xy, float)
+        goal_pose = np.full((len(pose), 3), np.nan)
+        goal_pose[: len(goals)] = np.pad(goals, ((0, 0), (0, 1)))
+        active = present.copy()
+        active[: len(goals)] = state.active
+        seen = Snapshot(
+            seconds=0.0,
+            pose_w=pose,
+            steering=np.asarray(motion.steering, float),
+            goal_pose=goal_pose,
+            goal_size=np.full((len(pose), 2), LANE_WIDTH),
+            parked_pose=np.zeros((0, 3)),
+            active=active,
+            state=(),
+            tally={},
+            flashes=(),
+        )
+        self.place(seen.pose_w, seen.steering, seen.parked_pose)
+        return seen
 
 
 def _boxes(

@@ -85,6 +85,11 @@ class Events:
     diverged: jax.Array
 
     @property
+    def success(self) -> jax.Array:
+        """(num_agents,) the agent has done what it should: arrived."""
+        return self.arrived
+
+    @property
     def terminal(self) -> jax.Array:
         """(num_agents,) ends the agent's episode by itself, as in SMARTS."""
         return self.off_road | self.crashed | self.off_route | self.arrived

@@ -23,26 +23,44 @@ from carpark_mj.types import State, TimeStep
 _GROUP = 1 / 32
 
 
-class LotEnv(Protocol):
-    """What a batch needs of an environment: a `ParkingEnv`, or a task around one."""
+class BatchEnv(Protocol):
+    """What a batch needs of an environment.
 
-    @property
-    def config(self) -> EnvConfig: ...  # noqa: D102
+    States have a `key` and tell who is `active`, time steps have the fields of
+    `TimeStep` that learners read.
+    """
 
     @property
     def num_agents(self) -> int: ...  # noqa: D102
 
     @property
-    def observation_size(self) -> int: ...  # noqa: D102
-
-    @property
     def action_spec(self) -> ActionSpec: ...  # noqa: D102
 
-    def reset(self, key: jax.Array, /) -> tuple[State, jax.Array]: ...  # noqa: D102
+    @property
+    def respawns(self) -> bool: ...  # noqa: D102
+
+    def reset(self, key: jax.Array, /) -> tuple[Any, jax.Array]: ...  # noqa: D102
 
     def step(  # noqa: D102
-        self, state: State, action: jax.Array, /
-    ) -> tuple[State, TimeStep]: ...
+        self, state: Any, action: jax.Array, /
+    ) -> tuple[Any, Any]: ...
+
+
+class AgentsEnv(BatchEnv, Protocol):
+    """An environment whose agents have names, and wait when they have finished."""
+
+    @property
+    def agents(self) -> list[str]: ...  # noqa: D102
+
+
+class LotEnv(BatchEnv, Protocol):
+    """A `ParkingEnv`, or a task around one."""
+
+    @property
+    def config(self) -> EnvConfig: ...  # noqa: D102
+
+    @property
+    def observation_size(self) -> int: ...  # noqa: D102
 
 
 class Batch:
@@ -57,7 +75,7 @@ class Batch:
         num_lots: lots in the batch.
     """
 
-    def __init__(self, env: LotEnv, num_lots: int, restart: bool = True) -> None:
+    def __init__(self, env: BatchEnv, num_lots: int, restart: bool = True) -> None:
         """Takes an environment; it is compiled by the first calls.
 
         Args:
@@ -70,7 +88,8 @@ class Batch:
         """
         if num_lots < 1:
             raise ValueError(f"the number of lots must be at least 1, not {num_lots}")
-        self.env, self.num_lots = env, num_lots
+        self.env: Any = env  # adapters know of which kind
+        self.num_lots = num_lots
         self._programs = _programs(env, restart)
         self._state: State | None = None
 
@@ -98,7 +117,7 @@ class Batch:
                 lots go on with their own random numbers, at first unpredictable ones.
 
         Returns:
-            Observations (num_lots, num_agents, observation_size) float32.
+            Observations (num_lots, num_agents, ...).
 
         Raises:
             ValueError: a seed out of range, or not one for each lot.
@@ -116,9 +135,7 @@ class Batch:
         Returns:
             Observations as of `reset`; zeros for the other lots.
         """
-        shape = (self.num_lots, self.env.num_agents, self.env.observation_size)
-        blank = jnp.zeros(shape, jnp.float32)
-        self._state, seen = self._programs.restart(self.state, blank, jnp.asarray(due))
+        self._state, seen = self._programs.restart(self.state, jnp.asarray(due))
         return seen
 
     def step(self, action: jax.Array | np.ndarray) -> TimeStep:
@@ -144,8 +161,9 @@ class Batch:
 class Step(NamedTuple):
     """What learners get from a step, in the arrays of their library.
 
-    All of the leading shape (num_lots, num_agents); see `TimeStep`, `Batch.step`. There
-    are final observations unless agents respawn without `final_observation`.
+    All of the leading shape (num_lots, num_agents); see `TimeStep`, `Batch.step`;
+    `success` is `Events.success`. There are final observations unless agents respawn
+    without `final_observation`.
     """
 
     observation: Any
@@ -153,7 +171,7 @@ class Step(NamedTuple):
     reward: Any
     terminated: Any
     truncated: Any
-    parked: Any
+    success: Any
     crashed: Any
 
     @classmethod
@@ -166,7 +184,7 @@ class Step(NamedTuple):
             convert(timestep.reward),
             convert(timestep.terminated),
             convert(timestep.truncated),
-            convert(timestep.events.parked),
+            convert(timestep.events.success),
             convert(timestep.events.crashed),
         )
 
@@ -211,13 +229,13 @@ class _Programs(NamedTuple):
 
     keys: Callable[[np.ndarray], jax.Array]
     reset: Callable[[jax.Array], tuple[State, jax.Array]]
-    restart: Callable[[State, jax.Array, jax.Array], tuple[State, jax.Array]]
+    restart: Callable[[State, jax.Array], tuple[State, jax.Array]]
     step: Callable[[State, Any], tuple[State, TimeStep]]
 
 
 @functools.lru_cache(maxsize=32)
-def _programs(env: LotEnv, restart: bool) -> _Programs:
-    restart = restart and not env.config.episode.respawn
+def _programs(env: BatchEnv, restart: bool) -> _Programs:
+    restart = restart and not env.respawns
 
     def step(state: State, action: jax.Array) -> tuple[State, TimeStep]:
         state, timestep = jax.vmap(env.step)(state, action)
@@ -229,17 +247,21 @@ def _programs(env: LotEnv, restart: bool) -> _Programs:
             timestep, observation=observation, final_observation=seen
         )
 
+    def restart_due(state: State, due: jax.Array) -> tuple[State, jax.Array]:
+        seen = jax.eval_shape(jax.vmap(env.reset), state.key)[1]
+        return _restart(env, state, jnp.zeros(seen.shape, seen.dtype), due)
+
     # The state is the batch's own, so its buffers can be used again.
     return _Programs(
         jax.jit(jax.vmap(jax.random.key)),
         jax.jit(jax.vmap(env.reset)),
-        jax.jit(functools.partial(_restart, env), donate_argnums=0),
+        jax.jit(restart_due, donate_argnums=0),
         jax.jit(step, donate_argnums=0),
     )
 
 
 def _restart(
-    env: LotEnv, state: State, observation: jax.Array, due: jax.Array
+    env: BatchEnv, state: State, observation: jax.Array, due: jax.Array
 ) -> tuple[State, jax.Array]:
     """Begins lots anew that are due (num_lots,), some at a time, the rest are kept."""
     num_lots = due.shape[0]

@@ -150,11 +150,11 @@ class Rates(Callback):
         )
 
 
-def ending_rates(batch: TensorDictBase) -> dict[str, float]:
+def ending_rates(batch: TensorDictBase, success: str = "parked") -> dict[str, float]:
     """Shares of episodes that ended in steps (...) by how they did; NaN of none."""
     info = batch["next", GROUP, "info"]
     ends = {
-        "parked": info["parked"],
+        success: info[success],
         "crashed": info["crashed"],
         "truncated": batch["next", GROUP, "truncated"],
     }

@@ -121,6 +121,11 @@ class GoalParking:
         return self._own_size + 2 * NUM_FEATURES
 
     @property
+    def respawns(self) -> bool:
+        """Of `parking`."""
+        return self.parking.respawns
+
+    @property
     def action_spec(self) -> ActionSpec:
         """Of `parking`."""
         return self.parking.action_spec

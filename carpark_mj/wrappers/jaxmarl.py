@@ -5,16 +5,17 @@
 
 import dataclasses
 from functools import partial
-from typing import Unpack
+from typing import Any, Unpack
 
 import jax
 import jax.numpy as jnp
+from gymnasium import spaces
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box, Discrete
 
 from carpark_mj.evaluation.aggregation import OUTCOMES
-from carpark_mj.types import State
 from carpark_mj.wrappers.action_table import action_table
+from carpark_mj.wrappers.batch import AgentsEnv
 from carpark_mj.wrappers.joint import joint_env
 from carpark_mj.wrappers.options import Options, configure
 from carpark_mj.wrappers.spaces import observation_space
@@ -22,39 +23,40 @@ from carpark_mj.wrappers.spaces import observation_space
 Arrays = dict[str, jax.Array]
 
 
-class JaxMarlParking(MultiAgentEnv):
-    """A lot whose agents have one episode each; `step` resets it when all have ended.
+class JaxMarlAgents(MultiAgentEnv):
+    """Agents that have one episode each; `step` resets all when all have ended.
 
-    Observations (observation_size,), rewards () and dones () are dicts by agent;
+    Observations (one agent's shape), rewards () and dones () are dicts by agent;
     `dones["__all__"]` is that of the lot. An agent whose episode has ended stays done,
     observes zeros and earns nothing. Infos are (num_agents,) bool by outcome, True in
     the step in which an episode ends.
     """
 
-    def __init__(self, *, discrete: bool = False, **options: Unpack[Options]) -> None:
-        """Builds the environment.
+    outcomes = OUTCOMES
+
+    def __init__(self, env: AgentsEnv, box: spaces.Box, *, discrete: bool) -> None:
+        """Wraps an environment.
 
         Args:
+            env: in which agents that have finished wait for the others.
+            box: space of an agent's observations.
             discrete: actions are () rows of `action_table`, as for Q-learning;
-                otherwise (2,) steer and pedal.
-            **options: see `carpark_mj.wrappers.options.Options`.
+                otherwise numbers in [-1, 1].
 
         Raises:
-            TypeError: unknown option.
-            ValueError: impossible value, or continuous actions with parts that are not.
+            ValueError: continuous actions with parts that are not.
         """
-        config = configure(options)
-        super().__init__(config.num_agents)
-        self._env = joint_env(config)
-        spec = self._env.action_spec
+        super().__init__(env.num_agents)
+        self._env = env
+        spec = env.action_spec
         if spec.choices and not discrete:
             raise ValueError(
                 "the grid and chosen goals have actions that are indices: give "
                 "discrete=True"
             )
         self._table = jnp.asarray(action_table(spec)) if discrete else None
-        box = observation_space(config)
-        seen = Box(jnp.asarray(box.low), jnp.asarray(box.high), box.shape)
+        bounds = jnp.asarray(box.low), jnp.asarray(box.high)
+        seen = Box(*bounds, box.shape, jnp.dtype(box.dtype))
         act = Box(-1.0, 1.0, (spec.size,))
         if self._table is not None:
             act = Discrete(len(self._table))
@@ -63,14 +65,14 @@ class JaxMarlParking(MultiAgentEnv):
         self.action_spaces = dict.fromkeys(self.agents, act)
 
     @partial(jax.jit, static_argnums=(0,))
-    def reset(self, key: jax.Array) -> tuple[Arrays, State]:
+    def reset(self, key: jax.Array) -> tuple[Arrays, Any]:
         """Starts a lot; `key` is consumed."""
         state, observation = self._env.reset(key)
         return self._by_agent(observation), state
 
     def step_env(
-        self, key: jax.Array, state: State, actions: Arrays
-    ) -> tuple[Arrays, State, Arrays, Arrays, Arrays]:
+        self, key: jax.Array, state: Any, actions: Arrays
+    ) -> tuple[Arrays, Any, Arrays, Arrays, Arrays]:
         """A step without reset; `key` is consumed, instead of the state's own.
 
         Raises:
@@ -90,11 +92,11 @@ class JaxMarlParking(MultiAgentEnv):
             state,
             self._by_agent(step.reward),
             self._by_agent(done) | {"__all__": done.all()},
-            {outcome: getattr(step.events, outcome) for outcome in OUTCOMES},
+            {outcome: getattr(step.events, outcome) for outcome in self.outcomes},
         )
 
     @partial(jax.jit, static_argnums=(0,))
-    def get_avail_actions(self, state: State) -> Arrays:
+    def get_avail_actions(self, state: Any) -> Arrays:
         """Masks (number of actions,) bool of discrete actions: all, at all times."""
         number = 0 if self._table is None else len(self._table)
         return dict.fromkeys(self.agents, jnp.ones(number, bool))
@@ -111,3 +113,23 @@ class JaxMarlParking(MultiAgentEnv):
 
     def _by_agent(self, values: jax.Array) -> Arrays:
         return dict(zip(self.agents, values, strict=True))
+
+
+class JaxMarlParking(JaxMarlAgents):
+    """A lot in which agents park; see `JaxMarlAgents`."""
+
+    def __init__(self, *, discrete: bool = False, **options: Unpack[Options]) -> None:
+        """Builds the environment.
+
+        Args:
+            discrete: actions are () rows of `action_table`, as for Q-learning;
+                otherwise (2,) steer and pedal.
+            **options: see `carpark_mj.wrappers.options.Options`.
+
+        Raises:
+            TypeError: unknown option.
+            ValueError: impossible value, or continuous actions with parts that are not.
+        """
+        config = configure(options)
+        env, box = joint_env(config), observation_space(config)
+        super().__init__(env, box, discrete=discrete)

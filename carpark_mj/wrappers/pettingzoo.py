@@ -1,5 +1,6 @@
 """A lot as a PettingZoo environment, `carpark_mj.parallel_env(...)`."""
 
+import copy
 from typing import Any, Unpack
 
 import numpy as np
@@ -7,8 +8,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils.env_logger import EnvLogger
 
-from carpark_mj.config import EnvConfig
-from carpark_mj.wrappers.batch import NumpyBatch
+from carpark_mj.wrappers.batch import AgentsEnv, NumpyBatch
 from carpark_mj.wrappers.joint import joint_env
 from carpark_mj.wrappers.options import Options, configure
 from carpark_mj.wrappers.screen import RENDER_MODES, Screen
@@ -27,7 +27,7 @@ def parallel_env(
     render_mode: str | None = None,
     camera: str = "topdown",
     **options: Unpack[Options],
-) -> "ParkingParallelEnv":
+) -> "AgentsParallelEnv":
     """A lot with several agents, each with one episode.
 
     Examples:
@@ -43,18 +43,18 @@ def parallel_env(
         TypeError: unknown option.
         ValueError: impossible value.
     """
-    if render_mode not in (None, *RENDER_MODES):
-        raise ValueError(
-            f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}"
-        )
-    return ParkingParallelEnv(configure(options), render_mode, camera)
+    config = configure(options)
+    env = joint_env(config)
+    fps = 1 / config.sim.ctrl_dt
+    screen = Screen(env, camera)
+    return AgentsParallelEnv(env, observation_space(config), screen, render_mode, fps)
 
 
-class ParkingParallelEnv(ParallelEnv[str, np.ndarray, Any]):
-    """Agents `agent_0`... park in a lot and leave when their episodes end.
+class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
+    """Agents `agent_0`... have one episode each and leave when it ends.
 
     Actions out of range are clipped. Infos say `is_success` in the step in which an
-    agent has parked, and `crashed` in that in which it has crashed.
+    agent has parked, or arrived, and `crashed` in that in which it has crashed.
 
     Attributes:
         agents: who is still driving.
@@ -68,26 +68,47 @@ class ParkingParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         "is_parallelizable": True,
     }
 
-    def __init__(self, config: EnvConfig, render_mode: str | None, camera: str) -> None:
-        """Builds the environment; see `parallel_env`."""
-        self._env = joint_env(config)
-        self._lots = NumpyBatch(self._env, 1, restart=False)
-        self._screen = Screen(self._env, camera)
+    def __init__(
+        self,
+        env: AgentsEnv,
+        box: spaces.Box,
+        screen: Screen,
+        render_mode: str | None,
+        fps: float,
+    ) -> None:
+        """Wraps an environment; see `parallel_env`.
+
+        Args:
+            env: in which agents that have finished wait for the others.
+            box: space of an agent's observations.
+            screen: draws its states.
+            render_mode: see `parallel_env`.
+            fps: control steps per second.
+
+        Raises:
+            ValueError: unknown render mode.
+        """
+        if render_mode not in (None, *RENDER_MODES):
+            raise ValueError(
+                f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}"
+            )
+        self._env, self._screen = env, screen
+        self._lots = NumpyBatch(env, 1, restart=False)
         self._observation: np.ndarray | None = None
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": 1 / config.sim.ctrl_dt}
+        self.metadata = {**self.metadata, "render_fps": fps}
         self.possible_agents = self._env.agents
         self.agents: list[str] = []
         # Of each agent its own, so that they can be seeded apart.
         self._spaces = {
-            agent: (observation_space(config), action_space(self._env.action_spec))
+            agent: (copy.deepcopy(box), action_space(env.action_spec))
             for agent in self.possible_agents
         }
-        box, times = observation_space(config), config.num_agents
-        self.state_space = spaces.Box(np.tile(box.low, times), np.tile(box.high, times))
+        low, high = (np.tile(b.ravel(), env.num_agents) for b in (box.low, box.high))
+        self.state_space = spaces.Box(low, high, dtype=box.dtype.type)
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """The vector (observation_size,) of `docs/mdp.md`, float32."""
+        """Of a lot the vector (observation_size,) of `docs/mdp.md`, float32."""
         return self._spaces[agent][0]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
@@ -135,13 +156,13 @@ class ParkingParallelEnv(ParallelEnv[str, np.ndarray, Any]):
             action[0, self.possible_agents.index(agent)] = flat_action(given, spec)
         step = self._lots.step_numpy(action)
         self._observation = observation = step.observation[0]
-        ends = step.reward, step.terminated, step.truncated, step.parked, step.crashed
-        rewards, terminations, truncations, parked, crashed = (
+        ends = step.reward, step.terminated, step.truncated, step.success, step.crashed
+        rewards, terminations, truncations, success, crashed = (
             {agent: value.item() for agent, value in self._by_agent(values[0]).items()}
             for values in ends
         )
         infos = {
-            agent: {"is_success": parked[agent], "crashed": crashed[agent]}
+            agent: {"is_success": success[agent], "crashed": crashed[agent]}
             for agent in self.agents
         }
         observations = self._by_agent(observation)
@@ -157,7 +178,7 @@ class ParkingParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         """All agents' observations, one after the other; zeros of those who have left.
 
         Returns:
-            (num_agents * observation_size,) float32.
+            (num_agents * numbers observed,).
         """
         if self._observation is None:
             EnvLogger.error_state_before_reset()

@@ -5,12 +5,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.window import NO_DISPLAY, has_display
-from carpark_mj.types import State
 
 SIZE = 960, 540  # pixels
 RENDER_MODES = ["human", "rgb_array"]
@@ -19,11 +17,11 @@ RENDER_MODES = ["human", "rgb_array"]
 class Screen:
     """Shows lots of one environment; scenes are made anew where layouts differ."""
 
-    def __init__(self, env: ParkingEnv, camera: str = "topdown") -> None:
+    def __init__(self, env: Any, camera: str = "topdown") -> None:
         """Opens nothing yet.
 
         Args:
-            env: the environment.
+            env: a `ParkingEnv`; of subclasses what they draw.
             camera: see `carpark_mj.rendering.renderer.camera_names`.
         """
         self._env, self._camera = env, camera
@@ -32,7 +30,7 @@ class Screen:
         self._renderer: LotRenderer | None = None
         self._window: Any = None
 
-    def picture(self, state: State, lot: int = 0) -> np.ndarray:
+    def picture(self, state: Any, lot: int = 0) -> np.ndarray:
         """Draws a lot of a batch, (height, width, 3) uint8.
 
         Raises:
@@ -44,7 +42,7 @@ class Screen:
         draw, cameras = self._renderer.draw, self._renderer.cameras
         return np.concatenate([draw(seen, name) for name in cameras], axis=1)
 
-    def show(self, state: State, lot: int = 0) -> None:
+    def show(self, state: Any, lot: int = 0) -> None:
         """Shows a lot of a batch in MuJoCo's window.
 
         Raises:
@@ -68,7 +66,7 @@ class Screen:
                 opened.close()
         self._stage = self._renderer = self._window = None
 
-    def _place(self, state: State, lot: int) -> tuple[Stage, Snapshot]:
+    def _place(self, state: Any, lot: int) -> tuple[Stage, Snapshot]:
         """The scene of a lot with its cars in their places."""
         parts = state.layout, state.motion, state.parked_cars, state.goal, state.active
         parts = jax.device_get(jax.tree.map(lambda x: x[lot], parts))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import jax
 import torch
 
-from carpark_mj.wrappers.batch import Batch, LotEnv, Step
+from carpark_mj.wrappers.batch import Batch, BatchEnv, Step
 
 
 class TorchBatch:
@@ -22,7 +22,7 @@ class TorchBatch:
         device: of all tensors, that on which JAX computes.
     """
 
-    def __init__(self, env: LotEnv, num_lots: int, restart: bool = True) -> None:
+    def __init__(self, env: BatchEnv, num_lots: int, restart: bool = True) -> None:
         """As of `Batch`."""
         self.batch = Batch(env, num_lots, restart)
         self.device = torch.from_dlpack(jax.numpy.zeros(1)).device

@@ -6,11 +6,13 @@
 from typing import Any, Unpack
 
 import torch
+from gymnasium.spaces import Box
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from carpark_mj.wrappers.action_table import action_table
+from carpark_mj.wrappers.batch import AgentsEnv
 from carpark_mj.wrappers.joint import joint_env
 from carpark_mj.wrappers.options import Options, configure
 from carpark_mj.wrappers.screen import Screen
@@ -19,15 +21,14 @@ from carpark_mj.wrappers.torch_batch import TorchBatch
 
 GROUP = "agents"
 _ENDS = ("done", "terminated", "truncated")
-_OUTCOMES = ("parked", "crashed")
 
 
-class TorchRLParking(EnvBase):
-    """`lots` lots whose agents have one episode each; batch size (lots,).
+class TorchRLAgents(EnvBase):
+    """Many lots, or junctions, whose agents have one episode each; batch size (lots,).
 
     Keys are those of TorchRL's own multi-agent environments: under `agents`, of shape
     (lots, agents), `observation`, `action`, `reward`, `done`, `terminated`, `truncated`
-    and, in `info`, whether the agent `parked` or `crashed` in the step; at the root
+    and, in `info`, whether the agent succeeded or `crashed` in the step; at the root
     `done`, `terminated` and `truncated` (lots, 1) of the lots, which are done when all
     of their agents are.
 
@@ -38,33 +39,35 @@ class TorchRLParking(EnvBase):
 
     Attributes:
         group_map: names of the agents of the group.
+        success: what success is called in `info`.
     """
+
+    success = "parked"
 
     def __init__(
         self,
-        lots: int = 1,
+        env: AgentsEnv,
+        box: Box,
+        screen: Screen,
+        lots: int,
         *,
-        device: torch.device | str | None = None,
-        seed: int | None = None,
-        discrete: bool = False,
-        **options: Unpack[Options],
+        device: torch.device | str | None,
+        discrete: bool,
     ) -> None:
-        """Builds the environment; it is compiled by the first reset and step.
+        """Wraps an environment; it is compiled by the first reset and step.
 
         Args:
+            env: in which agents that have finished wait for the others.
+            box: space of an agent's observations.
+            screen: draws its states.
             lots: number of lots.
             device: must be JAX's; None = that.
-            seed: of lot 0, the next lot has the next; None = unpredictable.
-            discrete: actions are rows of `action_table`; otherwise steer and pedal in
-                [-1, 1].
-            **options: see `carpark_mj.wrappers.options.Options`.
+            discrete: actions are rows of `action_table`; otherwise numbers in [-1, 1].
 
         Raises:
-            TypeError: unknown option.
-            ValueError: impossible value, another device than JAX's, or continuous
-                actions with parts that are not.
+            ValueError: another device than JAX's, or continuous actions with parts that
+                are not.
         """
-        env = joint_env(configure(options))
         spec = env.action_spec
         if spec.choices and not discrete:
             raise ValueError(
@@ -79,19 +82,18 @@ class TorchRLParking(EnvBase):
             )
         super().__init__(device=on, batch_size=torch.Size([lots]))
         self.group_map = {GROUP: env.agents}
-        self._env, self._seed = env, seed
-        self._screen = Screen(env)
+        self._env, self._seed, self._screen = env, None, screen
         self._table = None
         if discrete:
             self._table = torch.from_numpy(action_table(spec)).to(on)
-        self._make_specs()
+        self._make_specs(box)
 
-    def _make_specs(self) -> None:
+    def _make_specs(self, box: Box) -> None:
         """Specs of one lot; those of the batch follow from them."""
         agents = (self._env.num_agents,)
-        box = observation_space(self._env.config)
         low, high = (
-            torch.tensor(bound).expand(*agents, -1) for bound in (box.low, box.high)
+            torch.tensor(bound).expand(*agents, *box.shape)
+            for bound in (box.low, box.high)
         )
         action = (
             Bounded(-1.0, 1.0, (*agents, self._env.action_spec.size))
@@ -107,7 +109,7 @@ class TorchRLParking(EnvBase):
         def grouped(specs: dict[str, Any]) -> Composite:
             return Composite({GROUP: Composite(specs, shape=agents)}).to(self.device)
 
-        info = Composite(flags(_OUTCOMES, *agents), shape=agents)
+        info = Composite(flags((self.success, "crashed"), *agents), shape=agents)
         self.full_action_spec_unbatched = grouped({"action": action})
         self.full_observation_spec_unbatched = grouped(
             {"observation": Bounded(low, high), "info": info}
@@ -128,7 +130,7 @@ class TorchRLParking(EnvBase):
             observation = self._lots.restart(due.reshape(-1))
         active = torch.from_dlpack(self._lots.batch.state.active)
         no = torch.zeros_like(active)
-        group = {"observation": observation, "info": self._group(parked=no, crashed=no)}
+        group = {"observation": observation, "info": self._info(no, no)}
         return self._pack(group, terminated=~active, truncated=no)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -139,7 +141,7 @@ class TorchRLParking(EnvBase):
         group = {
             "observation": step.observation,
             "reward": step.reward[..., None],
-            "info": self._group(parked=step.parked, crashed=step.crashed),
+            "info": self._info(step.success, step.crashed),
         }
         return self._pack(group, step.terminated, step.truncated)
 
@@ -162,6 +164,9 @@ class TorchRLParking(EnvBase):
             device=self.device,
         )
 
+    def _info(self, success: torch.Tensor, crashed: torch.Tensor) -> TensorDict:
+        return self._group(**{self.success: success, "crashed": crashed})
+
     def _group(self, **values: torch.Tensor) -> TensorDict:
         """Values (lots, agents) as entries (lots, agents, 1)."""
         shape = (*self.batch_size, self._env.num_agents)
@@ -179,3 +184,36 @@ class TorchRLParking(EnvBase):
         """Closes what draws."""
         self._screen.close()
         super().close(raise_if_closed=raise_if_closed)
+
+
+class TorchRLParking(TorchRLAgents):
+    """Lots in which agents park; see `TorchRLAgents`."""
+
+    def __init__(
+        self,
+        lots: int = 1,
+        *,
+        device: torch.device | str | None = None,
+        seed: int | None = None,
+        discrete: bool = False,
+        **options: Unpack[Options],
+    ) -> None:
+        """Builds the environment.
+
+        Args:
+            lots: number of lots.
+            device: must be JAX's; None = that.
+            seed: of lot 0, the next lot has the next; None = unpredictable.
+            discrete: actions are rows of `action_table`; otherwise steer and pedal in
+                [-1, 1].
+            **options: see `carpark_mj.wrappers.options.Options`.
+
+        Raises:
+            TypeError: unknown option.
+            ValueError: impossible value, another device than JAX's, or continuous
+                actions with parts that are not.
+        """
+        config = configure(options)
+        env, box = joint_env(config), observation_space(config)
+        super().__init__(env, box, Screen(env), lots, device=device, discrete=discrete)
+        self._seed = seed

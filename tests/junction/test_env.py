@@ -7,7 +7,7 @@ import pytest
 from helpers import junctions
 
 from carpark_mj.junction import RewardRules
-from carpark_mj.junction.actions import target_speeds
+from carpark_mj.junction.actions import INDEX, SCALAR, parse, target_speeds
 
 PAIR = junctions.env()
 MIXED = junctions.env(scenario="3av-hd")
@@ -46,8 +46,14 @@ def test_cars_that_slow_down_stand_until_their_time_is_up():
 
 
 def test_lane_changes_are_two_names_of_one_target_speed():
-    speeds = target_speeds(jnp.array([0, 1, 2, 3, 4, -1]))
-    assert speeds.tolist() == [15.0, 0.0, 12.5, 12.5, 0.0, 0.0]
+    speeds = target_speeds(jnp.array([0, 1, 2, 3]))
+    assert speeds.tolist() == [15.0, 0.0, 12.5, 12.5]
+
+
+def test_scalars_stand_for_actions_by_ranges_and_what_is_invalid_is_sanitized():
+    scalars = jnp.array([-1.0, -0.51, -0.5, -0.1, 0.0, 0.49, 0.5, 7.0, jnp.nan])
+    assert parse(SCALAR, scalars).tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 2]
+    assert parse(INDEX, jnp.array([[0], [3], [9], [-1]])).tolist() == [0, 3, 3, 0]
 
 
 def test_the_human_driven_car_crashes_into_those_in_its_way():

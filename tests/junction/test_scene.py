@@ -43,7 +43,7 @@ def seen_from_above(state, agent):
     Cars are shown as the hulls with which they collide. Arrows are not in the image.
     """
     place, config = stage(), RasterConfig()
-    place.show(state)
+    place.snapshot(state)
     x, y, yaw = np.asarray(state.motion.pose_w[agent], float)
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
@@ -92,7 +92,7 @@ def test_the_scene_has_its_cars_where_they_are_and_hides_those_that_have_left():
     state = junctions.with_poses(junctions.begin(ENV), [*TURNED, HUMAN])
     state = state.replace(present=np.array([True, True, True, False]))
     place = stage()
-    place.show(state)
+    place.snapshot(state)
     corners = np.asarray(box_corners(state.motion.pose_w, state.motion.size))
     for k in range(3):
         hull = place.data.geom(f"agent{k}/hull")
