@@ -8,6 +8,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.junction import actions, observations, rasteriser, rewards, terminations
 from carpark_mj.junction.config import JunctionConfig
@@ -62,6 +63,11 @@ class JunctionEnv:
         entry = [SPEED_LIMIT] * len(missions)
         self._speed = jnp.array(entry + [human.speed for human in humans])
         self._cars = make_cars(config)
+        # What episodes begin with is drawn once where all of them begin alike.
+        self._first_image: np.ndarray | None = None
+        if config.observation == "image" and not (config.shuffle or config.jitter):
+            state = jax.jit(self._begin)(jax.random.key(0))
+            self._first_image = np.asarray(jax.jit(self._draw)(state))
 
     @property
     def agents(self) -> list[str]:
@@ -96,6 +102,16 @@ class JunctionEnv:
         Returns:
             The state and the observations (num_agents, *observation_shape).
         """
+        state = self._begin(key)
+        if self.config.observation == "image":
+            image = self._first_image
+            image = self._draw(state) if image is None else jnp.asarray(image)
+            frames = jnp.repeat(image[..., None], self.config.raster.frames, axis=-1)
+            state = dataclasses.replace(state, frames=frames)
+        return state, self._observe(state)
+
+    def _begin(self, key: jax.Array) -> State:
+        """The state at the start of an episode, still without images."""
         n, cars = self.num_agents, self.num_cars
         key, deal_key, jitter_key = jax.random.split(key, 3)
         order = jnp.arange(cars)
@@ -124,11 +140,7 @@ class JunctionEnv:
         if self.config.probe:
             slow = jnp.full(n, actions.SLOW_DOWN)
             state = dataclasses.replace(self._move(state, slow), step=state.step)
-        if self.config.observation == "image":
-            image = rasteriser.draw(self.config.raster, state)
-            frames = jnp.repeat(image[..., None], self.config.raster.frames, axis=-1)
-            state = dataclasses.replace(state, frames=frames)
-        return state, self._observe(state)
+        return state
 
     @full_float32
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
@@ -158,8 +170,11 @@ class JunctionEnv:
         state = dataclasses.replace(
             state, unpaid=unpaid, active=active, returns=before.returns + reward
         )
-        if config.observation == "image":
-            state = dataclasses.replace(state, frames=self._next_frames(state))
+        if before.frames is not None:
+            frames = jnp.concatenate(
+                [before.frames[..., 1:], self._draw(state)[..., None]], axis=-1
+            )
+            state = dataclasses.replace(state, frames=frames)
         seen = self._observe(state)
         waiting = jnp.expand_dims(~before.active, range(1, seen.ndim))
         seen = jnp.where(waiting, jnp.zeros_like(seen), seen)
@@ -203,11 +218,8 @@ class JunctionEnv:
             step=state.step + 1,
         )
 
-    def _next_frames(self, state: State) -> jax.Array:
-        """The images of the last steps, the newest last."""
-        image = rasteriser.draw(self.config.raster, state)
-        assert state.frames is not None
-        return jnp.concatenate([state.frames[..., 1:], image[..., None]], axis=-1)
+    def _draw(self, state: State) -> jax.Array:
+        return rasteriser.draw(self.config.raster, state)
 
     def _observe(self, state: State) -> jax.Array:
         return observations.observe(state) if state.frames is None else state.frames

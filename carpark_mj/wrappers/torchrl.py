@@ -112,7 +112,7 @@ class TorchRLAgents(EnvBase):
         info = Composite(flags((self.success, "crashed"), *agents), shape=agents)
         self.full_action_spec_unbatched = grouped({"action": action})
         self.full_observation_spec_unbatched = grouped(
-            {"observation": Bounded(low, high), "info": info}
+            {"observation": Bounded(low, high, dtype=low.dtype), "info": info}
         )
         self.full_reward_spec_unbatched = grouped({"reward": Unbounded((*agents, 1))})
         done = grouped(flags(_ENDS, *agents))

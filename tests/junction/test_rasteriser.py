@@ -100,6 +100,16 @@ def test_cars_that_have_left_are_not_drawn():
     assert not (drawn(CONFIG, alone)[1] > PAINT).any()
 
 
+def test_an_episode_begins_with_the_image_of_its_own_start():
+    small = {"observation": "image", "raster": RasterConfig(pixels=20)}
+    alike, varied = (junctions.env(**small, jitter=jitter) for jitter in (0.0, 5.0))
+    for env in (alike, varied):
+        for seed in (0, 1):
+            state = junctions.begin(env, seed)
+            expected = jax.jit(draw, static_argnums=0)(env.config.raster, state)
+            np.testing.assert_array_equal(state.frames[..., 2], expected)
+
+
 def test_agents_see_the_images_of_their_last_steps():
     env = junctions.env(observation="image", raster=RasterConfig(pixels=20))
     state = junctions.begin(env)
