@@ -22,7 +22,7 @@ FLOORS = (
     ("mdp", "physics"),
     ("fleet",),
     ("episodes",),
-    ("env",),
+    ("env", "junction"),
     ("registry", "registration", "policy"),
     ("evaluation",),
     ("analysis",),

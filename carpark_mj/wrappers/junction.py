@@ -9,9 +9,9 @@ import numpy as np
 from gymnasium import spaces
 
 from carpark_mj.junction import JunctionConfig, JunctionEnv
-from carpark_mj.junction.scene import JunctionStage
 from carpark_mj.junction.steered_car import road_car
 from carpark_mj.junction.types import State
+from carpark_mj.rendering.junction_stage import JunctionStage
 from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.vehicle import preset

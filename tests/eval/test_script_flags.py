@@ -4,6 +4,7 @@ import pytest
 
 import benchmark
 import broad_phase
+import junction_speed
 import physics_report
 import referee
 import scaling
@@ -20,6 +21,9 @@ import soak
         (broad_phase, ["--lots", "0"], "lots must be at least 1, not 0"),
         (broad_phase, ["--scenes", "sea"], "unknown scenes ['sea']; choose from"),
         (broad_phase, ["--scenes"], "scenes must name at least one"),
+        (junction_speed, ["--junctions", "0"], "junctions must be at least 1, not 0"),
+        (junction_speed, ["--scenario", "9av"], "unknown scenario '9av'; choose from"),
+        (junction_speed, ["--cars"], "cars must name at least one"),
         (physics_report, ["--preset", "tank"], "Unrecognized options: --preset"),
         (physics_report, ["--presets", "tank"], "unknown vehicle 'tank'; choose from"),
         (physics_report, ["--tyres", "square"], "square"),

@@ -20,7 +20,8 @@ from carpark_mj.junction.rasteriser import (
     PAINT,
     draw,
 )
-from carpark_mj.junction.scene import JunctionStage, drivable_junction
+from carpark_mj.junction.scene import drivable_junction
+from carpark_mj.rendering.junction_stage import JunctionStage
 from carpark_mj.scene.export import try_out
 from carpark_mj.scene.parts import HULL_GROUP
 from carpark_mj.vehicle import preset
