@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.junction.roads import (
@@ -15,7 +13,7 @@ from carpark_mj.junction.roads import (
     MARKINGS,
     ROAD,
 )
-from carpark_mj.junction.routes import Route, make_routes, point_at
+from carpark_mj.junction.routes import Route
 from carpark_mj.junction.scenarios import SCENARIOS, scenario
 from carpark_mj.junction.terminations import GOAL_RADIUS
 from carpark_mj.scene.materials import agent_colour
@@ -60,12 +58,10 @@ def draw_scenario(axes: Any, name: str) -> None:
 
 def _way(route: Route, start: float, end: float) -> np.ndarray:
     """Points (n, 2) of a route between two distances along it [m]."""
-    routes = make_routes([route])
-    end = min(end, float(routes.length[0]))
-    along = jnp.linspace(start, end, 100)
-    return np.asarray(jax.vmap(point_at, in_axes=(None, 0))(routes, along[:, None]))[
-        :, 0
-    ]
+    points = route.points
+    at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    along = np.linspace(start, min(end, at[-1]), 100)
+    return np.stack([np.interp(along, at, column) for column in points.T], axis=1)
 
 
 def write_plan(path: Path) -> Path:

@@ -23,6 +23,7 @@ from carpark_mj.junction.roads import CORNER, CORNER_CENTRES, MARKINGS, ROAD
 
 ENV = junctions.env(scenario="2av-hd")
 CONFIG = RasterConfig()
+SMALL = {"observation": "image", "raster": RasterConfig(pixels=20)}
 drawn = jax.jit(draw, static_argnums=0)
 
 
@@ -101,17 +102,15 @@ def test_cars_that_have_left_are_not_drawn():
 
 
 def test_an_episode_begins_with_the_image_of_its_own_start():
-    small = {"observation": "image", "raster": RasterConfig(pixels=20)}
-    alike, varied = (junctions.env(**small, jitter=jitter) for jitter in (0.0, 5.0))
-    for env in (alike, varied):
+    for env in (junctions.env(**SMALL), junctions.env(**SMALL, jitter=5.0)):
         for seed in (0, 1):
             state = junctions.begin(env, seed)
-            expected = jax.jit(draw, static_argnums=0)(env.config.raster, state)
+            expected = drawn(env.config.raster, state)
             np.testing.assert_array_equal(state.frames[..., 2], expected)
 
 
 def test_agents_see_the_images_of_their_last_steps():
-    env = junctions.env(observation="image", raster=RasterConfig(pixels=20))
+    env = junctions.env(**SMALL)
     state = junctions.begin(env)
     first = np.asarray(state.frames)
     assert first.shape == (2, 20, 20, 3) == (2, *env.observation_shape)
@@ -120,6 +119,6 @@ def test_agents_see_the_images_of_their_last_steps():
         np.testing.assert_array_equal(first[..., k], first[..., 2])
     (state, step), *_ = junctions.drive(env, state, lambda _: [0, 0], 1)
     np.testing.assert_array_equal(step.observation[..., :2], first[..., 1:])
-    now = jax.jit(draw, static_argnums=0)(env.config.raster, state)
+    now = drawn(env.config.raster, state)
     np.testing.assert_array_equal(step.observation[..., 2], now)
     assert (now != first[..., 2]).any()

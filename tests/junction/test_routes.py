@@ -21,21 +21,31 @@ NAMES = ["-".join(ends) for ends in CONNECTIONS]
 ARRAYS = make_routes(ROUTES)
 
 
+N = 50  # points of every call, so that all tests share a program
+points_at, projections = (
+    jax.jit(jax.vmap(f, in_axes=(None, 0))) for f in (point_at, project)
+)
+
+
 def only(k):
     return jax.tree.map(lambda x: x[k], ARRAYS)
+
+
+def padded(*rows):
+    return jnp.array([*rows, *rows[:1] * (N - len(rows))])
 
 
 @pytest.mark.parametrize("k", range(len(ROUTES)), ids=NAMES)
 def test_points_and_projections_are_those_of_the_polyline(k):
     line = shapely.LineString(ROUTES[k].points)
     assert float(ARRAYS.length[k]) == pytest.approx(line.length, abs=1e-3)
-    along = np.linspace(0.0, line.length, 50)
-    found = jax.vmap(point_at, in_axes=(None, 0))(only(k), jnp.array(along))
+    along = np.linspace(0.0, line.length, N)
+    found = points_at(only(k), jnp.array(along))
     expected = shapely.get_coordinates(line.interpolate(along))
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
     xy = expected + np.random.default_rng(k).uniform(-1.0, 1.0, expected.shape)
-    at, off = jax.vmap(project, in_axes=(None, 0))(only(k), jnp.array(xy))
+    at, off = projections(only(k), jnp.array(xy))
     points = shapely.points(xy)
     np.testing.assert_allclose(np.abs(off), line.distance(points), atol=1e-4)
     np.testing.assert_allclose(at, line.project(points), atol=1e-3)
@@ -44,22 +54,22 @@ def test_points_and_projections_are_those_of_the_polyline(k):
 def test_a_route_goes_on_straight_beyond_its_ends():
     """East to south: x falls at the start, y at the end."""
     route = only(NAMES.index("east-EW-south-NS"))
-    ends = jnp.array([-2.0, float(route.length) + 3.0])
-    found = jax.vmap(point_at, in_axes=(None, 0))(route, ends)
-    np.testing.assert_allclose(found, [[40.22, 1.65], [-1.65, -42.02]], atol=1e-4)
+    found = points_at(route, padded(-2.0, float(route.length) + 3.0))
+    np.testing.assert_allclose(found[:2], [[40.22, 1.65], [-1.65, -42.02]], atol=1e-4)
 
 
 def test_left_of_the_route_is_positive():
     route = only(NAMES.index("west-WE-east-WE"))
-    along, off = project(route, jnp.array([-30.0, -1.0]))
-    assert float(along) == pytest.approx(8.54, abs=1e-4)
-    assert float(off) == pytest.approx(0.65, abs=1e-5)
+    along, off = projections(route, padded([-30.0, -1.0]))
+    assert float(along[0]) == pytest.approx(8.54, abs=1e-4)
+    assert float(off[0]) == pytest.approx(0.65, abs=1e-5)
 
 
 def test_the_heading_turns_evenly_from_lane_to_lane():
     route = only(NAMES.index("south-SN-west-EW"))
     along = jnp.linspace(30.0, 50.0, 200)
-    yaw = jax.vmap(heading_at, in_axes=(None, 0, None))(route, along, jnp.array(2.3))
+    headings = jax.jit(jax.vmap(heading_at, in_axes=(None, 0, None)))
+    yaw = headings(route, along, jnp.array(2.3))
     yaw = np.unwrap(yaw)
     assert yaw[0] == pytest.approx(np.pi / 2, abs=1e-3)
     assert yaw[-1] == pytest.approx(np.pi, abs=1e-3)
