@@ -69,6 +69,7 @@ def test_images_are_those_of_areas_exactly_where_edges_lie_along_the_pixels():
         error = np.abs(image[agent] - exact(state, agent))
         assert error.mean() < 0.1  # of 255
         assert np.quantile(error, 0.995) <= 1.0  # all but the rounded corners
+        assert error[36:48, 36:48].max() <= 1.0  # around the own car
 
 
 def test_images_of_cars_in_a_curve_are_those_of_areas_but_for_edges():

@@ -31,6 +31,8 @@ def test_way_is_paid_in_pieces_of_more_than_half_a_metre():
         (("arrived",), 11.4, 10.0),
         (("off_road", "on_shoulder", "off_route"), -8.6, -10.0),
         (("on_shoulder",), -8.6, -10.0),
+        (("off_road",), -8.6, -10.0),
+        (("off_route",), -8.6, -10.0),
         (("wrong_way",), -8.6, -10.0),
         (("crashed", "arrived"), 1.4, -10.0),
         (("timed_out",), 1.4, 1.4),

@@ -109,6 +109,7 @@ def test_a_scenario_opens_in_any_viewer_and_its_cars_drive(tmp_path):
     assert "file=" not in text
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.nu == 9
+    assert model.geom("line0").size[0] > 10.0
     cameras = {model.camera(k).name for k in range(model.ncam)}
     assert {"topdown", "overview", "agent2/chase", "agent2/driver"} <= cameras
     spec = drivable_junction(preset("city"), np.array([[20.0, 1.65, np.pi]]))
