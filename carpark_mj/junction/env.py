@@ -189,9 +189,6 @@ class JunctionEnv:
             over=~active.any(),
             final_observation=seen,
         )
-        # Who has arrived or crashed leaves the road, having been seen there once more.
-        present = state.present.at[:n].set(active)
-        state = dataclasses.replace(state, present=present)
         if not config.restart:
             return state, timestep
         fresh, first = self.reset(state.key)
@@ -200,7 +197,7 @@ class JunctionEnv:
         return state, dataclasses.replace(timestep, observation=observation)
 
     def _move(self, state: State, action: jax.Array) -> State:
-        """The state when the cars have moved and human-driven ones may have left."""
+        """The state when the cars have moved; who had finished before has left."""
         n, routes = self.num_agents, state.task.routes
         keep = jnp.full(self.num_cars - n, actions.KEEP_LANE, action.dtype)
         action = jnp.where(state.active, action, actions.SLOW_DOWN)
@@ -214,7 +211,7 @@ class JunctionEnv:
             cars=cars,
             motion=motion,
             along=along,
-            present=state.present & ~gone,
+            present=state.present.at[:n].set(state.active) & ~gone,
             step=state.step + 1,
         )
 

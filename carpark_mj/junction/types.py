@@ -37,7 +37,8 @@ class State:
         motion: (cars,) what the cars do.
         along: (cars,) distances of the cars along their routes [m].
         task: of the episode.
-        present: (cars,) bool; cars that have left are nobody's obstacle.
+        present: (cars,) bool; cars that have left are nobody's obstacle. Agents leave
+            in the step after that in which they finish.
         active: (num_agents,) bool, the agent's episode is running.
         unpaid: (num_agents,) way since the last reward for it [m].
         returns: (num_agents,) rewards of the episode so far, undiscounted.

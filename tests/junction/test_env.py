@@ -81,10 +81,11 @@ def test_with_end_all_agents_leave_one_by_one():
     first = next(k for k, (_, step) in enumerate(steps) if step.events.arrived[1])
     state, step = steps[first]
     assert state.active.tolist() == [True, False]
-    assert state.present.tolist() == [True, False]
+    assert state.present.tolist() == [True, True]  # it is seen there once more
     assert step.observation[1].any()
     assert not step.over
-    _, after = steps[first + 1]
+    state, after = steps[first + 1]
+    assert state.present.tolist() == [True, False]
     assert not after.observation[1].any()
     assert float(after.reward[1]) == 0.0
     assert after.terminated.tolist() == [False, True]
