@@ -120,6 +120,7 @@ class ContinuousObservation:
             the nearest agent and to the nearest agent that has it as its goal.
         own_car: observe the own size, axles and turning radius; required if agents are
             drawn from a fleet.
+        lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
         rays: bearings along which the free way is observed.
         lane: observe the lane the car is in, or the nearest.
@@ -133,6 +134,7 @@ class ContinuousObservation:
     share: ShareConfig = dataclasses.field(default_factory=ShareConfig)
     global_information: bool = False
     own_car: bool = False
+    lines: bool = False
     rings: RingConfig = dataclasses.field(
         default_factory=lambda: RingConfig((5.0, 6.2, 8.0))
     )

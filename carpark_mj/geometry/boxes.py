@@ -87,14 +87,32 @@ def box_inside(
     pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
 ) -> jax.Array:
     """Whether box a lies wholly within box b (edges may touch); shapes as above."""
+    offset, reach = _extent(pose_a, size_a, pose_b)
+    return jnp.all(jnp.abs(offset) + reach <= 0.5 * size_b, axis=-1)
+
+
+def box_room(
+    pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
+) -> jax.Array:
+    """Room (..., 4) between box a and the edges of b [m], negative if a is beyond.
+
+    Of the edges at +x, -x, +y, -y in the frame of b; shapes as above.
+    """
+    offset, reach = _extent(pose_a, size_a, pose_b)
+    both = 0.5 * size_b - reach
+    return jnp.stack([both - offset, both + offset], axis=-1).reshape(
+        *offset.shape[:-1], 4
+    )
+
+
+def _extent(
+    pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Centre of box a in the frame of b, and how far a reaches about it; (..., 2)."""
     local = to_local(pose_b, pose_a)
     cos, sin = jnp.abs(jnp.cos(local[..., 2])), jnp.abs(jnp.sin(local[..., 2]))
-    half_a, half_b = 0.5 * size_a, 0.5 * size_b
-    reach_x = half_a[..., 0] * cos + half_a[..., 1] * sin
-    reach_y = half_a[..., 0] * sin + half_a[..., 1] * cos
-    return (jnp.abs(local[..., 0]) + reach_x <= half_b[..., 0]) & (
-        jnp.abs(local[..., 1]) + reach_y <= half_b[..., 1]
-    )
+    x, y = 0.5 * size_a[..., 0], 0.5 * size_a[..., 1]
+    return local[..., :2], jnp.stack([x * cos + y * sin, x * sin + y * cos], axis=-1)
 
 
 def point_box_distance(point: jax.Array, pose: jax.Array, size: jax.Array) -> jax.Array:

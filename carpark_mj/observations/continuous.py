@@ -30,6 +30,8 @@ def continuous_fields(
         fields += [
             Field(f"goal_{f.name}", f.size, f.low, f.high, f.meaning) for f in rivals
         ]
+    if config.lines:
+        fields += ego.LINE_FIELDS
     if config.route:
         fields += ego.ROUTE_FIELDS
     if config.own_car:
@@ -53,6 +55,8 @@ def continuous_values(
     own_xy, vehicle, bays = motion.xy, state.physics.vehicle, state.tracked_bays
     values = ego.own_motion(motion, vehicle)
     own_goal = ego.own_goal(motion, layout, goal)
+    if config.lines:
+        own_goal |= ego.own_lines(motion, layout, goal)
     if bays is not None:
         has_goal = ~state.exploring[:, None]
         own_goal = {k: jnp.where(has_goal, v, 0.0) for k, v in own_goal.items()}

@@ -3,10 +3,10 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import norm, rotate, to_local
+from carpark_mj.geometry import box_room, norm, rotate, to_local
 from carpark_mj.layouts.routes import Way
 from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.fields import FAR, LENGTH, NEAR, Field
+from carpark_mj.observations.fields import CLOSE, FAR, LENGTH, NEAR, Field
 from carpark_mj.types import CarParameters, Motion
 
 MOTION_FIELDS = (
@@ -26,6 +26,16 @@ GOAL_FIELDS = (
         0.0,
         2.0,
         f"length and width of the goal bay less own [{LENGTH:g} m]",
+    ),
+)
+LINE_FIELDS = (
+    Field(
+        "line_room",
+        4,
+        -1.0,
+        1.0,
+        "room between the own outline and the goal bay's lines at +x, -x, +y, -y, goal "
+        f"frame [{CLOSE:g} m], clipped",
     ),
 )
 ROUTE_FIELDS = (
@@ -79,6 +89,13 @@ def own_goal(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.A
         "in_bay": jnp.clip(inverse[..., :2] / NEAR, -1.0, 1.0),
         "goal_size": (goal_size - motion.size) / LENGTH,
     }
+
+
+def own_lines(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.Array]:
+    """`LINE_FIELDS` of every agent (num_agents, 4); arguments as of `own_goal`."""
+    goal_pose, goal_size = layout.bay_pose[goal], layout.bay_size[goal]
+    room = box_room(motion.pose_w, motion.size, goal_pose, goal_size)
+    return {"line_room": jnp.clip(room / CLOSE, -1.0, 1.0)}
 
 
 def own_route(motion: Motion, way: Way) -> dict[str, jax.Array]:

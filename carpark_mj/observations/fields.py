@@ -12,6 +12,7 @@ import jax
 
 FAR = 20.0  # m, about half a `tanner` lot
 NEAR = 3.0  # m, the last car length before the goal
+CLOSE = 0.5  # m, about the room on either side of a car in its bay
 LENGTH = 5.0  # m, about a car
 
 # Entities that are observed several times over: other agents, parked cars, both in one

@@ -66,6 +66,33 @@ def test_a_box_is_inside_itself_and_inside_no_smaller_box():
     assert not geometry.box_inside(pose, size, pose, size - jnp.array([0.0, 1e-3]))
 
 
+def test_room_in_a_box_is_that_of_the_corners_in_its_frame():
+    rng = np.random.default_rng(2)
+    pose_a, size_a = random_boxes(rng, PAIRS, 1.5, 4.0)
+    pose_b, size_b = random_boxes(rng, PAIRS, 1.5, 4.0)
+    size_b = size_b + np.float32(3.0)
+    corners = shapely.get_coordinates(polygons(pose_a, size_a)).reshape(PAIRS, 5, 2)
+    offset = corners - pose_b[:, None, :2]
+    cos, sin = np.cos(pose_b[:, 2:]), np.sin(pose_b[:, 2:])
+    x = offset[..., 0] * cos + offset[..., 1] * sin
+    y = offset[..., 1] * cos - offset[..., 0] * sin
+    half = 0.5 * size_b
+    expected = np.stack(
+        [
+            half[:, 0] - x.max(axis=1),
+            half[:, 0] + x.min(axis=1),
+            half[:, 1] - y.max(axis=1),
+            half[:, 1] + y.min(axis=1),
+        ],
+        axis=1,
+    )
+    room = np.asarray(geometry.box_room(pose_a, size_a, pose_b, size_b))
+    np.testing.assert_allclose(room, expected, atol=2e-5)
+    certain = np.abs(room).min(axis=1) > 2e-4
+    inside = np.asarray(geometry.box_inside(pose_a, size_a, pose_b, size_b))
+    np.testing.assert_array_equal((room > 0).all(axis=1)[certain], inside[certain])
+
+
 def test_box_distance_agrees_with_shapely(pairs):
     expected = shapely.distance(polygons(*pairs[:2]), polygons(*pairs[2:]))
     got = geometry.box_distance(*pairs)

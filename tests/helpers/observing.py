@@ -20,7 +20,7 @@ CONFIGS = [
     ContinuousObservation(0, 0, rings=RingConfig()),
     ContinuousObservation(5, 1, rings=RingConfig((4.5,), cap=3)),
     ContinuousObservation(0, 4, rings=RingConfig((3.0, 7.25))),
-    ContinuousObservation(rays=RayConfig(5), lane=True, own_car=True),
+    ContinuousObservation(rays=RayConfig(5), lane=True, own_car=True, lines=True),
     TannerObservation(3, rings=RingConfig((4.0,), cars=True), global_information=True),
 ]
 

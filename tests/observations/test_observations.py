@@ -298,6 +298,22 @@ def test_what_an_agent_drives_by_hand():
         np.testing.assert_allclose(named[name], value, rtol=1e-6, err_msg=name)
 
 
+def test_room_to_the_lines_by_hand():
+    # Bays of 5 m x 2.5 m along x: 0.1 m too far in and 0.2 m to the left of the middle
+    # of one, and 5 m short of the other on both axes.
+    bay_pose = BAYS.bay_pose.at[:, 2].set(0.0)
+    bay_size = jnp.broadcast_to(jnp.array([5.0, 2.5]), BAYS.bay_size.shape)
+    layout = BAYS.replace(bay_pose=bay_pose, bay_size=bay_size)
+    (x, y), (a, b) = bay_pose[0, :2].tolist(), bay_pose[1, :2].tolist()
+    poses = [(x + 0.1, y + 0.2, 0.0), (a - 5.0, b - 5.0, 0.3)]
+    motion = cars(poses, size=[(4.6, 1.8)] * 2)
+    config = config_of(ContinuousObservation(lines=True))
+    named = fields_of(observe_jit(config, state_of(layout, motion, [0, 1])), config)
+    expected = np.clip(np.array([0.1, 0.3, 0.15, 0.55]) / 0.5, -1.0, 1.0)
+    np.testing.assert_allclose(named["line_room"][0], expected, atol=1e-5)
+    np.testing.assert_array_equal(named["line_room"][1], [1.0, -1.0, 1.0, -1.0])
+
+
 def test_pushed_cars_are_observed_where_they_stand_and_absent_ones_nowhere():
     parked = parked_in(BAYS, [2, 3])
     pushed = parked.replace(pose_w=parked.pose_w + jnp.array([0.5, -0.25, 0.1]))
