@@ -83,7 +83,9 @@ def test_no_job_begins_when_the_time_is_nearly_over(tmp_path):
 
 
 INTERRUPTED = """
+import signal
 import sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells may ignore it
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
 from studies.slots_jobs import Job, run_jobs
