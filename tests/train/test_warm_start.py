@@ -12,9 +12,9 @@ from carpark_mj.policy.networks import NetworkConfig
 from learners.ppo.learner import Learner
 from learners.ppo.presets import PRESETS
 from learners.ppo.train import load_or_init, save
-from learners.ppo.warm_start import TAKEN
 
 KEY = jax.dtypes.prng_key
+NETWORKS = ("normalizer", "policy", "average", "value")
 TINY = dataclasses.replace(
     PRESETS["cpu"],
     num_lots=2,
@@ -36,7 +36,7 @@ def other(tmp_path_factory):
             lambda x: (x + rng.uniform(0.5, 1.0, x.shape)).astype(x.dtype), tree
         )
         for name, tree in vars(state).items()
-        if name in (*TAKEN, "optimizer")
+        if name in (*NETWORKS, "optimizer")
     }
     state = dataclasses.replace(state, **moved, update=np.int32(7))
     save(folder, TINY, state)
@@ -49,7 +49,7 @@ def test_networks_and_statistics_are_taken_and_the_rest_is_new(other, tmp_path):
     own = Learner(config).init()
     state = load_or_init(Learner(config), [tmp_path])
     for name in vars(own):
-        expected = theirs if name in TAKEN else own
+        expected = theirs if name in NETWORKS else own
         found, wanted = (
             [
                 jax.random.key_data(x) if jax.dtypes.issubdtype(x.dtype, KEY) else x
