@@ -4,9 +4,9 @@ pip install ".[torchrl,eval]"
 python examples/benchmarl_parking.py --algorithm ippo
 python examples/benchmarl_parking.py --algorithm mappo
 
-It prints how evaluated episodes end as training goes on, draws the curve, and measures
-the rates on held-out lots; Ctrl-C ends the training early. Success is `strict`: within
-the lines, straight, at rest.
+It prints how evaluated episodes end as training goes on (with the starts of training),
+draws the curve, and measures the rates on held-out lots; Ctrl-C ends the training
+early. Success is `strict`: within the lines, straight, at rest.
 On a GPU JAX and torch share the memory, so JAX must not take all of it at once.
 """
 
@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from carpark_mj.cli.common import enable_output_fusion
+from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
@@ -144,8 +145,10 @@ def main(settings: Settings) -> None:
         algorithm.entropy_coef = 1e-3
     title = f"{settings.algorithm.upper()}, {settings.agents} agents, {settings.layout}"
     curve = Curve(folder / "curve.png", title)
+    # Three in ten episodes of training start where a car can get that leaves its bay.
+    training = EnvConfig(spawn=SpawnConfig(reverse_ratio=0.3))
     experiment = Experiment(
-        task=ParkingTask.PARK.get_task(options),
+        task=ParkingTask.PARK.get_task(options | {"config": training}),
         algorithm_config=algorithm,
         model_config=MlpConfig.get_from_yaml(),
         critic_model_config=MlpConfig.get_from_yaml(),
