@@ -33,9 +33,8 @@ from carpark_mj.rendering.renderer import (
     Show,
     camera_names,
 )
-from carpark_mj.rendering.rollout import Recording, record
+from carpark_mj.rendering.rollout import Recording, record, recording_stage
 from carpark_mj.rendering.snapshot import Tracked, frames_per_second, num_frames
-from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 
@@ -198,15 +197,7 @@ def _open_output(config: RenderConfig, folder: Path) -> Path:
 def _renderer(
     config: RenderConfig, env: ParkingEnv, recording: Recording
 ) -> LotRenderer:
-    sizes = recording.parked_size
-    stage = Stage(
-        recording.layout,
-        env.vehicle,
-        recording.pose_w.shape[2],
-        recording.parked_pose.shape[1],
-        env.fleet.agents,
-        () if sizes is None else env.fleet.parked_vehicles(sizes),
-    )
+    stage = recording_stage(env, recording)
     size = (config.width, config.height)
     return LotRenderer(stage, config.camera, size, _show(config, env.config))
 

@@ -74,8 +74,8 @@ class SlotsConfig(LayoutConfig):
             isinstance(self.goal_slot, int) and 0 <= self.goal_slot <= last  # pyright: ignore[reportUnnecessaryIsInstance]
         ):
             raise ValueError(
-                f"goal_slot must be a whole number from 0 to {last}, or None for a "
-                f"random one, not {self.goal_slot!r}"
+                f"goal_slot must be a whole number from 0 to {last}, or random (None), "
+                f"not {self.goal_slot!r}"
             )
         positive(self, "half_corridor", "slot_width", "slot_length")
         if not (isinstance(self.start, tuple) and len(self.start) == 2):  # pyright: ignore[reportUnnecessaryIsInstance]

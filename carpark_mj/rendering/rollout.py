@@ -10,6 +10,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.rollout import CHUNK, evaluation_key
 from carpark_mj.layouts.types import Layout
 from carpark_mj.policy.networks import Policy, as_argument
+from carpark_mj.rendering.stage import Stage
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +54,19 @@ class Recording:
     size: np.ndarray | None = None
     parked_size: np.ndarray | None = None
     tracked_bays: np.ndarray | None = None
+
+
+def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
+    """The stage with the lot and the cars of a recording."""
+    sizes = recording.parked_size
+    return Stage(
+        recording.layout,
+        env.vehicle,
+        recording.pose_w.shape[2],
+        recording.parked_pose.shape[1],
+        env.fleet.agents,
+        () if sizes is None else env.fleet.parked_vehicles(sizes),
+    )
 
 
 def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Recording:

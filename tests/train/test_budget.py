@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import EnvConfig
+from learners.metrics_log import read_metrics
 from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum import schedule
 from learners.ppo.forecast import announcement, estimate
 from learners.ppo.learner import Learner
-from learners.ppo.metrics_log import read_metrics
 from learners.ppo.presets import PRESETS
 from learners.ppo.state import TrainingState
 from learners.ppo.train import train

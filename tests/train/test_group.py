@@ -16,11 +16,11 @@ from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.registry import TANNER_DYNAMIC, TANNER_FIXED
+from learners.metrics_log import read_metrics
 from learners.ppo.arguments import MAX_SEEDS, parse_seeds, read_runs
 from learners.ppo.config import PPOConfig
 from learners.ppo.group import GroupLearner, insert, make_learner, program
 from learners.ppo.learner import Learner
-from learners.ppo.metrics_log import read_metrics
 from learners.ppo.state import TrainingState
 from learners.ppo.train import MAX_SKIPPED, load_or_init, train
 from learners.settings import list_settings

@@ -3,6 +3,7 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from carpark_mj.policy.networks import NetworkConfig
 from learners.ppo.learner import Learner
 from learners.ppo.presets import PRESETS
 from learners.ppo.train import load_or_init, save
+from learners.ppo.warm_start import require_run
 
 KEY = jax.dtypes.prng_key
 NETWORKS = ("normalizer", "policy", "average", "value")
@@ -52,7 +54,7 @@ def test_networks_and_statistics_are_taken_and_the_rest_is_new(other, tmp_path):
         expected = theirs if name in NETWORKS else own
         found, wanted = (
             [
-                jax.random.key_data(x) if jax.dtypes.issubdtype(x.dtype, KEY) else x
+                jax.random.key_data(x) if jnp.issubdtype(x.dtype, KEY) else x
                 for x in jax.tree.leaves(getattr(tree, name))
             ]
             for tree in (state, expected)
@@ -77,8 +79,9 @@ def refused(tmp_path, error, match, **changes):
 
 def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
     folder = str(other[0])
-    # A pretrained policy has no critic.
-    refused(tmp_path, ValueError, "of a run, not 'square'", warm_start="square")
+    with pytest.raises(ValueError, match="of a run, not 'square'"):
+        require_run(dataclasses.replace(TINY, warm_start="square"))
+    require_run(dataclasses.replace(TINY, warm_start=folder))
     refused(tmp_path, CheckpointError, "no checkpoint", warm_start=str(tmp_path))
     refused(
         tmp_path,

@@ -156,11 +156,13 @@ class GroupLearner(Learner):
         run = copy.copy(self)
         run.config = insert(self.config, data)
         env = copy.copy(self.env.env)
-        # Rewards are paid by `ParkingEnv.step`, from its config.
-        rewards = {path: x for path, x in data.items() if path.startswith(ENV)}
-        env.config = insert(
-            env.config, {path.removeprefix(ENV): x for path, x in rewards.items()}
-        )
+        # `ParkingEnv.step` pays from its own config.
+        own = {
+            path.removeprefix(ENV): x
+            for path, x in data.items()
+            if path.startswith(ENV)
+        }
+        env.config = insert(env.config, own)
         run.env = BraxParking(env)
         return run.update(state)
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import jax
 
 from learners import hosts
+from learners.curve import plot_learning_curve
 from learners.memory import require_memory
 from learners.ppo.config import PPOConfig
-from learners.ppo.curve import plot_learning_curve
 from learners.ppo.group import make_learner
 from learners.ppo.train import Outcome, train
+from learners.ppo.warm_start import require_run
 from learners.run_folder import open_run
 
 
@@ -57,6 +58,9 @@ def train_runs(
         ValueError: impossible settings, or runs that cannot be side by side.
         CheckpointError: a checkpoint to resume from is damaged.
     """
+    for config in configs:
+        if not config.resume:
+            require_run(config)
     learner = make_learner(configs)  # refuses impossible lots before a folder is made
     require_memory(learner.least_memory() // jax.process_count())
     hosts.require_same(repr(configs))

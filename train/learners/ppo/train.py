@@ -14,10 +14,10 @@ from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from learners import hosts
 from learners.loop import Loop
+from learners.metrics_log import MetricsLog
 from learners.ppo.config import PPOConfig
 from learners.ppo.forecast import MEASURED_SECONDS, announcement, estimate
 from learners.ppo.learner import Learner
-from learners.ppo.metrics_log import MetricsLog
 from learners.ppo.state import TrainingState
 from learners.ppo.warm_start import warm_start
 from learners.settings import list_settings

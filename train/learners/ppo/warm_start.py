@@ -12,6 +12,20 @@ from learners.ppo.state import TrainingState
 TAKEN = ("normalizer", "policy", "average", "value")
 
 
+def require_run(config: PPOConfig) -> None:
+    """Refuses a warm start from what is no run.
+
+    Raises:
+        ValueError: there is nothing of that name. Pretrained policies are found by
+            name elsewhere, but have no critic.
+    """
+    if config.warm_start and not Path(config.warm_start).exists():
+        raise ValueError(
+            "warm_start must be the folder or a checkpoint of a run, not "
+            f"{config.warm_start!r}"
+        )
+
+
 def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
     """A state before the first update, with networks of the run `warm_start`.
 
@@ -21,15 +35,8 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
 
     Raises:
         CheckpointError: the run has no checkpoint, or other networks.
-        ValueError: there is no such run, or its agents observe or do something else.
+        ValueError: its agents observe or do something else.
     """
-    if not config.warm_start:
-        return state
-    if not Path(config.warm_start).exists():  # pretrained policies have no critic
-        raise ValueError(
-            "warm_start must be the folder or a checkpoint of a run, not "
-            f"{config.warm_start!r}"
-        )
-    path = load_policy(config.warm_start, env=config.env).path
+    path = load_policy(Path(config.warm_start), env=config.env).path
     template = {name: getattr(state, name) for name in TAKEN}
     return dataclasses.replace(state, **checkpoints.load(path, template))

@@ -6,7 +6,7 @@ from pathlib import Path
 from carpark_mj.policy import runs
 from learners.run_folder import open_run
 from learners.sac.config import SACConfig
-from learners.sac.pictures import plot_learning_curve, plot_matrix
+from learners.sac.pictures import plot_matrix, plot_phases
 from learners.sac.train import Training, train
 from learners.sac.transfer import Transfer, success_matrix, transfer
 
@@ -14,7 +14,7 @@ from learners.sac.transfer import Transfer, success_matrix, transfer
 def finish(training: Training) -> None:
     """Learning curve, success matrix, transfer and a video."""
     config, folder = training.config, training.folder
-    print(f"wrote {plot_learning_curve(folder)}")
+    print(f"wrote {plot_phases(folder)}")
     rows, phases = training.deployments, config.schedule
     matrices = {
         policy: success_matrix(rows, config.kinds, policy)

@@ -9,7 +9,7 @@ import jax
 
 from carpark_mj.policy import checkpoints, runs
 from learners.loop import Loop
-from learners.ppo.metrics_log import MetricsLog
+from learners.metrics_log import MetricsLog
 from learners.sac import agent as agents
 from learners.sac import replay
 from learners.sac.agent import Agent

@@ -13,9 +13,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.rollout import Recording, record
+from carpark_mj.rendering.rollout import Recording, record, recording_stage
 from carpark_mj.rendering.snapshot import num_frames
-from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.types import State
 from carpark_mj.wrappers.gymnasium_slots import shared_slots_env
@@ -72,16 +71,7 @@ def _draw(
     episode = cast(ParkingEnv, _Episode(parking))
     num_steps = max(1, round(seconds / parking.config.sim.ctrl_dt))
     recording = _until_still(record(episode, act, num_steps, seed))
-    sizes = recording.parked_size
-    stage = Stage(
-        recording.layout,
-        parking.vehicle,
-        recording.pose_w.shape[2],
-        recording.parked_pose.shape[1],
-        parking.fleet.agents,
-        () if sizes is None else parking.fleet.parked_vehicles(sizes),
-    )
-    renderer = LotRenderer(stage, "topdown", SIZE)
+    renderer = LotRenderer(recording_stage(parking, recording), "topdown", SIZE)
     try:
         stride = frame_stride(recording, FPS)
         for index in range(stride - 1, num_frames(recording), stride):

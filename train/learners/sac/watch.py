@@ -11,7 +11,7 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from learners.loop import Loop
-from learners.ppo.metrics_log import MetricsLog
+from learners.metrics_log import MetricsLog
 from learners.sac.config import SACConfig
 
 ROW = 1000  # transitions between rows of metrics
@@ -108,14 +108,15 @@ class Watch(BaseCallback):
             row[f"episode/{name}"] = float(np.mean(values)) if values else np.nan
         row |= {name: losses.get(f"train/{name}", np.nan) for name in _LOSSES}
         self._log.write(row)
+        success = f"{row['episode/success']:5.1%}" if self._ends else "    –"
+        crashed = f"{row['episode/crashed']:5.1%}" if self._ends else "    –"
         self._ends.clear()
         phases = self._config.schedule
         loop.show(
             progress.phase + progress.share(self._config),
             f"phase {progress.phase + 1}/{len(phases)}: {phases[progress.phase]}  "
             f"{progress.total:,} steps  {rate:,.0f} steps/s  "
-            f"[green]success {row['episode/success']:5.1%}[/]  "
-            f"[red]crashed {row['episode/crashed']:5.1%}[/]",
+            f"[green]success {success}[/]  [red]crashed {crashed}[/]",
         )
 
 

@@ -1,4 +1,4 @@
-"""Log of a PPO run: `metrics.csv` and TensorBoard."""
+"""Log of a run: `metrics.csv` and TensorBoard."""
 
 import csv
 import math
