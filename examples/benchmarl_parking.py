@@ -30,6 +30,7 @@ from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
 UNROLL = 64  # steps of a lot between updates
+LARGEST_MINIBATCH = 4096  # steps of a lot
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Settings:
         parked_cars: in every lot.
         layout: of the lots.
         frames: steps of lots to train for, each a step of all its agents.
-        lots: simulated at once; default 1024 on a GPU, else 32.
+        lots: simulated at once; default 4096 on a GPU, else 32.
         evaluations: during training, the last one at its end.
         seed: of training; the held-out lots have another.
         out: folder of the results.
@@ -95,17 +96,17 @@ def experiment_config(settings: Settings, folder: Path) -> ExperimentConfig:
     device = "cuda:0" if torch.cuda.is_available() else "cpu"
     if device == "cpu":
         torch.set_num_threads(1)  # JAX has the other core
-    lots = settings.lots or (32 if device == "cpu" else 1024)
+    lots = settings.lots or (32 if device == "cpu" else 4096)
     batch = lots * UNROLL
     updates = max(1, round(settings.frames / batch / settings.evaluations))
     config = ExperimentConfig.get_from_yaml()
     config.sampling_device = config.train_device = config.buffer_device = device
-    config.lr, config.clip_grad_val, config.adam_eps = 5e-4, 1.0, 1e-5
+    config.lr, config.clip_grad_val, config.adam_eps = 1e-3, 1.0, 1e-5
     config.max_n_frames = updates * settings.evaluations * batch
     config.on_policy_n_envs_per_worker = config.off_policy_n_envs_per_worker = lots
     config.on_policy_collected_frames_per_batch = batch
     config.on_policy_n_minibatch_iters = 4
-    config.on_policy_minibatch_size = batch // 16
+    config.on_policy_minibatch_size = min(batch // 16, LARGEST_MINIBATCH)
     config.off_policy_collected_frames_per_batch = batch
     config.off_policy_n_optimizer_steps = 128
     config.off_policy_train_batch_size = 1024

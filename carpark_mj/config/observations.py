@@ -77,11 +77,16 @@ class ShareConfig:
         goals: observe the goals of tracked agents: positions of fixed goals, and which
             of the observer's tracked bays a dynamic goal is.
         goal_headings: also observe the headings of their goals; fixed goals only.
+        steering: observe the steering of tracked agents.
+        order: observe which tracked agents come before the own car in the lot's order,
+            so that two agents of the same policy that meet can act differently.
     """
 
     speeds: bool = True
     goals: bool = True
     goal_headings: bool = False
+    steering: bool = False
+    order: bool = False
 
     def __post_init__(self) -> None:
         if self.goal_headings and not self.goals:
@@ -182,6 +187,9 @@ class TannerObservation:
             choose("bay part", part, BayPart)
         if len(set(self.bay_parts)) < len(self.bay_parts):
             raise ValueError(f"bay_parts must be different, not {self.bay_parts}")
+        for name in ("steering", "order"):
+            if getattr(self.share, name):
+                raise ValueError(f"share.{name} needs the continuous encoding")
 
 
 @dataclasses.dataclass(frozen=True)

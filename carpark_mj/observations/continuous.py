@@ -113,6 +113,12 @@ def _shared_fields(config: ContinuousObservation, num_tracked_bays: int) -> list
     if config.share.goal_headings:
         meaning = "cos and sin of its goal's minus own"
         fields.append(Field("goal_heading", 2, -1.0, 1.0, meaning))
+    if config.share.steering:
+        meaning = "its road-wheel angle [its limit], left > 0"
+        fields.append(Field("steering", 1, -1.0, 1.0, meaning))
+    if config.share.order:
+        meaning = "1 if its number in the lot is lower than the own, else 0"
+        fields.append(Field("order", 1, 0.0, 1.0, meaning))
     return fields
 
 
@@ -146,6 +152,12 @@ def _shared_values(
         if config.share.goal_headings:
             yaw = local[..., 2]
             shared["goal_heading"] = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
+    if config.share.steering:
+        steering = motion.steering / state.physics.vehicle.max_steering
+        shared["steering"] = steering[index][..., None]
+    if config.share.order:
+        before = index < jnp.arange(index.shape[0])[:, None]
+        shared["order"] = before[..., None].astype(jnp.float32)
     return shared
 
 

@@ -41,6 +41,11 @@ DYNAMIC = GoalConfig(dynamic=True)
         (ViewConfig, {"diameter": 0.0}, "view diameter must be positive .* not 0.0"),
         (ViewConfig, {"diameter": math.inf}, "must be positive or None, not inf"),
         (ShareConfig, {"goals": False, "goal_headings": True}, "needs share.goals"),
+        (
+            TannerObservation,
+            {"share": ShareConfig(steering=True)},
+            "share.steering needs the continuous encoding",
+        ),
         (RayConfig, {"count": -1}, "count must be at least 0, not -1"),
         (RayConfig, {"reach": 0.0}, "reach must be positive, not 0.0"),
         (ContinuousObservation, {"tracked_agents": -1}, "tracked_agents must be at"),

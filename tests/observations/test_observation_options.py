@@ -109,6 +109,27 @@ def test_fixed_goals_with_headings_and_rivals_by_hand():
     check(named, 0, expected)
 
 
+def test_steering_and_order_of_others_by_hand():
+    config = ContinuousObservation(share=ShareConfig(steering=True, order=True))
+    motion = dataclasses.replace(THREE, steering=jnp.array([0.1, -0.2, 0.3]))
+    named = observed(config, BAYS, motion, [0, 1, 2])
+    limit = 0.3 / named["steering"][2]
+    # The middle one tracks the others, nearest first.
+    order = [int(named[f"agent_{k}_order"][1, 0]) for k in range(2)]
+    steering = [float(named[f"agent_{k}_steering"][1, 0] * limit[0]) for k in range(2)]
+    assert sorted(zip(order, np.round(steering, 5), strict=True)) == [
+        (0, 0.3),
+        (1, 0.1),
+    ]
+    for k in range(2):  # nobody comes before the first, all before the last
+        assert named[f"agent_{k}_order"][0] == 0.0
+        assert named[f"agent_{k}_order"][2] == 1.0
+    alone = dataclasses.replace(config, view=ViewConfig(diameter=0.1))
+    alone = observed(alone, BAYS, motion, [0, 1, 2])
+    assert not alone["agent_0_order"].any()
+    assert not alone["agent_0_steering"].any()
+
+
 def test_chosen_goals_by_hand():
     config = ContinuousObservation(rings=RingConfig(), global_information=True)
     bays = [[2, 0], [1, NONE], [NONE, 2]]
@@ -296,7 +317,8 @@ def scene(count=6):
 
 @pytest.mark.parametrize("chosen", [False, True])
 def test_motions_and_the_order_of_others_change_nothing(chosen):
-    config = dataclasses.replace(RICH, share=ShareConfig(goal_headings=not chosen))
+    share = ShareConfig(goal_headings=not chosen, steering=True)
+    config = dataclasses.replace(RICH, share=share)
     layout, motion, goal, parked, bays, history = scene()
     if not chosen:
         bays, goal = None, np.arange(6)

@@ -6,14 +6,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.training.types import UInt64
 
-from carpark_mj.config import ContinuousObservation, EnvConfig, SimConfig
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    ShareConfig,
+    SimConfig,
+)
+from carpark_mj.observations import make_fields
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.policy.normalizer import update_normalizer
 from learners.ppo.learner import Learner
 from learners.ppo.presets import PRESETS
 from learners.ppo.train import load_or_init, save
 from learners.ppo.warm_start import require_run
+from learners.ppo.widening import widen
 
 KEY = jax.dtypes.prng_key
 NETWORKS = ("normalizer", "policy", "average", "value")
@@ -72,6 +81,96 @@ def test_a_resumed_run_goes_on_from_its_own_checkpoint(other, tmp_path):
     jax.tree.map(np.testing.assert_array_equal, state.policy, own.policy)
 
 
+WIDER = dataclasses.replace(
+    TINY,
+    env=dataclasses.replace(
+        TINY.env,
+        observation=ContinuousObservation(
+            own_car=True, lines=True, share=ShareConfig(steering=True, order=True)
+        ),
+    ),
+)
+NEW = {
+    "own_size",
+    "own_wheelbase",
+    "own_rear_axle",
+    "own_turning_radius",
+    "line_room",
+    "agent_0_steering",
+    "agent_0_order",
+}
+
+
+def columns(config, keep=None):
+    """Columns of the observation vector whose fields are `keep`, or all."""
+    fields = make_fields(config.env)
+    starts = np.cumsum([0, *(field.size for field in fields)])
+    return np.concatenate(
+        [
+            np.arange(starts[k], starts[k + 1])
+            for k, field in enumerate(fields)
+            if keep is None or keep(field.name)
+        ]
+    )
+
+
+def test_agents_that_observe_more_act_as_before_and_learn_from_it(other, tmp_path):
+    folder, theirs = other
+    config = dataclasses.replace(WIDER, warm_start=str(folder))
+    narrow, wide = Learner(TINY), Learner(config)
+    state = jax.device_get(load_or_init(wide, [tmp_path]))
+    kept = columns(WIDER, lambda name: name not in NEW)
+    rng = np.random.default_rng(1)
+    more = rng.uniform(-1, 1, (50, columns(WIDER).size)).astype(np.float32)
+    less = more[:, kept]
+    assert less.shape[1] == columns(TINY).size < more.shape[1]
+    for network, params in (
+        ("policy", "policy"),
+        ("policy", "average"),
+        ("value",) * 2,
+    ):
+        before, after = (
+            getattr(learner.networks, f"{network}_network").apply(
+                each.normalizer, getattr(each, params), observation
+            )
+            for learner, each, observation in (
+                (narrow, theirs, less),
+                (wide, state, more),
+            )
+        )
+        np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-5)
+
+    def loss(params):
+        out = wide.networks.value_network.apply(state.normalizer, params, more)
+        return jnp.sum(out**2)
+
+    slope = jax.grad(loss)(state.value)["params"]["SetEncoder_0"]["own"]["kernel"]
+    assert (jnp.abs(slope).max(axis=1) > 0).all()
+
+
+def test_statistics_of_new_fields_have_unit_variance_and_go_on(other):
+    _, theirs = other
+    count = UInt64(hi=np.uint32(0), lo=np.uint32(10_000))
+    seen = {
+        part: state.replace(count=count, std_eps=0.0)
+        for part, state in theirs.normalizer.items()
+    }
+    wide = widen(WIDER, TINY.env, {"normalizer": seen})["normalizer"]
+    inputs = Learner(WIDER).inputs
+    names = [
+        f.name for f in make_fields(WIDER.env) if not f.group for _ in range(f.size)
+    ]
+    new = np.isin(names, sorted(NEW))
+    np.testing.assert_array_equal(wide["own"].mean[new], 0.0)
+    np.testing.assert_array_equal(wide["own"].std[new], 1.0)
+    np.testing.assert_array_equal(wide["own"].std[~new], theirs.normalizer["own"].std)
+    observed = np.full((10_000, inputs.size), 3.0, np.float32)
+    again = update_normalizer(inputs, wide, observed)["own"]
+    # Half of the numbers seen are 3, the others were of mean 0 and variance 1.
+    np.testing.assert_allclose(again.mean[new], 1.5, rtol=1e-4)
+    np.testing.assert_allclose(again.std[new] ** 2, 0.5 + 1.5**2, rtol=1e-3)
+
+
 def refused(tmp_path, error, match, **changes):
     with pytest.raises(error, match=match):
         load_or_init(Learner(dataclasses.replace(TINY, **changes)), [tmp_path])
@@ -93,9 +192,36 @@ def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
     refused(
         tmp_path,
         ValueError,
-        r"was trained on other observations",
+        r"was trained on other observations: agent_0_goal",
         warm_start=folder,
         env=dataclasses.replace(
-            TINY.env, observation=ContinuousObservation(own_car=True)
+            TINY.env,
+            observation=ContinuousObservation(
+                own_car=True, share=ShareConfig(goals=False)
+            ),
         ),
+    )
+    refused(
+        tmp_path,
+        ValueError,
+        r"was trained on other observations \(",
+        warm_start=folder,
+        env=dataclasses.replace(
+            TINY.env, observation=ContinuousObservation(share=ShareConfig(goals=False))
+        ),
+    )
+    refused(
+        tmp_path,
+        ValueError,
+        r"was trained without agent_0_order, .*; only a set encoder",
+        warm_start=folder,
+        networks=NetworkConfig((16,), (16,), encoder="flat"),
+        env=WIDER.env,
+    )
+    refused(
+        tmp_path,
+        ValueError,
+        r"was trained for other actions",
+        warm_start=folder,
+        env=dataclasses.replace(WIDER.env, physics="grid", sim=SimConfig()),
     )

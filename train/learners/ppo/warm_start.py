@@ -2,11 +2,20 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
+import jax
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.mdp.actions import action_spec
+from carpark_mj.observations import make_fields
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.loading import load_policy
+from carpark_mj.policy.networks import make_networks, network_inputs
+from carpark_mj.policy.normalizer import init_normalizer
 from learners.ppo.config import PPOConfig
 from learners.ppo.state import TrainingState
+from learners.ppo.widening import new_fields, widen
 
 # What a run takes over; optimizer, schedules, lots and counters are its own.
 TAKEN = ("normalizer", "policy", "average", "value")
@@ -29,14 +38,43 @@ def require_run(config: PPOConfig) -> None:
 def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
     """A state before the first update, with networks of the run `warm_start`.
 
+    Where agents observe more than those of that run, see `widen`.
+
     Args:
         config: of the training.
         state: as it would begin otherwise.
 
     Raises:
         CheckpointError: the run has no checkpoint, or other networks.
-        ValueError: its agents observe or do something else.
+        ValueError: its agents do something else, or observe what ours do not.
     """
-    path = load_policy(Path(config.warm_start), env=config.env).path
-    template = {name: getattr(state, name) for name in TAKEN}
-    return dataclasses.replace(state, **checkpoints.load(path, template))
+    run = load_policy(Path(config.warm_start))
+    if not new_fields(config, run.env):
+        path = load_policy(Path(config.warm_start), env=config.env).path
+        template = {name: getattr(state, name) for name in TAKEN}
+        return dataclasses.replace(state, **checkpoints.load(path, template))
+    if action_spec(run.env) != action_spec(config.env):
+        raise ValueError(
+            f"{config.warm_start} was trained for other actions "
+            f"({action_spec(run.env)}) than this environment's "
+            f"({action_spec(config.env)})"
+        )
+    taken = checkpoints.load(run.path, _template(config, run.env))
+    return dataclasses.replace(state, **widen(config, run.env, taken))
+
+
+def _template(config: PPOConfig, env: EnvConfig) -> dict[str, Any]:
+    """Shapes of what is taken from a run in `env` with the networks of `config`."""
+    fields = make_fields(env)
+    networks = make_networks(config.networks, fields, action_spec(env))
+
+    def init() -> dict[str, Any]:
+        policy = networks.policy_network.init(jax.random.key(0))
+        return {
+            "normalizer": init_normalizer(network_inputs(config.networks, fields)),
+            "policy": policy,
+            "average": policy,
+            "value": networks.value_network.init(jax.random.key(0)),
+        }
+
+    return jax.eval_shape(init)
