@@ -48,6 +48,7 @@ from carpark_mj.config import (
     RewardConfig,
     RingConfig,
     SensorConfig,
+    ShareConfig,
     SimConfig,
     SpawnConfig,
     TannerObservation,
@@ -163,10 +164,20 @@ ANYWHERE = EnvConfig(
     jitter=JitterConfig(along=(-0.3, 0.3), across=(-0.1, 0.1), heading=(-0.05, 0.05)),
     episode=EpisodeConfig(max_steps=300),  # 60 s: lots of up to 100 m
     reward=RewardConfig(
-        park=8.0, progress=0.4, route=True, alignment=1.0, closeness=0.0
+        park=8.0,
+        progress=0.4,
+        route=True,
+        reeds_shepp=20.0,
+        alignment=0.0,
+        closeness=0.0,
     ),
     observation=ContinuousObservation(
-        tracked_agents=7, tracked_parked_cars=6, own_car=True, route=True
+        tracked_agents=7,
+        tracked_parked_cars=6,
+        share=ShareConfig(steering=True, order=True),
+        own_car=True,
+        lines=True,
+        route=True,
     ),
     # [est] of loaded or worn cars on a dry or wet surface.
     randomization=RandomizationConfig(

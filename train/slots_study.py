@@ -6,7 +6,8 @@
     python train/slots_study.py --all --preset pandita # the thesis's settings
 
 Every training is a run of `train/sac.py` in `runs/slots_study`, on a core of its own;
-`report.md` there has what is done, `matrix-NAME.png` success by phase and kind of lot.
+`report.md` there has what is done, `matrix-NAME.png` success by phase and kind of lot,
+`curves.png` success in training.
 """
 
 import dataclasses
@@ -19,6 +20,7 @@ from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import at_least, positive, whole
 from learners.sac.config import SACPreset
 from studies.slots import EXPERIMENTS, SlotsExperiment, slots_experiment
+from studies.slots_curves import write_curves
 from studies.slots_jobs import Job, make_job, run_jobs
 from studies.slots_report import read_deployments, write_matrix, write_report
 
@@ -66,16 +68,25 @@ def describe() -> None:
 
 
 def report(folder: Path, jobs: dict[SlotsExperiment, list[Job]]) -> Path:
-    """Writes the table and the matrices of what is done."""
-    results = {
-        experiment: [read_deployments(job) for job in runs if job.is_done]
+    """Writes the table, the matrices and the learning curves of what is done."""
+    done = {
+        experiment: [job for job in runs if job.is_done]
         for experiment, runs in jobs.items()
     }
-    results = {experiment: runs for experiment, runs in results.items() if runs}
+    done = {experiment: runs for experiment, runs in done.items() if runs}
+    results = {
+        experiment: [read_deployments(job) for job in runs]
+        for experiment, runs in done.items()
+    }
     path = folder / "report.md"
     write_report(path, results)
     for experiment, runs in results.items():
         write_matrix(folder / f"matrix-{experiment.name}.png", experiment, runs)
+    folders = {
+        experiment: [job.folder for job in runs] for experiment, runs in done.items()
+    }
+    if folders:
+        write_curves(folder / "curves.png", folders)
     return path
 
 

@@ -12,6 +12,7 @@ import pytest
 from learners.sac.config import SACConfig
 from studies import slots_jobs
 from studies.slots import EXPERIMENTS, Claim, slots_experiment
+from studies.slots_curves import draw_curves, write_curves
 from studies.slots_jobs import Job, make_job, run_jobs
 from studies.slots_report import KINDS, final_success, verdict, write_report
 
@@ -39,6 +40,15 @@ def test_experiments_that_train_alike_share_a_run(tmp_path):
     assert folder("7") == folder("9")
     others = [folder(name) for name in ("2", "7", "10", "rehearsal-5", "clear")]
     assert len({*others, folder("2", seed=1)}) == 6
+
+
+def test_every_run_has_a_log_of_its_own(tmp_path):
+    jobs = {
+        make_job(slots_experiment(name), "study", 1.0, seed, tmp_path)
+        for name in ("10", "rehearsal-5", "rehearsal-20")
+        for seed in (0, 1)
+    }
+    assert len({job.log for job in jobs}) == len(jobs) == 6
 
 
 def test_a_job_begins_a_run_and_then_continues_it(tmp_path):
@@ -72,14 +82,14 @@ def test_jobs_run_on_a_core_each_and_failures_are_told(tmp_path, monkeypatch, ca
     said = capsys.readouterr().out
     assert "good: stopped, to be continued" in said
     assert "bad: failed with exit code 3, see" in said
-    cores = good.folder.with_suffix(".log").read_text()
+    cores = good.log.read_text()
     assert len(os.sched_getaffinity(0)) == 1 or "," not in cores
 
 
 def test_no_job_begins_when_the_time_is_nearly_over(tmp_path):
     job = scripted(tmp_path / "late", "")
     assert run_jobs([job], workers=1, minutes=slots_jobs.LEAST / 2) == []
-    assert not job.folder.with_suffix(".log").exists()
+    assert not job.log.exists()
 
 
 INTERRUPTED = """
@@ -145,3 +155,25 @@ def test_the_table_has_what_is_left_after_the_last_phase(tmp_path):
     line = path.read_text().splitlines()[2]
     assert "| 100% (57% to 100%), sampled 100% |" in line
     assert line.endswith("| -1.00 | agrees |")
+
+
+def test_curves_have_a_line_for_each_run_and_the_ends_of_phases(tmp_path):
+    runs = {}
+    for name, count in (("2", 2), ("10", 1)):
+        runs[slots_experiment(name)] = [tmp_path / f"{name}-{k}" for k in range(count)]
+    header = "update,env_steps,episodes,episode/success"
+    for folder in [folder for folders in runs.values() for folder in folders]:
+        folder.mkdir()
+        # Nothing ended in the first update; its rate is not a rate.
+        rows = ["1,1000,0,0.5", "2,2000,10,0.0", "3,4000,30,0.4"]
+        (folder / "metrics.csv").write_text("\n".join([header, *rows, ""]))
+    panels = draw_curves(runs).axes
+    assert [len(axes.lines) for axes in panels[:2]] == [2, 1 + 1]
+    for line in panels[0].lines:
+        assert list(line.get_xdata()) == [2.0, 4.0]
+        assert list(line.get_ydata()) == pytest.approx([0.0, 0.3])  # by episodes
+    assert [axes.axison for axes in panels] == [True, True, False, False]
+    switch = panels[1].lines[-1].get_xdata()
+    assert list(switch) == [2.0, 2.0]  # half of the steps each
+    path = write_curves(tmp_path / "curves.png", runs)
+    assert path.read_bytes().startswith(b"\x89PNG")

@@ -37,6 +37,11 @@ class Job:
         """Whether the run came to its end."""
         return (self.folder / "evaluation.json").exists()
 
+    @property
+    def log(self) -> Path:
+        """What the run prints."""
+        return self.folder.with_name(f"{self.folder.name}.log")
+
     def command(self, minutes: float) -> list[str]:
         """Begins or continues the run, for some minutes at most; 0 = no limit."""
         limit = ["--time-limit", f"{minutes:.2f}"]
@@ -122,7 +127,7 @@ def _wait(threads: Sequence[threading.Thread]) -> None:
 def _run(job: Job, core: int, minutes: float) -> int:
     job.folder.parent.mkdir(parents=True, exist_ok=True)
     environment = {**os.environ, **dict.fromkeys(_THREADS, "1")}
-    with job.folder.with_suffix(".log").open("a") as log:
+    with job.log.open("a") as log:
         process = subprocess.Popen(
             job.command(minutes), stdout=log, stderr=log, env=environment
         )
@@ -132,5 +137,5 @@ def _run(job: Job, core: int, minutes: float) -> int:
 
 def _outcome(job: Job, code: int) -> str:
     if code:
-        return f"failed with exit code {code}, see {job.folder.with_suffix('.log')}"
+        return f"failed with exit code {code}, see {job.log}"
     return "done" if job.is_done else "stopped, to be continued"
