@@ -53,9 +53,9 @@ class Settings:
     agents: int = 4
     parked_cars: int = 16
     layout: str = "tanner"
-    frames: int = 16_000_000
+    frames: int = 24_000_000
     lots: int | None = None
-    evaluations: int = 20
+    evaluations: int = 10
     seed: int = 0
     out: Path = Path("runs/benchmarl")
 

@@ -34,7 +34,7 @@ from carpark_mj.policy.runs import (
 )
 
 # Settings of a run that say where it lay, which a policy alone does not keep.
-FOLDER_SETTINGS = ("name", "runs_dir", "resume")
+FOLDER_SETTINGS = ("name", "runs_dir", "resume", "warm_start")
 
 
 @dataclasses.dataclass(frozen=True)

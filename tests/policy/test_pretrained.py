@@ -17,6 +17,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import observation_size
 from carpark_mj.policy import checkpoints, loading, pretrained, runs
 from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.loading import FOLDER_SETTINGS
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.pretrained import find_policy, pretrained_names
 from learners.ppo.config import PPOConfig
@@ -109,7 +110,7 @@ def test_it_holds_nothing_that_only_training_needs(run, shipped):
     assert path.stat().st_size < runs.latest_checkpoint(run).stat().st_size
     header = checkpoints.read_header(path)
     assert header["config"]["seed"] == 7
-    assert not {"name", "runs_dir", "resume"} & {*header["config"]}
+    assert not {*FOLDER_SETTINGS} & {*header["config"]}
 
 
 def test_a_policy_alone_can_be_saved_again_as_it_is(shipped, tmp_path):
