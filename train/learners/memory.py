@@ -22,11 +22,12 @@ def device_memory() -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def require_memory(needed: int) -> None:
+def require_memory(needed: int, largest: str = "num_lots") -> None:
     """Refuses what needs more memory than there is.
 
     Args:
         needed: memory needed at least [bytes].
+        largest: the setting to lower first.
 
     Raises:
         ValueError: there are fewer.
@@ -35,5 +36,6 @@ def require_memory(needed: int) -> None:
     if needed > available:
         raise ValueError(
             f"these sizes need {needed / 2**30:.3g} GiB of memory at least, there are "
-            f"{available / 2**30:.3g} GiB: lower num_lots, or the largest of the others"
+            f"{available / 2**30:.3g} GiB: lower {largest}, or the largest of "
+            "the others"
         )

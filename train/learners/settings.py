@@ -110,7 +110,10 @@ def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> s
     width = max(map(len, presets))
     lines: list[str] = []
     for name, config in presets.items():
-        env: EnvConfig = config.env
+        env: EnvConfig | None = getattr(config, "env", None)
+        if env is None:  # of no car park
+            lines.append(f"    {name:{width}}  {summaries[name]}")
+            continue
         goals = "dynamic" if env.goals.dynamic else "fixed"
         lines.append(
             f"    {name:{width}}  {summaries[name]}: {env.num_agents} "

@@ -1,0 +1,1 @@
+"""Independent deep Q-learning at the junction."""
