@@ -15,11 +15,7 @@ checkpoint and stops; a second one stops at once.
 import sys
 from collections.abc import Sequence
 
-from carpark_mj.cli.common import (
-    enable_output_fusion,
-    keep_compiled_programs,
-    run_command,
-)
+from carpark_mj.cli.common import keep_compiled_programs, run_command
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
@@ -51,7 +47,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    enable_output_fusion()
+    # Without `enable_output_fusion`: XLA of jaxlib 0.10.2 aborts on the program.
     keep_compiled_programs()
     return run_command("junction", lambda: run(arguments))
 

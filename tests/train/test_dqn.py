@@ -1,0 +1,148 @@
+"""Deep Q-learning at the junction: targets, and small runs end to end."""
+
+import csv
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rlax", reason='pip install ".[junction]"')
+pytest.importorskip("flashbax", reason='pip install ".[junction]"')
+
+import jax
+import jax.numpy as jnp
+
+import junction
+from carpark_mj.policy import runs
+from learners.dqn.config import DQNConfig
+from learners.dqn.learner import DQNLearner
+from learners.dqn.networks import QNetwork, to_agents, to_learners
+from learners.dqn.train import load_or_init, train
+from learners.dqn.update import Transition, td_errors
+from learners.run_folder import open_run
+
+TINY = DQNConfig(
+    name="tiny",
+    hidden=(8,),
+    num_junctions=4,
+    total_steps=80,
+    eval_period=40,
+    eval_episodes=2,
+    random_steps=8,
+    batch_size=4,
+    buffer_size=64,
+    updates=1,
+)
+
+VALUES = jnp.array([[1.0, 2.0, 3.0, 4.0], [0.0, 5.0, 0.0, 0.0]])
+TARGET_AFTER = jnp.array([[10.0, 20.0, 30.0, 0.0], [7.0, 7.0, 7.0, 7.0]])
+ONLINE_AFTER = jnp.array([[9.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+BATCH = Transition(
+    observation=jnp.zeros((2, 1)),
+    action=jnp.array([2, 1]),
+    reward=jnp.array([1.0, -10.0]),
+    discount=jnp.array([0.5, 0.0]),  # the second episode ended
+    next_observation=jnp.zeros((2, 1)),
+    valid=jnp.ones(2, bool),
+)
+
+
+def read_csv(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def learner():
+    return DQNLearner(TINY)
+
+
+def test_targets_of_plain_q_learning_are_the_largest_values_of_the_target_network():
+    # 1 + 0.5 * 30 - 3, and -10 - 5
+    errors = td_errors(BATCH, VALUES, TARGET_AFTER, None)
+    np.testing.assert_allclose(errors, [13.0, -15.0])
+
+
+def test_targets_of_double_q_learning_are_of_the_action_the_online_network_prefers():
+    # 1 + 0.5 * 10 - 3
+    errors = td_errors(BATCH, VALUES, TARGET_AFTER, ONLINE_AFTER)
+    np.testing.assert_allclose(errors, [3.0, -15.0])
+
+
+def test_targets_are_constants_of_the_gradient():
+    def loss(after):
+        return td_errors(BATCH, VALUES, after, None).sum()
+
+    np.testing.assert_array_equal(jax.grad(loss)(TARGET_AFTER), 0.0)
+
+
+@pytest.mark.parametrize("networks", [1, 3])
+def test_what_is_sorted_by_network_comes_back_in_order(networks):
+    x = jnp.arange(5 * 3 * 2).reshape(5, 3, 2)
+    there = to_learners(x, networks)
+    assert there.shape == (networks, 15 // networks, 2)
+    np.testing.assert_array_equal(to_agents(there, 3), x)
+
+
+def test_dueling_advantages_have_a_mean_of_zero():
+    network = QNetwork(hidden=(4,), dueling=True)
+    params = network.init(jax.random.key(0), jnp.ones(6))
+    heads = params["params"]
+    values = network.apply(params, jnp.ones(6))
+    no_value = dict(heads) | {"Dense_2": jax.tree.map(jnp.zeros_like, heads["Dense_2"])}
+    assert abs(values.mean()) > 1e-3
+    rest = network.apply({"params": no_value}, jnp.ones(6))
+    np.testing.assert_allclose(rest.mean(), 0.0, atol=1e-6)
+
+
+def test_a_stopped_run_goes_on_to_what_an_unbroken_one_finds(learner, tmp_path):
+    whole = dataclasses.replace(TINY, runs_dir=str(tmp_path))
+    with open_run(whole) as folder:
+        assert train(whole, learner, folder)
+    parts = dataclasses.replace(whole, name="parts")
+    with open_run(parts) as other:
+        stopping = dataclasses.replace(parts, time_limit=1e-9)
+        assert not train(stopping, learner, other)
+        assert load_or_init(learner, other).chunks == 0
+        assert not train(parts, StopAfterOne(learner), other)
+        assert load_or_init(learner, other).chunks == 1
+        assert train(parts, learner, other)
+    for name in ("evaluations.csv", "metrics.csv"):
+        assert (folder / name).read_text() == (other / name).read_text()
+    rows = read_csv(folder / "evaluations.csv")
+    assert [row["env_steps"] for row in rows] == ["0", "40", "80"]
+    run = load_or_init(learner, folder)
+    np.testing.assert_array_equal(run.training.learners.updates, [18, 18])
+    assert (folder / "learning_curve.png").exists()
+    assert runs.checkpoint_files(folder)
+
+
+class StopAfterOne:
+    """A learner during whose first chunk the user presses Ctrl-C."""
+
+    def __init__(self, learner):
+        self.config, self.init = learner.config, learner.init
+        self.evaluate, self._advance = learner.evaluate, learner.advance
+
+    def advance(self, training):
+        import signal
+
+        signal.raise_signal(signal.SIGINT)
+        return self._advance(training)
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--scenario", "4av"], ["4av", "3av-hd"]),
+        (["--algorithm", "ppo"], ["ppo", "dueling-double-dqn"]),
+        (["--buffer-size", "10"], ["buffer_size", "at least 256", "10"]),
+        (["--eval-jitter", "20"], ["jitter", "at most", "20"]),
+        (["--resume", "nowhere"], ["no run at nowhere"]),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(flags, words, capsys):
+    assert junction.main(flags) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert all(word in line for word in words)
