@@ -36,6 +36,8 @@ from carpark_mj.registry import ENVIRONMENTS, TANNER_FIXED
 from carpark_mj.vehicle import PRESETS
 from learners.hosts import read_hosts
 from learners.ppo.arguments import read_runs
+from learners.dqn.config import DQNConfig
+from learners.dqn.presets import DQN_PRESETS
 from learners.ppo.config import PPOConfig
 from learners.ppo.presets import PRESETS as PPO_PRESETS
 from learners.q_learning.config import QLearningConfig
@@ -63,6 +65,7 @@ COMMANDS = {
     "train/ppo.py": PPOConfig,
     "train/q_learning.py": QLearningConfig,
     "train/sac.py": SACConfig,
+    "train/junction.py": DQNConfig,
     "train/export.py": ExportConfig,
     "train/study.py": StudyConfig,
     "train/sweep.py": SweepConfig,

@@ -5,14 +5,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from carpark_mj.junction import JunctionEnv
 from carpark_mj.junction.actions import ACTIONS
 from carpark_mj.junction.evaluation import Outcomes, evaluate, evaluation_env
-from carpark_mj.junction.types import State
 from learners.dqn.config import DQNConfig
 from learners.dqn.networks import make_network, to_agents, to_learners
+from learners.dqn.state import Report, Training
 from learners.dqn.update import (
     Learner,
     Transition,
@@ -20,43 +19,6 @@ from learners.dqn.update import (
     make_optimizer,
     update,
 )
-
-
-@struct.dataclass
-class Training:
-    """A training under way.
-
-    Attributes:
-        state: (num_junctions,) of the junctions.
-        observation: (num_junctions, agents, ...).
-        learners: (networks,).
-        buffers: (networks,).
-        steps: () int32 control steps made at each junction.
-        key: randomness.
-    """
-
-    state: State
-    observation: jax.Array
-    learners: Learner
-    buffers: Any
-    steps: jax.Array
-    key: jax.Array
-
-
-@struct.dataclass
-class Report:
-    """What happened in a chunk.
-
-    Attributes:
-        episodes: () int32 that ended.
-        returned: () sum of their returns, of all agents.
-        loss: () mean squared error of the last step, mean over networks; 0 before
-            learning begins.
-    """
-
-    episodes: jax.Array
-    returned: jax.Array
-    loss: jax.Array
 
 
 class DQNLearner:

@@ -11,7 +11,8 @@ from carpark_mj.junction.evaluation import summarize
 from carpark_mj.policy import checkpoints, runs
 from learners.dqn.config import DQNConfig
 from learners.dqn.curve import plot_evaluations, summary
-from learners.dqn.learner import DQNLearner, Report, Training
+from learners.dqn.learner import DQNLearner
+from learners.dqn.state import Report, Training
 from learners.loop import Loop
 from learners.ppo.metrics_log import MetricsLog
 

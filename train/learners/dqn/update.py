@@ -1,5 +1,8 @@
 """The buffer of a Q-network and one gradient step."""
 
+# Extras that the type checker does without.
+# pyright: reportMissingImports=false, reportUntypedFunctionDecorator=false
+
 from typing import Any
 
 import flashbax
