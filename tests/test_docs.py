@@ -34,10 +34,10 @@ from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table, observation_size
 from carpark_mj.registry import ENVIRONMENTS, TANNER_FIXED
 from carpark_mj.vehicle import PRESETS
-from learners.hosts import read_hosts
-from learners.ppo.arguments import read_runs
 from learners.dqn.config import DQNConfig
 from learners.dqn.presets import DQN_PRESETS
+from learners.hosts import read_hosts
+from learners.ppo.arguments import read_runs
 from learners.ppo.config import PPOConfig
 from learners.ppo.presets import PRESETS as PPO_PRESETS
 from learners.q_learning.config import QLearningConfig
@@ -267,6 +267,7 @@ def preset(config, arguments):
         PPOConfig: PPO_PRESETS,
         QLearningConfig: Q_PRESETS,
         SACConfig: SAC_PRESETS,
+        DQNConfig: DQN_PRESETS,
     }.get(config)
     if not presets or "--preset" not in arguments:
         return None
