@@ -1,15 +1,17 @@
-"""Trains automated cars to cross the junction by independent deep Q-learning.
+"""Trains automated cars to cross the junction.
 
-    python train/junction.py                                      # runs/parallel-0
-    python train/junction.py --scenario 3av-hd --algorithm dqn
-    python train/junction.py --shared --observation image         # one network for all
-    python train/junction.py --preset cederle                     # Cederle 2023
-    python train/junction.py --resume runs/parallel-0             # continues a run
-    python train/junction.py --help-all                           # every setting
+    python train/junction.py                                 # double, dueling Q-learning
+    python train/junction.py --algorithm mappo --scenario 3av-hd --cars mjx
+    python train/junction.py --algorithm qmix --preset cederle    # Cederle 2023
+    python train/junction.py --algorithm idqn --observation image
+    python train/junction.py --resume runs/mappo-2av-0       # continues a run
+    python train/junction.py --algorithm vdn --help-all      # every setting of vdn
 
-It needs `pip install ".[train,junction]"`. In `runs/<name>/` lie `config.json`,
-checkpoints, `metrics.csv`, `evaluations.csv` and `learning_curve.png`. Ctrl-C saves a
-checkpoint and stops; a second one stops at once.
+Independent Q-learning (idqn, double, dueling, double-dueling) needs
+`pip install ".[train,junction]"`, the algorithms of BenchMARL (ippo, mappo, maddpg, vdn,
+qmix) `pip install ".[train,torchrl]"`. In `runs/<name>/` lie `config.json`, checkpoints,
+`metrics.csv`, `evaluations.csv`, `evaluation.json` and `learning_curve.png`. Ctrl-C saves
+a checkpoint and stops; a second one stops at once.
 """
 
 import sys
@@ -20,25 +22,10 @@ from carpark_mj.cli.common import keep_compiled_programs, run_command
 
 def run(arguments: Sequence[str] | None = None) -> None:
     """Trains."""
-    from learners.dqn.config import RUN_SETTINGS
-    from learners.dqn.presets import DQN_PRESETS, DQN_SUMMARIES
-    from learners.settings import read_settings
+    from learners.junction.families import read_junction_settings, train_run
 
-    config = read_settings(
-        DQN_PRESETS["parallel"],
-        DQN_PRESETS,
-        arguments,
-        __doc__,
-        RUN_SETTINGS,
-        DQN_SUMMARIES,
-    )
-    try:
-        from learners.dqn.run import train_run
-    except ModuleNotFoundError as error:
-        if error.name not in ("rlax", "flashbax"):
-            raise
-        raise ValueError(f'{error}: pip install ".[junction]"') from None
-    folder, done = train_run(config)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    folder, done = train_run(read_junction_settings(arguments, __doc__))
     if done:
         print(f"done: {folder}; see {folder / 'learning_curve.png'}")
     else:
@@ -47,7 +34,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    # Without `enable_output_fusion`: XLA of jaxlib 0.10.2 aborts on the program.
+    # Without `enable_output_fusion`: XLA of jaxlib 0.10.2 aborts on Q-learning.
     keep_compiled_programs()
     return run_command("junction", lambda: run(arguments))
 

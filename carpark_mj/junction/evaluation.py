@@ -5,6 +5,7 @@ gets through, the cars here drive on until all are done, and both are reported.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 import jax
@@ -14,11 +15,13 @@ from flax import struct
 
 from carpark_mj.junction.config import JunctionConfig
 from carpark_mj.junction.env import JunctionEnv
+from carpark_mj.junction.scenarios import Scenario
 from carpark_mj.junction.types import State
 
 Policy = Callable[[jax.Array], jax.Array]  # observations to actions, of all agents
 
 EXTRA_STEPS = 75  # after `JunctionConfig.max_steps`, for who waited
+NEVER = 2**31 - 1  # of `Outcomes.passed`
 
 
 @struct.dataclass
@@ -31,12 +34,34 @@ class Outcomes:
         length: control steps to that end.
         crashed: an agent crashed, before that end or after it.
         completed: all agents arrived, before that end or after it.
+        passed: (episodes, cars) control steps after which the car was across the
+            junction, `NEVER` if it did not get there.
     """
 
     returns: jax.Array
     length: jax.Array
     crashed: jax.Array
     completed: jax.Array
+    passed: jax.Array
+
+
+@struct.dataclass
+class Episode:
+    """An episode under way.
+
+    Attributes:
+        state: of the junction.
+        observation: of all agents.
+        arrived: (num_agents,) bool so far.
+        step: () int32 control steps made.
+        outcomes: so far, of this one episode.
+    """
+
+    state: State
+    observation: jax.Array
+    arrived: jax.Array
+    step: jax.Array
+    outcomes: Outcomes
 
 
 def evaluation_env(config: JunctionConfig, jitter: float) -> JunctionEnv:
@@ -60,10 +85,60 @@ def evaluation_env(config: JunctionConfig, jitter: float) -> JunctionEnv:
     )
 
 
+def begin(env: JunctionEnv, key: jax.Array) -> Episode:
+    """Begins an episode in an environment of `evaluation_env`."""
+    state, observation = env.reset(key)
+    no, zero = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
+    passed = jnp.full(env.num_cars, NEVER)
+    return Episode(
+        state=state,
+        observation=observation,
+        arrived=jnp.zeros(env.num_agents, bool),
+        step=zero,
+        outcomes=Outcomes(jnp.zeros(()), zero, no, no, passed),
+    )
+
+
+def advance(
+    env: JunctionEnv, config: JunctionConfig, episode: Episode, action: jax.Array
+) -> Episode:
+    """Makes a control step.
+
+    Args:
+        env: of `evaluation_env`.
+        config: of the training; when its episodes end, the return does.
+        episode: not yet `env.config.max_steps` long.
+        action: of all agents.
+    """
+    before, out = episode.state, episode.outcomes
+    counts = before.active.any() & (episode.step < config.max_steps)
+    if config.end == "any":
+        counts = counts & before.active.all()
+    state, timestep = env.step(before, action)
+    # With joint rewards everybody has already got the sum.
+    reward = timestep.reward
+    earned = reward[0] if config.rewards.joint else reward.sum()
+    arrived = episode.arrived | timestep.events.arrived
+    crashed = out.crashed | timestep.events.crashed.any()
+    # What crashed may still roll across.
+    drives = before.present.at[: env.num_agents].set(state.active)
+    across = drives & (state.along >= state.task.routes.curve[:, 1])
+    step = episode.step + 1
+    outcomes = Outcomes(
+        returns=out.returns + jnp.where(counts, earned, 0.0),
+        length=out.length + counts,
+        crashed=crashed,
+        # A car may reach its goal and another one in the same step.
+        completed=arrived.all() & ~crashed,
+        passed=jnp.minimum(out.passed, jnp.where(across, step, NEVER)),
+    )
+    return Episode(state, timestep.observation, arrived, step, outcomes)
+
+
 def evaluate(
     env: JunctionEnv, config: JunctionConfig, policy: Policy, keys: jax.Array
 ) -> Outcomes:
-    """Drives one episode for each key, side by side.
+    """Drives one episode for each key, side by side, as one program.
 
     Args:
         env: of `evaluation_env`.
@@ -72,55 +147,55 @@ def evaluate(
         keys: (episodes,).
     """
 
-    def episode(key: jax.Array) -> Outcomes:
-        state, observation = env.reset(key)
-        nothing = jnp.zeros((), bool)
-        begun = Outcomes(jnp.zeros(()), jnp.zeros((), jnp.int32), nothing, nothing)
-        arrived = jnp.zeros(env.num_agents, bool)
+    def whole(key: jax.Array) -> Outcomes:
+        def step(episode: Episode, _: None) -> tuple[Episode, None]:
+            return advance(env, config, episode, policy(episode.observation)), None
 
-        def step(
-            carry: tuple[State, jax.Array, jax.Array, Outcomes], number: jax.Array
-        ) -> tuple[tuple[State, jax.Array, jax.Array, Outcomes], None]:
-            state, observation, arrived, out = carry
-            counts = state.active.any() & (number < config.max_steps)
-            if config.end == "any":
-                counts = counts & state.active.all()
-            state, timestep = env.step(state, policy(observation))
-            reward = timestep.reward
-            # With joint rewards everybody has already got the sum.
-            earned = reward[0] if config.rewards.joint else reward.sum()
-            arrived = arrived | timestep.events.arrived
-            out = Outcomes(
-                returns=out.returns + jnp.where(counts, earned, 0.0),
-                length=out.length + counts,
-                crashed=out.crashed | timestep.events.crashed.any(),
-                completed=arrived.all(),
-            )
-            return (state, timestep.observation, arrived, out), None
+        begun = begin(env, key)
+        return jax.lax.scan(step, begun, length=env.config.max_steps)[0].outcomes
 
-        carry = (state, observation, arrived, begun)
-        steps = jnp.arange(env.config.max_steps)
-        (*_, out), _ = jax.lax.scan(step, carry, steps)
-        # A car may reach its goal and another one in the same step.
-        return dataclasses.replace(out, completed=out.completed & ~out.crashed)
-
-    return jax.vmap(episode)(keys)
+    return jax.vmap(whole)(keys)
 
 
-def summarize(outcomes: Outcomes, solved: float) -> dict[str, float]:
+def car_names(traffic: Scenario) -> list[str]:
+    """What tables call the cars: the arms that agents come from, and `human`.
+
+    Several from the same arm are numbered.
+    """
+    names = [mission.route.start.split("-")[0] for mission in traffic.missions]
+    names += ["human"] * len(traffic.human_cars)
+    return [
+        name if names.count(name) == 1 else f"{name}_{names[:k].count(name) + 1}"
+        for k, name in enumerate(names)
+    ]
+
+
+def summarize(outcomes: Outcomes, traffic: Scenario) -> dict[str, float]:
     """Means over episodes, as a row of `evaluations.csv`.
+
+    Who gives way to whom is `A_before_B`, for every pair of cars whose ways cross: the
+    share of episodes in which A got across the junction and B later or not at all.
 
     Args:
         outcomes: of one evaluation.
-        solved: mean return from which the scenario counts as solved.
+        traffic: who drove where, agents in the order of its missions.
     """
     returns = np.asarray(outcomes.returns, float)
+    passed = np.asarray(outcomes.passed)
+    routes = [car.route for car in (*traffic.missions, *traffic.human_cars)]
+    names = car_names(traffic)
+    before = {
+        f"{names[i]}_before_{names[j]}": float(np.mean(passed[:, i] < passed[:, j]))
+        for i, j in itertools.permutations(range(len(names)), 2)
+        if routes[i] != routes[j]
+    }
     return {
         "episodes": len(returns),
         "return": float(returns.mean()),
         "return_std": float(returns.std()),
         "length": float(np.mean(outcomes.length)),
-        "crashed": float(np.mean(outcomes.crashed)),
-        "completed": float(np.mean(outcomes.completed)),
-        "solved": int(returns.mean() >= solved),
+        "crashed": float(np.mean(np.asarray(outcomes.crashed, float))),
+        "completed": float(np.mean(np.asarray(outcomes.completed, float))),
+        "solved": int(returns.mean() >= traffic.solved),
+        **before,
     }

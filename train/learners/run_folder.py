@@ -28,7 +28,7 @@ class RunConfig:
 
     Attributes:
         preset: settings the other flags start from.
-        name: folder under `runs_dir`; empty = preset and seed.
+        name: folder under `runs_dir`; empty = by preset and seed.
         runs_dir: where runs are kept.
         resume: folder of a run to continue with its own settings.
         time_limit: time after which to save a checkpoint and stop [min]; 0 = no limit.
@@ -55,6 +55,11 @@ class RunConfig:
             )
         if not self.runs_dir.strip():
             raise ValueError(f"runs_dir must name a folder, not {self.runs_dir!r}")
+
+    @property
+    def default_name(self) -> str:
+        """Of the run's folder."""
+        return f"{self.preset}-{self.seed}"
 
 
 def _is_folder_name(name: str) -> bool:
@@ -90,7 +95,7 @@ def open_run(config: RunConfig) -> Generator[Path]:
 
 
 def _new_folder(config: RunConfig) -> Path:
-    name = config.name or f"{config.preset}-{config.seed}"
+    name = config.name or config.default_name
     folder = Path(config.runs_dir) / name
     folder.parent.mkdir(parents=True, exist_ok=True)
     number = 1

@@ -42,7 +42,7 @@ def read_settings(
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     # The preset is read first: settings may be valid only on top of the one named.
-    preset = presets.get(_named_preset(arguments), default)
+    preset = presets.get(named(arguments, "preset"), default)
     text = f"{description or ''}\nPresets:\n{_preset_table(presets, summaries)}\n"
     config = read_flags(type(default), arguments, preset, text, short)
     if not config.resume:
@@ -70,6 +70,19 @@ def read_config(cls: type[Config], folder: Path) -> Config:
     Raises:
         CheckpointError: there is no such run, or another version wrote it.
     """
+    path, settings = folder / "config.json", stored(folder)
+    try:
+        return runs.from_dict(cls, settings)
+    except (TypeError, ValueError) as error:
+        raise CheckpointError(f"{path} is no config of a run: {error}") from None
+
+
+def stored(folder: Path) -> dict[str, Any]:
+    """The settings a run was started with, as its `config.json` has them.
+
+    Raises:
+        CheckpointError: there is no such run, or another version wrote it.
+    """
     path = folder / "config.json"
     try:
         described = json.loads(path.read_text())
@@ -77,13 +90,12 @@ def read_config(cls: type[Config], folder: Path) -> Config:
         raise CheckpointError(f"no run at {folder} (no {path})") from None
     except ValueError as error:
         raise CheckpointError(f"{path} is no config of a run: {error}") from None
-    if not isinstance(described, dict) or "config" not in described:
+    if not isinstance(described, dict) or not isinstance(
+        described.get("config"), dict
+    ):
         raise CheckpointError(f"{path} is no config of a run")
     runs.check_version(described, path)
-    try:
-        return runs.from_dict(cls, described["config"])
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} is no config of a run: {error}") from None
+    return described["config"]
 
 
 def list_settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -96,11 +108,12 @@ def list_settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def _named_preset(arguments: Sequence[str]) -> str:
+def named(arguments: Sequence[str], setting: str) -> str:
+    """The value of a flag before all are read; empty if it is not given."""
     name = ""
     for word, after in zip(arguments, [*arguments[1:], ""], strict=False):
         flag, equals, value = word.partition("=")
-        if flag == "--preset":
+        if flag == f"--{setting}":
             name = value if equals else after
     return name
 

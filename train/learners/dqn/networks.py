@@ -6,8 +6,8 @@ from flax import linen as nn
 
 from carpark_mj.junction.actions import ACTIONS
 from learners.dqn.config import DQNConfig
+from learners.junction.config import VECTOR_SCALE
 
-VECTOR_SCALE = 20.0  # m; divides vectors, whose largest numbers are distances
 # Of the study's convolutional network: features, size and stride of a layer.
 CONVOLUTIONS = ((32, 8, 4), (64, 4, 2), (64, 3, 1))
 IMAGE_HIDDEN = 512

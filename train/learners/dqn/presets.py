@@ -1,14 +1,16 @@
-"""Settings of deep Q-learning by name."""
+"""Settings of independent deep Q-learning by name."""
+
+import dataclasses
 
 from learners.dqn.config import DQNConfig
+from learners.junction.config import Algorithm
 
-DQN_PRESETS: dict[str, DQNConfig] = {
+_PRESETS: dict[str, DQNConfig] = {
     "parallel": DQNConfig(),
     # Cederle 2023, section 5.3 and, where the text is silent, its program. Evaluations
     # vary the starts, or all of their episodes would be the same.
     "cederle": DQNConfig(
         preset="cederle",
-        algorithm="dqn",
         observation="image",
         jitter=0.0,
         num_junctions=1,
@@ -31,3 +33,11 @@ DQN_SUMMARIES = {
     "parallel": "64 junctions at once, vectors, a small network per agent",
     "cederle": "settings of Cederle 2023: one junction, images",
 }
+
+
+def dqn_presets(algorithm: Algorithm) -> dict[str, DQNConfig]:
+    """Presets of an algorithm."""
+    return {
+        name: dataclasses.replace(config, algorithm=algorithm)
+        for name, config in _PRESETS.items()
+    }

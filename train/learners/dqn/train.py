@@ -10,11 +10,16 @@ import jax
 from carpark_mj.junction.evaluation import summarize
 from carpark_mj.policy import checkpoints, runs
 from learners.dqn.config import DQNConfig
-from learners.dqn.curve import plot_evaluations, summary
 from learners.dqn.learner import DQNLearner
 from learners.dqn.state import Report, Training
+from learners.junction.evaluations import (
+    judge,
+    progress,
+    summary,
+    write_evaluations,
+)
 from learners.loop import Loop
-from learners.ppo.metrics_log import MetricsLog
+from learners.metrics_log import MetricsLog
 
 DQN_ALGORITHM = "dqn"  # `algorithm` in the header of a checkpoint
 
@@ -58,16 +63,15 @@ def save(folder: Path, config: DQNConfig, run: Run) -> None:
 
 
 def add_evaluation(folder: Path, learner: DQNLearner, run: Run) -> None:
-    """Evaluates, unless it is done, and writes `evaluations.csv` and the curve."""
+    """Evaluates, unless it is done, and writes what was found."""
     config, steps = learner.config, _steps(learner.config, run)
     if not any(row["env_steps"] == steps for row in run.evaluations):
         # The same episodes every time: the curve shows the policy, not their luck.
         key = jax.random.fold_in(jax.random.key(config.seed), 1)
         outcomes = learner.evaluate(run.training.learners.params, key)
-        solved = config.junction.traffic.solved
-        run.evaluations.append({"env_steps": steps, **summarize(outcomes, solved)})
-    runs.write_csv(folder / "evaluations.csv", run.evaluations)
-    plot_evaluations(folder, config, run.evaluations)
+        row = summarize(outcomes, config.junction.traffic)
+        run.evaluations.append({"env_steps": steps, **row})
+    write_evaluations(folder, config, run.evaluations)
 
 
 def train(config: DQNConfig, learner: DQNLearner, folder: Path) -> bool:
@@ -99,8 +103,8 @@ def train(config: DQNConfig, learner: DQNLearner, folder: Path) -> bool:
             run.training, report = learner.advance(run.training)
             run.chunks += 1
             log.write(_row(run.chunks, run.chunks * per_chunk, report))
-            loop.show(_steps(config, run), _words(run))
-    print(summary(config, run.evaluations))
+            loop.show(_steps(config, run), progress(run.evaluations[-1]))
+    print(summary(judge(config, run.evaluations)))
     return finished
 
 
@@ -118,11 +122,3 @@ def _row(chunk: int, env_steps: int, report: Report) -> dict[str, float]:
         "episode/return": mean,
         "loss": float(report.loss),
     }
-
-
-def _words(run: Run) -> str:
-    last = run.evaluations[-1]
-    return (
-        f"[green]return {last['return']:6.1f}[/]  crashed {last['crashed']:4.0%}  "
-        f"completed {last['completed']:4.0%}"
-    )

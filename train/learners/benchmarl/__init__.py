@@ -1,0 +1,1 @@
+"""Algorithms of BenchMARL at the junction."""

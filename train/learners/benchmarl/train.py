@@ -1,0 +1,171 @@
+"""A run of BenchMARL with the log, evaluations and checkpoints of all trainers here."""
+
+# Its types do not fit its own use, and it may be absent.
+# pyright: basic, reportMissingImports=false, reportIncompatibleMethodOverride=false
+
+import contextlib
+import dataclasses
+import io
+import math
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import torch
+from benchmarl.experiment import Callback, Experiment
+from tensordict import TensorDictBase
+
+from carpark_mj.junction.evaluation import summarize
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.wrappers.torchrl import GROUP
+from learners.benchmarl.build import (
+    make_algorithm,
+    make_model,
+    make_settings,
+    make_task,
+)
+from learners.benchmarl.config import BenchMARLConfig
+from learners.benchmarl.episodes import GreedyEpisodes
+from learners.junction.evaluations import (
+    judge,
+    progress,
+    summary,
+    write_evaluations,
+)
+from learners.loop import Loop
+from learners.metrics_log import MetricsLog
+
+
+class Stopped(KeyboardInterrupt):
+    """Ends BenchMARL's loop as Ctrl-C does, when everything has been saved."""
+
+
+class Training(Experiment):
+    """BenchMARL's experiment; after each iteration comes what the trainers here do.
+
+    Attributes:
+        evaluations: rows of `evaluations.csv`.
+    """
+
+    def __init__(self, config: BenchMARLConfig, folder: Path) -> None:
+        """Builds it, or takes up the newest checkpoint of the run.
+
+        Raises:
+            CheckpointError: a damaged checkpoint.
+            ValueError: impossible settings.
+        """
+        self._run, self._folder = config, folder
+        self._episodes = GreedyEpisodes(config)
+        self._monitor = Monitor()
+        self.evaluations: list[dict[str, Any]] = []
+        device = torch.from_dlpack(jax.numpy.zeros(1)).device
+        if device.type == "cpu":
+            torch.set_num_threads(1)  # JAX has the other cores
+        scratch = folder / "benchmarl"
+        scratch.mkdir(exist_ok=True)
+        super().__init__(
+            task=make_task(config),
+            algorithm_config=make_algorithm(config),
+            model_config=make_model(config),
+            critic_model_config=make_model(config),
+            seed=config.seed,
+            config=make_settings(config, scratch, device),
+            callbacks=[self._monitor],
+        )
+        if config.algorithm == "maddpg":
+            critic = self.optimizers[GROUP]["loss_value"]
+            critic.param_groups[0]["lr"] = config.critic_learning_rate
+        if runs.checkpoint_files(folder):
+            self._load(runs.latest_checkpoint(folder))
+
+    def train(self) -> bool:
+        """Trains until done, stopped or at the time limit; True when done."""
+        config = self._run
+        self._loop = Loop(config.algorithm, config)
+        with (
+            self._loop.over(config.iterations * config.frames, self.total_frames),
+            contextlib.closing(MetricsLog(self._folder, self.n_iters_performed)) as log,
+        ):
+            self._log = log
+            self._evaluate()
+            with contextlib.suppress(Stopped):
+                self.run()
+        print(summary(judge(config, self.evaluations)))
+        return self.n_iters_performed >= config.iterations
+
+    def _save_experiment(self) -> None:
+        """What BenchMARL calls at the end of an iteration."""
+        config, done = self._run, self.n_iters_performed
+        finished = done >= config.iterations
+        if finished or done % config.iterations_per_evaluation == 0:
+            self._evaluate()
+        counts = {"update": done, "env_steps": self.total_frames}
+        self._log.write(counts | self._monitor.row())
+        self._loop.show(self.total_frames, progress(self.evaluations[-1]))
+        leaving = finished or self._loop.stopping
+        if leaving or self._loop.checkpoint_is_due:
+            self._save()
+            self._loop.saved()
+        if leaving and not finished:
+            raise Stopped
+
+    def _evaluate(self) -> None:
+        if any(row["env_steps"] == self.total_frames for row in self.evaluations):
+            return
+        outcomes = self._episodes(self.policy, self.test_env.reset())
+        row = summarize(outcomes, self._run.junction.traffic)
+        self.evaluations.append({"env_steps": self.total_frames, **row})
+        write_evaluations(self._folder, self._run, self.evaluations)
+
+    def _save(self) -> None:
+        """Writes a checkpoint with everything but the junctions under way."""
+        optimizers = {k: o.state_dict() for k, o in self.optimizers[GROUP].items()}
+        file = io.BytesIO()
+        torch.save({"experiment": self.state_dict(), "optimizers": optimizers}, file)
+        header = {
+            "algorithm": self._run.algorithm,
+            "config": dataclasses.asdict(self._run),
+            "evaluations": self.evaluations,
+            "env_steps": self.total_frames,
+            "bytes": len(file.getbuffer()),
+        }
+        tree = {"torch": np.frombuffer(file.getbuffer(), np.uint8)}
+        runs.save_checkpoint(self._folder, tree, header, self.total_frames)
+
+    def _load(self, path: Path) -> None:
+        header = checkpoints.read_header(path)
+        template = {"torch": np.zeros(header["bytes"], np.uint8)}
+        stored = checkpoints.load(path, template)["torch"]
+        state = torch.load(io.BytesIO(stored.tobytes()), weights_only=True)
+        self.load_state_dict(state["experiment"])
+        for name, optimizer in self.optimizers[GROUP].items():
+            optimizer.load_state_dict(state["optimizers"][name])
+        self.evaluations = header["evaluations"]
+
+
+class Monitor(Callback):
+    """Takes what a row of `metrics.csv` is made of."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Nothing: BenchMARL pickles callbacks, and with them the experiment."""
+        return {}
+
+    def on_batch_collected(self, batch: TensorDictBase) -> None:
+        """Counts the episodes that ended."""
+        over = batch["next", "done"][..., 0]
+        returns = batch["next", GROUP, "episode_reward"].sum(dim=(-2, -1))[over]
+        self._episodes, self._returns = returns.numel(), returns.mean().item()
+
+    def on_train_end(self, training_td: TensorDictBase, group: str) -> None:
+        """Averages losses and what else the updates report."""
+        self._losses = {
+            name: value.float().mean().item()
+            for name, value in training_td.items()
+            if value.numel() == training_td.numel()
+        }
+
+    def row(self) -> dict[str, float]:
+        """Of the last iteration."""
+        mean = self._returns if self._episodes else math.nan
+        return {"episodes": self._episodes, "episode/return": mean, **self._losses}

@@ -1,0 +1,1 @@
+"""What all trainers of the junction share."""
