@@ -1,6 +1,8 @@
 """Evaluation of policies at the junction, on a line of made-up steps."""
 
+import dataclasses
 import types
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,31 +10,51 @@ import numpy as np
 import pytest
 from flax import struct
 
-from carpark_mj.junction import JunctionConfig, RewardRules
+from carpark_mj.junction import JunctionConfig, RewardRules, scenario
+from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
 from carpark_mj.junction.evaluation import (
     EXTRA_STEPS,
+    NEVER,
     Outcomes,
+    car_names,
     evaluate,
     evaluation_env,
     summarize,
 )
 
 
+WAY = 4.0  # m, at which the junction ends; a car drives 1 m per step
+
+
 @struct.dataclass
 class State:
     step: jax.Array
     active: jax.Array
+    present: jax.Array
+    along: jax.Array
+    task: Any
+
+
+@jax.tree_util.register_static
+@dataclasses.dataclass
+class Task:
+    routes: Any
+
+    def __hash__(self):
+        return 0
 
 
 class Script:
     """Two agents whose ends are written down; reward 1 per step and active agent.
+
+    The second starts 1 m further along than the first.
 
     Attributes:
         arrives: steps in which they do, -1 = never.
         crashes: the same of crashes.
     """
 
-    num_agents = 2
+    num_agents = num_cars = 2
 
     def __init__(self, arrives, crashes, max_steps=8):
         self.arrives, self.crashes = jnp.array(arrives), jnp.array(crashes)
@@ -40,7 +62,9 @@ class Script:
 
     def reset(self, key):
         del key
-        state = State(jnp.zeros((), int), jnp.ones(2, bool))
+        here = jnp.ones(2, bool)
+        routes = types.SimpleNamespace(curve=jnp.array([[0.0, WAY], [0.0, WAY]]))
+        state = State(jnp.zeros((), int), here, here, jnp.arange(2.0), Task(routes))
         return state, jnp.zeros((2, 1))
 
     def step(self, state, action):
@@ -53,7 +77,14 @@ class Script:
             events=events,
             observation=jnp.zeros((2, 1)),
         )
-        return State(number, before & ~arrived & ~crashed), timestep
+        after = dataclasses.replace(
+            state,
+            step=number,
+            active=before & ~arrived & ~crashed,
+            present=before,
+            along=state.along + 1,
+        )
+        return after, timestep
 
 
 def outcome(env, **options):
@@ -61,32 +92,32 @@ def outcome(env, **options):
     keys = jax.random.split(jax.random.key(0), 3)
     found = evaluate(env, config, lambda _: jnp.ones(2, int), keys)
     assert found.returns.shape == (3,)
-    return jax.tree.map(lambda x: x[0].item(), found)
+    return jax.tree.map(lambda x: x[0].tolist(), found)
 
 
 @pytest.mark.parametrize(
-    ("arrives", "crashes", "any_end", "all_end"),
+    ("arrives", "crashes", "any_end", "all_end", "passed"),
     [
-        # The first arrives in step 3: 3 + 3; the second drives on to step 5: 3 + 5.
-        ((3, 5), (-1, -1), (6, 3, False, True), (8, 5, False, True)),
+        # The first arrives in step 5: 5 + 5; the second drives on to step 6: 5 + 6.
+        ((5, 6), (-1, -1), (10, 5, False, True), (11, 6, False, True), [4, 3]),
         # Both crash in step 2.
-        ((-1, -1), (2, 2), (4, 2, True, False), (4, 2, True, False)),
+        ((-1, -1), (2, 2), (4, 2, True, False), (4, 2, True, False), [NEVER] * 2),
         # The first arrives, the second crashes when the study has looked away.
-        ((2, -1), (-1, 4), (4, 2, True, False), (6, 4, True, False)),
+        ((2, -1), (-1, 4), (4, 2, True, False), (6, 4, True, False), [NEVER, 3]),
         # Nobody comes to an end: `max_steps` of the training.
-        ((-1, -1), (-1, -1), (12, 6, False, False), (12, 6, False, False)),
+        ((-1, -1), (-1, -1), (12, 6, False, False), (12, 6, False, False), [4, 3]),
         # The second arrives after those steps.
-        ((3, 7), (-1, -1), (6, 3, False, True), (9, 6, False, True)),
+        ((5, 7), (-1, -1), (10, 5, False, True), (11, 6, False, True), [4, 3]),
     ],
 )
-def test_made_up_episodes_are_counted(arrives, crashes, any_end, all_end):
+def test_made_up_episodes_are_counted(arrives, crashes, any_end, all_end, passed):
     env = Script(arrives, crashes)
     for end, (returned, length, crashed, completed) in (
         ("any", any_end),
         ("all", all_end),
     ):
         found = outcome(env, end=end)
-        assert found == Outcomes(returned, length, crashed, completed)
+        assert found == Outcomes(returned, length, crashed, completed, passed)
 
 
 def test_joint_rewards_are_counted_once():
@@ -94,14 +125,15 @@ def test_joint_rewards_are_counted_once():
     assert outcome(Script((3, 3), (-1, -1)), rewards=joint).returns == 3.0
 
 
-def test_a_summary_says_whether_the_mean_solves_the_scenario():
+def test_a_summary_says_whether_the_mean_solves_the_scenario_and_who_gives_way():
     outcomes = Outcomes(
         returns=np.array([90.0, 110.0]),
         length=np.array([50, 60]),
         crashed=np.array([True, False]),
         completed=np.array([False, True]),
+        passed=np.array([[NEVER, NEVER], [30, 40]]),
     )
-    assert summarize(outcomes, solved=100.0) == {
+    assert summarize(outcomes, scenario("2av")) == {
         "episodes": 2,
         "return": 100.0,
         "return_std": 10.0,
@@ -109,8 +141,37 @@ def test_a_summary_says_whether_the_mean_solves_the_scenario():
         "crashed": 0.5,
         "completed": 0.5,
         "solved": 1,
+        "east_before_west": 0.5,
+        "west_before_east": 0.0,
     }
-    assert summarize(outcomes, solved=100.1)["solved"] == 0
+    harder = dataclasses.replace(scenario("2av"), solved=100.1)
+    assert summarize(outcomes, harder)["solved"] == 0
+
+
+def test_cars_on_the_same_way_do_not_give_way_to_each_other():
+    assert car_names(scenario("3av-hd")) == ["east", "south", "west", "human"]
+    passed = np.array([[40, 20, 30, 10]])
+    none = np.zeros(1)
+    row = summarize(Outcomes(none, none, none, none, passed), scenario("3av-hd"))
+    order = {name for name, share in row.items() if "_before_" in name and share}
+    assert order == {
+        "south_before_east",
+        "south_before_west",
+        "west_before_east",
+        "human_before_east",
+        "human_before_west",
+    }
+
+
+def test_a_car_that_stands_lets_the_other_one_across():
+    config = JunctionConfig()
+    env = evaluation_env(config, 0.0)
+    keys = jax.random.split(jax.random.key(0), 1)
+    waits = jnp.array([SLOW_DOWN, KEEP_LANE])
+    found = jax.jit(lambda keys: evaluate(env, config, lambda _: waits, keys))(keys)
+    [(east, west)] = found.passed
+    assert west < east == NEVER
+    assert found.length[0] < config.max_steps  # the study's end: the first arrives
 
 
 def test_policies_are_evaluated_until_all_are_done_from_varied_starts():

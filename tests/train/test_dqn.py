@@ -12,7 +12,6 @@ pytest.importorskip("flashbax", reason='pip install ".[junction]"')
 import jax
 import jax.numpy as jnp
 
-import junction
 from carpark_mj.policy import runs
 from learners.dqn.config import DQNConfig
 from learners.dqn.learner import DQNLearner
@@ -131,18 +130,46 @@ class StopAfterOne:
         return self._advance(training)
 
 
-@pytest.mark.parametrize(
-    ("flags", "words"),
-    [
-        (["--scenario", "4av"], ["4av", "3av-hd"]),
-        (["--algorithm", "ppo"], ["ppo", "dueling-double-dqn"]),
-        (["--buffer-size", "10"], ["buffer_size", "at least 256", "10"]),
-        (["--eval-jitter", "20"], ["jitter", "at most", "20"]),
-        (["--resume", "nowhere"], ["no run at nowhere"]),
-    ],
-)
-def test_bad_input_is_refused_in_one_line(flags, words, capsys):
-    assert junction.main(flags) == 2
-    line = capsys.readouterr().err
-    assert line.count("\n") == 1
-    assert all(word in line for word in words)
+def test_images_are_learnt_from(tmp_path):
+    config = dataclasses.replace(
+        TINY,
+        runs_dir=str(tmp_path),
+        observation="image",
+        pixels=36,
+        num_junctions=2,
+        total_steps=20,
+        eval_period=20,
+        max_steps=5,
+    )
+    learner = DQNLearner(config)
+    before = learner.init().learners.params
+    with open_run(config) as folder:
+        assert train(config, learner, folder)
+    run = load_or_init(learner, folder)
+    np.testing.assert_array_equal(run.training.learners.updates, [7, 7])
+    moved = jax.tree.map(
+        lambda x, y: bool((x != y).any()), before, run.training.learners.params
+    )
+    assert all(jax.tree.leaves(moved))
+
+
+def test_deep_q_learning_learns_to_arrive(tmp_path):
+    config = DQNConfig(
+        name="learns",
+        runs_dir=str(tmp_path),
+        num_junctions=16,
+        total_steps=6_400,
+        eval_period=3_200,
+        eval_episodes=8,
+        random_steps=500,
+        updates=2,
+        batch_size=64,
+        buffer_size=20_000,
+        epsilon_steps=5_000,
+        target_period=100,
+        hidden=(64, 64),
+    )
+    with open_run(config) as folder:
+        assert train(config, DQNLearner(config), folder)
+    rows = read_csv(folder / "evaluations.csv")
+    assert float(rows[-1]["return"]) > 60.0

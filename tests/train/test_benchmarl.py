@@ -1,0 +1,140 @@
+"""BenchMARL's algorithms at the junction, small runs end to end."""
+
+import csv
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("benchmarl", reason='pip install ".[torchrl]"')
+
+import jax
+import torch
+from tensordict import TensorDict
+
+from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
+from carpark_mj.junction.evaluation import NEVER
+from carpark_mj.policy import runs
+from learners.benchmarl.config import BenchMARLConfig
+from learners.benchmarl.episodes import GreedyEpisodes
+from learners.benchmarl.presets import benchmarl_presets
+from learners.benchmarl.run import train_run
+from learners.benchmarl.train import Training
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # of libraries
+
+TINY = {
+    "name": "tiny",
+    "hidden": (8,),
+    "num_junctions": 4,
+    "unroll": 4,
+    "updates": 2,
+    "batch_size": 8,
+    "buffer_size": 64,
+    "random_steps": 0,
+    "total_steps": 48,
+    "eval_period": 16,
+    "eval_episodes": 2,
+    "max_steps": 6,
+}
+# Of `cederle`, the recurrent networks of QMIX and VDN learn from whole episodes.
+RECURRENT = {"recurrent": 8, "unroll": 4, "batch_size": 16}
+
+
+def tiny(algorithm, tmp_path, **changes):
+    config = benchmarl_presets(algorithm)["parallel"]
+    return dataclasses.replace(config, runs_dir=str(tmp_path), **(TINY | changes))
+
+
+def read_csv(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "changes"),
+    [
+        ("ippo", {"shared": False}),
+        ("mappo", {"action": "scalar", "scenario": "3av-hd"}),
+        ("maddpg", {}),
+        ("vdn", RECURRENT),
+        ("qmix", RECURRENT | {"scenario": "2av-hd"}),
+        ("qmix", {"shared": False}),
+    ],
+)
+def test_an_algorithm_trains_and_leaves_what_all_trainers_leave(
+    algorithm, changes, tmp_path
+):
+    config = tiny(algorithm, tmp_path, **changes)
+    folder, done = train_run(config)
+    assert done
+    found = read_csv(folder / "evaluations.csv")
+    assert [row["env_steps"] for row in found] == ["0", "16", "32", "48"]
+    metrics = read_csv(folder / "metrics.csv")
+    assert [row["env_steps"] for row in metrics] == ["16", "32", "48"]
+    losses = [value for name, value in metrics[-1].items() if "loss" in name]
+    assert losses
+    assert np.isfinite(np.array(losses, float)).all()
+    for name in ("learning_curve.png", "evaluation.json", "config.json"):
+        assert (folder / name).exists()
+
+
+def test_a_stopped_run_goes_on_with_its_networks_and_optimisers(tmp_path):
+    config = tiny("mappo", tmp_path, time_limit=1e-9)
+    folder, done = train_run(config)
+    assert not done
+    assert len(read_csv(folder / "metrics.csv")) == 1
+    resumed = dataclasses.replace(config, resume=str(folder), time_limit=0.0)
+    training = Training(resumed, folder)
+    assert (training.n_iters_performed, training.total_frames) == (1, 16)
+    [state, *_] = training.optimizers["agents"]["loss_objective"].state.values()
+    assert state["step"] > 0
+    training.close()
+    assert train_run(resumed) == (folder, True)
+    steps = [row["env_steps"] for row in read_csv(folder / "metrics.csv")]
+    assert steps == ["16", "32", "48"]
+    assert len(runs.checkpoint_files(folder)) == 2
+
+
+def test_critics_of_maddpg_have_a_learning_rate_of_their_own(tmp_path):
+    config = tiny("maddpg", tmp_path, learning_rate=0.25, critic_learning_rate=0.5)
+    training = Training(config, tmp_path)
+    rates = {
+        name: optimizer.param_groups[0]["lr"]
+        for name, optimizer in training.optimizers["agents"].items()
+    }
+    training.close()
+    assert rates == {"loss_actor": 0.25, "loss_value": 0.5}
+
+
+def test_greedy_episodes_are_counted_with_observations_scaled():
+    config = BenchMARLConfig(eval_episodes=2, eval_jitter=0.0)
+    seen = []
+
+    def policy(step):
+        seen.append(step["agents", "observation"].clone())
+        action = torch.tensor([SLOW_DOWN, KEEP_LANE]).expand(2, 2)
+        return step.set(("agents", "action"), action)
+
+    first = TensorDict({"agents": TensorDict(batch_size=(2, 2))}, batch_size=2)
+    outcomes = GreedyEpisodes(config)(policy, first)
+    assert (outcomes.passed[:, 0] == NEVER).all()
+    assert (outcomes.passed[:, 1] < NEVER).all()
+    state, observation = jax.jit(junction_start)()
+    np.testing.assert_allclose(seen[0][0], observation / 20.0, rtol=1e-6)
+
+
+def junction_start():
+    from carpark_mj.junction import JunctionEnv
+
+    return JunctionEnv().reset(jax.random.key(0))
+
+
+def test_the_settings_of_the_study_build(tmp_path):
+    for algorithm in ("maddpg", "vdn", "qmix"):
+        config = benchmarl_presets(algorithm)["cederle"]
+        folder = tmp_path / algorithm
+        folder.mkdir()
+        training = Training(dataclasses.replace(config, buffer_size=2400), folder)
+        assert training.config.off_policy_n_optimizer_steps == 1
+        training.close()
