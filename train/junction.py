@@ -1,6 +1,6 @@
 """Trains automated cars to cross the junction.
 
-    python train/junction.py                                 # double, dueling Q-learning
+    python train/junction.py                                 # double-dueling Q-learning
     python train/junction.py --algorithm mappo --scenario 3av-hd --cars mjx
     python train/junction.py --algorithm qmix --preset cederle    # Cederle 2023
     python train/junction.py --algorithm idqn --observation image
@@ -8,10 +8,10 @@
     python train/junction.py --algorithm vdn --help-all      # every setting of vdn
 
 Independent Q-learning (idqn, double, dueling, double-dueling) needs
-`pip install ".[train,junction]"`, the algorithms of BenchMARL (ippo, mappo, maddpg, vdn,
-qmix) `pip install ".[train,torchrl]"`. In `runs/<name>/` lie `config.json`, checkpoints,
-`metrics.csv`, `evaluations.csv`, `evaluation.json` and `learning_curve.png`. Ctrl-C saves
-a checkpoint and stops; a second one stops at once.
+`pip install ".[train,junction]"`, the algorithms of BenchMARL (ippo, mappo, maddpg,
+vdn, qmix) `pip install ".[train,torchrl]"`. In `runs/<name>/` lie `config.json`,
+checkpoints, `metrics.csv`, `evaluations.csv`, `evaluation.json` and
+`learning_curve.png`. Ctrl-C saves a checkpoint and stops; a second one stops at once.
 """
 
 import sys

@@ -1,7 +1,8 @@
 """Whole episodes of a policy at a junction, for learners of any library.
 
-The study's return ends with the first agent that is done. To see whether everybody
-gets through, the cars here drive on until all are done, and both are reported.
+The study's return ends with the first agent that is done, and so does the one here,
+whatever the training's episodes end with. To see whether everybody gets through, the
+cars drive on until all are done.
 """
 
 import dataclasses
@@ -20,7 +21,8 @@ from carpark_mj.junction.types import State
 
 Policy = Callable[[jax.Array], jax.Array]  # observations to actions, of all agents
 
-EXTRA_STEPS = 75  # after `JunctionConfig.max_steps`, for who waited
+RETURN_STEPS = 75  # the most that the return counts, the study's
+MAX_STEPS = 150  # of an episode, so that who waited gets through as well
 NEVER = 2**31 - 1  # of `Outcomes.passed`
 
 
@@ -29,8 +31,8 @@ class Outcomes:
     """What came of episodes (episodes,).
 
     Attributes:
-        returns: undiscounted rewards of all agents together, to the study's end: that
-            of `JunctionConfig.end`, at the latest `max_steps`.
+        returns: undiscounted rewards of all agents together, to the study's end: the
+            first agent is done, or `RETURN_STEPS` are over.
         length: control steps to that end.
         crashed: an agent crashed, before that end or after it.
         completed: all agents arrived, before that end or after it.
@@ -80,7 +82,7 @@ def evaluation_env(config: JunctionConfig, jitter: float) -> JunctionEnv:
             jitter=jitter,
             end="all",
             restart=False,
-            max_steps=config.max_steps + EXTRA_STEPS,
+            max_steps=MAX_STEPS,
         )
     )
 
@@ -99,25 +101,20 @@ def begin(env: JunctionEnv, key: jax.Array) -> Episode:
     )
 
 
-def advance(
-    env: JunctionEnv, config: JunctionConfig, episode: Episode, action: jax.Array
-) -> Episode:
+def advance(env: JunctionEnv, episode: Episode, action: jax.Array) -> Episode:
     """Makes a control step.
 
     Args:
         env: of `evaluation_env`.
-        config: of the training; when its episodes end, the return does.
         episode: not yet `env.config.max_steps` long.
         action: of all agents.
     """
     before, out = episode.state, episode.outcomes
-    counts = before.active.any() & (episode.step < config.max_steps)
-    if config.end == "any":
-        counts = counts & before.active.all()
+    counts = before.active.all() & (episode.step < RETURN_STEPS)
     state, timestep = env.step(before, action)
     # With joint rewards everybody has already got the sum.
     reward = timestep.reward
-    earned = reward[0] if config.rewards.joint else reward.sum()
+    earned = reward[0] if env.config.rewards.joint else reward.sum()
     arrived = episode.arrived | timestep.events.arrived
     crashed = out.crashed | timestep.events.crashed.any()
     # What crashed may still roll across.
@@ -135,21 +132,18 @@ def advance(
     return Episode(state, timestep.observation, arrived, step, outcomes)
 
 
-def evaluate(
-    env: JunctionEnv, config: JunctionConfig, policy: Policy, keys: jax.Array
-) -> Outcomes:
+def evaluate(env: JunctionEnv, policy: Policy, keys: jax.Array) -> Outcomes:
     """Drives one episode for each key, side by side, as one program.
 
     Args:
         env: of `evaluation_env`.
-        config: of the training; when its episodes end, the return does.
         policy: actions of all agents from their observations.
         keys: (episodes,).
     """
 
     def whole(key: jax.Array) -> Outcomes:
         def step(episode: Episode, _: None) -> tuple[Episode, None]:
-            return advance(env, config, episode, policy(episode.observation)), None
+            return advance(env, episode, policy(episode.observation)), None
 
         begun = begin(env, key)
         return jax.lax.scan(step, begun, length=env.config.max_steps)[0].outcomes

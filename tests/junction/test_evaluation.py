@@ -13,15 +13,15 @@ from flax import struct
 from carpark_mj.junction import JunctionConfig, RewardRules, scenario
 from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
 from carpark_mj.junction.evaluation import (
-    EXTRA_STEPS,
+    MAX_STEPS,
     NEVER,
+    RETURN_STEPS,
     Outcomes,
     car_names,
     evaluate,
     evaluation_env,
     summarize,
 )
-
 
 WAY = 4.0  # m, at which the junction ends; a car drives 1 m per step
 
@@ -56,9 +56,11 @@ class Script:
 
     num_agents = num_cars = 2
 
-    def __init__(self, arrives, crashes, max_steps=8):
+    def __init__(self, arrives, crashes, rewards=None):
         self.arrives, self.crashes = jnp.array(arrives), jnp.array(crashes)
-        self.config = types.SimpleNamespace(max_steps=max_steps)
+        self.config = JunctionConfig(
+            max_steps=MAX_STEPS, rewards=rewards or RewardRules()
+        )
 
     def reset(self, key):
         del key
@@ -87,42 +89,36 @@ class Script:
         return after, timestep
 
 
-def outcome(env, **options):
-    config = JunctionConfig(max_steps=6, **options)
+def outcome(env):
     keys = jax.random.split(jax.random.key(0), 3)
-    found = evaluate(env, config, lambda _: jnp.ones(2, int), keys)
+    found = evaluate(env, lambda _: jnp.ones(2, int), keys)
     assert found.returns.shape == (3,)
     return jax.tree.map(lambda x: x[0].tolist(), found)
 
 
 @pytest.mark.parametrize(
-    ("arrives", "crashes", "any_end", "all_end", "passed"),
+    ("arrives", "crashes", "expected"),
     [
-        # The first arrives in step 5: 5 + 5; the second drives on to step 6: 5 + 6.
-        ((5, 6), (-1, -1), (10, 5, False, True), (11, 6, False, True), [4, 3]),
+        # The first arrives in step 5: 5 + 5; the second drives on.
+        ((5, 6), (-1, -1), (10, 5, False, True, [4, 3])),
         # Both crash in step 2.
-        ((-1, -1), (2, 2), (4, 2, True, False), (4, 2, True, False), [NEVER] * 2),
+        ((-1, -1), (2, 2), (4, 2, True, False, [NEVER] * 2)),
         # The first arrives, the second crashes when the study has looked away.
-        ((2, -1), (-1, 4), (4, 2, True, False), (6, 4, True, False), [NEVER, 3]),
-        # Nobody comes to an end: `max_steps` of the training.
-        ((-1, -1), (-1, -1), (12, 6, False, False), (12, 6, False, False), [4, 3]),
-        # The second arrives after those steps.
-        ((5, 7), (-1, -1), (10, 5, False, True), (11, 6, False, True), [4, 3]),
+        ((2, -1), (-1, 4), (4, 2, True, False, [NEVER, 3])),
+        # The second does not arrive.
+        ((5, -1), (-1, -1), (10, 5, False, False, [4, 3])),
+        # Nobody comes to an end, or too late for the return.
+        ((-1, -1), (-1, -1), (150, RETURN_STEPS, False, False, [4, 3])),
+        ((80, 90), (-1, -1), (150, RETURN_STEPS, False, True, [4, 3])),
     ],
 )
-def test_made_up_episodes_are_counted(arrives, crashes, any_end, all_end, passed):
-    env = Script(arrives, crashes)
-    for end, (returned, length, crashed, completed) in (
-        ("any", any_end),
-        ("all", all_end),
-    ):
-        found = outcome(env, end=end)
-        assert found == Outcomes(returned, length, crashed, completed, passed)
+def test_made_up_episodes_are_counted(arrives, crashes, expected):
+    assert outcome(Script(arrives, crashes)) == Outcomes(*expected)
 
 
 def test_joint_rewards_are_counted_once():
-    joint = RewardRules(joint=True)
-    assert outcome(Script((3, 3), (-1, -1)), rewards=joint).returns == 3.0
+    script = Script((3, 3), (-1, -1), rewards=RewardRules(joint=True))
+    assert outcome(script).returns == 3.0
 
 
 def test_a_summary_says_whether_the_mean_solves_the_scenario_and_who_gives_way():
@@ -164,17 +160,16 @@ def test_cars_on_the_same_way_do_not_give_way_to_each_other():
 
 
 def test_a_car_that_stands_lets_the_other_one_across():
-    config = JunctionConfig()
-    env = evaluation_env(config, 0.0)
+    env = evaluation_env(JunctionConfig(), 0.0)
     keys = jax.random.split(jax.random.key(0), 1)
     waits = jnp.array([SLOW_DOWN, KEEP_LANE])
-    found = jax.jit(lambda keys: evaluate(env, config, lambda _: waits, keys))(keys)
+    found = jax.jit(lambda keys: evaluate(env, lambda _: waits, keys))(keys)
     [(east, west)] = found.passed
     assert west < east == NEVER
-    assert found.length[0] < config.max_steps  # the study's end: the first arrives
+    assert found.length[0] < RETURN_STEPS  # the study's end: the first arrives
 
 
 def test_policies_are_evaluated_until_all_are_done_from_varied_starts():
     config = evaluation_env(JunctionConfig(max_steps=50, jitter=0.0), 1.5).config
     assert (config.end, config.restart, config.jitter) == ("all", False, 1.5)
-    assert config.max_steps == 50 + EXTRA_STEPS
+    assert config.max_steps == MAX_STEPS

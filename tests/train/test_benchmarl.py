@@ -120,7 +120,7 @@ def test_greedy_episodes_are_counted_with_observations_scaled():
     outcomes = GreedyEpisodes(config)(policy, first)
     assert (outcomes.passed[:, 0] == NEVER).all()
     assert (outcomes.passed[:, 1] < NEVER).all()
-    state, observation = jax.jit(junction_start)()
+    _, observation = jax.jit(junction_start)()
     np.testing.assert_allclose(seen[0][0], observation / 20.0, rtol=1e-6)
 
 

@@ -63,7 +63,7 @@ def test_bad_input_is_refused_in_one_line(flags, words, capsys):
 def rows(*returns):
     rates = {"crashed": 0.25, "completed": 0.75, "west_before_east": 0.75}
     return [
-        {"env_steps": 10 * k, "return": value, **rates}
+        {"env_steps": 10 * k, "return": value, "solved": int(value >= 100), **rates}
         for k, value in enumerate(returns)
     ]
 
@@ -88,7 +88,7 @@ def test_solved_once_is_not_converged(returns, solved_at, converged_at):
 
 def test_evaluations_are_written_and_summed_up(tmp_path):
     config = BenchMARLConfig(scenario="3av")
-    write_evaluations(tmp_path, config, rows(0, 130.5, 119))
+    write_evaluations(tmp_path, config, rows(0, 130.5, 99))
     found = json.loads((tmp_path / "evaluation.json").read_text())
     assert (found["threshold"], found["best_return"]) == (120.0, 130.5)
     assert found["last"]["env_steps"] == 20

@@ -90,9 +90,7 @@ def stored(folder: Path) -> dict[str, Any]:
         raise CheckpointError(f"no run at {folder} (no {path})") from None
     except ValueError as error:
         raise CheckpointError(f"{path} is no config of a run: {error}") from None
-    if not isinstance(described, dict) or not isinstance(
-        described.get("config"), dict
-    ):
+    if not isinstance(described, dict) or not isinstance(described.get("config"), dict):
         raise CheckpointError(f"{path} is no config of a run")
     runs.check_version(described, path)
     return described["config"]

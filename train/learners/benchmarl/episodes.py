@@ -12,7 +12,6 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from carpark_mj.junction.evaluation import (
-    Episode,
     Outcomes,
     advance,
     begin,
@@ -32,22 +31,15 @@ class GreedyEpisodes:
         Raises:
             ValueError: impossible settings.
         """
-        junction = config.junction
-        self._env = env = evaluation_env(junction, config.eval_jitter)
+        self._env = env = evaluation_env(config.junction, config.eval_jitter)
         key = jax.random.fold_in(jax.random.key(config.seed), 1)
         self._keys = jax.random.split(key, config.eval_episodes)
         self._begin = jax.jit(jax.vmap(lambda key: begin(env, key)))
-
-        def step(episodes: Episode, action: jax.Array) -> Episode:
-            one = jax.vmap(lambda episode, act: advance(env, junction, episode, act))
-            return one(episodes, action)
-
+        step = jax.vmap(lambda episode, action: advance(env, episode, action))
         self._step = jax.jit(step, donate_argnums=0)
 
     @torch.no_grad()
-    def __call__(
-        self, policy: Callable[[Any], Any], first: TensorDictBase
-    ) -> Outcomes:
+    def __call__(self, policy: Callable[[Any], Any], first: TensorDictBase) -> Outcomes:
         """Drives the episodes.
 
         Args:
@@ -65,7 +57,7 @@ class GreedyEpisodes:
                 if not action.is_floating_point():
                     action = action.to(torch.int32)
                 episodes = self._step(episodes, jax.dlpack.from_dlpack(action))
-                if "next" in seen.keys():
+                if "is_init" in seen:  # recurrent: what it keeps in mind
                     seen = seen.update(seen.pop("next"))
                     seen["is_init"] = torch.zeros_like(seen["is_init"])
         return jax.device_get(episodes.outcomes)

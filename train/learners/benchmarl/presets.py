@@ -6,7 +6,14 @@ from typing import Any
 from learners.benchmarl.config import ON_POLICY, BenchMARLConfig
 from learners.junction.config import Algorithm
 
-PPO: dict[str, Any] = {"num_junctions": 256, "total_steps": 2_000_000}
+# Starts vary more than in evaluations, and who waits has the time to get through.
+PPO: dict[str, Any] = {
+    "max_steps": 150,
+    "jitter": 3.0,
+    "num_junctions": 256,
+    "discount": 0.995,
+    "entropy": 0.003,
+}
 # An update every few steps, as many transitions of the buffer as there are new ones.
 OFF_POLICY: dict[str, Any] = {
     "end": "any",

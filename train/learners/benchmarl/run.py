@@ -12,7 +12,7 @@ from learners.run_folder import open_run
 os.environ.setdefault("TQDM_DISABLE", "1")
 os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
-from learners.benchmarl.train import Training  # noqa: E402
+from learners.benchmarl.train import Training
 
 
 def train_run(config: BenchMARLConfig) -> tuple[Path, bool]:

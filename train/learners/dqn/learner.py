@@ -69,14 +69,13 @@ class DQNLearner:
     def greedy(self, params: Any, observation: jax.Array) -> jax.Array:
         """The best actions (batch, agents) for observations (batch, agents, ...)."""
         seen = to_learners(observation, self.config.networks)
-        values = jax.vmap(self._network.apply)(params, seen)
+        values: Any = jax.vmap(self._network.apply)(params, seen)
         return to_agents(values.argmax(axis=-1), self.env.num_agents)
 
     def _evaluate(self, params: Any, key: jax.Array) -> Outcomes:
         """Episodes with greedy actions."""
         return evaluate(
             self._evaluation_env,
-            self.config.junction,
             lambda observation: self.greedy(params, observation[None])[0],
             jax.random.split(key, self.config.eval_episodes),
         )

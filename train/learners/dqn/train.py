@@ -51,15 +51,16 @@ def load_or_init(learner: DQNLearner, folder: Path) -> Run:
 
 def save(folder: Path, config: DQNConfig, run: Run) -> None:
     """Writes a checkpoint with everything, the buffers as well."""
+    steps = _steps(config, run)
     header = {
         "algorithm": DQN_ALGORITHM,
         "config": dataclasses.asdict(config),
         "evaluations": run.evaluations,
         "chunks": run.chunks,
-        "env_steps": _steps(config, run),
+        "env_steps": steps,
     }
     tree = jax.device_get(run.training)
-    runs.save_checkpoint(folder, tree, header, header["env_steps"])
+    runs.save_checkpoint(folder, tree, header, steps)
 
 
 def add_evaluation(folder: Path, learner: DQNLearner, run: Run) -> None:

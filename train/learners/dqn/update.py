@@ -90,13 +90,13 @@ def td_errors(
         next_online: those of the online network after it, which choose the action of
             double Q-learning; None = plain Q-learning.
     """
-    if next_online is None:
-        return jax.vmap(rlax.q_learning)(
-            values, batch.action, batch.reward, batch.discount, next_values
-        )
-    return jax.vmap(rlax.double_q_learning)(
-        values, batch.action, batch.reward, batch.discount, next_values, next_online
+    taken = (values, batch.action, batch.reward, batch.discount, next_values)
+    errors: Any = (
+        jax.vmap(rlax.q_learning)(*taken)
+        if next_online is None
+        else jax.vmap(rlax.double_q_learning)(*taken, next_online)
     )
+    return errors
 
 
 def update(
@@ -105,11 +105,11 @@ def update(
     """One gradient step on a batch; the learner and the mean squared error."""
 
     def loss(params: Any) -> jax.Array:
-        values = network.apply(params, batch.observation)
-        after = network.apply(learner.target, batch.next_observation)
         online = None
+        values: Any = network.apply(params, batch.observation)
+        after: Any = network.apply(learner.target, batch.next_observation)
         if config.double:
-            online = network.apply(params, batch.next_observation)
+            online: Any = network.apply(params, batch.next_observation)
         errors = td_errors(batch, values, after, online)
         return jnp.mean(errors**2, where=batch.valid)
 

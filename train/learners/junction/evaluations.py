@@ -31,28 +31,26 @@ def judge(config: JunctionRunConfig, rows: Rows) -> dict[str, Any]:
     """
     threshold = config.junction.traffic.solved
     returns = [row["return"] for row in rows]
-    steps = [row["env_steps"] for row in rows]
     return {
         "algorithm": config.algorithm,
         "scenario": config.scenario,
         "threshold": threshold,
-        "solved_at": next((s for s, r in zip(steps, returns) if r >= threshold), None),
-        "converged_at": _converged_at(steps, returns, threshold),
+        "solved_at": next((row["env_steps"] for row in rows if row["solved"]), None),
+        "converged_at": _converged_at(rows, threshold),
         "best_return": max(returns),
         "last": dict(rows[-1]),
     }
 
 
-def _converged_at(
-    steps: Sequence[int], returns: Sequence[float], threshold: float
-) -> int | None:
+def _converged_at(rows: Rows, threshold: float) -> int | None:
     """Steps from which the moving mean stays at the threshold; None = it does not."""
+    returns = [row["return"] for row in rows]
     if len(returns) < WINDOW:
         return None
     means = np.convolve(returns, np.full(WINDOW, 1 / WINDOW), mode="valid")
     below = np.flatnonzero(means < threshold)
     first = 0 if not below.size else int(below[-1]) + 1
-    return None if first == len(means) else steps[first + WINDOW - 1]
+    return None if first == len(means) else rows[first + WINDOW - 1]["env_steps"]
 
 
 def summary(found: Mapping[str, Any]) -> str:
