@@ -10,14 +10,15 @@
 Independent Q-learning (idqn, double, dueling, double-dueling) needs
 `pip install ".[train,junction]"`, the algorithms of BenchMARL (ippo, mappo, maddpg,
 vdn, qmix) `pip install ".[train,torchrl]"`. In `runs/<name>/` lie `config.json`,
-checkpoints, `metrics.csv`, `evaluations.csv`, `evaluation.json` and
-`learning_curve.png`. Ctrl-C saves a checkpoint and stops; a second one stops at once.
+checkpoints, `metrics.csv`, `evaluations.csv`, `evaluation.json`, `learning_curve.png`
+and `video.mp4`. Ctrl-C saves a checkpoint and stops; a second one stops at once.
 """
 
 import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.rendering.gl import choose_gl
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
@@ -34,6 +35,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
+    choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
     # Without `enable_output_fusion`: XLA of jaxlib 0.10.2 aborts on Q-learning.
     keep_compiled_programs()
     return run_command("junction", lambda: run(arguments))

@@ -16,7 +16,7 @@ from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
 from carpark_mj.junction.evaluation import NEVER
 from carpark_mj.policy import runs
 from learners.benchmarl.config import BenchMARLConfig
-from learners.benchmarl.episodes import GreedyEpisodes
+from learners.benchmarl.episodes import Evaluation, GreedyPolicy
 from learners.benchmarl.presets import benchmarl_presets
 from learners.benchmarl.run import train_run
 from learners.benchmarl.train import Training
@@ -36,6 +36,7 @@ TINY = {
     "eval_period": 16,
     "eval_episodes": 2,
     "max_steps": 6,
+    "video_episodes": 0,
 }
 # Of `cederle`, the recurrent networks of QMIX and VDN learn from whole episodes.
 RECURRENT = {"recurrent": 8, "unroll": 4, "batch_size": 16}
@@ -117,7 +118,7 @@ def test_greedy_episodes_are_counted_with_observations_scaled():
         return step.set(("agents", "action"), action)
 
     first = TensorDict({"agents": TensorDict(batch_size=(2, 2))}, batch_size=2)
-    outcomes = GreedyEpisodes(config)(policy, first)
+    outcomes = Evaluation(config)(GreedyPolicy(policy, first))
     assert (outcomes.passed[:, 0] == NEVER).all()
     assert (outcomes.passed[:, 1] < NEVER).all()
     _, observation = jax.jit(junction_start)()

@@ -31,6 +31,7 @@ TINY = DQNConfig(
     batch_size=4,
     buffer_size=64,
     updates=1,
+    video_episodes=0,
 )
 
 VALUES = jnp.array([[1.0, 2.0, 3.0, 4.0], [0.0, 5.0, 0.0, 0.0]])
@@ -168,6 +169,7 @@ def test_deep_q_learning_learns_to_arrive(tmp_path):
         epsilon_steps=5_000,
         target_period=100,
         hidden=(64, 64),
+        video_episodes=0,
     )
     with open_run(config) as folder:
         assert train(config, DQNLearner(config), folder)

@@ -22,8 +22,42 @@ from learners.benchmarl.config import BenchMARLConfig
 from learners.junction.config import VECTOR_SCALE
 
 
-class GreedyEpisodes:
-    """Evaluates a policy, always in the same episodes."""
+class GreedyPolicy:
+    """A policy of BenchMARL on JAX's arrays, for the episodes of a batch from start on.
+
+    Recurrent ones keep in mind what they have seen.
+    """
+
+    def __init__(self, policy: Callable[[Any], Any], first: TensorDictBase) -> None:
+        """Stands at the start of the episodes.
+
+        Args:
+            policy: actions of all agents.
+            first: what its own environments begin with, (episodes,).
+        """
+        self._policy, self._seen = policy, first
+
+    @torch.no_grad()
+    def __call__(self, observation: jax.Array) -> jax.Array:
+        """Actions (episodes, agents, ...) for observations (episodes, agents, n)."""
+        # Divided into new memory: that of JAX may be used again.
+        seen = self._seen.set(
+            (GROUP, "observation"), torch.from_dlpack(observation) / VECTOR_SCALE
+        )
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            seen = self._policy(seen)
+        if "is_init" in seen:
+            seen = seen.update(seen.pop("next"))
+            seen["is_init"] = torch.zeros_like(seen["is_init"])
+        self._seen = seen
+        action = seen[GROUP, "action"].contiguous()
+        if not action.is_floating_point():
+            action = action.to(torch.int32)
+        return jax.dlpack.from_dlpack(action)
+
+
+class Evaluation:
+    """Evaluates policies, always in the same episodes."""
 
     def __init__(self, config: BenchMARLConfig) -> None:
         """Builds the programs.
@@ -32,32 +66,15 @@ class GreedyEpisodes:
             ValueError: impossible settings.
         """
         self._env = env = evaluation_env(config.junction, config.eval_jitter)
-        key = jax.random.fold_in(jax.random.key(config.seed), 1)
-        self._keys = jax.random.split(key, config.eval_episodes)
+        self._keys = config.evaluation_keys()
         self._begin = jax.jit(jax.vmap(lambda key: begin(env, key)))
         step = jax.vmap(lambda episode, action: advance(env, episode, action))
         self._step = jax.jit(step, donate_argnums=0)
 
-    @torch.no_grad()
-    def __call__(self, policy: Callable[[Any], Any], first: TensorDictBase) -> Outcomes:
-        """Drives the episodes.
-
-        Args:
-            policy: of BenchMARL.
-            first: what a batch of its environments begins with, for what its networks
-                keep in mind.
-        """
-        episodes, seen = self._begin(self._keys), first
-        with set_exploration_type(ExplorationType.DETERMINISTIC):
-            for _ in range(self._env.config.max_steps):
-                # Copied: the buffers of the episodes are used again.
-                observation = torch.from_dlpack(episodes.observation) / VECTOR_SCALE
-                seen = policy(seen.set((GROUP, "observation"), observation))
-                action = seen[GROUP, "action"].contiguous()
-                if not action.is_floating_point():
-                    action = action.to(torch.int32)
-                episodes = self._step(episodes, jax.dlpack.from_dlpack(action))
-                if "is_init" in seen:  # recurrent: what it keeps in mind
-                    seen = seen.update(seen.pop("next"))
-                    seen["is_init"] = torch.zeros_like(seen["is_init"])
+    def __call__(self, act: Callable[[jax.Array], jax.Array]) -> Outcomes:
+        """Drives the episodes, greedily if `act` does."""
+        episodes = self._begin(self._keys)
+        for _ in range(self._env.config.max_steps):
+            action = act(episodes.observation)
+            episodes = self._step(episodes, action)
         return jax.device_get(episodes.outcomes)

@@ -26,13 +26,14 @@ from learners.benchmarl.build import (
     make_task,
 )
 from learners.benchmarl.config import BenchMARLConfig
-from learners.benchmarl.episodes import GreedyEpisodes
+from learners.benchmarl.episodes import Evaluation, GreedyPolicy
 from learners.junction.evaluations import (
     judge,
     progress,
     summary,
     write_evaluations,
 )
+from learners.junction.video import write_video
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog
 
@@ -56,7 +57,7 @@ class Training(Experiment):
             ValueError: impossible settings.
         """
         self._run, self._folder = config, folder
-        self._episodes = GreedyEpisodes(config)
+        self._evaluation = Evaluation(config)
         self._monitor = Monitor()
         self.evaluations: list[dict[str, Any]] = []
         device = torch.from_dlpack(jax.numpy.zeros(1)).device
@@ -92,7 +93,10 @@ class Training(Experiment):
             with contextlib.suppress(Stopped):
                 self.run()
         print(summary(judge(config, self.evaluations)))
-        return self.n_iters_performed >= config.iterations
+        finished = self.n_iters_performed >= config.iterations
+        if finished:
+            write_video(self._folder, config, self._last_policy)
+        return finished
 
     def _save_experiment(self) -> None:
         """What BenchMARL calls at the end of an iteration."""
@@ -107,13 +111,19 @@ class Training(Experiment):
         if leaving or self._loop.checkpoint_is_due:
             self._save()
             self._loop.saved()
-        if leaving and not finished:
+        if finished:  # BenchMARL closes its environments behind this
+            self._last_policy = self.greedy_policy(config.video_episodes)
+        elif leaving:
             raise Stopped
+
+    def greedy_policy(self, episodes: int) -> GreedyPolicy:
+        """Standing at the start of at most `eval_episodes` episodes."""
+        return GreedyPolicy(self.policy, self.test_env.reset()[:episodes])
 
     def _evaluate(self) -> None:
         if any(row["env_steps"] == self.total_frames for row in self.evaluations):
             return
-        outcomes = self._episodes(self.policy, self.test_env.reset())
+        outcomes = self._evaluation(self.greedy_policy(self._run.eval_episodes))
         row = summarize(outcomes, self._run.junction.traffic)
         self.evaluations.append({"env_steps": self.total_frames, **row})
         write_evaluations(self._folder, self._run, self.evaluations)

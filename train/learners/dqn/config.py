@@ -35,16 +35,18 @@ class DQNConfig(JunctionRunConfig):
     """
 
     checkpoint_minutes: float = 5.0
-    updates: int = 4
-    batch_size: int = 256
+    num_junctions: int = 32
+    total_steps: int = 500_000
+    updates: int = 8
+    batch_size: int = 128
     buffer_size: int = 50_000
     random_steps: int = 2_000
     optimizer: Optimizer = "adam"
     learning_rate: float = 5e-4
     discount: float = 0.99
     target_period: int = 200
-    epsilon_end: float = 0.02
-    epsilon_steps: int = 100_000
+    epsilon_end: float = 0.05
+    epsilon_steps: int = 300_000
     hidden: tuple[int, ...] = (128, 128)
 
     def __post_init__(self) -> None:

@@ -72,12 +72,12 @@ class DQNLearner:
         values: Any = jax.vmap(self._network.apply)(params, seen)
         return to_agents(values.argmax(axis=-1), self.env.num_agents)
 
-    def _evaluate(self, params: Any, key: jax.Array) -> Outcomes:
+    def _evaluate(self, params: Any) -> Outcomes:
         """Episodes with greedy actions."""
         return evaluate(
             self._evaluation_env,
             lambda observation: self.greedy(params, observation[None])[0],
-            jax.random.split(key, self.config.eval_episodes),
+            self.config.evaluation_keys(),
         )
 
     def _advance(self, training: Training) -> tuple[Training, Report]:

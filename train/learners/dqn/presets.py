@@ -30,7 +30,7 @@ _PRESETS: dict[str, DQNConfig] = {
 }
 
 DQN_SUMMARIES = {
-    "parallel": "64 junctions at once, vectors, a small network per agent",
+    "parallel": "32 junctions at once, vectors, a small network per agent",
     "cederle": "settings of Cederle 2023: one junction, images",
 }
 

@@ -18,6 +18,7 @@ from learners.junction.evaluations import (
     summary,
     write_evaluations,
 )
+from learners.junction.video import write_video
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog
 
@@ -67,9 +68,7 @@ def add_evaluation(folder: Path, learner: DQNLearner, run: Run) -> None:
     """Evaluates, unless it is done, and writes what was found."""
     config, steps = learner.config, _steps(learner.config, run)
     if not any(row["env_steps"] == steps for row in run.evaluations):
-        # The same episodes every time: the curve shows the policy, not their luck.
-        key = jax.random.fold_in(jax.random.key(config.seed), 1)
-        outcomes = learner.evaluate(run.training.learners.params, key)
+        outcomes = learner.evaluate(run.training.learners.params)
         row = summarize(outcomes, config.junction.traffic)
         run.evaluations.append({"env_steps": steps, **row})
     write_evaluations(folder, config, run.evaluations)
@@ -106,6 +105,10 @@ def train(config: DQNConfig, learner: DQNLearner, folder: Path) -> bool:
             log.write(_row(run.chunks, run.chunks * per_chunk, report))
             loop.show(_steps(config, run), progress(run.evaluations[-1]))
     print(summary(judge(config, run.evaluations)))
+    if finished:
+        params = run.training.learners.params
+        act = jax.jit(lambda observation: learner.greedy(params, observation))
+        write_video(folder, config, act)
     return finished
 
 

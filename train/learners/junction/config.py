@@ -3,6 +3,8 @@
 import dataclasses
 from typing import Literal
 
+import jax
+
 from carpark_mj.cli.common import MAX_EPISODES
 from carpark_mj.config.checks import choose, whole
 from carpark_mj.junction import JunctionConfig, RasterConfig, RewardRules
@@ -50,6 +52,7 @@ RUN_SETTINGS = (
     "total_steps",
     "eval_period",
     "eval_episodes",
+    "video_episodes",
 )
 
 
@@ -82,6 +85,7 @@ class JunctionRunConfig(RunConfig):
         eval_period: steps between evaluations.
         eval_episodes: of each, with greedy actions.
         eval_jitter: starts vary by up to this way in evaluations [m].
+        video_episodes: of the last policy, shown in `video.mp4`; 0 = no video.
     """
 
     preset: JunctionPreset = "parallel"
@@ -102,12 +106,14 @@ class JunctionRunConfig(RunConfig):
     eval_period: int = 20_000
     eval_episodes: int = 64
     eval_jitter: float = 1.0
+    video_episodes: int = 3
 
     def __post_init__(self) -> None:
         super().__post_init__()
         choose("algorithm", self.algorithm, Algorithm)
         choose("scenario", self.scenario, ScenarioName)
         whole(self, 1, "num_junctions", "total_steps", "eval_period", "eval_episodes")
+        whole(self, 0, "video_episodes")
         if self.eval_episodes > MAX_EPISODES:
             raise ValueError(
                 f"eval_episodes must be at most {MAX_EPISODES}, not "
@@ -122,6 +128,14 @@ class JunctionRunConfig(RunConfig):
                 f"{self.algorithm} chooses actions by {' or '.join(kinds)}, not by "
                 f"{self.action}: give --action {kinds[0]}"
             )
+
+    def evaluation_keys(self) -> jax.Array:
+        """Of the episodes of an evaluation.
+
+        Always the same: the curve shows the policy, not their luck.
+        """
+        key = jax.random.fold_in(jax.random.key(self.seed), 1)
+        return jax.random.split(key, self.eval_episodes)
 
     @property
     def default_name(self) -> str:

@@ -1,0 +1,110 @@
+"""A video of episodes at the junction, with what the agents intend beside them."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from carpark_mj.junction.actions import ACTIONS
+from carpark_mj.junction.config import JunctionConfig
+from carpark_mj.junction.evaluation import car_names
+from carpark_mj.junction.steered_car import road_car
+from carpark_mj.junction.types import State
+from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.rendering.junction_stage import JunctionStage
+from carpark_mj.rendering.overlays import draw_labels, draw_status
+from carpark_mj.rendering.renderer import LotRenderer, RenderingError
+from carpark_mj.rendering.snapshot import Snapshot
+from carpark_mj.rendering.video import write_video
+from carpark_mj.vehicle import preset
+
+SIZE = 720, 720  # pixels
+STILL = 1.0  # s for which the end of an episode is shown
+
+
+@dataclasses.dataclass(frozen=True)
+class Drive:
+    """An episode as it went.
+
+    Attributes:
+        states: after each control step, on the host, without images.
+        actions: (num_agents,) indices of `ACTIONS` that led there.
+        crashed: which agents (num_agents,) had crashed by then.
+    """
+
+    states: Sequence[State]
+    actions: Sequence[np.ndarray]
+    crashed: Sequence[np.ndarray]
+
+
+def write_drives(path: Path, config: JunctionConfig, drives: Sequence[Drive]) -> Path:
+    """Draws episodes one after the other, from above, in real time.
+
+    Below its disc stands what a car intends, or how its episode ended; a line leads to
+    its goal.
+
+    Args:
+        path: of the `.mp4` or `.gif`.
+        config: of the junction.
+        drives: the episodes.
+
+    Raises:
+        RenderingError: no GL.
+    """
+    missing_gl = choose_gl()
+    if missing_gl:
+        raise RenderingError(missing_gl)
+    names = car_names(config.traffic)
+    stage = JunctionStage(road_car(preset(config.vehicle)), len(names))
+    renderer = LotRenderer(stage, "topdown", SIZE)
+    traces, dt = config.sim.num_traces, config.sim.ctrl_dt
+
+    def frames() -> Iterator[np.ndarray]:
+        for drive in drives:
+            frame = np.zeros((0, 0, 3), np.uint8)
+            for step in range(len(drive.states)):
+                for trace in range(traces):
+                    seen = _snapshot(stage, drive, step, trace, names)
+                    seconds = dt * (step + (trace + 1) / traces)
+                    seen = dataclasses.replace(seen, seconds=seconds)
+                    renderer.place(seen)
+                    picture = renderer.draw(seen, "topdown")
+                    frame = draw_labels(picture, renderer, seen, "topdown")
+                    frame = draw_status(frame, seen)
+                    yield frame
+            for _ in range(round(STILL / dt) * traces):
+                yield frame
+
+    try:
+        write_video(path, frames(), traces / dt)
+    finally:
+        renderer.close()
+    return path
+
+
+def _snapshot(
+    stage: JunctionStage, drive: Drive, step: int, trace: int, names: Sequence[str]
+) -> Snapshot:
+    """One traced instant of a control step."""
+    state = drive.states[step]
+    motion = state.motion
+    pose = np.asarray(motion.trace_w)[:, trace]
+    state = dataclasses.replace(state, motion=dataclasses.replace(motion, pose_w=pose))
+    words = [
+        f"{name}: {_intention(drive, step, k)}, {speed:.0f} m/s"
+        for k, (name, speed) in enumerate(zip(names, motion.speed, strict=True))
+    ]
+    tally = {"crashed": float(drive.crashed[step].sum())}
+    return dataclasses.replace(stage.snapshot(state), state=tuple(words), tally=tally)
+
+
+def _intention(drive: Drive, step: int, agent: int) -> str:
+    """What an agent is up to, or how its episode ended."""
+    if agent >= len(drive.actions[step]):  # human-driven
+        return "keep lane"
+    if drive.crashed[step][agent]:
+        return "crashed"
+    if not drive.states[step].active[agent]:
+        return "arrived"
+    return ACTIONS[drive.actions[step][agent]].replace("_", " ")
