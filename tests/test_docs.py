@@ -34,9 +34,8 @@ from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table, observation_size
 from carpark_mj.registry import ENVIRONMENTS, TANNER_FIXED
 from carpark_mj.vehicle import PRESETS
-from learners.dqn.config import DQNConfig
-from learners.dqn.presets import DQN_PRESETS
 from learners.hosts import read_hosts
+from learners.junction.families import presets_of
 from learners.ppo.arguments import read_runs
 from learners.ppo.config import PPOConfig
 from learners.ppo.presets import PRESETS as PPO_PRESETS
@@ -44,6 +43,7 @@ from learners.q_learning.config import QLearningConfig
 from learners.q_learning.presets import Q_PRESETS
 from learners.sac.config import SACConfig
 from learners.sac.presets import SAC_PRESETS
+from learners.settings import named
 from studies.config import StudyConfig
 from sweeps.config import SweepConfig
 from vehicle_suite.table import excerpt
@@ -65,7 +65,6 @@ COMMANDS = {
     "train/ppo.py": PPOConfig,
     "train/q_learning.py": QLearningConfig,
     "train/sac.py": SACConfig,
-    "train/junction.py": DQNConfig,
     "train/export.py": ExportConfig,
     "train/study.py": StudyConfig,
     "train/sweep.py": SweepConfig,
@@ -229,6 +228,11 @@ def test_a_command_exists_and_takes_its_flags(line):
         return
     if program == "-m carpark_mj.scene":
         arguments = complete(arguments)
+    if program == "train/junction.py":  # its flags depend on the algorithm
+        presets = presets_of(named(arguments, "algorithm") or "double-dueling")
+        start = presets[named(arguments, "preset") or "parallel"]
+        read_flags(type(start), arguments, start)
+        return
     config = COMMANDS.get(program) or settings_of(program)
 
     def read(words):
@@ -267,7 +271,6 @@ def preset(config, arguments):
         PPOConfig: PPO_PRESETS,
         QLearningConfig: Q_PRESETS,
         SACConfig: SAC_PRESETS,
-        DQNConfig: DQN_PRESETS,
     }.get(config)
     if not presets or "--preset" not in arguments:
         return None

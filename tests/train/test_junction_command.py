@@ -46,7 +46,7 @@ def test_a_resumed_run_keeps_its_algorithm(tmp_path):
         (["--algorithm", "vdn", "--observation", "image"], ["vdn", "vector", "image"]),
         (["--observation", "image", "--pixels", "0"], ["pixels", "at least", "0"]),
         (["--observation", "image", "--pixels", "20"], ["pixels", "36", "20"]),
-        (["--buffer-size", "10"], ["buffer_size", "at least 256", "10"]),
+        (["--buffer-size", "10"], ["buffer_size", "at least 128", "10"]),
         (["--eval-jitter", "20"], ["jitter", "at most", "20"]),
         (["--eval-episodes", "0"], ["eval_episodes", "at least 1"]),
         (["--algorithm", "ippo", "--unroll", "1"], ["batch_size", "at most 256"]),

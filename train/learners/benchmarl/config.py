@@ -28,7 +28,8 @@ class BenchMARLConfig(JunctionRunConfig):
         discount: discount factor per control step.
         gae_lambda: trade-off of bias and variance of advantages (`ippo`, `mappo`).
         clip: most that a probability ratio counts above or below 1 (`ippo`, `mappo`).
-        entropy: weight of the entropy bonus (`ippo`, `mappo`).
+        entropy: weight of the entropy bonus at the beginning, from which it falls
+            linearly to 0 (`ippo`, `mappo`).
         tau: share of the target network that an update replaces; not of `ippo`,
             `mappo`.
         epsilon_start: share of random actions, or of MADDPG the standard deviation of
@@ -54,7 +55,7 @@ class BenchMARLConfig(JunctionRunConfig):
     discount: float = 0.99
     gae_lambda: float = 0.95
     clip: float = 0.2
-    entropy: float = 0.01
+    entropy: float = 0.1
     tau: float = 0.01
     epsilon_start: float = 1.0
     epsilon_end: float = 0.05

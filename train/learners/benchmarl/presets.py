@@ -12,7 +12,6 @@ PPO: dict[str, Any] = {
     "jitter": 3.0,
     "num_junctions": 256,
     "discount": 0.995,
-    "entropy": 0.003,
 }
 # An update every few steps, as many transitions of the buffer as there are new ones.
 OFF_POLICY: dict[str, Any] = {

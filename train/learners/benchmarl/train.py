@@ -102,6 +102,9 @@ class Training(Experiment):
         """What BenchMARL calls at the end of an iteration."""
         config, done = self._run, self.n_iters_performed
         finished = done >= config.iterations
+        if config.on_policy:  # what is best must end up most likely, too
+            left = 1.0 - done / config.iterations
+            self.losses[GROUP].entropy_coeff.fill_(config.entropy * left)
         if finished or done % config.iterations_per_evaluation == 0:
             self._evaluate()
         counts = {"update": done, "env_steps": self.total_frames}

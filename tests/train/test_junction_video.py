@@ -1,0 +1,70 @@
+"""Videos of the junction: what is recorded, and what stands below the cars."""
+
+import dataclasses
+
+import imageio_ffmpeg
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
+from carpark_mj.rendering import junction_video
+from learners.dqn.config import DQNConfig
+from learners.junction.video import record, write_video
+
+CONFIG = DQNConfig(scenario="2av-hd", video_episodes=2, eval_jitter=0.0)
+
+
+def act(observation):
+    """The one from the east stands; the one from the west drives."""
+    return jnp.tile(jnp.array([SLOW_DOWN, KEEP_LANE]), (len(observation), 1))
+
+
+@pytest.fixture(scope="module")
+def drives():
+    return record(CONFIG, act)
+
+
+def test_episodes_are_recorded_till_all_agents_are_done(drives):
+    assert len(drives) == 2
+    for drive in drives:
+        assert len(drive.states) == len(drive.actions) == len(drive.crashed)
+        assert drive.states[-2].active.any()
+        assert drive.states[0].motion.pose_w.shape == (3, 3)
+        np.testing.assert_array_equal(drive.actions[5], [SLOW_DOWN, KEEP_LANE])
+
+
+def test_below_every_car_stands_what_it_intends_or_how_it_ended(
+    drives, tmp_path, monkeypatch
+):
+    seen = []
+
+    def labels(frame, renderer, shown, camera):
+        seen.append(shown)
+        return frame
+
+    monkeypatch.setattr(junction_video, "draw_labels", labels)
+    monkeypatch.setattr(junction_video, "SIZE", (64, 64))
+    path = junction_video.write_drives(
+        tmp_path / "video.mp4", CONFIG.junction, drives[:1]
+    )
+    frames = 2 * len(drives[0].states)  # two traced instants of a step
+    assert len(seen) == frames
+    assert seen[19].seconds == pytest.approx(1.0)
+    east, west, human = seen[10].state
+    assert east.startswith("east: slow down, ")
+    assert west.startswith("west: keep lane, ")
+    assert human.startswith("human: keep lane, ")
+    ends = [text.split(": ")[1].split(",")[0] for text in seen[-1].state[:2]]
+    crashed = drives[0].crashed[-1]
+    assert all(
+        (end == "crashed") == hit for end, hit in zip(ends, crashed, strict=True)
+    )
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
+    assert count == frames + 20  # a second more
+    assert seconds == pytest.approx(count / 20)
+
+
+def test_there_is_no_video_where_none_is_wanted(tmp_path):
+    write_video(tmp_path, dataclasses.replace(CONFIG, video_episodes=0), act)
+    assert not [*tmp_path.iterdir()]
