@@ -95,6 +95,7 @@ def test_a_stopped_run_goes_on_with_its_networks_and_optimisers(tmp_path):
     steps = [row["env_steps"] for row in read_csv(folder / "metrics.csv")]
     assert steps == ["16", "32", "48"]
     assert len(runs.checkpoint_files(folder)) == 2
+    assert train_run(resumed) == (folder, True)  # nothing is left to do
 
 
 def test_critics_of_maddpg_have_a_learning_rate_of_their_own(tmp_path):

@@ -4,6 +4,7 @@
 # pyright: basic, reportMissingImports=false, reportArgumentType=false
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,8 @@ def make_settings(
     settings.off_policy_n_optimizer_steps = config.updates
     settings.off_policy_train_batch_size = config.batch_size
     settings.off_policy_memory_size = config.buffer_size
-    settings.off_policy_init_random_frames = config.random_steps
+    unrolls = math.ceil(config.random_steps / config.frames)
+    settings.off_policy_init_random_frames = unrolls * config.frames
     settings.evaluation, settings.evaluation_episodes = False, config.eval_episodes
     settings.checkpoint_interval = config.frames
     settings.loggers, settings.create_json = [], False

@@ -59,6 +59,7 @@ class Training(Experiment):
         self._run, self._folder = config, folder
         self._evaluation = Evaluation(config)
         self._monitor = Monitor()
+        self._last_policy: GreedyPolicy | None = None
         self.evaluations: list[dict[str, Any]] = []
         device = torch.from_dlpack(jax.numpy.zeros(1)).device
         if device.type == "cpu":
@@ -90,11 +91,12 @@ class Training(Experiment):
         ):
             self._log = log
             self._evaluate()
-            with contextlib.suppress(Stopped):
-                self.run()
+            if self.n_iters_performed < config.iterations:
+                with contextlib.suppress(Stopped):
+                    self.run()
         print(summary(judge(config, self.evaluations)))
         finished = self.n_iters_performed >= config.iterations
-        if finished:
+        if finished and self._last_policy:
             write_video(self._folder, config, self._last_policy)
         return finished
 
