@@ -4,6 +4,7 @@ from carpark_mj.layouts.angled import AngledConfig
 from carpark_mj.layouts.dead_end import DeadEndConfig
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.layouts.garage_row import GarageRowConfig
+from carpark_mj.layouts.hope import HOPE, HopeConfig
 from carpark_mj.layouts.lot_config import LotConfig
 from carpark_mj.layouts.mixture import MixtureConfig
 from carpark_mj.layouts.registry import (
@@ -35,6 +36,7 @@ from carpark_mj.layouts.types import (
 __all__ = [
     "COMPACT",
     "FAMILIES",
+    "HOPE",
     "NAMED",
     "ROWS",
     "SQUARES",
@@ -46,6 +48,7 @@ __all__ = [
     "DiscKind",
     "FromFileConfig",
     "GarageRowConfig",
+    "HopeConfig",
     "Layout",
     "LotConfig",
     "Maxima",

@@ -11,6 +11,7 @@ from carpark_mj.layouts.angled import AngledConfig, angled
 from carpark_mj.layouts.dead_end import DeadEndConfig, dead_end
 from carpark_mj.layouts.from_file import FromFileConfig, from_file
 from carpark_mj.layouts.garage_row import GarageRowConfig, garage_row
+from carpark_mj.layouts.hope import HOPE, HopeConfig, hope
 from carpark_mj.layouts.lot import lot
 from carpark_mj.layouts.lot_config import LotConfig
 from carpark_mj.layouts.mixture import MixtureConfig
@@ -61,13 +62,14 @@ FAMILIES: dict[str, Family] = {
     "garage_row": Family(GarageRowConfig, garage_row),
     "dead_end": Family(DeadEndConfig, dead_end),
     "slots": Family(SlotsConfig, slots),
+    "hope": Family(HopeConfig, hope),
     "from_file": Family(FromFileConfig, from_file),
     "mixture": Family(MixtureConfig, draw_mixture),
 }
 
 SQUARES: dict[str, SquareConfig] = {"tanner": TANNER, "compact": COMPACT}
 # Configs with a name of their own, besides the defaults of the families.
-NAMED: dict[str, LayoutConfig] = {**SQUARES, **SLOTS}
+NAMED: dict[str, LayoutConfig] = {**SQUARES, **SLOTS, **HOPE}
 
 
 def layout_config(layout: LayoutConfig | str) -> LayoutConfig:

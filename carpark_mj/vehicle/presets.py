@@ -19,6 +19,7 @@ import dataclasses
 import math
 
 from carpark_mj.config import WORLD_UNIT
+from carpark_mj.layouts.tpcap import TPCAP_CAR
 from carpark_mj.vehicle.parameters import (
     TyreParameters,
     VehicleParameters,
@@ -184,7 +185,7 @@ PRESETS: dict[str, VehicleParameters] = {
 }
 
 
-# Not cars, but boxes on the compact's chassis.
+# Cars of other studies: boxes on the chassis of a preset.
 BOXES: dict[str, VehicleParameters] = {
     # Tanner 2022, 7.9 x 3.9 world units (his colliders are 0.1 smaller than what he
     # draws). For the grid.
@@ -206,6 +207,25 @@ BOXES: dict[str, VehicleParameters] = {
         max_speed=40.0,
         max_reverse_speed=40.0,
         steering_rate=1000.0,  # at once
+    ),
+    # The car of the TPCAP competition and of HOPE, with their limits, on the chassis of
+    # `sedan_fwd`.
+    "tpcap": dataclasses.replace(
+        SEDAN_FWD,
+        length=TPCAP_CAR.length,
+        width=TPCAP_CAR.width,
+        wheelbase=TPCAP_CAR.wheelbase,
+        rear_overhang=TPCAP_CAR.rear_overhang,
+        turning_circle=kerb_to_kerb(
+            TPCAP_CAR.wheelbase,
+            SEDAN_FWD.track_width,
+            SEDAN_FWD.tyre_width,
+            TPCAP_CAR.max_steering,
+        ),
+        max_acceleration=1.0,
+        max_speed=2.5,
+        max_reverse_speed=2.5,
+        steering_rate=0.5,
     ),
 }
 
