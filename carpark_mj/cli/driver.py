@@ -7,13 +7,19 @@ from typing import Any
 
 from carpark_mj.config import EnvConfig, FleetConfig, ParkedRule
 from carpark_mj.env import ParkingEnv
+from carpark_mj.planning.policy import planner_policy
 from carpark_mj.policy import pretrained
+from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.baselines import random_policy, zero_policy
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.networks import Policy
 from carpark_mj.registry import environment
 
-BASELINES = {"zero": zero_policy, "random": random_policy}
+BASELINES: dict[str, Callable[[ParkingEnv], AnyPolicy]] = {
+    "zero": lambda env: zero_policy(env.action_spec),
+    "random": lambda env: random_policy(env.action_spec),
+    "planner": lambda env: planner_policy(env)[0],
+}
 
 
 def command_help(text: str | None) -> str:
@@ -34,15 +40,15 @@ class Driver:
 
     env: EnvConfig
     folder: Path
-    policy: Callable[[ParkingEnv], Policy]
+    policy: Callable[[ParkingEnv], AnyPolicy]
 
 
 def find_driver(name: str, named: str = "", deterministic: bool = True) -> Driver:
     """Finds a baseline, a pretrained policy or that of a run.
 
     Args:
-        name: `zero`, `random`, name of a pretrained policy, or a run folder or
-            checkpoint file.
+        name: `zero`, `random`, `planner`, name of a pretrained policy, or a run folder
+            or checkpoint file.
         named: name of a baseline's environment; empty = the default one.
         deterministic: take a distribution's mode instead of samples.
 
@@ -53,10 +59,11 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
     """
     if name in BASELINES:
         env = environment(named) if named else EnvConfig()
-        make = BASELINES[name]
-        return Driver(env, Path("runs") / name, lambda env: make(env.action_spec))
+        return Driver(env, Path("runs") / name, BASELINES[name])
     if named:
-        raise ValueError(f"environment is for zero and random; {name} has its own")
+        raise ValueError(
+            f"environment is for zero, random and planner; {name} has its own"
+        )
     loaded = load_policy(name, deterministic)
 
     def make_policy(env: ParkingEnv) -> Policy:

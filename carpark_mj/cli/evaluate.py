@@ -21,9 +21,9 @@ class EvaluateConfig:
 
     Attributes:
         run: pretrained policy, run folder or checkpoint file; or give `--policy`.
-        policy: the same, or `zero` or `random`.
-        environment: name of the environment of `zero` and `random`, for example
-            `tanner-fixed`; see `carpark_mj.registry`.
+        policy: the same, or `zero`, `random` or `planner`.
+        environment: name of the environment of `zero`, `random` and `planner`, for
+            example `tanner-fixed`; see `carpark_mj.registry`.
         episodes: number of episodes, rounded up to the same number per agent.
         seed: seed of the held-out lots; training never uses these keys.
         rule: parked rule to evaluate under; default: that of the run.
@@ -78,7 +78,7 @@ def main(config: EvaluateConfig) -> Evaluation:
     """
     if bool(config.run) == bool(config.policy):
         raise ValueError(
-            "give either a run folder or --policy zero|random|RUN, "
+            "give either a run folder or --policy zero|random|planner|RUN, "
             f"not {'both' if config.run else 'neither'}"
         )
     name = config.run or config.policy

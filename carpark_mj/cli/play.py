@@ -30,6 +30,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.play.controls import KEYS, Controls, from_gamepad, from_keys, stop
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
 from carpark_mj.play.driven import DrivenLot
+from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.renderer import RenderingError
@@ -97,7 +98,12 @@ def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
     if config.policy:
         driver = find_driver(config.policy)
         env = ParkingEnv(env_config(scene, driver.env))
-        return env, driver.policy(env)
+        policy = driver.policy(env)
+        if isinstance(policy, StatePolicy):
+            raise ValueError(
+                f"policy must be one that acts on observations, not {config.policy}"
+            )
+        return env, policy
     env = ParkingEnv(env_config(scene, default_env(scene)))
     return env, zero_policy(env.action_spec)
 

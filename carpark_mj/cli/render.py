@@ -44,8 +44,9 @@ class RenderConfig:
     """Settings of `python eval/render.py`.
 
     Attributes:
-        run: pretrained policy, run folder, checkpoint file, or `zero` or `random`.
-        environment: name of the environment of `zero` and `random`; see
+        run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
+            `planner`.
+        environment: name of the environment of `zero`, `random` and `planner`; see
             `carpark_mj.registry`.
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
             `frame.png` in the run folder, `gallery.png` here for the gallery.
@@ -92,7 +93,7 @@ class RenderConfig:
     def __post_init__(self) -> None:
         if bool(self.run) == self.gallery:
             raise ValueError(
-                "give a run folder, zero or random, or --gallery, "
+                "give a run folder, zero, random or planner, or --gallery, "
                 f"not {'both' if self.run else 'none of them'}"
             )
         if not 0 < self.seconds <= MAX_SECONDS:

@@ -16,7 +16,7 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row, summarise
 from carpark_mj.layouts import member_shares
-from carpark_mj.policy.networks import Policy, as_argument
+from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.types import State
 
 CHUNK = 50  # control steps per compiled call
@@ -53,7 +53,11 @@ class Evaluation:
 
 
 def evaluate(
-    env: ParkingEnv, policy: Policy, num_episodes: int, seed: int, num_lots: int = 128
+    env: ParkingEnv,
+    policy: AnyPolicy,
+    num_episodes: int,
+    seed: int,
+    num_lots: int = 128,
 ) -> Evaluation:
     """Runs at least `num_episodes` whole episodes and summarises them.
 
@@ -139,7 +143,7 @@ def _count_agents(state: State) -> np.ndarray:
 
 def _episodes(
     env: ParkingEnv,
-    policy: Policy,
+    policy: AnyPolicy,
     carry: tuple[State, jax.Array, jax.Array],
     quota: int,
 ) -> Iterator[tuple[tuple[int, int, int], int, dict[str, float]]]:
@@ -179,14 +183,12 @@ def allot(shares: list[float], num_lots: int) -> np.ndarray:
 
 
 def _chunk(
-    env: ParkingEnv, policy: Policy, carry: tuple[State, jax.Array, jax.Array]
+    env: ParkingEnv, policy: AnyPolicy, carry: tuple[State, jax.Array, jax.Array]
 ) -> tuple[Any, tuple[jax.Array, jax.Array, dict[str, jax.Array]]]:
     def step(carry, _):
         state, observation, key = carry
         key, act_key = jax.random.split(key)
-        flat = observation.reshape(-1, observation.shape[-1])
-        action, _ = policy(flat, act_key)
-        action = action.reshape(*observation.shape[:2], -1)
+        action = choose_actions(policy, state, observation, act_key)
         state, timestep = jax.vmap(env.step)(state, action)
         return (state, timestep.observation, key), (
             timestep.events.done,

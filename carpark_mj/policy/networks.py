@@ -157,12 +157,3 @@ def make_policy(
         return make(params, deterministic=deterministic)(observation, key)
 
     return Partial(act, (normalizer, policy_params))
-
-
-def as_argument(policy: Policy) -> Policy:
-    """A policy as a pytree of its parameters, to be passed to a jitted function.
-
-    If the function closed over it, its weights would be constants of the program, which
-    would be compiled again for every checkpoint.
-    """
-    return policy if isinstance(policy, Partial) else Partial(policy)

@@ -8,7 +8,7 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import OUTCOMES
 from carpark_mj.evaluation.rollout import evaluation_key
-from carpark_mj.policy.networks import Policy, as_argument
+from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.types import State, TimeStep
@@ -26,7 +26,7 @@ class LiveLot:
         traces: traced poses in a control step.
     """
 
-    def __init__(self, env: ParkingEnv, policy: Policy, seed: int) -> None:
+    def __init__(self, env: ParkingEnv, policy: AnyPolicy, seed: int) -> None:
         """Compiles and starts a held-out lot."""
         self._env, self._policy = env, as_argument(policy)
         self._key = evaluation_key(seed)
@@ -55,7 +55,7 @@ class LiveLot:
 
     def _control_step(self, policy, carry, key):
         state, observation = carry
-        action, _ = policy(observation, key)
+        action = choose_actions(policy, state, observation, key)
         after, timestep = self._env.step(state, action)
         seen = {
             "pose_w": timestep.motion.trace_w[: self._count].swapaxes(0, 1),

@@ -9,7 +9,7 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.rollout import CHUNK, evaluation_key
 from carpark_mj.layouts.types import Layout
-from carpark_mj.policy.networks import Policy, as_argument
+from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.rendering.stage import Stage
 
 
@@ -69,7 +69,7 @@ def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
     )
 
 
-def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Recording:
+def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Recording:
     """Drives one held-out lot for `num_steps` control steps.
 
     `CHUNK` steps make one program, whatever their number: it is compiled once.
@@ -79,7 +79,7 @@ def record(env: ParkingEnv, policy: Policy, num_steps: int, seed: int) -> Record
 
     def step(policy, carry, key):
         state, observation = carry
-        action, _ = policy(observation, key)
+        action = choose_actions(policy, state, observation, key)
         after, timestep = env.step(state, action)
         events = timestep.events
         frame = {

@@ -1,0 +1,1 @@
+"""A classical planner: OMPL finds a path, a tracking controller drives it."""

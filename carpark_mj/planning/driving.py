@@ -1,0 +1,125 @@
+"""Agents that drive on planned paths; they replan when they are stuck.
+
+They know the true state of the lot: parked cars, walls and discs when they plan, the
+others' places when they drive. An agent stops for another one that stands on its way,
+and after a while plans around it. Everything here is NumPy, on the host.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from carpark_mj.planning.obstacles import FreeSpace, Solids
+from carpark_mj.planning.paths import Car, Path
+from carpark_mj.planning.search import Search, SearchConfig, search
+from carpark_mj.planning.tracking import Command, Driven, Progress, track
+
+LOOK_AHEAD = 2.5  # m of the path that must be free of other agents
+GAP = 0.3  # m kept from them
+PATIENCE = 15  # control steps until an agent that is stuck plans again
+ASTRAY = 0.3  # m from the path: it is planned anew
+MAX_PLANS = 6  # of an episode
+
+
+class Sight(NamedTuple):
+    """An agent and what surrounds it in a control step.
+
+    Attributes:
+        begins: whether its episode has just begun.
+        pose: (3,) of the footprint's centre.
+        speed: signed [m/s].
+        steering: [rad].
+        goal: (3,) the bay's middle.
+        car: what it drives.
+        solids: what stands still.
+        others: (k, 3) poses and (k, 2) sizes of the other agents.
+        extent: (2,) of the lot [m].
+    """
+
+    begins: bool
+    pose: np.ndarray
+    speed: float
+    steering: float
+    goal: np.ndarray
+    car: Car
+    solids: Solids
+    others: tuple[np.ndarray, np.ndarray]
+    extent: np.ndarray
+
+
+class Agent:
+    """One agent's path and how far it has driven it.
+
+    Attributes:
+        searches: of the running episode.
+    """
+
+    def __init__(self, seed: int, dt: float, config: SearchConfig) -> None:
+        """An agent without a path; `dt` is the control period [s]."""
+        self.searches: list[Search] = []
+        self._seed, self._dt, self._config = seed, dt, config
+        self._path: Path | None = None
+        self._progress = Progress()
+        self._stuck = 0
+
+    def act(self, sight: Sight) -> tuple[float, float]:
+        """Steer and pedal in [-1, 1]."""
+        if sight.begins:
+            self.searches = []
+            self._plan(sight, sight.solids)
+        command = self._follow(sight)
+        if command is not None and command.error > ASTRAY:
+            self._plan(sight, sight.solids)
+            command = self._follow(sight)
+        arrived = self._path is None or self._progress.segment == len(
+            self._path.segments
+        )
+        blocked = command is not None and not arrived and self._is_blocked(sight)
+        self._stuck = self._stuck + 1 if blocked or arrived else 0
+        if self._stuck >= PATIENCE:
+            self._plan(sight, sight.solids.with_boxes(*sight.others))
+        if blocked or command is None:
+            return 0.0, _brake(sight.speed)
+        self._progress = command.progress
+        return command.steer, command.pedal
+
+    def _plan(self, sight: Sight, solids: Solids) -> None:
+        """Searches a path; the old one stays if there is none."""
+        self._stuck = 0
+        if len(self.searches) >= MAX_PLANS:
+            return
+        seed = self._seed + self._config.paths * len(self.searches)
+        found = search(
+            sight.pose, sight.goal, solids, sight.car, sight.extent, seed, self._config
+        )
+        if found.path is not None or not self.searches:
+            self._path, self._progress = found.path, Progress()
+        self.searches.append(found)
+
+    def _follow(self, sight: Sight) -> Command | None:
+        if self._path is None:
+            return None
+        driven = Driven(sight.car.rear_axle(sight.pose), sight.speed, sight.steering)
+        return track(self._path, self._progress, sight.car, driven, self._dt)
+
+    def _is_blocked(self, sight: Sight) -> bool:
+        """Whether another agent stands on the next stretch of the path."""
+        pose, size = sight.others
+        reach = math.hypot(sight.car.length, sight.car.width) + LOOK_AHEAD + GAP
+        near = np.hypot(*(pose[:, :2] - sight.pose[:2]).T) < reach + size.max(
+            axis=-1, initial=0.0
+        )
+        if self._path is None or not near.any():
+            return False
+        segment = self._path.segments[self._progress.segment]
+        ahead = segment.distance - segment.distance[self._progress.point]
+        points = segment.pose[(ahead >= 0) & (ahead <= LOOK_AHEAD)][::10]
+        nothing = Solids(pose[near], size[near], np.zeros((0, 2)), np.zeros(0))
+        wide = sight.car.length + 2 * GAP, sight.car.width + 2 * GAP
+        here = FreeSpace(nothing, wide, sight.extent)
+        return not all(here.is_free(*place) for place in sight.car.centre(points))
+
+
+def _brake(speed: float) -> float:
+    return 0.0 if abs(speed) < 0.3 else -math.copysign(1.0, speed)

@@ -1,0 +1,138 @@
+"""The planner as a policy: `--policy planner`."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental import io_callback
+
+from carpark_mj.env import ParkingEnv
+from carpark_mj.planning.driving import Agent, Sight
+from carpark_mj.planning.obstacles import Solids
+from carpark_mj.planning.paths import Car
+from carpark_mj.planning.search import Search, SearchConfig, require_ompl
+from carpark_mj.policy.acting import StatePolicy
+from carpark_mj.types import State
+
+PHYSICS = ("mjx", "scene", "bicycle")  # whose cars obey the pedal and the brake alike
+
+
+class Planner:
+    """Drives all agents of some lots; remembers their paths from step to step.
+
+    Attributes:
+        agents: by number of lot and agent, as far as they have driven.
+    """
+
+    def __init__(self, ctrl_dt: float, config: SearchConfig | None = None) -> None:
+        """Nobody drives yet; `ctrl_dt` is the control period [s]."""
+        self.agents: dict[tuple[int, int], Agent] = {}
+        self._dt, self._config = ctrl_dt, config or SearchConfig()
+
+    def searches(self, lot: int, agent: int) -> list[Search]:
+        """The searches of an agent's last episode, the first one at its start."""
+        return self.agents[lot, agent].searches
+
+    def act(self, seen: dict[str, Any]) -> np.ndarray:
+        """Actions (lots, agents, 2) for what `_look` gives of lots."""
+        seen = {name: np.asarray(array) for name, array in seen.items()}
+        lots, agents = seen["active"].shape
+        action = np.zeros((lots, agents, 2), np.float32)
+        for lot in range(lots):
+            solids = _solids({name: array[lot] for name, array in seen.items()})
+            for agent in np.flatnonzero(seen["active"][lot]):
+                driver = self.agents.setdefault(
+                    (lot, int(agent)),
+                    Agent(1000 * lot + 100 * int(agent), self._dt, self._config),
+                )
+                sight = _sight(seen, lot, int(agent), solids)
+                action[lot, agent] = driver.act(sight)
+        return action
+
+
+def planner_policy(
+    env: ParkingEnv, config: SearchConfig | None = None
+) -> tuple[StatePolicy, Planner]:
+    """A policy that drives on planned paths, and its memory.
+
+    Raises:
+        ValueError: OMPL is not installed, or agents choose their goals, or cars do not
+            obey a pedal.
+    """
+    if env.config.physics not in PHYSICS:
+        raise ValueError(
+            f"the planner drives cars of {', '.join(PHYSICS)} physics, not "
+            f"{env.config.physics}"
+        )
+    if env.config.goals.dynamic:
+        raise ValueError("the planner needs fixed goals, goals.dynamic = False")
+    require_ompl()
+    planner = Planner(env.config.sim.ctrl_dt, config)
+    return StatePolicy(_callback(planner.act)), planner
+
+
+def _callback(act: Callable[[dict[str, Any]], np.ndarray]) -> Any:
+    def on_host(state: State) -> jax.Array:
+        seen, lead = _look(state), state.goal.shape
+        if len(lead) == 1:  # a lot alone
+            seen = jax.tree.map(lambda x: x[None], seen)
+        shape = jax.ShapeDtypeStruct((*seen["active"].shape, 2), jnp.float32)
+        return io_callback(act, shape, seen).reshape(*lead, 2)
+
+    return on_host
+
+
+def _look(state: State) -> dict[str, jax.Array]:
+    """What the planner reads of lots (...)."""
+    layout, vehicle = state.layout, state.physics.vehicle
+    goal = jnp.take_along_axis(
+        layout.bay_pose, state.goal[..., None], axis=-2, mode="clip"
+    )
+    parameters = [getattr(vehicle, name) for name in Car._fields[2:]]
+    return {
+        "active": state.active,
+        "begins": state.step == 0,
+        "pose": state.motion.pose_w,
+        "speed": state.motion.speed,
+        "steering": state.motion.steering,
+        "size": state.motion.size,
+        "goal": goal,
+        "car": jnp.concatenate([vehicle.size, jnp.stack(parameters, axis=-1)], axis=-1),
+        "box_pose": jnp.concatenate([layout.wall_pose, state.parked_cars.pose_w], -2),
+        "box_size": jnp.concatenate([layout.wall_size, state.parked_cars.size], -2),
+        "box_mask": jnp.concatenate(
+            [layout.wall_mask, state.parked_cars.present], axis=-1
+        ),
+        "disc_centre": layout.disc_centre,
+        "disc_radius": layout.disc_radius,
+        "disc_mask": layout.disc_mask,
+        "extent": layout.extent,
+    }
+
+
+def _solids(lot: dict[str, np.ndarray]) -> Solids:
+    boxes, discs = lot["box_mask"], lot["disc_mask"]
+    return Solids(
+        lot["box_pose"][boxes].astype(float),
+        lot["box_size"][boxes].astype(float),
+        lot["disc_centre"][discs].astype(float),
+        lot["disc_radius"][discs].astype(float),
+    )
+
+
+def _sight(seen: dict[str, np.ndarray], lot: int, agent: int, solids: Solids) -> Sight:
+    pose = seen["pose"][lot].astype(float)
+    others = np.arange(len(pose)) != agent
+    return Sight(
+        begins=bool(seen["begins"][lot, agent]),
+        pose=pose[agent],
+        speed=float(seen["speed"][lot, agent]),
+        steering=float(seen["steering"][lot, agent]),
+        goal=seen["goal"][lot, agent].astype(float),
+        car=Car(*seen["car"][lot, agent].astype(float).tolist()),
+        solids=solids,
+        others=(pose[others], seen["size"][lot][others].astype(float)),
+        extent=seen["extent"][lot].astype(float),
+    )

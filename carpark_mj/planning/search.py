@@ -1,0 +1,202 @@
+"""Paths by OMPL: RRT-Connect in the space of Reeds and Shepp, shortened.
+
+RRT-Connect (Kuffner and LaValle, ICRA 2000) grows a tree from the start and one from the
+goal; Sucan, Moll and Kavraki, *The Open Motion Planning Library*, 2012. Its steps are
+short, for in a tight bay only short moves are free, and it starts afresh when it takes
+long. The quickest to drive of a few paths is taken. The same seed gives the same path:
+the search is cut off by the number of collision tests, not by time.
+"""
+
+import dataclasses
+import functools
+import math
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from carpark_mj.planning.obstacles import FreeSpace, Solids
+from carpark_mj.planning.paths import STEP, Car, Path, make_path
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchConfig:
+    """How paths are searched.
+
+    Attributes:
+        clearances: distances to keep from obstacles [m]; the first that leads to a path
+            counts.
+        spare_steering: share of the full lock that is left to the tracking controller.
+        step: longest extension of a tree [m].
+        paths: how many paths are searched for, at each clearance.
+        max_tests: collision tests after which a search is given up.
+        shorten_tests: collision tests that shorten a path.
+        resolution: distance between tested poses [m].
+    """
+
+    clearances: tuple[float, ...] = (0.08, 0.05, 0.02)
+    spare_steering: float = 0.05
+    step: float = 0.3
+    paths: int = 4
+    max_tests: int = 8_000
+    shorten_tests: int = 3_000
+    resolution: float = 0.05
+
+
+class Search(NamedTuple):
+    """What came of a search.
+
+    Attributes:
+        path: None if none was found.
+        seconds: of the processor that it took [s].
+        clearance: that was kept [m]; NaN without a path.
+    """
+
+    path: Path | None
+    seconds: float
+    clearance: float
+
+
+def search(
+    start: np.ndarray,
+    goal: np.ndarray,
+    solids: Solids,
+    car: Car,
+    extent: np.ndarray,
+    seed: int = 0,
+    config: SearchConfig | None = None,
+) -> Search:
+    """Searches a path to a bay, nose in or nose out.
+
+    Args:
+        start: (3,) pose of the footprint's centre.
+        goal: (3,) of the bay's middle, either way round.
+        solids: what to keep clear of.
+        car: that drives.
+        extent: (2,) half widths of the lot [m].
+        seed: of the random numbers.
+        config: how; the defaults if None.
+
+    Raises:
+        ValueError: OMPL is not installed.
+    """
+    config, begun = config or SearchConfig(), time.thread_time()
+    turned = goal + np.array([0.0, 0.0, math.pi])
+    for clearance in config.clearances:
+        size = car.length + 2 * clearance, car.width + 2 * clearance
+        space = FreeSpace(solids, size, extent)
+        if not (space.is_free(*start) and space.is_free(*goal)):
+            continue
+        task = _Task(car.rear_axle(start), car.rear_axle(np.stack([goal, turned])))
+        found = [
+            _connect(task, space, car, config, seed + number)
+            for number in range(config.paths)
+        ]
+        paths = [path for path in found if path is not None]
+        if paths:
+            best = min(paths, key=lambda path: path.duration)
+            return Search(best, time.thread_time() - begun, clearance)
+    return Search(None, time.thread_time() - begun, math.nan)
+
+
+class _Task(NamedTuple):
+    """Poses of the rear axle: the start (3,), the goals (n, 3)."""
+
+    start: np.ndarray
+    goals: np.ndarray
+
+
+@functools.cache
+def _ompl() -> Any:
+    try:
+        from ompl import base, geometric, util
+    except ImportError:
+        raise ValueError('the planner needs OMPL: pip install ".[planner]"') from None
+    util.setLogLevel(util.LogLevel.LOG_NONE)
+    return base, geometric, util
+
+
+def require_ompl() -> None:
+    """Refuses to plan without OMPL.
+
+    Raises:
+        ValueError: it is not installed.
+    """
+    _ompl()
+
+
+class _Counter:
+    """Counts collision tests; true when there have been enough."""
+
+    def __init__(self, test: Callable[[Any], bool]) -> None:
+        self.test, self.left = test, 0
+
+    def __call__(self, state: Any) -> bool:
+        self.left -= 1
+        return self.test(state)
+
+
+def _connect(
+    task: _Task, space: FreeSpace, car: Car, config: SearchConfig, seed: int
+) -> Path | None:
+    """One search and its path, shortened; None if it was given up."""
+    base, geometric, util = _ompl()
+    util.RNG.setSeed(seed + 1)  # 0 is none
+    lock = car.max_steering * (1.0 - config.spare_steering)
+    curves = base.ReedsSheppStateSpace(car.wheelbase / math.tan(lock))
+    bounds = base.RealVectorBounds(2)
+    for axis, half in enumerate(space.extent):
+        bounds.setLow(axis, float(-half))
+        bounds.setHigh(axis, float(half))
+    curves.setBounds(bounds)
+    curves.setLongestValidSegmentFraction(config.resolution / curves.getMaximumExtent())
+    offset = car.centre_offset
+
+    def is_free(state: Any) -> bool:
+        yaw = state.getYaw()
+        x = state.getX() + offset * math.cos(yaw)
+        return space.is_free(x, state.getY() + offset * math.sin(yaw), yaw)
+
+    count = _Counter(is_free)
+    setup = geometric.SimpleSetup(curves)
+    setup.setStateValidityChecker(count)
+    information = setup.getSpaceInformation()
+    goals = base.GoalStates(information)
+    setup.addStartState(_state(curves, task.start))
+    for goal in task.goals:
+        goals.addState(_state(curves, goal))
+    setup.setGoal(goals)
+    planner = geometric.RRTConnect(information)
+    planner.setRange(config.step)
+    setup.setPlanner(planner)
+    stop = base.PlannerTerminationCondition(lambda: count.left <= 0)
+    count.left = config.max_tests
+    setup.solve(stop)
+    if not setup.haveExactSolutionPath():
+        return None
+    count.left = config.shorten_tests
+    setup.simplifySolution(stop)
+    return make_path(_points(curves, setup.getSolutionPath().getStates()), car)
+
+
+def _state(curves: Any, pose: np.ndarray) -> Any:
+    state = curves.allocState()
+    state.setXY(float(pose[0]), float(pose[1]))
+    state.setYaw(math.remainder(float(pose[2]), 2 * math.pi))
+    return state
+
+
+def _points(curves: Any, states: list[Any]) -> np.ndarray:
+    """Poses (n, 3) of the rear axle along the curves between states."""
+    points, state = [_pose(states[0])], curves.allocState()
+    for first, last in zip(states, states[1:], strict=False):
+        count = max(1, math.ceil(curves.distance(first, last) / STEP))
+        for number in range(1, count + 1):
+            curves.interpolate(first, last, number / count, state)
+            points.append(_pose(state))
+    return np.array(points)
+
+
+def _pose(state: Any) -> tuple[float, float, float]:
+    return state.getX(), state.getY(), state.getYaw()

@@ -1,0 +1,153 @@
+"""Drives a car along a path: steering from its errors, stops where it changes gear.
+
+Steering is the rear-axle feedback of C. Samson, *Control of chained systems*, IEEE
+Transactions on Automatic Control 40 (1995), linearised, as reviewed by Paden et al., *A
+survey of motion planning and control techniques for self-driving urban vehicles*, 2016.
+With d = 1 forwards and -1 backwards, e the offset to the left of the path and t the
+heading error, the curvature k + dk with dk = -e / l^2 - 2 d t / l lets both die out over
+a distance of about l, without oscillation. The pedal follows the path's speeds and obeys
+the car's own rules (`carpark_mj.vehicle.drive`): below 0.3 m/s it only speeds up, or
+stands at once.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from carpark_mj.planning.paths import CREEP, Car, Path, Segment
+
+REACH = 0.8  # m, l
+NEAR = 0.02  # m from the end of a segment: it is driven
+WHEELS_SET = 0.03  # rad, error of the wheels with which a standing car pulls away
+WHEELS_OFF = 0.15  # rad, with which a car that drives stops
+STANDING = 0.02  # m/s
+AHEAD = 40  # points of a segment among which the nearest one is sought
+HOLD_PEDAL = 0.06  # pedals below 0.05 count as none
+HOLD_BRAKING = 9.0  # m/s^2 below `CREEP`, `VehicleParameters.hold_deceleration`
+
+
+class Progress(NamedTuple):
+    """How far a car has got.
+
+    Attributes:
+        segment: number of the segment that it drives; their number once it has arrived.
+        point: of that segment, the nearest.
+    """
+
+    segment: int = 0
+    point: int = 0
+
+
+class Driven(NamedTuple):
+    """A car's motion.
+
+    Attributes:
+        pose: (3,) of the rear axle.
+        speed: signed [m/s].
+        steering: bicycle angle [rad].
+    """
+
+    pose: np.ndarray
+    speed: float
+    steering: float
+
+
+class Command(NamedTuple):
+    """What to do in a control step, and how far the car has got.
+
+    Attributes:
+        steer: in [-1, 1].
+        pedal: in [-1, 1].
+        progress: to be handed in again at the next step.
+        error: distance from the path [m].
+    """
+
+    steer: float
+    pedal: float
+    progress: Progress
+    error: float
+
+
+def track(
+    path: Path, progress: Progress, car: Car, driven: Driven, dt: float
+) -> Command:
+    """The action of a control step of `dt` [s]."""
+    number, point = progress
+    if number >= len(path.segments):
+        return Command(0.0, _brake(driven.speed), progress, 0.0)
+    segment = path.segments[number]
+    point = _nearest(segment, point, driven.pose)
+    along, error, steering = _steer(segment, point, car, driven, dt)
+    left = segment.length - along
+    stands = abs(driven.speed) < STANDING
+    if stands and left < NEAR:
+        after = Progress(number + 1, 0)
+        if after.segment == len(path.segments):
+            return Command(steering / car.max_steering, 0.0, after, error)
+        return track(path, after, car, driven, dt)
+    wrong = abs(steering - driven.steering)
+    wheels_off = wrong > (WHEELS_SET if stands else WHEELS_OFF)
+    if wheels_off or driven.speed * segment.way < -STANDING:
+        pedal = _brake(driven.speed)
+    else:
+        limit = float(np.interp(along, segment.distance, segment.speed))
+        speed = abs(driven.speed)
+        pedal = segment.way * _pedal(speed, limit, left, car, dt)
+    return Command(steering / car.max_steering, pedal, Progress(number, point), error)
+
+
+def _nearest(segment: Segment, point: int, pose: np.ndarray) -> int:
+    """The point nearest to a pose, not before a point."""
+    ahead = segment.pose[point : point + AHEAD, :2] - pose[:2]
+    return point + int(np.argmin(np.hypot(ahead[:, 0], ahead[:, 1])))
+
+
+def _steer(
+    segment: Segment, point: int, car: Car, driven: Driven, dt: float
+) -> tuple[float, float, float]:
+    """How far along the segment a car is, its distance from it, and its steering."""
+    x, y, yaw = segment.pose[point]
+    dx, dy = driven.pose[0] - x, driven.pose[1] - y
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    along = float(segment.distance[point]) + segment.way * (cos * dx + sin * dy)
+    offset = cos * dy - sin * dx
+    turn = math.remainder(driven.pose[2] - yaw, 2 * math.pi)
+    # The wheels arrive at the end of the step, when the car is farther.
+    there = along + abs(driven.speed) * dt
+    steering = float(np.interp(there, segment.distance, segment.steering))
+    change = -offset / REACH**2 - 2 * segment.way * turn / REACH
+    steering = math.atan(math.tan(steering) + car.wheelbase * change)
+    lock = car.max_steering
+    return along, math.hypot(dx, dy), min(max(steering, -lock), lock)
+
+
+def _pedal(speed: float, limit: float, left: float, car: Car, dt: float) -> float:
+    """The pedal along the way, for a car that is not faster than it should be at most.
+
+    Args:
+        speed: of the car along its way [m/s].
+        limit: speed allowed here [m/s].
+        left: of the segment [m].
+        car: that drives.
+        dt: control period [s].
+    """
+    if speed >= CREEP:
+        # The mean of this step and the next one's start.
+        change = (limit - speed) / dt
+        if change >= 0:
+            return max(min(change / car.max_acceleration, 1.0), HOLD_PEDAL)
+        return -min(-change / car.max_deceleration, 1.0)
+    room = left - speed**2 / (2 * HOLD_BRAKING)
+    if room < NEAR / 2:
+        return 0.0
+    # The speed with which the brake would end the segment exactly after this step.
+    exact = 2 * room / dt - speed
+    if exact < speed and speed * dt - room > NEAR / 2:
+        return 0.0
+    change = (min(exact, max(limit, CREEP)) - speed) / dt
+    return min(max(change / car.max_acceleration, HOLD_PEDAL), 1.0)
+
+
+def _brake(speed: float) -> float:
+    return 0.0 if abs(speed) < CREEP else -math.copysign(1.0, speed)
