@@ -20,7 +20,6 @@ from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.hope import HopeConfig, hope
 from carpark_mj.layouts.splits import TEST, lot_key
 from carpark_mj.layouts.standards import Level, Orientation
-from carpark_mj.layouts.tpcap import START
 from carpark_mj.layouts.types import Layout, WallKind, layout_maxima, pad_layout
 
 VERSION = 1
@@ -73,7 +72,7 @@ def _layout(case: dict[str, jax.Array]) -> Layout:
         case["extent"] * METRE,
         bays((case["goal"] * _POSE)[None], case["bay"] * METRE),
         walls(case["wall"] * _POSE, case["size"] * METRE, WallKind.ISLAND, mask),
-        spawns((case["start"] * _POSE)[None], (START, START), 0.0),
+        spawns((case["start"] * _POSE)[None], (METRE, METRE), 0.0),
     )
 
 

@@ -13,11 +13,18 @@ import numpy as np
 from carpark_mj.planning.obstacles import FreeSpace, Solids
 from carpark_mj.planning.paths import Car, Path
 from carpark_mj.planning.search import Search, SearchConfig, search
-from carpark_mj.planning.tracking import Command, Driven, Progress, track
+from carpark_mj.planning.tracking import (
+    STANDING,
+    Command,
+    Driven,
+    Progress,
+    brake,
+    track,
+)
 
 LOOK_AHEAD = 2.5  # m of the path that must be free of other agents
 GAP = 0.3  # m kept from them
-PATIENCE = 15  # control steps until an agent that is stuck plans again
+PATIENCE = 20  # control steps until an agent that stands plans again
 ASTRAY = 0.3  # m from the path: it is planned anew
 MAX_PLANS = 6  # of an episode
 
@@ -72,15 +79,14 @@ class Agent:
         if command is not None and command.error > ASTRAY:
             self._plan(sight, sight.solids)
             command = self._follow(sight)
-        arrived = self._path is None or self._progress.segment == len(
-            self._path.segments
-        )
-        blocked = command is not None and not arrived and self._is_blocked(sight)
-        self._stuck = self._stuck + 1 if blocked or arrived else 0
+        # Wheels that turn from lock to lock take less time than the patience.
+        self._stuck = self._stuck + 1 if abs(sight.speed) < STANDING else 0
         if self._stuck >= PATIENCE:
             self._plan(sight, sight.solids.with_boxes(*sight.others))
+            command = self._follow(sight)
+        blocked = self._is_blocked(sight)
         if blocked or command is None:
-            return 0.0, _brake(sight.speed)
+            return 0.0, brake(sight.speed, sight.car, self._dt)
         self._progress = command.progress
         return command.steer, command.pedal
 
@@ -110,16 +116,13 @@ class Agent:
         near = np.hypot(*(pose[:, :2] - sight.pose[:2]).T) < reach + size.max(
             axis=-1, initial=0.0
         )
-        if self._path is None or not near.any():
+        path, (number, point) = self._path, self._progress
+        if path is None or number == len(path.segments) or not near.any():
             return False
-        segment = self._path.segments[self._progress.segment]
-        ahead = segment.distance - segment.distance[self._progress.point]
+        segment = path.segments[number]
+        ahead = segment.distance - segment.distance[point]
         points = segment.pose[(ahead >= 0) & (ahead <= LOOK_AHEAD)][::10]
         nothing = Solids(pose[near], size[near], np.zeros((0, 2)), np.zeros(0))
         wide = sight.car.length + 2 * GAP, sight.car.width + 2 * GAP
         here = FreeSpace(nothing, wide, sight.extent)
         return not all(here.is_free(*place) for place in sight.car.centre(points))
-
-
-def _brake(speed: float) -> float:
-    return 0.0 if abs(speed) < 0.3 else -math.copysign(1.0, speed)

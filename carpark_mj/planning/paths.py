@@ -5,6 +5,7 @@ steering along a segment is averaged over `BLEND`, which moves the path by milli
 and the speed is limited so that the wheels can follow.
 """
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -121,7 +122,7 @@ def make_path(pose: np.ndarray, car: Car) -> Path | None:
     bounds = [0, *cuts.tolist(), len(step)]
     pose = np.column_stack([pose[:, :2], yaw])
     segments: list[Segment] = []
-    for first, last in zip(bounds, bounds[1:], strict=False):
+    for first, last in itertools.pairwise(bounds):
         points, way = pose[first : last + 1], int(ways[first])
         if np.hypot(*np.diff(points[:, :2], axis=0).T).sum() < SHORTEST:
             continue

@@ -1,5 +1,6 @@
 """The planner as a policy: `--policy planner`."""
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -24,12 +25,17 @@ class Planner:
 
     Attributes:
         agents: by number of lot and agent, as far as they have driven.
+        decisions: how many actions they have chosen.
+        seconds: of the processor that these took, searches included [s].
     """
 
-    def __init__(self, ctrl_dt: float, config: SearchConfig | None = None) -> None:
+    def __init__(
+        self, ctrl_dt: float, seed: int = 0, config: SearchConfig | None = None
+    ) -> None:
         """Nobody drives yet; `ctrl_dt` is the control period [s]."""
         self.agents: dict[tuple[int, int], Agent] = {}
-        self._dt, self._config = ctrl_dt, config or SearchConfig()
+        self.decisions, self.seconds = 0, 0.0
+        self._dt, self._seed, self._config = ctrl_dt, seed, config or SearchConfig()
 
     def searches(self, lot: int, agent: int) -> list[Search]:
         """The searches of an agent's last episode, the first one at its start."""
@@ -38,22 +44,27 @@ class Planner:
     def act(self, seen: dict[str, Any]) -> np.ndarray:
         """Actions (lots, agents, 2) for what `_look` gives of lots."""
         seen = {name: np.asarray(array) for name, array in seen.items()}
+        begun = time.thread_time()
         lots, agents = seen["active"].shape
         action = np.zeros((lots, agents, 2), np.float32)
         for lot in range(lots):
             solids = _solids({name: array[lot] for name, array in seen.items()})
             for agent in np.flatnonzero(seen["active"][lot]):
-                driver = self.agents.setdefault(
-                    (lot, int(agent)),
-                    Agent(1000 * lot + 100 * int(agent), self._dt, self._config),
-                )
                 sight = _sight(seen, lot, int(agent), solids)
-                action[lot, agent] = driver.act(sight)
+                action[lot, agent] = self._agent(lot, int(agent)).act(sight)
+                self.decisions += 1
+        self.seconds += time.thread_time() - begun
         return action
+
+    def _agent(self, lot: int, agent: int) -> Agent:
+        if (lot, agent) not in self.agents:
+            seed = 1_000_000 * self._seed + 1000 * lot + 100 * agent
+            self.agents[lot, agent] = Agent(seed, self._dt, self._config)
+        return self.agents[lot, agent]
 
 
 def planner_policy(
-    env: ParkingEnv, config: SearchConfig | None = None
+    env: ParkingEnv, seed: int = 0, config: SearchConfig | None = None
 ) -> tuple[StatePolicy, Planner]:
     """A policy that drives on planned paths, and its memory.
 
@@ -69,7 +80,7 @@ def planner_policy(
     if env.config.goals.dynamic:
         raise ValueError("the planner needs fixed goals, goals.dynamic = False")
     require_ompl()
-    planner = Planner(env.config.sim.ctrl_dt, config)
+    planner = Planner(env.config.sim.ctrl_dt, seed, config)
     return StatePolicy(_callback(planner.act)), planner
 
 

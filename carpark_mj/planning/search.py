@@ -1,14 +1,15 @@
 """Paths by OMPL: RRT-Connect in the space of Reeds and Shepp, shortened.
 
-RRT-Connect (Kuffner and LaValle, ICRA 2000) grows a tree from the start and one from the
-goal; Sucan, Moll and Kavraki, *The Open Motion Planning Library*, 2012. Its steps are
-short, for in a tight bay only short moves are free, and it starts afresh when it takes
-long. The quickest to drive of a few paths is taken. The same seed gives the same path:
-the search is cut off by the number of collision tests, not by time.
+RRT-Connect (Kuffner and LaValle, ICRA 2000) grows a tree from the start and one from
+the goal; Sucan, Moll and Kavraki, *The Open Motion Planning Library*, 2012. Its steps
+are short, for in a tight bay only short moves are free, and it starts afresh when it
+takes long. The quickest to drive of a few paths is taken. A search is cut off by the
+number of its collision tests, not by time.
 """
 
 import dataclasses
 import functools
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -175,9 +176,15 @@ def _connect(
     setup.solve(stop)
     if not setup.haveExactSolutionPath():
         return None
+    whole = _points(curves, setup.getSolutionPath().getStates())
     count.left = config.shorten_tests
     setup.simplifySolution(stop)
-    return make_path(_points(curves, setup.getSolutionPath().getStates()), car)
+    short = _points(curves, setup.getSolutionPath().getStates())
+    # OMPL hands a shortened path out that touches obstacles, with a warning.
+    for points in (short, whole):
+        if all(space.is_free(*place) for place in car.centre(points)):
+            return make_path(points, car)
+    return None
 
 
 def _state(curves: Any, pose: np.ndarray) -> Any:
@@ -190,7 +197,7 @@ def _state(curves: Any, pose: np.ndarray) -> Any:
 def _points(curves: Any, states: list[Any]) -> np.ndarray:
     """Poses (n, 3) of the rear axle along the curves between states."""
     points, state = [_pose(states[0])], curves.allocState()
-    for first, last in zip(states, states[1:], strict=False):
+    for first, last in itertools.pairwise(states):
         count = max(1, math.ceil(curves.distance(first, last) / STEP))
         for number in range(1, count + 1):
             curves.interpolate(first, last, number / count, state)

@@ -4,10 +4,10 @@ Steering is the rear-axle feedback of C. Samson, *Control of chained systems*, I
 Transactions on Automatic Control 40 (1995), linearised, as reviewed by Paden et al., *A
 survey of motion planning and control techniques for self-driving urban vehicles*, 2016.
 With d = 1 forwards and -1 backwards, e the offset to the left of the path and t the
-heading error, the curvature k + dk with dk = -e / l^2 - 2 d t / l lets both die out over
-a distance of about l, without oscillation. The pedal follows the path's speeds and obeys
-the car's own rules (`carpark_mj.vehicle.drive`): below 0.3 m/s it only speeds up, or
-stands at once.
+heading error, the curvature k + dk with dk = -e / l^2 - 2 d t / l lets both die out
+over a distance of about l, without oscillation. The pedal follows the path's speeds and
+obeys the car's own rules (`carpark_mj.vehicle.drive`): below 0.3 m/s it only speeds up,
+or stands at once.
 """
 
 import math
@@ -24,6 +24,9 @@ WHEELS_OFF = 0.15  # rad, with which a car that drives stops
 STANDING = 0.02  # m/s
 AHEAD = 40  # points of a segment among which the nearest one is sought
 HOLD_PEDAL = 0.06  # pedals below 0.05 count as none
+PULLING_AWAY = 0.3  # m/s^2, more than the tyres' rolling resistance
+# To which a step brakes: a pedal that goes on would drive the car the other way.
+STOPPING = 0.28  # m/s
 HOLD_BRAKING = 9.0  # m/s^2 below `CREEP`, `VehicleParameters.hold_deceleration`
 
 
@@ -75,7 +78,7 @@ def track(
     """The action of a control step of `dt` [s]."""
     number, point = progress
     if number >= len(path.segments):
-        return Command(0.0, _brake(driven.speed), progress, 0.0)
+        return Command(0.0, brake(driven.speed, car, dt), progress, 0.0)
     segment = path.segments[number]
     point = _nearest(segment, point, driven.pose)
     along, error, steering = _steer(segment, point, car, driven, dt)
@@ -89,7 +92,7 @@ def track(
     wrong = abs(steering - driven.steering)
     wheels_off = wrong > (WHEELS_SET if stands else WHEELS_OFF)
     if wheels_off or driven.speed * segment.way < -STANDING:
-        pedal = _brake(driven.speed)
+        pedal = brake(driven.speed, car, dt)
     else:
         limit = float(np.interp(along, segment.distance, segment.speed))
         speed = abs(driven.speed)
@@ -133,7 +136,8 @@ def _pedal(speed: float, limit: float, left: float, car: Car, dt: float) -> floa
         dt: control period [s].
     """
     if speed >= CREEP:
-        # The mean of this step and the next one's start.
+        if limit < CREEP:
+            return brake(speed, car, dt)
         change = (limit - speed) / dt
         if change >= 0:
             return max(min(change / car.max_acceleration, 1.0), HOLD_PEDAL)
@@ -146,8 +150,13 @@ def _pedal(speed: float, limit: float, left: float, car: Car, dt: float) -> floa
     if exact < speed and speed * dt - room > NEAR / 2:
         return 0.0
     change = (min(exact, max(limit, CREEP)) - speed) / dt
-    return min(max(change / car.max_acceleration, HOLD_PEDAL), 1.0)
+    least = max(PULLING_AWAY / car.max_acceleration, HOLD_PEDAL)
+    return min(max(change / car.max_acceleration, least), 1.0)
 
 
-def _brake(speed: float) -> float:
-    return 0.0 if abs(speed) < CREEP else -math.copysign(1.0, speed)
+def brake(speed: float, car: Car, dt: float) -> float:
+    """The pedal that stops a car of a signed speed, in several steps if need be."""
+    if abs(speed) < CREEP:
+        return 0.0
+    pedal = (abs(speed) - STOPPING) / dt / car.max_deceleration
+    return -math.copysign(min(max(pedal, HOLD_PEDAL), 1.0), speed)

@@ -1,0 +1,190 @@
+"""The suite of hard cases: one car parks in every held-out case of HOPE's levels.
+
+All policies drive the same car, `tpcap`, on the same physics, without noise. The cases
+are in the package (`carpark_mj.layouts.held_out`); an episode ends after 100 s.
+"""
+
+import dataclasses
+import math
+import time
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from carpark_mj.config import (
+    EnvConfig,
+    EpisodeConfig,
+    FleetConfig,
+    JitterConfig,
+    MetricsConfig,
+    ParkedRule,
+    RandomizationConfig,
+    SensorConfig,
+    SpawnConfig,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.aggregation import Row, complete_row, summarise
+from carpark_mj.evaluation.rollout import CHUNK, evaluation_key
+from carpark_mj.layouts import HopeConfig, Layout, layout_maxima, pad_layout
+from carpark_mj.layouts.held_out import LEVELS, load_held_out
+from carpark_mj.layouts.standards import Level
+from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
+
+VEHICLE = "tpcap"
+SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
+TIMED = 20  # calls of a policy whose shortest counts
+
+
+def suite_env(env: EnvConfig, rule: ParkedRule) -> EnvConfig:
+    """The environment of a policy with the suite's lots, car and rules."""
+    return dataclasses.replace(
+        env,
+        layout=HopeConfig("extreme", "parallel"),
+        vehicle=VEHICLE,
+        num_agents=1,
+        min_agents=None,
+        num_parked_cars=0,
+        occupancy=None,
+        fleet=FleetConfig(),
+        jitter=JitterConfig(),
+        randomization=RandomizationConfig(),
+        sensors=SensorConfig(),
+        spawn=SpawnConfig(close_ratio=0.0),
+        episode=EpisodeConfig(
+            parked_rule=rule,
+            max_steps=round(SECONDS / env.sim.ctrl_dt),
+            respawn=False,
+        ),
+        metrics=MetricsConfig(),
+    )
+
+
+class Cases(NamedTuple):
+    """Some cases of a level.
+
+    Attributes:
+        level: its name.
+        number: (n,) which of the level's.
+        parallel: (n,) bool; the others are perpendicular.
+        layouts: (n, ...) of the same shapes at every level.
+    """
+
+    level: Level
+    number: np.ndarray
+    parallel: np.ndarray
+    layouts: Layout
+
+
+def pick_cases(level: Level, count: int) -> Cases:
+    """The first cases of a level."""
+    layouts, parallel = load_held_out(level)
+    shapes = [load_held_out(name).layouts for name in LEVELS]
+    maxima = layout_maxima(shapes)
+    padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
+        jax.tree.map(lambda x: x[:count], layouts)
+    )
+    return Cases(level, np.arange(count), parallel[:count], padded)
+
+
+def drive_cases(
+    env: ParkingEnv, policy: AnyPolicy, cases: Cases, seed: int
+) -> list[Row]:
+    """One episode in each case, side by side; a row each, see `evaluation.catalogue`.
+
+    Args:
+        env: of `suite_env`.
+        policy: acting function; a planner must be a fresh one.
+        cases: where to park.
+        seed: of what is random in a policy.
+    """
+    count = len(cases.number)
+    reset_key, act_key = jax.random.split(evaluation_key(seed))
+    keys = jax.random.split(reset_key, count)
+    state, observation = jax.jit(jax.vmap(env.reset_to_layout))(cases.layouts, keys)
+
+    def step(policy, carry, key):
+        state, observation = carry
+        action = choose_actions(policy, state, observation, key)
+        state, timestep = jax.vmap(env.step)(state, action)
+        return (state, timestep.observation), (timestep.events.done, timestep.metrics)
+
+    @jax.jit
+    def run(policy, carry, keys):
+        return jax.lax.scan(lambda c, k: step(policy, c, k), carry, keys)
+
+    rows: list[Row | None] = [None] * count
+    policy, carry = as_argument(policy), (state, observation)
+    while any(row is None for row in rows):
+        act_key, own = jax.random.split(act_key)
+        carry, (done, metrics) = run(policy, carry, jax.random.split(own, CHUNK))
+        metrics = {name: np.asarray(value) for name, value in metrics.items()}
+        for t, lot, agent in np.argwhere(np.asarray(done)):
+            if rows[lot] is None:
+                row = {n: float(value[t, lot, agent]) for n, value in metrics.items()}
+                rows[lot] = _label(cases, lot) | complete_row(
+                    row, env.config.sim.ctrl_dt
+                )
+    return [row for row in rows if row is not None]
+
+
+def _label(cases: Cases, lot: int) -> Row:
+    return {
+        "level": cases.level,
+        "case": int(cases.number[lot]),
+        "kind": "parallel" if cases.parallel[lot] else "perpendicular",
+    }
+
+
+def decision_time(env: ParkingEnv, policy: AnyPolicy, cases: Cases) -> float:
+    """How long a policy takes for one decision of one car [s]."""
+    first = jax.tree.map(lambda x: x[0], cases.layouts)
+    key = jax.random.key(0)
+    state, observation = jax.jit(env.reset_to_layout)(first, key)
+    act = jax.jit(choose_actions)
+    taken = []
+    for _ in range(TIMED + 1):
+        begun = time.perf_counter()
+        act(as_argument(policy), state, observation, key).block_until_ready()
+        taken.append(time.perf_counter() - begun)
+    return min(taken[1:])
+
+
+def table_rows(policy: str, rows: list[Row]) -> list[dict[str, Any]]:
+    """A row of results for every level and kind of a policy's episodes.
+
+    `planned` and `planned_path` of an episode, if it has them, are whether the planner
+    found a path there and how long it is.
+    """
+    found = []
+    for level in LEVELS:
+        of_level = [row for row in rows if row["level"] == level]
+        kinds = sorted({row["kind"] for row in of_level})
+        for kind in (*kinds, "all") if len(kinds) > 1 else kinds:
+            part = [row for row in of_level if kind in ("all", row["kind"])]
+            found.append({"policy": policy, "level": level, "kind": kind, **_sum(part)})
+    return found
+
+
+def _sum(rows: list[Row]) -> dict[str, Any]:
+    summary = summarise(rows)
+    ratios = [
+        row["path"] / row["planned_path"]
+        for row in rows
+        if row["parked"] and row.get("planned_path", math.nan) > 0
+    ]
+    parked = summary["parked"]
+    return {
+        "cases": len(rows),
+        "parked": parked["rate"],
+        "low": parked["low"],
+        "high": parked["high"],
+        "crashed": summary["crashed"]["rate"],
+        "timed out": summary["timed_out"]["rate"],
+        "gear changes": summary["gear_changes"],
+        "path [m]": summary["path"],
+        "path / planned": float(np.mean(ratios)) if ratios else math.nan,
+        "off by [m]": summary["final_distance"],
+        "off by [deg]": math.degrees(summary["final_heading"]),
+        "time [s]": summary["time_to_park"],
+    }

@@ -1,0 +1,34 @@
+"""Policies in the held-out cases of HOPE's levels: a table as markdown, CSV, HTML.
+
+docs/hard_cases.md says what the cases are and what the numbers mean.
+
+python eval/suite.py planner anywhere
+python eval/suite.py planner runs/gpu-0 --levels extreme --rule precise
+"""
+
+import sys
+from collections.abc import Sequence
+
+from carpark_mj.cli.common import (
+    enable_output_fusion,
+    keep_compiled_programs,
+    run_command,
+)
+from carpark_mj.cli.driver import command_help
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.suite import SuiteConfig, main
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    help_text = command_help(__doc__)
+    return run_command(
+        "suite",
+        lambda: main(read_flags(SuiteConfig, arguments, description=help_text)) and 0,
+    )
+
+
+if __name__ == "__main__":
+    enable_output_fusion()
+    keep_compiled_programs()
+    sys.exit(run())

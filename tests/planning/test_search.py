@@ -1,0 +1,104 @@
+"""Planned paths are free, drivable and end in the bay."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+import shapely
+from helpers.planned import CAR, case, drive
+from helpers.scenes import polygons
+
+from carpark_mj.planning import search as module
+from carpark_mj.planning.paths import SHORTEST, STEP
+from carpark_mj.planning.search import SearchConfig, require_ompl, search
+
+CASES = [("normal", 0), ("normal", 1), ("complex", 0), ("complex", 1), ("extreme", 0)]
+
+
+@pytest.fixture(scope="module", params=CASES, ids=str)
+def planned(request):
+    pytest.importorskip("ompl")
+    task = case(*request.param)
+    start, goal, solids, extent = task
+    return task, search(start, goal, solids, CAR, extent, seed=1)
+
+
+def test_a_planned_path_keeps_its_clearance_from_everything(planned):
+    (_, _, solids, _), found = planned
+    pose = np.concatenate([segment.pose for segment in found.path.segments])
+    cars = polygons(CAR.centre(pose), (CAR.length, CAR.width))
+    solid = shapely.union_all(polygons(solids.pose, solids.size))
+    # Tested every 5 cm by the search, every 2 cm by its last check.
+    assert shapely.distance(cars, solid).min() >= found.clearance - 0.01
+    assert found.clearance > 0
+
+
+def test_a_planned_path_turns_no_tighter_than_the_car(planned):
+    _, found = planned
+    tightest = math.tan(CAR.max_steering) / CAR.wheelbase
+    window = 25
+    for segment in found.path.segments:
+        gap = np.hypot(*np.diff(segment.pose[:, :2], axis=0).T)
+        turn = np.abs(np.diff(segment.pose[:, 2]))
+        assert gap.max() < SHORTEST + STEP
+        # Points miss the tips of the path, where it changes gear.
+        way, turned = (np.convolve(x, np.ones(window)) for x in (gap, turn))
+        assert (turned <= tightest * (way + SHORTEST + 2 * STEP)).all()
+        assert np.abs(segment.steering).max() <= CAR.max_steering
+
+
+def test_a_planned_path_leads_from_the_start_into_the_bay(planned):
+    (start, goal, _, _), found = planned
+    first = found.path.segments[0].pose[0]
+    last = found.path.segments[-1].pose[-1]
+    np.testing.assert_allclose(CAR.centre(first)[:2], start[:2], atol=0.05)
+    np.testing.assert_allclose(CAR.centre(last)[:2], goal[:2], atol=0.05)
+    assert abs(math.sin(last[2] - goal[2])) < 0.02  # nose in or nose out
+
+
+def test_a_car_with_the_pedals_rules_follows_the_path_and_stands_in_the_bay(planned):
+    (_, _, solids, _), found = planned
+    poses, speeds, error = drive(found.path)
+    assert error < 0.05
+    assert speeds[-1] == 0.0
+    last = found.path.segments[-1].pose[-1]
+    assert math.dist(poses[-1, :2], last[:2]) < 0.05
+    assert abs(math.remainder(poses[-1, 2] - last[2], 2 * math.pi)) < 0.05
+    cars = polygons(CAR.centre(poses[::5]), (CAR.length, CAR.width))
+    solid = shapely.union_all(polygons(solids.pose, solids.size))
+    assert not shapely.intersects(cars, solid).any()
+    # It has stood still at every change of gear.
+    moving = np.sign(speeds[np.abs(speeds) > 0.05])
+    assert (np.diff(moving) != 0).sum() == found.path.shifts
+
+
+def test_the_same_seed_gives_the_same_path():
+    pytest.importorskip("ompl")
+    start, goal, solids, extent = case("normal", 3)
+    config = SearchConfig(paths=1)
+    first, again = (
+        search(start, goal, solids, CAR, extent, seed=5, config=config)
+        for _ in range(2)
+    )
+    for one, other in zip(first.path.segments, again.path.segments, strict=True):
+        np.testing.assert_array_equal(one.pose, other.pose)
+
+
+def test_a_walled_in_bay_has_no_path():
+    pytest.importorskip("ompl")
+    start, goal, solids, extent = case("normal", 0)
+    lid = np.array([[goal[0], goal[1] + 3.0, 0.0]])
+    closed = solids.with_boxes(lid, np.array([[40.0, 0.2]]))
+    config = SearchConfig(paths=1, max_tests=2000)
+    found = search(start, goal, closed, CAR, extent, config=config)
+    assert found.path is None
+    assert math.isnan(found.clearance)
+
+
+def test_without_ompl_the_planner_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ompl", None)
+    module._ompl.cache_clear()
+    with pytest.raises(ValueError, match=r"needs OMPL: pip install"):
+        require_ompl()
+    module._ompl.cache_clear()
