@@ -19,6 +19,7 @@ from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig, complete
+from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.config import (
     PARKED_RULES,
     REWARDS,
@@ -71,6 +72,7 @@ COMMANDS = {
     "eval/analysis.py": AnalysisConfig,
     "eval/evaluate.py": EvaluateConfig,
     "eval/render.py": RenderConfig,
+    "eval/suite.py": SuiteConfig,
     "-m carpark_mj.scene": SceneConfig,
     "-m carpark_mj.layouts": LayoutsConfig,
     "-m carpark_mj.play": PlayConfig,

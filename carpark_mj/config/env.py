@@ -46,9 +46,10 @@ class EnvConfig:
             bays), `compact` (the same with 2.5 m x 5.0 m bays), or a family with its
             default settings: `street`, `street_parallel`, `angled`, `lot`,
             `garage_row`, `dead_end`, `slots` (Pandita 2022; also `slots_diagonal`,
-            `slots_parallel`, `slots_single`, `slots_single_diagonal`), `mixture`. Or a
-            layout file (.json, or a TPCAP case as .csv). A comma-separated list is a
-            mixture. From Python also the config of a family, see `carpark_mj.layouts`.
+            `slots_parallel`, `slots_single`, `slots_single_diagonal`), HOPE's levels
+            (`hope_normal_perpendicular` and others), `mixture`. Or a layout file (.json,
+            or a TPCAP case as .csv). A comma-separated list is a mixture. From Python
+            also the config of a family, see `carpark_mj.layouts`.
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,

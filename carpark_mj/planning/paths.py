@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from carpark_mj.vehicle import VehicleParameters
+
 STEP = 0.02  # m between points of a path
 BLEND = 0.8  # m, over which the steering changes
 SHORTEST = 0.03  # m; shorter segments are left out
@@ -50,6 +52,20 @@ class Car(NamedTuple):
     def rear_axle(self, pose: np.ndarray) -> np.ndarray:
         """Poses (..., 3) of the rear axle for those of the footprint's centre."""
         return _ahead(pose, -self.centre_offset)
+
+
+def car_of(params: VehicleParameters) -> Car:
+    """A vehicle as the planner knows it."""
+    return Car(
+        params.length,
+        params.width,
+        params.wheelbase,
+        params.length / 2 - params.rear_overhang,
+        params.max_steering,
+        params.steering_rate,
+        params.max_acceleration,
+        params.max_deceleration,
+    )
 
 
 def _ahead(pose: np.ndarray, distance: float) -> np.ndarray:

@@ -1,0 +1,111 @@
+"""The suite: one episode in every case, and what its table says of them."""
+
+import dataclasses
+import math
+
+import jax
+import numpy as np
+import pytest
+
+from carpark_mj.cli.suite import SuiteConfig
+from carpark_mj.cli.suite_report import header, shown_cells, write_results
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.suite import (
+    drive_cases,
+    pick_cases,
+    suite_env,
+    table_rows,
+)
+from carpark_mj.layouts.held_out import load_held_out
+from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.registry import ANYWHERE
+
+PARKED = {"parked": 1.0, "crashed": 0.0, "timed_out": 0.0, "diverged": 0.0}
+MISSED = {"parked": 0.0, "crashed": 1.0, "timed_out": 0.0, "diverged": 0.0}
+HITS = {"hit_agent": 0.0, "hit_parked_car": 0.0, "hit_wall": 0.0}
+
+
+def episode(number, kind, ends, path=10.0, **more):
+    numbers = {"gear_changes": 2.0, "path": path, "final_distance": 0.05}
+    numbers |= {"final_heading": math.radians(2.0), "time_to_park": 30.0}
+    numbers |= {"length": 150.0, **HITS, **ends, **more}
+    return {"level": "normal", "case": number, "kind": kind, **numbers}
+
+
+def test_every_case_gives_one_row_from_its_own_start():
+    config = suite_env(ANYWHERE, "precise")
+    assert config.episode.max_steps * config.sim.ctrl_dt == pytest.approx(100.0)
+    short = dataclasses.replace(config.episode, max_steps=3)
+    env = ParkingEnv(dataclasses.replace(config, episode=short))
+    cases = pick_cases("complex", 4)
+    rows = drive_cases(env, zero_policy(env.action_spec), cases, seed=0)
+    assert [row["case"] for row in rows] == [0, 1, 2, 3]
+    assert [row["kind"] for row in rows] == ["perpendicular", "parallel"] * 2
+    assert [row["timed_out"] for row in rows] == [1.0] * 4
+    # A car that stands still ends where the case starts.
+    layouts = load_held_out("complex").layouts
+    gap = np.asarray(layouts.spawn_pose - layouts.bay_pose)[:4, 0, :2]
+    expected = np.hypot(*gap.T)
+    ends = [row["final_distance"] for row in rows]
+    np.testing.assert_allclose(ends, expected, atol=2e-3)
+
+
+def test_cases_of_all_levels_have_the_same_shapes():
+    shapes = [
+        jax.tree.map(lambda x: x.shape, pick_cases(level, 2).layouts)
+        for level in ("normal", "complex", "extreme")
+    ]
+    assert shapes[0] == shapes[1] == shapes[2]
+
+
+def test_the_table_counts_by_kind_and_compares_paths_with_the_planners():
+    rows = [
+        episode(0, "perpendicular", PARKED, 12.0, planned_path=10.0),
+        episode(1, "parallel", MISSED, 3.0, planned_path=10.0),
+        episode(2, "perpendicular", PARKED, 8.0, planned_path=10.0),
+        episode(3, "parallel", PARKED, 9.0, planned_path=math.nan),
+    ]
+    table = {row["kind"]: row for row in table_rows("x", rows)}
+    assert list(table) == ["parallel", "perpendicular", "all"]
+    assert table["all"]["cases"] == 4
+    assert table["all"]["parked"] == 0.75
+    # Wilson, 3 of 4.
+    assert table["all"]["low"] == pytest.approx(0.3006, abs=1e-4)
+    assert table["parallel"]["crashed"] == 0.5
+    assert table["perpendicular"]["path / planned"] == pytest.approx(1.0)
+    assert math.isnan(table["parallel"]["path / planned"])
+    assert table["all"]["off by [deg]"] == pytest.approx(2.0)
+
+
+def test_files_hold_the_table_the_episodes_and_the_worst_first(tmp_path):
+    episodes = [
+        {"policy": "x", **episode(0, "parallel", PARKED)},
+        {"policy": "x", **episode(7, "parallel", MISSED)},
+    ]
+    row = {**table_rows("x", episodes)[0], "path found": math.nan}
+    head = header("strict", 2, 0)
+    files = write_results(tmp_path, head, [row], episodes, [])
+    names = ["suite.md", "suite.csv", "cases.csv", "suite.html"]
+    assert [path.name for path in files] == names
+    page = files[0].read_text()
+    assert "the first 2 of each level; seed 0" in page
+    assert "| x | normal | parallel | 2 | 50.0 (9.5 … 90.5) |" in page
+    assert len(files[2].read_text().splitlines()) == 3
+    html = files[3].read_text()
+    assert html.index("<td>7</td>") < html.index("<td>0</td>")
+    assert shown_cells(row)["path found [%]"] == "–"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"policies": ()}, "at least one policy"),
+        ({"policies": ("planner", "planner")}, "policies must differ"),
+        ({"policies": ("zero",), "cases": 0}, "cases must be 1 to 1000, not 0"),
+        ({"policies": ("zero",), "cases": 1001}, "cases must be 1 to 1000"),
+        ({"policies": ("zero",), "levels": ()}, "levels must differ"),
+    ],
+)
+def test_impossible_settings_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        SuiteConfig(**settings)

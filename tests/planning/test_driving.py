@@ -1,0 +1,90 @@
+"""Agents on planned paths: in the real car's physics, and in front of others."""
+
+import jax
+import numpy as np
+import pytest
+from helpers.planned import CAR, case
+
+from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.suite import drive_cases, pick_cases, suite_env
+from carpark_mj.planning.driving import MAX_PLANS, PATIENCE, Agent, Sight
+from carpark_mj.planning.policy import planner_policy
+from carpark_mj.planning.search import SearchConfig
+from carpark_mj.registry import environment
+
+NOBODY = np.zeros((0, 3)), np.zeros((0, 2))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ompl():
+    pytest.importorskip("ompl")
+
+
+def sight(pose=None, others=NOBODY, begins=False):
+    start, goal, solids, extent = case("normal", 0)
+    pose = start if pose is None else pose
+    return Sight(begins, pose, 0.0, 0.0, goal, CAR, solids, others, extent)
+
+
+@pytest.mark.parametrize(("level", "count"), [("complex", 2), ("extreme", 1)])
+def test_the_physical_car_parks_on_its_path(level, count):
+    env = ParkingEnv(suite_env(EnvConfig(), "strict"))
+    policy, planner = planner_policy(env)
+    rows = drive_cases(env, policy, pick_cases(level, count), seed=0)
+    assert [row["parked"] for row in rows] == [1.0] * count
+    for lot, row in enumerate(rows):
+        [found] = planner.searches(lot, 0)
+        assert row["path"] == pytest.approx(found.path.length, rel=0.15)
+    assert planner.decisions == sum(row["length"] for row in rows)
+    assert planner.seconds > 0
+
+
+def test_an_agent_stops_for_another_one_and_plans_around_it():
+    agent = Agent(0, 0.2, SearchConfig(paths=1))
+    agent.act(sight(begins=True))
+    [found] = agent.searches
+    # Somebody stands on the first metres of the path, past the car's outline.
+    segment = found.path.segments[0]
+    there = CAR.centre(segment.pose[np.searchsorted(segment.distance, 2.0)])
+    reach = segment.way * (CAR.length / 2 + 0.5)
+    there = there + reach * np.array([np.cos(there[2]), np.sin(there[2]), 0.0])
+    others = there[None], np.array([[0.5, 0.5]])
+    for _ in range(PATIENCE - 2):
+        assert agent.act(sight(others=others)) == (0.0, 0.0)
+    assert len(agent.searches) == 1
+    agent.act(sight(others=others))
+    assert len(agent.searches) == 2
+
+
+def test_an_agent_without_a_path_stands_and_gives_up_after_a_few_searches():
+    agent = Agent(0, 0.2, SearchConfig(paths=1, max_tests=50, clearances=(0.05,)))
+    start, goal, *_ = case("normal", 0)
+    lid = np.array([[goal[0], goal[1] + 3.2, 0.0]]), np.array([[40.0, 0.2]])
+    shut = sight(begins=True)
+    shut = shut._replace(solids=shut.solids.with_boxes(*lid), pose=start)
+    assert agent.act(shut) == (0.0, 0.0)
+    for _ in range(PATIENCE * (MAX_PLANS + 2)):
+        assert agent.act(shut._replace(begins=False)) == (0.0, 0.0)
+    assert len(agent.searches) == MAX_PLANS
+    assert all(found.path is None for found in agent.searches)
+
+
+def test_environments_in_which_it_cannot_drive_are_refused():
+    with pytest.raises(ValueError, match="mjx, scene, bicycle physics, not grid"):
+        planner_policy(ParkingEnv(environment("tanner-fixed")))
+    dynamic = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=1))
+    with pytest.raises(ValueError, match="fixed goals"):
+        planner_policy(ParkingEnv(dynamic))
+
+
+def test_the_planner_drives_one_lot_as_it_drives_a_batch():
+    env = ParkingEnv(suite_env(EnvConfig(), "strict"))
+    layout = jax.tree.map(lambda x: x[0], pick_cases("normal", 1).layouts)
+    state, _ = jax.jit(env.reset_to_layout)(layout, jax.random.key(0))
+    policy, _ = planner_policy(env)
+    alone = jax.jit(policy.act)(state)
+    policy, _ = planner_policy(env)
+    batch = jax.tree.map(lambda x: x[None], state)
+    np.testing.assert_array_equal(jax.jit(policy.act)(batch)[0], alone)
+    assert alone.shape == (1, 2)
