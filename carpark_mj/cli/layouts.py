@@ -29,6 +29,7 @@ from carpark_mj.layouts import (
     layout_config,
 )
 from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.held_out import write
 from carpark_mj.layouts.json_file import layout_text
 from carpark_mj.layouts.plot import contact_sheet
 from carpark_mj.layouts.standards import Level, Orientation
@@ -138,6 +139,8 @@ class LayoutsConfig:
         check: number of keys of each layout to check.
         run: number of scenes of each layout to run.
         save: layout file to write, with the first lot of one layout.
+        held_out: `.npz` file to which the held-out cases of HOPE's levels are drawn
+            again; see `carpark_mj.layouts.held_out`.
         seed: seed of the keys.
     """
 
@@ -148,15 +151,18 @@ class LayoutsConfig:
     check: int = 0
     run: int = 0
     save: str = ""
+    held_out: str = ""
     seed: int = 0
 
     def __post_init__(self) -> None:
         at_least(self, 0, "check", "run")
-        if not (self.plot or self.check or self.run or self.save):
+        if not (self.plot or self.check or self.run or self.save or self.held_out):
             raise ValueError(
-                "nothing to do: give --plot FILE, --save FILE, --check N or --run N "
-                "(N > 0)"
+                "nothing to do: give --plot FILE, --save FILE, --held-out FILE, "
+                "--check N or --run N (N > 0)"
             )
+        if self.held_out and not self.held_out.endswith(".npz"):
+            raise ValueError(f"--held-out writes a .npz file, not {self.held_out}")
         if self.save and (len(self.layouts) != 1 or not self.save.endswith(".json")):
             raise ValueError(
                 "--save writes one lot of one layout to a .json file, not "
@@ -178,6 +184,9 @@ def look(config: LayoutsConfig) -> bool:
             Path(config.save), lambda file: file.write_text(layout_text(drawn))
         )
         print(f"wrote {config.save}: {int(drawn.bay_mask.sum())} bays")
+    if config.held_out:
+        write_atomically(Path(config.held_out), write)
+        print(f"wrote {config.held_out}")
     if config.plot:
         pictures = [
             (name, drawn)

@@ -47,9 +47,9 @@ class EnvConfig:
             default settings: `street`, `street_parallel`, `angled`, `lot`,
             `garage_row`, `dead_end`, `slots` (Pandita 2022; also `slots_diagonal`,
             `slots_parallel`, `slots_single`, `slots_single_diagonal`), HOPE's levels
-            (`hope_normal_perpendicular` and others), `mixture`. Or a layout file (.json,
-            or a TPCAP case as .csv). A comma-separated list is a mixture. From Python
-            also the config of a family, see `carpark_mj.layouts`.
+            (`hope_normal_perpendicular` and others), `mixture`. Or a layout file
+            (.json, or a TPCAP case as .csv). A comma-separated list is a mixture. From
+            Python also the config of a family, see `carpark_mj.layouts`.
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,

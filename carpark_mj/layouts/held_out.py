@@ -3,13 +3,13 @@
 They are data in the package, drawn once by `carpark_mj.layouts.hope` from lots of the
 test split (`carpark_mj.layouts.splits`), in whole millimetres and 1e-4 rad. Cases of
 `normal` and `complex` are perpendicular and parallel in turn, those of `extreme` are
-parallel. `python -m carpark_mj.layouts.held_out FILE` writes the same bytes again.
+parallel. `python -m carpark_mj.layouts --held-out FILE.npz` writes the same bytes
+again.
 """
 
 import functools
 import hashlib
 import io
-import sys
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -110,18 +110,12 @@ def _whole(value: np.ndarray, step: float | np.ndarray, kind: type) -> np.ndarra
     return np.rint(value / step).astype(kind)
 
 
-def write(path: Path) -> str:
-    """Draws all cases and writes them; returns the file's SHA-256."""
+def write(path: Path) -> None:
+    """Draws all cases and writes them."""
     arrays = {
         f"{level}_{name}": array
         for level in LEVELS
         for name, array in draw_cases(level).items()
     }
-    np.savez(path, **arrays)
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-if __name__ == "__main__":
-    if len(sys.argv) != 2 or not sys.argv[1].endswith(".npz"):
-        sys.exit("usage: python -m carpark_mj.layouts.held_out FILE.npz")
-    print(write(Path(sys.argv[1])), sys.argv[1])
+    with path.open("wb") as file:  # by name, savez would choose another suffix
+        np.savez(file, **arrays)
