@@ -11,9 +11,10 @@ import functools
 import hashlib
 import io
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
@@ -88,7 +89,7 @@ def draw_cases(level: Level, count: int = CASES) -> dict[str, np.ndarray]:
         for turn, orientation in enumerate(orientations):
             draw = jax.jit(functools.partial(hope, HopeConfig(level, orientation)))
             for index in range(turn, count, len(orientations)):
-                key = lot_key(np.uint32(first + index))
+                key = lot_key(jnp.uint32(first + index))
                 layouts[index] = jax.device_get(draw(key))
     cases = [layout for layout in layouts if layout is not None]
     maxima = layout_maxima(cases)
@@ -112,7 +113,7 @@ def _whole(value: np.ndarray, step: float | np.ndarray, kind: type) -> np.ndarra
 
 def write(path: Path) -> None:
     """Draws all cases and writes them."""
-    arrays = {
+    arrays: dict[str, Any] = {
         f"{level}_{name}": array
         for level in LEVELS
         for name, array in draw_cases(level).items()

@@ -3,6 +3,7 @@
 from pathlib import Path as File
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -43,8 +44,9 @@ def plot_paths(
         _fill(axis, layout.spawn_pose[:1], size[None], "tab:blue", 0.3)
         for segment in path.segments if path is not None else ():
             centre = car.centre(segment.pose)
-            end = centre[-1].astype(np.float32)
-            outline = np.asarray(box_corners(end, size))
+            outline = np.asarray(
+                box_corners(jnp.asarray(centre[-1]), jnp.asarray(size))
+            )
             axis.fill(*outline.T, fill=False, ec=WAYS[segment.way], lw=0.6)
             axis.plot(*segment.pose[:, :2].T, color=WAYS[segment.way], lw=1.2)
         x, y = layout.extent
@@ -55,5 +57,5 @@ def plot_paths(
 def _fill(
     axis: Axes, pose: np.ndarray, size: np.ndarray, color: str, alpha: float = 1.0
 ) -> None:
-    for outline in np.asarray(box_corners(pose, size)):
+    for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
         axis.fill(*outline.T, color=color, alpha=alpha, lw=0)

@@ -111,7 +111,7 @@ class _Task(NamedTuple):
 @functools.cache
 def _ompl() -> Any:
     try:
-        from ompl import base, geometric, util
+        from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ValueError('the planner needs OMPL: pip install ".[planner]"') from None
     util.setLogLevel(util.LogLevel.LOG_NONE)
