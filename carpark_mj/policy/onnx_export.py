@@ -139,7 +139,7 @@ def random_observations(
     """Observations with all numbers independent, as many as the typical ones.
 
     Uniform within the ranges of the fields and three standard deviations of the typical
-    ones. Farther out an action in float32 is only good to some 1e-5, in JAX as well.
+    ones.
 
     Args:
         config: the environment.
@@ -182,6 +182,35 @@ def largest_difference(
     with jax.default_matmul_precision("highest"):  # as onnxruntime, also on GPUs
         act = jax.jit(lambda policy, seen: policy(seen, jax.random.key(0))[0])
         expected = np.asarray(act(as_argument(loaded.policy), observation))
+    return _largest(found, expected)
+
+
+def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
+    """Of the actions of a policy in float32, to the same policy in float64.
+
+    Args:
+        loaded: the policy.
+        observation: (batch, size).
+
+    Returns:
+        The largest difference of any number of an action; inf if one is not finite.
+    """
+    act = jax.jit(lambda policy, seen: policy(seen, jax.random.key(0))[0])
+    policy = as_argument(loaded.policy)
+    with jax.default_matmul_precision("highest"):
+        found = np.asarray(act(policy, observation))
+    policy, observation = jax.tree.map(_in_float64, (policy, observation))
+    with jax.enable_x64(True):
+        return _largest(found, np.asarray(act(policy, observation)))
+
+
+def _in_float64(leaf: Any) -> Any:
+    is_float = np.issubdtype(jnp.result_type(leaf), np.floating)
+    return np.asarray(leaf, np.float64) if is_float else leaf
+
+
+def _largest(found: np.ndarray, expected: np.ndarray) -> float:
+    """The largest difference; inf if one is not finite."""
     difference = np.abs(found.astype(np.float64) - expected)
     return float(np.where(np.isfinite(difference), difference, np.inf).max())
 

@@ -27,6 +27,7 @@ from carpark_mj.policy.onnx_export import (
     make_model,
     onnx_inputs,
     random_observations,
+    rounding_error,
     split_observation,
 )
 from carpark_mj.policy.q_table import make_table_policy
@@ -153,6 +154,22 @@ def test_another_policy_is_a_difference(name):
     assert largest_difference(model, untrained(env, seed=2), seen) > 0.01
 
 
+def test_rounding_is_that_of_float32_and_small_for_small_sums():
+    env = ENVS["fixed"]
+    seen = observations(env, 100)
+    assert 0 < rounding_error(untrained(env), seen) <= 1e-5
+
+    def cancel(observation, key):
+        # Of 1e4 float32 keeps steps of 2^-10: half a step is the most that is lost.
+        first = observation[:, :2]
+        return jax.lax.optimization_barrier(first + 1e4) - 1e4, {}
+
+    lost = rounding_error(dataclasses.replace(untrained(env), policy=cancel), seen)
+    assert 2**-12 < lost <= 2**-11
+    table = ENVS["table"]
+    assert rounding_error(untrained(table), observations(table, 100)) == 0.0
+
+
 def test_numbers_that_are_not_finite_are_a_difference():
     loaded = untrained(ENVS["fixed"])
     seen = observations(ENVS["fixed"], 2)
@@ -161,3 +178,4 @@ def test_numbers_that_are_not_finite_are_a_difference():
     )
     assert largest_difference(make_model(loaded), broken, seen) == np.inf
     assert largest_difference(make_model(broken), broken, seen) == np.inf
+    assert rounding_error(broken, seen) == np.inf
