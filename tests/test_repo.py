@@ -24,6 +24,7 @@ FLOORS = (
     ("episodes",),
     ("env", "junction"),
     ("registry", "registration", "policy"),
+    ("planning",),
     ("evaluation",),
     ("analysis",),
     ("rendering",),
