@@ -71,6 +71,12 @@ def test_every_room_has_a_floor():
     assert {part_of(path) for path in FILES} == {*FLOOR, "__init__"}
 
 
+def test_no_two_test_files_have_the_same_name():
+    # Pytest collects only one of them, and not all extras are installed in CI.
+    names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
+    assert len(names) == len({*names})
+
+
 def test_at_most_twelve_files_stand_at_the_root_of_the_package():
     assert len(list(LIBRARY.glob("*.py"))) <= 12
 
