@@ -19,9 +19,10 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import at_least, positive, whole
 from learners.sac.config import SACPreset
+from studies.jobs import Job, run_jobs
 from studies.slots import EXPERIMENTS, SlotsExperiment, slots_experiment
 from studies.slots_curves import write_curves
-from studies.slots_jobs import Job, make_job, run_jobs
+from studies.slots_jobs import make_job
 from studies.slots_report import read_deployments, write_matrix, write_report
 
 

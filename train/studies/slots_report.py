@@ -12,12 +12,11 @@ from carpark_mj.policy.checkpoints import write_atomically
 from learners.sac.phases import read_phase
 from learners.sac.pictures import plot_matrix
 from learners.sac.transfer import success_matrix, transfer
+from studies.jobs import Job
+from studies.seeds import ENOUGH, always
 from studies.slots import DIAGONAL, PARALLEL, VERTICAL, Claim, SlotsExperiment
-from studies.slots_jobs import Job
 
 KINDS = (VERTICAL, DIAGONAL, PARALLEL)
-ENOUGH = 5  # seeds for a verdict
-CLEAR = 0.8  # share of seeds, or its complement, that is called always, or never
 
 # Rows of `deployments.csv` of the runs, by experiment.
 Results = Mapping[SlotsExperiment, Sequence[Sequence[dict[str, Any]]]]
@@ -49,12 +48,9 @@ def verdict(claims: Sequence[Claim], success: Mapping[str, Sequence[float]]) -> 
         return f"not decided: {seeds} seeds"
     found: list[str] = []
     for claim in claims:
-        rate = float(np.mean(success[claim.kind]))
-        as_claimed = rate if claim.parks else 1.0 - rate
-        if as_claimed < CLEAR:
-            word = (
-                "parks" if rate >= CLEAR else "fails" if rate <= 1 - CLEAR else "mixed"
-            )
+        parks = always(success[claim.kind])
+        if parks is not claim.parks:
+            word = {True: "parks", False: "fails", None: "mixed"}[parks]
             found.append(f"{claim.kind} {word}")
     return f"differs: {', '.join(found)}" if found else "agrees"
 

@@ -1,0 +1,121 @@
+"""Repeats tables 6.1 to 6.4 of Cederle 2023 over seeds, beside what the thesis says.
+
+    python train/junction_study.py --list
+    python train/junction_study.py --table 6.1
+    python train/junction_study.py --all --minutes 30     # the same command continues
+    python train/junction_study.py --all --preset cederle # the thesis's settings
+
+Every training is a run of `train/junction.py` in `runs/junction_study`, on a core of
+its own; `report.md` there has tables and conclusions of all runs done,
+`curves-SCENARIO.png` the learning curves over the published ones.
+"""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.config.checks import at_least, whole
+from learners.junction.config import JunctionPreset
+from studies.jobs import run_jobs
+from studies.junction import CELLS, SCENARIOS, cells_of
+from studies.junction_curves import write_curves
+from studies.junction_report import thesis, write_report
+from studies.junction_runs import make_job, read_outcome
+
+
+@dataclasses.dataclass(frozen=True)
+class JunctionStudyConfig:
+    """Settings of `python train/junction_study.py`.
+
+    Attributes:
+        table: its number in the thesis.
+        all: all tables.
+        list: say what there is, and train nothing.
+        seeds: runs of every cell.
+        preset: of `train/junction.py`; `ippo` and `mappo` have `parallel` only.
+        minutes: after which runs save and stop [min]; 0 = no limit.
+        workers: runs at a time, each on one core; 0 = one for every core.
+        runs_dir: where runs are kept.
+    """
+
+    table: str = ""
+    all: bool = False
+    list: bool = False
+    seeds: int = 5
+    preset: JunctionPreset = "parallel"
+    minutes: float = 0.0
+    workers: int = 0
+    runs_dir: str = "runs/junction_study"
+
+    def __post_init__(self) -> None:
+        whole(self, 1, "seeds")
+        whole(self, 0, "workers")
+        at_least(self, 0, "minutes")
+        if bool(self.table) + self.all + self.list != 1:
+            raise ValueError("give one of --table NUMBER, --all and --list")
+
+
+def describe() -> None:
+    """Prints a line per cell."""
+    for cell in CELLS:
+        said = thesis(cell.published)
+        print(f"{cell.table}  {cell.scenario:7} {cell.name:15} {said}")
+
+
+def report(config: JunctionStudyConfig) -> Path:
+    """Writes tables and learning curves of what is done, of any table."""
+    folder = Path(config.runs_dir)
+    done = {
+        cell: [
+            read_outcome(job.folder)
+            for job in (
+                make_job(cell, config.preset, seed, folder)
+                for seed in range(config.seeds)
+            )
+            if job.is_done
+        ]
+        for cell in CELLS
+    }
+    done = {cell: outcomes for cell, outcomes in done.items() if outcomes}
+    for table, name in SCENARIOS.items():
+        runs = {cell: found for cell, found in done.items() if cell.table == table}
+        if runs:
+            write_curves(folder / f"curves-{name}.png", runs)
+    path = folder / "report.md"
+    write_report(path, done)
+    return path
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs the cells of tables; returns the exit code, 1 if runs have failed."""
+    config = read_flags(JunctionStudyConfig, arguments, description=__doc__)
+    if config.list:
+        describe()
+        return 0
+    folder = Path(config.runs_dir)
+    wanted = CELLS if config.all else cells_of(config.table)
+    # Long ones first: physical cars, then more of them.
+    order = sorted(wanted, key=lambda cell: (cell.cars == "mjx", cell.table))[::-1]
+    jobs = [
+        make_job(cell, config.preset, seed, folder)
+        for cell in order
+        for seed in range(config.seeds)
+    ]
+    left = [job for job in jobs if not job.is_done]
+    print(f"{len(jobs)} runs, {len(jobs) - len(left)} of them done", flush=True)
+    failed = run_jobs(left, config.workers, config.minutes)
+    folder.mkdir(parents=True, exist_ok=True)
+    print(f"wrote {report(config)}")
+    return 1 if failed else 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command("junction_study", lambda: run(arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,93 @@
+"""The trainings behind the cells of the junction's tables, and what came of them."""
+
+import csv
+import dataclasses
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learners.junction.config import JunctionPreset
+from learners.junction.families import presets_of
+from studies.jobs import Job
+from studies.junction import Cell
+
+# Of the steps, at the end of a curve: the last ten of the study's 62 points.
+TAIL = 1 / 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """A finished run.
+
+    Attributes:
+        solved_at: control steps; infinity = not solved.
+        converged_at: the same to convergence.
+        final_return: mean over the last sixth of the steps.
+        unrest: standard deviation of the return over the second half of the steps.
+        crashed: share of the last evaluation's episodes in which an agent crashed.
+        completed: share in which all arrived.
+        curve: steps and returns of the evaluations.
+    """
+
+    solved_at: float
+    converged_at: float
+    final_return: float
+    unrest: float
+    crashed: float
+    completed: float
+    curve: tuple[Sequence[float], Sequence[float]]
+
+
+def make_job(cell: Cell, preset: JunctionPreset, seed: int, folder: Path) -> Job:
+    """The training of a cell with a seed, in a folder below `folder`.
+
+    Of algorithms that the preset is not for, `parallel`.
+    """
+    known = preset if preset in presets_of(cell.algorithm) else "parallel"
+    name = f"{known}-{cell.scenario}-{cell.name}-{seed}"
+    flags = ("--algorithm", cell.algorithm, "--scenario", cell.scenario)
+    flags += ("--cars", cell.cars, "--preset", known, "--seed", str(seed))
+    flags += ("--name", name, "--runs-dir", str(folder), "--video-episodes", "0")
+    return Job("junction.py", folder / name, flags, is_finished)
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a run has been evaluated after its last step."""
+    path = folder / "evaluation.json"  # written anew at every evaluation
+    if not path.exists():
+        return False
+    total = json.loads((folder / "config.json").read_text())["config"]["total_steps"]
+    return json.loads(path.read_text())["last"]["env_steps"] >= total
+
+
+def read_outcome(folder: Path) -> Outcome:
+    """Reads a finished run."""
+    found: dict[str, Any] = json.loads((folder / "evaluation.json").read_text())
+    with (folder / "evaluations.csv").open(newline="") as file:
+        rows = [
+            (float(r["env_steps"]), float(r["return"])) for r in csv.DictReader(file)
+        ]
+    steps, returns = zip(*rows, strict=True)
+    return Outcome(
+        solved_at=_steps(found["solved_at"]),
+        converged_at=_steps(found["converged_at"]),
+        final_return=float(np.mean(tail(steps, returns, TAIL))),
+        unrest=float(np.std(tail(steps, returns, 0.5))),
+        crashed=found["last"]["crashed"],
+        completed=found["last"]["completed"],
+        curve=(steps, returns),
+    )
+
+
+def tail(steps: Sequence[float], values: Sequence[float], share: float) -> list[float]:
+    """Values of the last `share` of the steps."""
+    begin = steps[-1] * (1.0 - share)
+    return [value for step, value in zip(steps, values, strict=True) if step >= begin]
+
+
+def _steps(found: float | None) -> float:
+    return math.inf if found is None else float(found)
