@@ -23,6 +23,7 @@ from studies.junction_runs import Outcome
 PATH = Path(__file__).parent / "cederle_2023.csv"
 COLUMNS = 4
 THOUSAND = 1e3
+LOWEST = -30.0  # shown; the study's QMIX falls to -165 for a moment
 
 Curve = tuple[Sequence[float], Sequence[float]]  # steps, returns
 
@@ -41,7 +42,7 @@ def _read() -> dict[tuple[str, str], Curve]:
             steps, returns = found.setdefault(key, ([], []))
             steps.append(float(row["step"]))
             returns.append(float(row["return"]))
-    return {key: curve for key, curve in found.items()}
+    return {**found}
 
 
 def draw_curves(runs: Mapping[Cell, Sequence[Outcome]]) -> Figure:
@@ -62,6 +63,7 @@ def draw_curves(runs: Mapping[Cell, Sequence[Outcome]]) -> Figure:
         threshold = scenario(cell.scenario).solved
         axes.axhline(threshold, color="gray", linestyle="--", linewidth=0.8)
         axes.set_title(cell.name, fontsize="small")
+        axes.set_ylim(bottom=LOWEST)
         axes.grid(alpha=0.3)
     for axes in panels[len(runs) :]:
         axes.set_axis_off()
