@@ -85,8 +85,10 @@ def read_outcome(folder: Path) -> Outcome:
 
 def tail(steps: Sequence[float], values: Sequence[float], share: float) -> list[float]:
     """Values of the last `share` of the steps."""
-    begin = steps[-1] * (1.0 - share)
-    return [value for step, value in zip(steps, values, strict=True) if step >= begin]
+    length = steps[-1] * share
+    return [
+        v for step, v in zip(steps, values, strict=True) if steps[-1] - step <= length
+    ]
 
 
 def _steps(found: float | None) -> float:
