@@ -20,6 +20,7 @@ from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import FOLDER_SETTINGS
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.pretrained import find_policy, pretrained_names
+from carpark_mj.registry import environment
 from learners.ppo.config import PPOConfig
 from learners.ppo.learner import Learner
 from learners.ppo.train import save
@@ -277,6 +278,15 @@ def test_a_fault_of_a_card_is_found(shipped, wrong, right, fault):
     found = list(faults("tiny", CARD.replace(wrong, right)))
     assert len(found) == 1
     assert fault in found[0]
+
+
+def test_anywhere_drives_the_cars_and_observes_the_fields_of_its_environment():
+    trained = loading.load_policy("anywhere").env
+    named = environment("anywhere")
+    assert trained.fleet == named.fleet
+    assert len(trained.fleet.agents) == 6
+    assert trained.observation == named.observation
+    assert trained.layout == named.layout
 
 
 def test_the_page_of_the_policies_shows_all_cards():
