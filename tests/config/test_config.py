@@ -339,7 +339,9 @@ def test_the_default_reward_is_the_shaped_preset():
 
 def test_every_layout_name_of_the_config_has_a_generator():
     names = get_args(LayoutName)
-    assert set(names) == {*NAMED, *FAMILIES} - {"from_file"}
+    # `hope` goes by the names of its levels.
+    assert set(names) == {*NAMED, *FAMILIES} - {"from_file", "hope"}
+    assert any(layout_config(name).family == "hope" for name in names)
     for name in names:
         config = layout_config(EnvConfig(layout=name).layout)
         assert FAMILIES[config.family].config is type(config)
