@@ -31,6 +31,7 @@ from carpark_mj.wrappers.torchrl import TorchRLParking
 
 UNROLL = 64  # steps of a lot between updates
 LARGEST_MINIBATCH = 4096  # steps of a lot
+OFF_POLICY = ("maddpg", "iql", "vdn", "qmix")  # learn more often from fewer steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Settings:
         parked_cars: in every lot.
         layout: of the lots.
         frames: steps of lots to train for, each a step of all its agents.
-        lots: simulated at once; default 4096 on a GPU, else 32.
+        lots: simulated at once; default 32, on a GPU 4096 or, off-policy, 1024.
         evaluations: during training, the last one at its end.
         seed: of training; the held-out lots have another.
         out: folder of the results.
@@ -96,7 +97,8 @@ def experiment_config(settings: Settings, folder: Path) -> ExperimentConfig:
     device = "cuda:0" if torch.cuda.is_available() else "cpu"
     if device == "cpu":
         torch.set_num_threads(1)  # JAX has the other core
-    lots = settings.lots or (32 if device == "cpu" else 4096)
+    many = 1024 if settings.algorithm in OFF_POLICY else 4096
+    lots = settings.lots or (32 if device == "cpu" else many)
     batch = lots * UNROLL
     updates = max(1, round(settings.frames / batch / settings.evaluations))
     config = ExperimentConfig.get_from_yaml()

@@ -180,8 +180,7 @@ def largest_difference(
     session: Any = onnxruntime.InferenceSession(model.SerializeToString())
     [found] = session.run(None, split_observation(loaded.env, observation))
     with jax.default_matmul_precision("highest"):  # as onnxruntime, also on GPUs
-        act = jax.jit(lambda policy, seen: policy(seen, jax.random.key(0))[0])
-        expected = np.asarray(act(as_argument(loaded.policy), observation))
+        expected = np.asarray(_actions(as_argument(loaded.policy), observation))
     return _largest(found, expected)
 
 
@@ -195,13 +194,18 @@ def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
     Returns:
         The largest difference of any number of an action; inf if one is not finite.
     """
-    act = jax.jit(lambda policy, seen: policy(seen, jax.random.key(0))[0])
     policy = as_argument(loaded.policy)
     with jax.default_matmul_precision("highest"):
-        found = np.asarray(act(policy, observation))
+        found = np.asarray(_actions(policy, observation))
     policy, observation = jax.tree.map(_in_float64, (policy, observation))
     with jax.enable_x64(True):
-        return _largest(found, np.asarray(act(policy, observation)))
+        return _largest(found, np.asarray(_actions(policy, observation)))
+
+
+@jax.jit
+def _actions(policy: Any, observation: jax.Array) -> jax.Array:
+    """Actions of a deterministic policy that is an argument, see `as_argument`."""
+    return policy(observation, jax.random.key(0))[0]
 
 
 def _in_float64(leaf: Any) -> Any:

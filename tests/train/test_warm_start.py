@@ -225,3 +225,19 @@ def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
         warm_start=folder,
         env=dataclasses.replace(WIDER.env, physics="grid", sim=SimConfig()),
     )
+
+
+def test_entities_of_a_new_kind_are_refused(tmp_path):
+    seen = ContinuousObservation(tracked_parked_cars=0)
+    alone = dataclasses.replace(
+        TINY, env=dataclasses.replace(TINY.env, observation=seen)
+    )
+    folder = tmp_path / "alone"
+    folder.mkdir()
+    save(folder, alone, jax.device_get(Learner(alone).init()))
+    refused(
+        tmp_path,
+        ValueError,
+        "trained without entities of the kind parked_car; only more",
+        warm_start=str(folder),
+    )

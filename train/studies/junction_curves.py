@@ -7,7 +7,6 @@ Q-learners are means of the last 100 training episodes, random actions included.
 
 import csv
 import functools
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from carpark_mj.junction.scenarios import scenario
-from carpark_mj.policy.checkpoints import write_atomically
 from studies.junction import Cell
 from studies.junction_runs import Outcome
+from studies.panels import make_panels, write_figure
 
 PATH = Path(__file__).parent / "cederle_2023.csv"
-COLUMNS = 4
 THOUSAND = 1e3
 LOWEST = -30.0  # shown; the study's QMIX falls to -165 for a moment
 
@@ -51,10 +49,12 @@ def draw_curves(runs: Mapping[Cell, Sequence[Outcome]]) -> Figure:
     Args:
         runs: finished ones of the cells of a table.
     """
-    rows = math.ceil(len(runs) / COLUMNS)
-    figure = Figure(figsize=(3.2 * COLUMNS, 2.4 * rows), layout="constrained")
-    panels = [*figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).flat]
-    for axes, (cell, outcomes) in zip(panels, runs.items(), strict=False):
+    figure, panels = make_panels(
+        len(runs),
+        "steps [thousand]; black: Cederle 2023; dashed: solved",
+        "return of all agents",
+    )
+    for axes, (cell, outcomes) in zip(panels, runs.items(), strict=True):
         for outcome in outcomes:
             _plot(axes, outcome.curve, color="tab:blue", alpha=0.6)
         theirs = published_curve(cell)
@@ -64,19 +64,12 @@ def draw_curves(runs: Mapping[Cell, Sequence[Outcome]]) -> Figure:
         axes.axhline(threshold, color="gray", linestyle="--", linewidth=0.8)
         axes.set_title(cell.name, fontsize="small")
         axes.set_ylim(bottom=LOWEST)
-        axes.grid(alpha=0.3)
-    for axes in panels[len(runs) :]:
-        axes.set_axis_off()
-    figure.supxlabel("steps [thousand]; black: Cederle 2023; dashed: solved")
-    figure.supylabel("return of all agents")
     return figure
 
 
 def write_curves(path: Path, runs: Mapping[Cell, Sequence[Outcome]]) -> Path:
     """Writes `draw_curves` to a PNG."""
-    figure = draw_curves(runs)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110))
-    return path
+    return write_figure(path, draw_curves(runs))
 
 
 def _plot(axes: Axes, curve: Curve, **style: Any) -> None:

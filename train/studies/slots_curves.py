@@ -1,6 +1,5 @@
 """Learning curves of the experiments in slots, a panel for each."""
 
-import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,12 +7,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from carpark_mj.policy.checkpoints import write_atomically
 from learners.curve import smooth
 from learners.metrics_log import read_metrics
+from studies.panels import make_panels, write_figure
 from studies.slots import SlotsExperiment
 
-COLUMNS = 4
 WINDOW = 7  # rows of the moving average
 THOUSAND = 1e3
 TITLE_WIDTH = 40  # characters
@@ -27,32 +25,25 @@ def draw_curves(runs: Mapping[SlotsExperiment, Sequence[Path]]) -> Figure:
     Args:
         runs: folders by experiment.
     """
-    rows = math.ceil(len(runs) / COLUMNS)
-    figure = Figure(figsize=(3.2 * COLUMNS, 2.3 * rows), layout="constrained")
-    panels = [*figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).flat]
-    for axes, (experiment, folders) in zip(panels, runs.items(), strict=False):
+    figure, panels = make_panels(
+        len(runs), "steps [thousand]", "share of episodes that park"
+    )
+    for axes, (experiment, folders) in zip(panels, runs.items(), strict=True):
         for folder in folders:
             axes.plot(*_success(folder), color="tab:green", linewidth=1.0, alpha=0.7)
         ends = np.cumsum([count for _, count in experiment.stages])
         title = textwrap.fill(f"{experiment.name}: {experiment.title}", TITLE_WIDTH)
         axes.set_title(title, fontsize="small")
         axes.set(ylim=(-0.03, 1.03))
-        axes.grid(alpha=0.3)
         scale = _last_step(folders) / ends[-1]
         for end in ends[:-1] * scale:
             axes.axvline(end, color="black", linestyle="--", linewidth=0.8)
-    for axes in panels[len(runs) :]:
-        axes.set_axis_off()
-    figure.supxlabel("steps [thousand]")
-    figure.supylabel("share of episodes that park")
     return figure
 
 
 def write_curves(path: Path, runs: Mapping[SlotsExperiment, Sequence[Path]]) -> Path:
     """Writes `draw_curves` to a PNG."""
-    figure = draw_curves(runs)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110))
-    return path
+    return write_figure(path, draw_curves(runs))
 
 
 def _success(folder: Path) -> tuple[np.ndarray, np.ndarray]:

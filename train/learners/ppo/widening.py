@@ -20,7 +20,8 @@ def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
     """Fields that agents of a training observe and those in `env` do not.
 
     Raises:
-        ValueError: those in `env` observe others besides, or no set encoder reads them.
+        ValueError: those in `env` observe others besides, or no set encoder reads them,
+            or they are of another kind of entities.
     """
     ours, theirs = (
         {field for field in make_fields(each) if field.index == 0}
@@ -38,6 +39,13 @@ def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
         names = sorted(field.name for field in theirs - ours)
         raise ValueError(
             f"{config.warm_start} was trained on other observations: {', '.join(names)}"
+        )
+    # A new kind would change what the layers behind the encoder read.
+    kinds = {field.group for field in ours} - {field.group for field in theirs}
+    if kinds:
+        raise ValueError(
+            f"{config.warm_start} was trained without entities of the kind "
+            f"{', '.join(sorted(kinds))}; only more numbers of its own kinds fit"
         )
     return added
 
