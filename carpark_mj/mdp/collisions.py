@@ -43,21 +43,20 @@ class Hits(NamedTuple):
         return self.agent | self.parked_car | self.wall
 
 
-def find_hits(state: State, hitbox_scale: jax.Array | None = None) -> Hits:
+def find_hits(state: State, hitbox_scale: jax.Array | float = 1.0) -> Hits:
     """What each agent touched during the step that led to a state.
 
     Args:
         state: of the lot at the end of the step.
-        hitbox_scale: () factor on all cars' lengths and widths; None = 1. It has no
-            effect in physics with contacts.
+        hitbox_scale: () factor on all cars' lengths and widths. It has no effect in
+            physics with contacts.
     """
     motion, parked_cars = state.motion, state.parked_cars
     if motion.touched is not None:
         return Hits(*jnp.moveaxis(motion.touched, -1, 0))
-    if hitbox_scale is not None:
-        motion = dataclasses.replace(motion, size=motion.size * hitbox_scale)
-        size = parked_cars.size * hitbox_scale
-        parked_cars = dataclasses.replace(parked_cars, size=size)
+    motion = dataclasses.replace(motion, size=motion.size * hitbox_scale)
+    size = parked_cars.size * hitbox_scale
+    parked_cars = dataclasses.replace(parked_cars, size=size)
     agent, parked_car, wall = _box_hits(state.layout, motion, parked_cars)
     return Hits(agent, parked_car, wall | _disc_hits(state.layout, motion))
 

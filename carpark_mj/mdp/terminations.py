@@ -59,11 +59,9 @@ def judge(
         hitbox_scale: () for crashes only, see `find_hits`; it multiplies the config's.
             None = 1.
     """
-    if config.hitbox_scale != 1.0:
-        aid = 1.0 if hitbox_scale is None else hitbox_scale
-        hitbox_scale = jnp.float32(config.hitbox_scale) * aid
     layout, goal, motion = state.layout, state.goal, state.motion
-    hits = find_hits(state, hitbox_scale)
+    aid = 1.0 if hitbox_scale is None else hitbox_scale
+    hits = find_hits(state, config.hitbox_scale * aid)
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]

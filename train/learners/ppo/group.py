@@ -32,6 +32,7 @@ DATA = (
     "clip_end",
     "discount",
     "gae_lambda",
+    "env.episode.hitbox_scale",
     "env.giving_way.bad_goal",
 )
 ENV = "env."
