@@ -5,12 +5,14 @@ gives a batch, in which every lot may have another layout of the same padded sha
 The object holds constants only; everything that changes is in `State`.
 """
 
+import copy
 import dataclasses
+from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig, LayoutConfig
+from carpark_mj.config import EnvConfig, LayoutConfig, insert
 from carpark_mj.episodes import Episodes, StepKeys
 from carpark_mj.fleet.checks import check_cars, check_occupancy, check_room
 from carpark_mj.fleet.draw import Fleet
@@ -91,6 +93,18 @@ class ParkingEnv:
         self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
         self._episodes = Episodes(config, self.fleet, self.goals, self.physics)
+
+    def with_values(self, values: Mapping[str, jax.Array | float]) -> "ParkingEnv":
+        """The environment with other values of some settings, which may be traced.
+
+        Args:
+            values: by the path of the setting, as in `reward.park`: weights of rewards
+                and other numbers that only enter into the arithmetic of `step`. They
+                are not checked.
+        """
+        env = copy.copy(self)
+        env.config = insert(self.config, values)
+        return env
 
     @property
     def num_agents(self) -> int:

@@ -7,8 +7,8 @@ from typing import Annotated
 import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES
-from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.config import MetricsConfig, ParkedRule, PhysicsName
+from carpark_mj.cli.driver import Driver, adapt, find_driver
+from carpark_mj.config import EnvConfig, MetricsConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.report import print_report, write_evaluation
 from carpark_mj.evaluation.rollout import Evaluation, evaluate
@@ -68,8 +68,41 @@ class EvaluateConfig:
             )
 
 
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What an evaluation is of.
+
+    Attributes:
+        name: of the policy.
+        driver: the policy.
+        env: the environment, with what the command line changes.
+        folder: of the results.
+    """
+
+    name: str
+    driver: Driver
+    env: EnvConfig
+    folder: Path
+
+
 def main(config: EvaluateConfig) -> Evaluation:
     """Evaluates, prints the table and writes the files.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        ValueError: impossible settings.
+        OSError: the output folder cannot be written.
+    """
+    task = prepare(config)
+    env = ParkingEnv(task.env)
+    policy = task.driver.policy(env)
+    result = evaluate(env, policy, config.episodes, config.seed)
+    report(config, task, result)
+    return result
+
+
+def prepare(config: EvaluateConfig) -> Task:
+    """Finds policy and environment, and makes the folder.
 
     Raises:
         CheckpointError: the run cannot be read.
@@ -84,7 +117,7 @@ def main(config: EvaluateConfig) -> Evaluation:
     name = config.run or config.policy
     driver = find_driver(name, config.environment, not config.stochastic)
     folder = Path(config.out) if config.out else driver.folder
-    env_config = adapt(
+    env = adapt(
         driver.env,
         rule=config.rule,
         hitbox_scale=config.hitbox_scale,
@@ -96,20 +129,20 @@ def main(config: EvaluateConfig) -> Evaluation:
         physics=config.physics,
         metrics=MetricsConfig(driving=True, safety=True),
     )
-    env = ParkingEnv(env_config)
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "evaluation.csv")  # refused before the work
-    policy = driver.policy(env)
-    result = evaluate(env, policy, config.episodes, config.seed)
-    counts = env_config.agent_counts
+    return Task(name, driver, env, folder)
+
+
+def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
+    """Prints the table and writes the files."""
+    counts, rule = task.env.agent_counts, task.env.episode.parked_rule
     agents = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[-1]}"
-    title = f"{name}: {agents} agents, {env_config.episode.parked_rule}"
     title = (
-        f"{title} rule, {env_config.layout} lot, {env_config.physics} physics, "
-        f"seed {config.seed}"
+        f"{task.name}: {agents} agents, {rule} rule, {task.env.layout} lot, "
+        f"{task.env.physics} physics, seed {config.seed}"
     )
     print_report(result, title)
-    settings = {"policy": name, **dataclasses.asdict(config)}
-    written = write_evaluation(folder, result, settings)
+    settings = {"policy": task.name, **dataclasses.asdict(config)}
+    written = write_evaluation(task.folder, result, settings)
     print(f"wrote {', '.join(map(str, written))}")
-    return result

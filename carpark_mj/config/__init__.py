@@ -8,6 +8,7 @@ from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
+from carpark_mj.config.insertion import insert
 from carpark_mj.config.layouts import (
     LAYOUT_FILES,
     LayoutChoice,
@@ -79,5 +80,6 @@ __all__ = [
     "TannerObservation",
     "TyresName",
     "ViewConfig",
+    "insert",
     "reward_preset",
 ]

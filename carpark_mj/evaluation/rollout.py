@@ -7,10 +7,11 @@ lots, and every number of agents the same number of lots.
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
@@ -72,48 +73,127 @@ def evaluate(
     Raises:
         ValueError: no episodes, or an environment without respawn.
     """
-    if num_episodes < 1:
-        raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
-    if not env.config.episode.respawn:
-        raise ValueError("evaluation needs episode.respawn = True")
-    shares, counts = member_shares(env.layout_config), env.config.agent_counts
-    mean_count = (counts.start + env.num_agents) / 2
-    num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
-    num_lots = max(num_lots, len(shares) * len(counts))
-    num_lots = -(-num_lots // len(counts)) * len(counts)
-    lots = Lots(
-        member=allot(list(shares.values()), num_lots),
-        # In turn, so that the lots of a family are spread over the numbers as well.
-        num_present=np.resize(np.array(counts, np.int32), num_lots),
+    return Evaluator(env).evaluate(policy, num_episodes, seed, num_lots)
+
+
+class Evaluator:
+    """Evaluates several policies with programs that are compiled once.
+
+    They must be of the same kind and shapes, as those of runs side by side are.
+    """
+
+    def __init__(self, env: ParkingEnv) -> None:
+        """Takes the environment, see `evaluate`.
+
+        Raises:
+            ValueError: it is without respawn.
+        """
+        if not env.config.episode.respawn:
+            raise ValueError("evaluation needs episode.respawn = True")
+        self.env = env
+        self._reset = jax.jit(lambda *arguments: _reset(env, *arguments))
+        self._chunk = jax.jit(lambda *arguments: _chunk(env, *arguments))
+
+    def evaluate(
+        self,
+        policy: AnyPolicy,
+        num_episodes: int,
+        seed: int,
+        num_lots: int = 128,
+        values: Mapping[str, float] | None = None,
+    ) -> Evaluation:
+        """Runs whole episodes as `evaluate` does.
+
+        Args:
+            policy: see `evaluate`, as are the next three.
+            num_episodes: at least.
+            seed: of the lots.
+            num_lots: side by side.
+            values: other values of settings, see `ParkingEnv.with_values`; the same
+                settings in every call.
+
+        Raises:
+            ValueError: no episodes.
+        """
+        if num_episodes < 1:
+            raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
+        env = self.env
+        traced = {path: jnp.float32(value) for path, value in (values or {}).items()}
+        shares, counts = member_shares(env.layout_config), env.config.agent_counts
+        mean_count = (counts.start + env.num_agents) / 2
+        num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
+        num_lots = max(num_lots, len(shares) * len(counts))
+        num_lots = -(-num_lots // len(counts)) * len(counts)
+        lots = Lots(
+            member=allot(list(shares.values()), num_lots),
+            # In turn, so that the lots of a family are spread over the numbers as well.
+            num_present=np.resize(np.array(counts, np.int32), num_lots),
+        )
+        families = [list(shares)[index] for index in lots.member]
+        rows: list[Row] = []
+        reset_key, act_key = jax.random.split(evaluation_key(seed))
+        begun = self._reset(traced, lots, reset_key)
+        present = _count_agents(begun[0])
+        quota = math.ceil(num_episodes / present.sum())
+        carry = (*begun, act_key)
+        kinds = env.fleet.agent_names
+        episodes = self._episodes(traced, policy, carry, quota)
+        for (lot, agent, episode), kind, metrics in episodes:
+            which = {"lot": float(lot), "agent": float(agent)}
+            which |= {"episode": float(episode), "agents_present": float(present[lot])}
+            row = which | complete_row(metrics, env.config.sim.ctrl_dt)
+            rows.append(row | {"family": families[lot], "vehicle": kinds[kind]})
+        rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
+        return _summarised(rows, list(shares), kinds)
+
+    def _episodes(
+        self,
+        values: Mapping[str, jax.Array],
+        policy: AnyPolicy,
+        carry: tuple[State, jax.Array, jax.Array],
+        quota: int,
+    ) -> Iterator[tuple[tuple[int, int, int], int, dict[str, float]]]:
+        """The first `quota` episodes of every agent.
+
+        Each is its lot, agent and number, the kind of car driven, and its metrics.
+
+        Args:
+            values: of settings.
+            policy: acting function.
+            carry: lots at their start, what the agents observe, and a key, consumed.
+            quota: episodes of every agent that its lot has.
+        """
+        finished = np.where(np.asarray(carry[0].active), 0, quota)
+        policy = as_argument(policy)
+        while finished.min() < quota:
+            carry, (done, kind, metrics) = self._chunk(values, policy, carry)
+            kind = np.asarray(kind)
+            metrics = {name: np.asarray(value) for name, value in metrics.items()}
+            for t, lot, agent in np.argwhere(np.asarray(done)):
+                if finished[lot, agent] < quota:
+                    row = {n: float(x[t, lot, agent]) for n, x in metrics.items()}
+                    which = int(lot), int(agent), int(finished[lot, agent])
+                    yield which, int(kind[t, lot, agent]), row
+                finished[lot, agent] += 1
+
+
+def _summarised(
+    rows: list[Row], families: Sequence[str], kinds: Sequence[str]
+) -> Evaluation:
+    """What episodes come to: of all, and by family, number of agents, kind of car."""
+
+    def those(column: str, value: Any) -> list[Row]:
+        return [row for row in rows if row[column] == value]
+
+    counts = sorted({int(row["agents_present"]) for row in rows})
+    driven = {row["vehicle"] for row in rows}
+    return Evaluation(
+        episodes=rows,
+        summary=summarise(rows),
+        families={name: summarise(those("family", name)) for name in families},
+        agent_counts={n: summarise(those("agents_present", n)) for n in counts},
+        vehicles={n: summarise(those("vehicle", n)) for n in kinds if n in driven},
     )
-    families = [list(shares)[index] for index in lots.member]
-    rows: list[Row] = []
-    reset_key, act_key = jax.random.split(evaluation_key(seed))
-    begun = _begin(env, lots, reset_key)
-    present = _count_agents(begun[0])
-    quota = math.ceil(num_episodes / present.sum())
-    carry = (*begun, act_key)
-    kinds = env.fleet.agent_names
-    for (lot, agent, episode), kind, metrics in _episodes(env, policy, carry, quota):
-        which = {"lot": float(lot), "agent": float(agent), "episode": float(episode)}
-        which["agents_present"] = float(present[lot])
-        row = which | complete_row(metrics, env.config.sim.ctrl_dt)
-        rows.append(row | {"family": families[lot], "vehicle": kinds[kind]})
-    rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
-    by_family = {
-        name: summarise([row for row in rows if row["family"] == name])
-        for name in shares
-    }
-    by_count = {
-        count: summarise([row for row in rows if row["agents_present"] == count])
-        for count in sorted({*present.tolist()})
-    }
-    by_vehicle = {
-        kind: summarise([row for row in rows if row["vehicle"] == kind])
-        for kind in kinds
-        if any(row["vehicle"] == kind for row in rows)
-    }
-    return Evaluation(rows, summarise(rows), by_family, by_count, by_vehicle)
 
 
 class Lots(NamedTuple):
@@ -128,48 +208,20 @@ class Lots(NamedTuple):
     num_present: np.ndarray
 
 
-def _begin(env: ParkingEnv, lots: Lots, key: jax.Array) -> tuple[State, jax.Array]:
+def _reset(
+    env: ParkingEnv, values: Mapping[str, jax.Array], lots: Lots, key: jax.Array
+) -> tuple[State, jax.Array]:
     """Held-out lots at their start; `key` is consumed."""
-    reset = jax.jit(jax.vmap(lambda key, *lot: env.reset(key, "test", *lot)))
+    env = env.with_values(values)
     varies = len(env.config.agent_counts) > 1
     keys = jax.random.split(key, len(lots.member))
+    reset = jax.vmap(lambda key, *lot: env.reset(key, "test", *lot))
     return reset(keys, lots.member, lots.num_present if varies else None)
 
 
 def _count_agents(state: State) -> np.ndarray:
     """How many agents lots (num_lots,) have; one of fewer bays may have fewer."""
     return np.asarray(state.active).sum(axis=1)  # at the start all are active
-
-
-def _episodes(
-    env: ParkingEnv,
-    policy: AnyPolicy,
-    carry: tuple[State, jax.Array, jax.Array],
-    quota: int,
-) -> Iterator[tuple[tuple[int, int, int], int, dict[str, float]]]:
-    """The first `quota` episodes of every agent.
-
-    Each is its lot, agent and number, the kind of car driven, and its metrics.
-
-    Args:
-        env: the environment.
-        policy: acting function.
-        carry: lots at their start, what the agents observe, and a key, consumed.
-        quota: episodes of every agent that its lot has.
-    """
-    finished = np.where(np.asarray(carry[0].active), 0, quota)
-    chunk = jax.jit(lambda policy, carry: _chunk(env, policy, carry))
-    policy = as_argument(policy)
-    while finished.min() < quota:
-        carry, (done, kind, metrics) = chunk(policy, carry)
-        kind = np.asarray(kind)
-        metrics = {name: np.asarray(value) for name, value in metrics.items()}
-        for t, lot, agent in np.argwhere(np.asarray(done)):
-            if finished[lot, agent] < quota:
-                row = {n: float(value[t, lot, agent]) for n, value in metrics.items()}
-                which = int(lot), int(agent), int(finished[lot, agent])
-                yield which, int(kind[t, lot, agent]), row
-            finished[lot, agent] += 1
 
 
 def allot(shares: list[float], num_lots: int) -> np.ndarray:
@@ -183,8 +235,14 @@ def allot(shares: list[float], num_lots: int) -> np.ndarray:
 
 
 def _chunk(
-    env: ParkingEnv, policy: AnyPolicy, carry: tuple[State, jax.Array, jax.Array]
+    env: ParkingEnv,
+    values: Mapping[str, jax.Array],
+    policy: AnyPolicy,
+    carry: tuple[State, jax.Array, jax.Array],
 ) -> tuple[Any, tuple[jax.Array, jax.Array, dict[str, jax.Array]]]:
+    """Drives on by `CHUNK` steps; what ended in each of them."""
+    env = env.with_values(values)
+
     def step(carry, _):
         state, observation, key = carry
         key, act_key = jax.random.split(key)

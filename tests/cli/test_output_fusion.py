@@ -70,7 +70,7 @@ def test_training_compiles_with_fused_outputs(name: str):
     program = (
         "import jax; from carpark_mj.config import EnvConfig; "
         "from learners.ppo.config import CurriculumConfig, PPOConfig; "
-        "from learners.ppo.group import insert; "
+        "from carpark_mj.config import insert; "
         "from learners.ppo.learner import Learner; "
         "from learners.ppo.presets import PRESETS; "
         f"learner = Learner({CONFIGS[name]}); "

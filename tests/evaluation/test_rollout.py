@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
+from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig, insert
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import OUTCOMES, wilson_interval
-from carpark_mj.evaluation.rollout import allot, evaluate, evaluation_key
+from carpark_mj.evaluation.rollout import Evaluator, allot, evaluate, evaluation_key
 from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.baselines import random_policy, zero_policy
 
 
@@ -39,6 +40,33 @@ def test_every_agent_gives_the_same_number_of_whole_episodes(result):
     counts = collections.Counter((row["lot"], row["agent"]) for row in result.episodes)
     assert set(counts.values()) == {3}  # 20 episodes over 4 x 2 agents, rounded up
     assert len(counts) == 8
+
+
+def test_one_program_evaluates_environments_that_differ_in_numbers(env, result):
+    """As environments of their own; cars three times as large crash more often."""
+    evaluator, policy = Evaluator(env), as_argument(random_policy(ActionSpec(2)))
+    own = env.config.reward.time, env.config.episode.hitbox_scale
+    paths = "reward.time", "episode.hitbox_scale"
+    values = [dict(zip(paths, v, strict=True)) for v in ((-0.5, 3.0), own)]
+    scaled, same = (evaluator.evaluate(policy, 20, 3, 4, values=v) for v in values)
+    assert evaluator._chunk._cache_size() == evaluator._reset._cache_size() == 1
+    other = evaluate(ParkingEnv(insert(env.config, values[0])), policy, 20, 3, 4)
+    for found, expected in ((scaled, other), (same, result)):
+        for row, want in zip(found.episodes, expected.episodes, strict=True):
+            numbers = {n: v for n, v in want.items() if isinstance(v, float)}
+            found_numbers = {name: row[name] for name in numbers}
+            assert found_numbers == pytest.approx(
+                numbers, rel=1e-5, abs=1e-5, nan_ok=True
+            )
+    sums = [
+        {
+            name: sum(row[name] for row in x.episodes)
+            for name in ("crashed", "return_time")
+        }
+        for x in (scaled, same)
+    ]
+    assert sums[0]["crashed"] > sums[1]["crashed"]
+    assert sums[0]["return_time"] > 0 > sums[1]["return_time"]
 
 
 def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from carpark_mj.cli import evaluate
+
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("discount=0.9,seed=0", "discount=0.99,seed=0")
 UPDATES = 200
@@ -76,3 +78,10 @@ def test_a_killed_sweep_goes_on_from_its_checkpoints(killed):
     ]
     assert [row["discount"] for row in table] == ["0.9", "0.99"]
     assert all(0 <= float(row["parked"]) <= 1 for row in table)
+    evaluate.main(
+        evaluate.EvaluateConfig(
+            str(sweep / "runs" / NAMES[1]), episodes=4, out=str(folder / "alone")
+        )
+    )
+    alone = rows(folder / "alone/evaluation.csv")
+    assert alone == rows(sweep / "runs" / NAMES[1] / "evaluation.csv")

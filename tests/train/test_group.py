@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import GivingWayConfig, RewardConfig
+from carpark_mj.config import GivingWayConfig, RewardConfig, insert
 from carpark_mj.config.goals import GoalRewards
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -19,7 +19,7 @@ from carpark_mj.registry import TANNER_DYNAMIC, TANNER_FIXED
 from learners.metrics_log import read_metrics
 from learners.ppo.arguments import MAX_SEEDS, parse_seeds, read_runs
 from learners.ppo.config import PPOConfig
-from learners.ppo.group import GroupLearner, insert, make_learner, program
+from learners.ppo.group import GroupLearner, make_learner, program
 from learners.ppo.learner import Learner
 from learners.ppo.state import TrainingState
 from learners.ppo.train import MAX_SKIPPED, load_or_init, train

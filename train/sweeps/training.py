@@ -4,13 +4,13 @@ import dataclasses
 import shutil
 from pathlib import Path
 
-from carpark_mj.cli import evaluate
 from carpark_mj.policy.runs import checkpoint_files
 from learners.ppo.config import PPOConfig
 from learners.ppo.presets import PRESETS, SUMMARIES
 from learners.ppo.run import finish, train_runs
 from learners.ppo.train import MAX_SKIPPED
 from learners.settings import read_settings
+from sweeps.evaluation import GroupEvaluation
 from sweeps.outcomes import run_folder
 from sweeps.plan import Run, settings_of
 from sweeps.work import Tell, describe
@@ -31,22 +31,24 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, tell: Tell) -> Non
     """
     for part in _by_checkpoint(runs, sweep):
         by_folder = {run_folder(sweep, run): run for run in part}
+        configs = [_settings(run, sweep) for run in part]
+        evaluate = GroupEvaluation(configs, stochastic)
 
         def finish_run(
             config: PPOConfig,
             folder: Path,
             by_folder: dict[Path, Run] = by_folder,
+            evaluate: GroupEvaluation = evaluate,
         ) -> None:
             try:
                 finish(dataclasses.replace(config, eval_episodes=0), folder)
-                if config.eval_episodes:
-                    _evaluate(folder, config.eval_episodes, stochastic)
+                evaluate(config, folder)
             except Exception as error:  # the others are still to be evaluated
                 tell(by_folder[folder], "failed", describe(error))
             else:
                 tell(by_folder[folder], "done", "")
 
-        ended = train_runs([_settings(run, sweep) for run in part], finish_run)
+        ended = train_runs(configs, finish_run)
         for folder, outcome in ended:
             if outcome == "stopped":
                 tell(by_folder[folder], "stopped", "")
@@ -78,12 +80,4 @@ def _settings(run: Run, sweep: Path) -> PPOConfig:
     shutil.rmtree(folder, ignore_errors=True)  # killed before its first checkpoint
     return dataclasses.replace(
         settings_of(run), name=run.name, runs_dir=str(folder.parent)
-    )
-
-
-def _evaluate(folder: Path, episodes: int, stochastic: bool) -> None:
-    evaluate.main(
-        evaluate.EvaluateConfig(
-            run=str(folder), episodes=episodes, stochastic=stochastic
-        )
     )

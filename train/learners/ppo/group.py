@@ -7,13 +7,14 @@ of a run lie on one device, so that each is the run which that device alone woul
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from carpark_mj.config import insert
 from carpark_mj.wrappers.brax import BraxParking
 from learners.ppo.config import PPOConfig
 from learners.ppo.learner import Learner, without_input
@@ -50,8 +51,6 @@ OUTSIDE = (
     "video_seconds",
 )
 
-Config = TypeVar("Config")
-
 
 def program(config: PPOConfig) -> PPOConfig:
     """What decides the program: runs for which it is equal can be a group.
@@ -63,19 +62,27 @@ def program(config: PPOConfig) -> PPOConfig:
     return insert(config, data | dict.fromkeys(OUTSIDE))
 
 
-def insert(config: Config, values: Mapping[str, Any]) -> Config:
-    """A config with other values of some settings, which may be traced.
+def differing(configs: Sequence[PPOConfig]) -> dict[str, list[float]]:
+    """The values of settings in which runs differ; equal ones stay constants.
 
     Args:
-        config: a dataclass; its checks are not made.
-        values: by the path of the setting, as in `env.reward.park`.
+        configs: of runs that can be a group.
+
+    Returns:
+        By path, a value for each run.
     """
-    new = copy.copy(config)
-    for path, value in values.items():
-        name, _, rest = path.partition(".")
-        value = insert(getattr(new, name), {rest: value}) if rest else value
-        object.__setattr__(new, name, value)  # it is frozen
-    return new
+    settings = [dict(list_settings(config)) for config in configs]
+    values = {path: [run[path] for run in settings] for path in _data(configs[0])}
+    return {path: found for path, found in values.items() if len(set(found)) > 1}
+
+
+def of_env(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the environment, by the paths of its own config."""
+    return {
+        path.removeprefix(ENV): value
+        for path, value in values.items()
+        if path.startswith(ENV)
+    }
 
 
 def make_learner(configs: Sequence[PPOConfig]) -> Learner:
@@ -100,11 +107,9 @@ class GroupLearner(Learner):
         super().__init__(configs[0])
         self._configs = tuple(configs)
         count = len(configs)
-        # Settings that differ (runs,); equal ones stay constants of the program.
         self.data = {
             path: jnp.array(values, jnp.float32)
-            for path in _data(self.config)
-            if len(set(values := [dict(list_settings(c))[path] for c in configs])) > 1
+            for path, values in differing(configs).items()
         }
         devices = max(n for n in range(1, jax.device_count() + 1) if count % n == 0)
         mesh = np.array(jax.devices()[:devices]).reshape(-1, 1)
@@ -156,15 +161,8 @@ class GroupLearner(Learner):
         """The update of one run with its values () of the settings that differ."""
         run = copy.copy(self)
         run.config = insert(self.config, data)
-        env = copy.copy(self.env.env)
         # `ParkingEnv.step` pays from its own config.
-        own = {
-            path.removeprefix(ENV): x
-            for path, x in data.items()
-            if path.startswith(ENV)
-        }
-        env.config = insert(env.config, own)
-        run.env = BraxParking(env)
+        run.env = BraxParking(self.env.env.with_values(of_env(data)))
         return run.update(state)
 
 

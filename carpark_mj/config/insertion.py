@@ -1,0 +1,22 @@
+"""Configs with traced numbers: runs that differ in them share a program."""
+
+import copy
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+Config = TypeVar("Config")
+
+
+def insert(config: Config, values: Mapping[str, Any]) -> Config:
+    """A config with other values of some settings, which may be traced.
+
+    Args:
+        config: a dataclass; its checks are not made.
+        values: by the path of the setting, as in `env.reward.park`.
+    """
+    new = copy.copy(config)
+    for path, value in values.items():
+        name, _, rest = path.partition(".")
+        value = insert(getattr(new, name), {rest: value}) if rest else value
+        object.__setattr__(new, name, value)  # it is frozen
+    return new
