@@ -130,8 +130,8 @@ def drive_cases(
         action = choose_actions(policy, state, observation, key)
         state, timestep = jax.vmap(env.step)(state, action)
         motion = timestep.motion
-        drive = Drives(motion.trace_w, motion.steering, motion.speed)
-        drive = jax.tree.map(lambda x: x[:, 0], drive)  # of the only agent
+        drive = (motion.trace_w, motion.steering, motion.speed)
+        drive = tuple(x[:, 0] for x in drive)  # of the only agent
         ended = timestep.events.done, timestep.metrics
         return (state, timestep.observation), (*ended, drive)
 
@@ -140,7 +140,7 @@ def drive_cases(
         return jax.lax.scan(lambda c, k: step(policy, c, k), carry, keys)
 
     rows: list[Row | None] = [None] * count
-    chunks: list[Drives] = []
+    chunks: list[tuple[np.ndarray, ...]] = []
     policy, carry = as_argument(policy), (state, observation)
     while any(row is None for row in rows):
         act_key, own = jax.random.split(act_key)
@@ -154,7 +154,9 @@ def drive_cases(
                 rows[lot] = _label(cases, lot) | complete_row(
                     row, env.config.sim.ctrl_dt
                 )
-    drives = jax.tree.map(lambda *parts: np.concatenate(parts).swapaxes(0, 1), *chunks)
+    drives = Drives(
+        *(np.concatenate(parts).swapaxes(0, 1) for parts in zip(*chunks, strict=True))
+    )
     return [row for row in rows if row is not None], drives
 
 
