@@ -22,8 +22,9 @@ class EvaluateConfig:
     Attributes:
         run: pretrained policy, run folder or checkpoint file; or give `--policy`.
         policy: the same, or `zero`, `random` or `planner`.
-        environment: name of the environment of `zero`, `random` and `planner`, for
-            example `tanner-fixed`; see `carpark_mj.registry`.
+        environment: name of an environment, for example `metadrive`; see
+            `carpark_mj.registry`. Default: that of the run. A run's policy observes in
+            it what it was trained to.
         episodes: number of episodes, rounded up to the same number per agent.
         seed: seed of the held-out lots; training never uses these keys.
         rule: parked rule to evaluate under; default: that of the run.

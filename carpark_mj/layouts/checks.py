@@ -15,7 +15,7 @@ from carpark_mj.geometry import (
     swept_half_size,
 )
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.types import ROWS, Layout
+from carpark_mj.layouts.types import ROWS, BayKind, Layout
 
 # Neighbours share an edge: sizes shrink by rounding errors before they are compared.
 ROUNDING = 1e-3  # m
@@ -44,6 +44,10 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
         of row it concerns, none for the lot as a whole.
     """
     bay = (layout.bay_pose, layout.bay_size - ROUNDING, layout.bay_mask)
+    is_exit = layout.bay_mask & (layout.bay_kind == BayKind.EXIT)
+    # Lanes lead through exits, and where there are any cars may start in bays.
+    off_lane = (*bay[:2], layout.bay_mask & ~is_exit)
+    no_start = (*bay[:2], jnp.where(is_exit.any(), is_exit, layout.bay_mask))
     wall = (layout.wall_pose, layout.wall_size, layout.wall_mask)
     disc = (layout.disc_centre, layout.disc_radius, layout.disc_mask)
     lane = (layout.lane_pose, layout.lane_size - ROUNDING, layout.lane_mask)
@@ -61,12 +65,12 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
         "bays overlap": jnp.triu(_boxes_meet(bay, bay), 1),
         "bays meet walls": _boxes_meet(bay, wall),
         "bays meet discs": _discs_meet(bay, disc),
-        "lanes meet bays": _boxes_meet(lane, bay),
+        "lanes meet bays": _boxes_meet(lane, off_lane),
         "lanes meet walls": _boxes_meet(lane, wall),
         "lanes meet discs": _discs_meet(lane, disc),
         "cars spawning in spawn regions meet walls": _boxes_meet(swept, wall),
         "cars spawning in spawn regions meet discs": _discs_meet(swept, disc),
-        "cars spawning in spawn regions meet bays": _boxes_meet(swept, bay),
+        "cars spawning in spawn regions meet bays": _boxes_meet(swept, no_start),
     }
 
 
@@ -92,7 +96,8 @@ def describe_faults(
     least one bay and one spawn region; its bays lie within the extent, hold the car
     and overlap neither each other nor walls, discs or lanes; no wall or disc stands in
     a lane; and a car that spawns anywhere in a spawn region, at any heading it allows,
-    touches no wall, disc or bay.
+    touches no wall, disc or bay. Exits may lie on lanes; in a lot with exits cars may
+    spawn in the other bays.
 
     Args:
         layout: no batch dimension.
