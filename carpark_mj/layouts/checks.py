@@ -4,6 +4,8 @@
 `describe_faults` puts those of one layout into sentences.
 """
 
+from collections.abc import Mapping, Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -88,7 +90,9 @@ def _discs_meet(box: _Rows, disc: _Rows) -> jax.Array:
 
 
 def describe_faults(
-    layout: Layout, car_size: tuple[float, float] | None = None
+    layout: Layout,
+    car_size: tuple[float, float] | None = None,
+    lines: Mapping[str, Sequence[int]] | None = None,
 ) -> list[str]:
     """Faults of one layout, a sentence each; runs on the host.
 
@@ -102,6 +106,7 @@ def describe_faults(
     Args:
         layout: no batch dimension.
         car_size: length and width of the largest car [m]; the design car's if None.
+        lines: of the layout's file, on which rows `bay`, `lane` and `spawn` begin.
 
     Returns:
         Empty if the layout is valid.
@@ -115,11 +120,17 @@ def describe_faults(
         if fault.any():
             rows = np.argwhere(fault)[:3]
             rows = rows[:, 0] if fault.ndim == 1 else rows
-            found.append(f"{words}: {rows.tolist()}" if fault.ndim else words)
+            told = f"{words}: {rows.tolist()}" if fault.ndim else words
+            if lines is not None and fault.ndim:
+                kind = _SUBJECTS[words.split()[0]]
+                told += f", the first on line {lines[kind][int(rows.flat[0])]}"
+            found.append(told)
     return found
 
 
 _find_faults = jax.jit(find_faults)
+# What rows the sentences of `find_faults` are about, by their first words.
+_SUBJECTS = {"bays": "bay", "lanes": "lane", "cars": "spawn"}
 
 
 def _malformed(layout: Layout) -> list[str]:
