@@ -16,6 +16,7 @@ from carpark_mj.evaluation.suite import (
     pick_cases,
     suite_env,
     table_rows,
+    worst_first,
 )
 from carpark_mj.layouts.held_out import load_held_out
 from carpark_mj.policy.baselines import zero_policy
@@ -97,6 +98,18 @@ def test_seeds_add_episodes_and_not_cases():
     assert row["path / planned"] == pytest.approx(2.0)
     # Wilson, 2 of 4.
     assert row["low"] == pytest.approx(0.1500, abs=1e-4)
+
+
+def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
+    late = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
+    rows = [
+        episode(0, "parallel", PARKED),
+        episode(1, "parallel", PARKED, length=300.0),
+        episode(2, "parallel", late, length=500.0),
+        episode(3, "parallel", MISSED, length=20.0),
+        episode(4, "parallel", MISSED, length=90.0),
+    ]
+    assert [row["case"] for row in worst_first(rows)] == [4, 3, 2, 1, 0]
 
 
 def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):

@@ -45,9 +45,9 @@ def test_lots_begin_with_cars_at_eleven_places_and_respawn_in_them():
     env = ParkingEnv(dataclasses.replace(METADRIVE, episode=SHORT))
     state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(1), 20))
     _check(state)
-    step = jax.jit(jax.vmap(env.step))
-    for _ in range(2):  # all time out, and start anew
-        state, timestep = step(state, jnp.zeros((20, 10, 2)))
+    step, rest = jax.jit(jax.vmap(env.step)), jnp.zeros((20, 10, 2))
+    # In the second step all time out, and start anew.
+    state, timestep = step(step(state, rest)[0], rest)
     assert timestep.events.timed_out.all()
     _check(state)
 
