@@ -26,6 +26,9 @@ class EvaluateConfig:
             `carpark_mj.registry`. Default: that of the run. A run's policy observes in
             it what it was trained to.
         episodes: number of episodes, rounded up to the same number per agent.
+        span: count all episodes that begin within so many seconds in lots that
+            `episodes` fill, however many of an agent, instead of the same number per
+            agent; short ones then weigh more.
         seed: seed of the held-out lots; training never uses these keys.
         rule: parked rule to evaluate under; default: that of the run.
         hitbox_scale: factor on the cars' lengths and widths in collision tests;
@@ -49,6 +52,7 @@ class EvaluateConfig:
     policy: str = ""
     environment: str = ""
     episodes: int = 1024
+    span: float | None = None
     seed: int = 0
     rule: ParkedRule | None = None
     hitbox_scale: float | None = None
@@ -101,7 +105,7 @@ def main(config: EvaluateConfig) -> Evaluation:
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "evaluation.csv")  # refused before the work
     policy = driver.policy(env)
-    result = evaluate(env, policy, config.episodes, config.seed)
+    result = evaluate(env, policy, config.episodes, config.seed, span=config.span)
     counts = env_config.agent_counts
     agents = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[-1]}"
     title = f"{name}: {agents} agents, {env_config.episode.parked_rule}"

@@ -7,6 +7,7 @@ lots, and every number of agents the same number of lots.
 
 import dataclasses
 import math
+import sys
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -58,6 +59,7 @@ def evaluate(
     num_episodes: int,
     seed: int,
     num_lots: int = 128,
+    span: float | None = None,
 ) -> Evaluation:
     """Runs at least `num_episodes` whole episodes and summarises them.
 
@@ -68,14 +70,18 @@ def evaluate(
         seed: of the held-out lots, goals and spawns.
         num_lots: lots run side by side; fewer if the episodes do not fill them, but
             one for each member of a mixture with each number of agents.
+        span: of the lots so filled all episodes that begin within this time [s] count,
+            however many of an agent; None = the same number for every agent.
 
     Raises:
-        ValueError: no episodes, or an environment without respawn.
+        ValueError: no episodes, or an environment without respawn, or no time.
     """
     if num_episodes < 1:
         raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
     if not env.config.episode.respawn:
         raise ValueError("evaluation needs episode.respawn = True")
+    if span is not None and not span > 0:
+        raise ValueError(f"span must be positive, not {span}")
     shares, counts = member_shares(env.layout_config), env.config.agent_counts
     mean_count = (counts.start + env.num_agents) / 2
     num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
@@ -91,10 +97,14 @@ def evaluate(
     reset_key, act_key = jax.random.split(evaluation_key(seed))
     begun = _begin(env, lots, reset_key)
     present = _count_agents(begun[0])
-    quota = math.ceil(num_episodes / present.sum())
+    quota, last = math.ceil(num_episodes / present.sum()), math.inf
+    if span is not None:
+        quota, last = sys.maxsize, span / env.config.sim.ctrl_dt
     carry = (*begun, act_key)
     kinds = env.fleet.agent_names
-    for (lot, agent, episode), kind, metrics in _episodes(env, policy, carry, quota):
+    for (lot, agent, episode), kind, metrics in _episodes(
+        env, policy, carry, (quota, last)
+    ):
         which = {"lot": float(lot), "agent": float(agent), "episode": float(episode)}
         which["agents_present"] = float(present[lot])
         row = which | complete_row(metrics, env.config.sim.ctrl_dt)
@@ -145,9 +155,9 @@ def _episodes(
     env: ParkingEnv,
     policy: AnyPolicy,
     carry: tuple[State, jax.Array, jax.Array],
-    quota: int,
+    limits: tuple[int, float],
 ) -> Iterator[tuple[tuple[int, int, int], int, dict[str, float]]]:
-    """The first `quota` episodes of every agent.
+    """The episodes that count.
 
     Each is its lot, agent and number, the kind of car driven, and its metrics.
 
@@ -155,21 +165,26 @@ def _episodes(
         env: the environment.
         policy: acting function.
         carry: lots at their start, what the agents observe, and a key, consumed.
-        quota: episodes of every agent that its lot has.
+        limits: the number of episodes of every agent that its lot has, and the control
+            step before which they begin.
     """
+    quota, last = limits
     finished = np.where(np.asarray(carry[0].active), 0, quota)
+    begun, now = np.zeros(finished.shape, int), 0
     chunk = jax.jit(lambda policy, carry: _chunk(env, policy, carry))
     policy = as_argument(policy)
-    while finished.min() < quota:
+    while ((finished < quota) & (begun < last)).any():
         carry, (done, kind, metrics) = chunk(policy, carry)
         kind = np.asarray(kind)
         metrics = {name: np.asarray(value) for name, value in metrics.items()}
         for t, lot, agent in np.argwhere(np.asarray(done)):
-            if finished[lot, agent] < quota:
+            if finished[lot, agent] < quota and begun[lot, agent] < last:
                 row = {n: float(value[t, lot, agent]) for n, value in metrics.items()}
                 which = int(lot), int(agent), int(finished[lot, agent])
                 yield which, int(kind[t, lot, agent]), row
             finished[lot, agent] += 1
+            begun[lot, agent] = now + t + 1
+        now += CHUNK
 
 
 def allot(shares: list[float], num_lots: int) -> np.ndarray:
