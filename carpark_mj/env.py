@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, LayoutConfig, insert
 from carpark_mj.episodes import Episodes, StepKeys
-from carpark_mj.fleet.checks import check_cars, check_occupancy, check_room
+from carpark_mj.fleet.checks import check_cars, check_exits, check_occupancy, check_room
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import check_randomization
 from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
@@ -89,6 +89,7 @@ class ParkingEnv:
             check_randomization(config.randomization, params)
         check_room(config, self.layout_config)
         check_occupancy(config, self.layout_config)
+        check_exits(config, self._layout)
         check_cars(config, self.fleet, self.layout_config, self._layout)
         self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)

@@ -107,6 +107,8 @@ class Episodes:
         if config.spawn.kinds_at_reset:
             spawn_key, first_key = jax.random.split(spawn_key)
         placing = place_all(self._goals.place_first, inputs, placing, spawn_key)
+        if config.goals.drive_out:
+            goal = placing.goal
         # The absent are the last to be placed, so that nobody has made room for them.
         pose_w = place_absent_agents(placing.pose_w, present)
         physics = self._physics.init(pose_w, vehicles)

@@ -208,6 +208,17 @@ PANDITA = EnvConfig(
 # The same for real cars.
 SLOTS = dataclasses.replace(PANDITA, vehicle="compact", physics="mjx", sim=SimConfig())
 
+# MetaDrive's multi-agent parking lot: 10 agents, 100 s; docs/metadrive.md says what
+# differs. Starts keep a car's length apart, or as far as they can.
+METADRIVE = EnvConfig(
+    layout="metadrive",
+    num_agents=10,
+    num_parked_cars=0,
+    goals=GoalConfig(drive_out=True),
+    spawn=SpawnConfig(close_ratio=0.0, min_distance=4.6, num_candidates=64),
+    episode=EpisodeConfig(parked_rule="metadrive", max_steps=500),
+)
+
 ENVIRONMENTS: dict[str, EnvConfig] = {
     "square": SQUARE,
     "dynamic": DYNAMIC,
@@ -219,6 +230,7 @@ ENVIRONMENTS: dict[str, EnvConfig] = {
     "tanner-qlearning-rings": TANNER_QLEARNING_RINGS,
     "slots": SLOTS,
     "pandita": PANDITA,
+    "metadrive": METADRIVE,
 }
 
 

@@ -3,7 +3,9 @@
 docs/hard_cases.md says what the cases are and what the numbers mean.
 
 python eval/suite.py planner anywhere
-python eval/suite.py planner runs/gpu-0 --levels extreme --rule precise
+python eval/suite.py planner runs/gpu-0 --levels extreme --rule precise --films 3
+python eval/suite.py planner --levels normal --seeds 1 --out runs/normal-1
+python eval/suite.py --combine runs/normal-0 runs/normal-1 --films 3
 """
 
 import sys
@@ -14,17 +16,22 @@ from carpark_mj.cli.common import (
     keep_compiled_programs,
     run_command,
 )
-from carpark_mj.cli.driver import command_help
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.suite import SuiteConfig, main
+from carpark_mj.rendering.gl import choose_gl
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
+    choose_gl()  # before MuJoCo is imported
+    from carpark_mj.cli.driver import command_help
+    from carpark_mj.cli.suite import SuiteConfig, main
+    from carpark_mj.rendering.renderer import RenderingError
+
     help_text = command_help(__doc__)
     return run_command(
         "suite",
         lambda: main(read_flags(SuiteConfig, arguments, description=help_text)) and 0,
+        (RenderingError,),
     )
 
 

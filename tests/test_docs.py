@@ -150,6 +150,8 @@ def test_the_parked_rules_are_those_in_force():
             name,
             limit(rule.offset, " m"),
             limit(rule.distance, " m"),
+            limit(rule.from_end, " m")
+            + (", between the lines" if rule.from_end else ""),
             "within the lines" if rule.inside_lines else "any",
             limit(rule.heading and rule.heading * 57.29578, "°"),
             limit(rule.speed, " m/s"),

@@ -16,7 +16,7 @@ _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto;
   padding: 0 1rem; color: #222; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
-img { max-width: 100%; } .wide { overflow-x: auto; }
+img, video { max-width: 100%; } .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
 th:first-child, td:first-child { text-align: left; }
@@ -51,6 +51,15 @@ def picture(path: Path) -> str:
     data = base64.b64encode(path.read_bytes()).decode()
     name = html.escape(path.stem.replace("_", " "))
     return f'<img alt="{name}" src="data:image/png;base64,{data}">'
+
+
+def film_of(path: Path, page: Path, caption: str) -> str:
+    """A film that lies beside the page, or below it, as HTML with a caption."""
+    source = html.escape(os.path.relpath(path, page.parent))
+    return (
+        f'<figure><video src="{source}" controls muted preload="metadata"></video>'
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+    )
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:

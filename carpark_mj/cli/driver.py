@@ -49,27 +49,30 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
     Args:
         name: `zero`, `random`, `planner`, name of a pretrained policy, or a run folder
             or checkpoint file.
-        named: name of a baseline's environment; empty = the default one.
+        named: name of an environment. Baselines drive in it, in the default one if
+            empty; a trained policy has its task, observed as in training.
         deterministic: take a distribution's mode instead of samples.
 
     Raises:
         CheckpointError: the run cannot be read.
-        ValueError: unknown environment, or one given for a trained policy, which has
-            its own.
+        ValueError: unknown environment, or one in which cars cannot be observed as the
+            policy does.
     """
     if name in BASELINES:
         env = environment(named) if named else EnvConfig()
         return Driver(env, Path("runs") / name, BASELINES[name])
-    if named:
-        raise ValueError(
-            f"environment is for zero, random and planner; {name} has its own"
-        )
     loaded = load_policy(name, deterministic)
+    env = _observed_alike(loaded.env, environment(named)) if named else loaded.env
 
     def make_policy(env: ParkingEnv) -> Policy:
         return load_policy(name, deterministic, env.config).policy
 
-    return Driver(loaded.env, output_folder(loaded.path), make_policy)
+    return Driver(env, output_folder(loaded.path), make_policy)
+
+
+def _observed_alike(own: EnvConfig, task: EnvConfig) -> EnvConfig:
+    """The environment of a task with what a policy observes, and is rewarded for."""
+    return dataclasses.replace(task, observation=own.observation, reward=own.reward)
 
 
 def output_folder(checkpoint: Path) -> Path:

@@ -22,9 +22,13 @@ class EvaluateConfig:
     Attributes:
         run: pretrained policy, run folder or checkpoint file; or give `--policy`.
         policy: the same, or `zero`, `random` or `planner`.
-        environment: name of the environment of `zero`, `random` and `planner`, for
-            example `tanner-fixed`; see `carpark_mj.registry`.
+        environment: name of an environment, for example `metadrive`; see
+            `carpark_mj.registry`. Default: that of the run. A run's policy observes in
+            it what it was trained to.
         episodes: number of episodes, rounded up to the same number per agent.
+        span: count all episodes that begin within so many seconds in lots that
+            `episodes` fill, however many of an agent, instead of the same number per
+            agent; short ones then weigh more.
         seed: seed of the held-out lots; training never uses these keys.
         rule: parked rule to evaluate under; default: that of the run.
         hitbox_scale: factor on the cars' lengths and widths in collision tests;
@@ -48,6 +52,7 @@ class EvaluateConfig:
     policy: str = ""
     environment: str = ""
     episodes: int = 1024
+    span: float | None = None
     seed: int = 0
     rule: ParkedRule | None = None
     hitbox_scale: float | None = None
@@ -96,7 +101,7 @@ def main(config: EvaluateConfig) -> Evaluation:
     task = prepare(config)
     env = ParkingEnv(task.env)
     policy = task.driver.policy(env)
-    result = evaluate(env, policy, config.episodes, config.seed)
+    result = evaluate(env, policy, config.episodes, config.seed, span=config.span)
     report(config, task, result)
     return result
 

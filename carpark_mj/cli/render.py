@@ -46,8 +46,8 @@ class RenderConfig:
     Attributes:
         run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
             `planner`.
-        environment: name of the environment of `zero`, `random` and `planner`; see
-            `carpark_mj.registry`.
+        environment: name of an environment, see `carpark_mj.registry`; default: that of
+            the run. A run's policy observes in it what it was trained to.
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
             `frame.png` in the run folder, `gallery.png` here for the gallery.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its

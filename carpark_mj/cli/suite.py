@@ -3,29 +3,38 @@
 import dataclasses
 import math
 import pathlib
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 import jax
-import numpy as np
 import tyro
 
 from carpark_mj.cli.driver import find_driver
-from carpark_mj.cli.suite_report import header, print_rows, write_results
+from carpark_mj.cli.suite_files import Key, key_of, read_runs, write_run
+from carpark_mj.cli.suite_films import Film, make_films, require_gl
+from carpark_mj.cli.suite_report import (
+    WORST,
+    header,
+    made_with,
+    parts_of,
+    print_rows,
+    write_results,
+)
 from carpark_mj.config import ParkedRule
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import (
     VEHICLE,
     Cases,
+    Drives,
     decision_time,
     drive_cases,
     pick_cases,
     suite_env,
     table_rows,
+    worst_first,
 )
 from carpark_mj.layouts import Layout
-from carpark_mj.layouts.held_out import CASES, LEVELS
+from carpark_mj.layouts.held_out import CASES, LEVELS, SHA256
 from carpark_mj.layouts.standards import Level
 from carpark_mj.planning.paths import Path, car_of
 from carpark_mj.planning.plot import plot_paths
@@ -48,9 +57,14 @@ class SuiteConfig:
         levels: which levels.
         cases: of each level, from its first one.
         rule: when a car counts as parked.
-        seed: of the planner's searches, and of policies that draw.
-        out: folder for `suite.md`, `suite.csv`, `cases.csv`, `suite.html` and,
-            of the planner, `paths.png`.
+        seeds: of the planner's searches, and of policies that draw; each drives all
+            cases.
+        films: how many of the worst cases of every policy and level are filmed, at most
+            10; needs off-screen OpenGL.
+        combine: folders that this command has written; nothing is driven, their
+            episodes make one table.
+        out: folder for `suite.md`, `suite.csv`, `cases.csv`, `worst.npz`, `suite.html`,
+            `films/` and, of the planner, `paths.png`.
     """
 
     policies: Annotated[
@@ -59,18 +73,30 @@ class SuiteConfig:
     levels: tuple[Level, ...] = LEVELS
     cases: int = CASES
     rule: ParkedRule = "strict"
-    seed: int = 0
+    seeds: tuple[int, ...] = (0,)
+    films: int = 0
+    combine: tuple[str, ...] = ()
     out: str = "runs/suite"
 
     def __post_init__(self) -> None:
-        if not self.policies:
-            raise ValueError("name at least one policy, for example planner")
+        if bool(self.policies) == bool(self.combine):
+            raise ValueError(
+                "name at least one policy, for example planner, or folders to combine"
+                f"{', not both' if self.policies else ''}"
+            )
         if not 1 <= self.cases <= CASES:
             raise ValueError(f"cases must be 1 to {CASES}, not {self.cases}")
-        for name in ("policies", "levels"):
+        if not 0 <= self.films <= WORST:
+            raise ValueError(f"films must be 0 to {WORST}, not {self.films}")
+        for name in ("policies", "levels", "seeds", "combine"):
             value = getattr(self, name)
-            if not value or len(set(value)) < len(value):
+            if len(set(value)) < len(value):
                 raise ValueError(f"{name} must differ from each other, not {value}")
+        for name in ("levels", "seeds"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} must not be empty")
+        if min(self.seeds) < 0:
+            raise ValueError(f"seeds must not be negative, not {self.seeds}")
 
 
 def main(config: SuiteConfig) -> list[dict[str, Any]]:
@@ -78,46 +104,69 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
 
     Raises:
         CheckpointError: a run cannot be read.
-        ValueError: impossible settings.
+        RenderingError: films are asked for, and there is no OpenGL.
+        ValueError: impossible settings, or malformed results to combine.
         OSError: the output folder cannot be written.
     """
     folder = pathlib.Path(config.out)
+    if folder.resolve() in [pathlib.Path(name).resolve() for name in config.combine]:
+        raise ValueError(f"out must not be one of the combined folders, {config.out}")
+    if config.films:
+        require_gl()
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "suite.csv")  # refused before the work
-    drivers = {name: find_driver(name) for name in config.policies}
-    cases = [pick_cases(level, config.cases) for level in config.levels]
+    pictures: list[pathlib.Path] = []
+    if config.combine:
+        episodes, drives = read_runs([pathlib.Path(name) for name in config.combine])
+    else:
+        episodes, drives, drawn = _drive_all(config)
+        if drawn:
+            pictures.append(folder / "paths.png")
+            plot_paths(pictures[0], drawn, car_of(preset(VEHICLE)))
     # The planner first: others are compared with its paths.
-    names = sorted(config.policies, key=lambda name: name != PLANNER)
-    rows: list[dict[str, Any]] = []
-    episodes: list[Row] = []
-    plans: dict[tuple[str, int], Row] = {}
-    drawn: list[tuple[str, Layout, Path | None]] = []
-    for name in names:
-        env = ParkingEnv(suite_env(drivers[name].env, config.rule))
-        own: list[Row] = []
-        for part in cases:
-            policy, planner = _policy(name, drivers[name].policy, env, config.seed)
-            found = drive_cases(env, policy, part, config.seed)
-            if planner is not None:
-                plans |= _plans(planner, part)
-                drawn += _drawn(planner, part)
-            key = [(row["level"], row["case"]) for row in found]
-            found = [
-                row | plans.get(which, {})
-                for row, which in zip(found, key, strict=True)
-            ]
-            seconds = _seconds(env, policy, planner, part)
-            own += [row | {"ms / decision": 1e3 * seconds} for row in found]
-        rows += [_complete(row, own) for row in table_rows(name, own)]
-        episodes += [{"policy": name} | row for row in own]
-    head = header(config.rule, config.cases, config.seed)
+    names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
+    rows = [row for name in names for row in table_rows(name, episodes)]
+    head = header(episodes)
     print_rows(rows, head[0])
-    pictures = [folder / "paths.png"] if drawn else []
-    for path in pictures:
-        plot_paths(path, drawn, car_of(preset(VEHICLE)))
-    written = write_results(folder, head, rows, episodes, pictures)
+    written = write_run(folder, episodes, drives)
+    films: list[Film] = []
+    for part in parts_of(episodes).values():
+        films += make_films(folder, worst_first(part)[: config.films], drives)
+    written += write_results(folder, head, rows, episodes, pictures, films)
     print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
     return rows
+
+
+_Drawn = list[tuple[str, Layout, Path | None]]
+
+
+def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Drawn]:
+    """Episodes, how the worst ones were driven, and the planner's first paths."""
+    drivers = {name: find_driver(name) for name in config.policies}
+    cases = [pick_cases(level, config.cases) for level in config.levels]
+    head = {"rule": config.rule, "held_out": SHA256[:16]}
+    tail = {"made_with": made_with()}
+    episodes: list[Row] = []
+    drives: dict[Key, Drives] = {}
+    drawn: _Drawn = []
+    for name, driver in drivers.items():
+        env = ParkingEnv(suite_env(driver.env, config.rule))
+        for seed in config.seeds:
+            for part in cases:
+                policy, planner = _policy(name, driver.policy, env, seed)
+                rows, driven = drive_cases(env, policy, part, seed)
+                if planner is not None:
+                    plans = _plans(planner, len(rows))
+                    rows = [row | own for row, own in zip(rows, plans, strict=True)]
+                    if seed == config.seeds[0]:
+                        drawn += _drawn(planner, part)
+                own = {"ms / decision": 1e3 * _seconds(env, policy, planner, part)}
+                own |= tail
+                which = {"policy": name, "seed": seed, **head}
+                rows = [which | row | own for row in rows]
+                episodes += rows
+                drives |= _worst_drives(rows, driven)
+    return episodes, drives, drawn
 
 
 def _policy(
@@ -126,22 +175,30 @@ def _policy(
     return planner_policy(env, seed) if name == PLANNER else (make(env), None)
 
 
-def _plans(planner: Planner, cases: Cases) -> dict[tuple[str, int], Row]:
-    """What the planner's first search found in every case."""
-    found: dict[tuple[str, int], Row] = {}
-    for lot, number in enumerate(cases.number.tolist()):
+def _worst_drives(rows: list[Row], driven: Drives) -> dict[Key, Drives]:
+    """How the worst of some episodes were driven; these are numbered as the drives."""
+    numbers = {key_of(row): number for number, row in enumerate(rows)}
+    kept: dict[Key, Drives] = {}
+    for row in worst_first(rows)[:WORST]:
+        number, length = numbers[key_of(row)], round(row["length"])
+        kept[key_of(row)] = Drives(*(x[[number], :length] for x in driven))
+    return kept
+
+
+def _plans(planner: Planner, lots: int) -> list[Row]:
+    """What the planner's first search found in every lot."""
+    found: list[Row] = []
+    for lot in range(lots):
         first = planner.searches(lot, 0)[0]
-        found[cases.level, number] = {
-            "planned": float(first.path is not None),
-            "planned_path": first.path.length if first.path else math.nan,
-            "planning_seconds": first.seconds,
-        }
+        length = first.path.length if first.path else math.nan
+        planned = {"planned": float(first.path is not None), "planned_path": length}
+        found.append(planned | {"planning_seconds": first.seconds})
     return found
 
 
-def _drawn(planner: Planner, cases: Cases) -> list[tuple[str, Layout, Path | None]]:
+def _drawn(planner: Planner, cases: Cases) -> _Drawn:
     """Titles, layouts and paths of the first cases."""
-    found: list[tuple[str, Layout, Path | None]] = []
+    found: _Drawn = []
     for lot, number in enumerate(cases.number[:DRAWN].tolist()):
         path = planner.searches(lot, 0)[0].path
         told = f"{path.length:.1f} m, {path.shifts} gear changes" if path else "no path"
@@ -156,23 +213,3 @@ def _seconds(
     if planner is not None:
         return planner.seconds / planner.decisions
     return decision_time(env, policy, cases)
-
-
-def _complete(row: dict[str, Any], episodes: Sequence[Row]) -> dict[str, Any]:
-    """A row of the table with times, and with the planner's own success."""
-    part = [
-        each
-        for each in episodes
-        if each["level"] == row["level"] and row["kind"] in ("all", each["kind"])
-    ]
-
-    def mean(name: str) -> float:
-        values = [each[name] for each in part if name in each]
-        return float(np.mean(values)) if values else math.nan
-
-    own = row["policy"] == PLANNER
-    return row | {
-        "ms / decision": mean("ms / decision"),
-        "path found": mean("planned") if own else math.nan,
-        "planning [s]": mean("planning_seconds") if own else math.nan,
-    }

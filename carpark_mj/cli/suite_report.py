@@ -10,9 +10,11 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.analysis.page import picture, table, write_page
+from carpark_mj.analysis.page import film_of, picture, table, write_page
+from carpark_mj.cli.suite_films import Film
 from carpark_mj.evaluation.aggregation import OUTCOMES, Row
-from carpark_mj.layouts.held_out import SHA256, VERSION
+from carpark_mj.evaluation.suite import worst_first
+from carpark_mj.layouts.held_out import LEVELS, SHA256, VERSION
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.policy.runs import write_csv
 
@@ -22,37 +24,57 @@ PRINTED = (
     *("policy", "level", "kind", "cases", "parked [%]", "crashed [%]"),
     *("timed out [%]", "gear changes", "path [m]", "time [s]"),
 )
+DIGITS = {"decisions/s": 0}  # after the point, where not two
+WIDTH = 140  # of the table where there is no terminal
 PACKAGES = ("carpark_mj", "mujoco", "jax", "ompl")
 
 
-def header(rule: str, cases: int, seed: int) -> list[str]:
-    """The title of a suite's results, then what they depend on."""
+def made_with() -> str:
+    """The processor and the versions of the packages that results depend on."""
     versions = []
     for package in PACKAGES:
         try:
             versions.append(f"{package} {importlib.metadata.version(package)}")
         except importlib.metadata.PackageNotFoundError:
             versions.append(f"{package} not installed")
+    return f"{jax.devices()[0].device_kind}, {', '.join(versions)}"
+
+
+def header(episodes: Sequence[Row]) -> list[str]:
+    """The title of a suite's results, then what they depend on."""
+    seeds = sorted({row["seed"] for row in episodes})
+    levels = [
+        f"{len(found)} of {level}"
+        for level in LEVELS
+        if (found := {row["case"] for row in episodes if row["level"] == level})
+    ]
+    rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
     return [
-        f"Hard cases, {rule} rule",
-        f"Held-out cases version {VERSION} (SHA-256 {SHA256[:16]}), the first "
-        f"{cases} of each level; seed {seed}; "
-        f"{jax.devices()[0].device_kind}; {', '.join(versions)}.",
-        "Rates with Wilson's 95 % interval; gear changes, paths, errors and times are "
-        "means over parked episodes; planning is counted in seconds of the processor.",
+        f"Hard cases, {', '.join(rules)} rule",
+        f"Held-out cases version {VERSION} (SHA-256 {SHA256[:16]}): "
+        f"{', '.join(levels)}; seed{'s' * (len(seeds) > 1)} "
+        f"{', '.join(map(str, seeds))}; on {'; '.join(sorted(made))}.",
+        "Rates with Wilson's 95 % interval for the number of cases, however many seeds "
+        "drove them; gear changes, paths, errors and times are means over parked "
+        "episodes; planning and the planner's decisions are counted in seconds of the "
+        "processor, decisions are those of one car at a time.",
     ]
 
 
 def shown_cells(row: Mapping[str, Any]) -> dict[str, str]:
     """A row of the table as it is shown."""
-    shown = {name: str(row[name]) for name in ("policy", "level", "kind", "cases")}
     low, high = 100 * row["low"], 100 * row["high"]
-    shown["parked [%]"] = f"{100 * row['parked']:.1f} ({low:.1f} … {high:.1f})"
-    for name in ("crashed", "timed out", "path found"):
-        shown[f"{name} [%]"] = _number(100 * row[name], 1)
-    for name in row:
-        if name not in ("parked", "low", "high", "crashed", "timed out", "path found"):
-            shown.setdefault(name, _number(row[name], 2))
+    shown: dict[str, str] = {}
+    for name, value in row.items():
+        if name == "parked":
+            shown["parked [%]"] = f"{100 * value:.1f} ({low:.1f} … {high:.1f})"
+        elif name == "by seed":
+            rates = " ".join(f"{100 * rate:.1f}" for rate in value)
+            shown["by seed [%]"] = rates if len(value) > 1 else "–"
+        elif name in ("crashed", "timed out", "path found"):
+            shown[f"{name} [%]"] = _number(100 * value, 1)
+        elif name not in ("low", "high"):
+            shown[name] = _number(value, DIGITS.get(name, 2))
     return shown
 
 
@@ -75,7 +97,10 @@ def print_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
         )
     for row in cells:
         shown.add_row(*row.values())
-    Console().print(shown)
+    console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
+    console.print(shown)
 
 
 def write_results(
@@ -84,8 +109,9 @@ def write_results(
     rows: Sequence[Mapping[str, Any]],
     episodes: Sequence[Row],
     pictures: Sequence[Path],
+    films: Sequence[Film],
 ) -> list[Path]:
-    """Writes `suite.md`, `suite.csv`, `cases.csv` and `suite.html`; returns them.
+    """Writes `suite.md`, `suite.csv` and `suite.html`; returns them.
 
     Args:
         folder: where.
@@ -93,50 +119,54 @@ def write_results(
         rows: of the table.
         episodes: all of them.
         pictures: PNG files for the page.
+        films: for the page, in the same folder or below it.
     """
     cells = [shown_cells(row) for row in rows]
     lines = [f"# {head[0]}", "", *head[1:], "", f"| {' | '.join(cells[0])} |"]
     lines.append(f"|{'---|' * len(cells[0])}")
     lines += [f"| {' | '.join(row.values())} |" for row in cells]
     text = "\n".join(lines) + "\n"
-    names = ("suite.md", "suite.csv", "cases.csv", "suite.html")
-    files = [folder / name for name in names]
+    files = [folder / name for name in ("suite.md", "suite.csv", "suite.html")]
     write_atomically(files[0], lambda temporary: temporary.write_text(text))
-    write_csv(files[1], rows)
-    columns = list(dict.fromkeys(name for row in episodes for name in row))
-    write_csv(files[2], [{n: row.get(n, "") for n in columns} for row in episodes])
+    listed = {"by seed": lambda rates: " ".join(map(str, rates))}
+    write_csv(
+        files[1],
+        [{n: listed.get(n, lambda x: x)(x) for n, x in row.items()} for row in rows],
+    )
     parts = [("Results", table(cells))]
     parts += [(path.stem.capitalize(), picture(path)) for path in pictures]
-    parts += [
-        (f"Worst cases of {which}", table(_worst(part)))
-        for which, part in _parts(episodes)
-    ]
-    write_page(files[3], head[0], head[1:], parts)
+    for which, part in parts_of(episodes).items():
+        own = [film for film in films if film.row in part]
+        shown = "".join(film_of(film.path, files[2], _told(film.row)) for film in own)
+        parts.append((f"Worst cases of {which}", table(_worst(part)) + shown))
+    write_page(files[2], head[0], head[1:], parts)
     return files
 
 
-def _parts(episodes: Sequence[Row]) -> list[tuple[str, list[Row]]]:
+def parts_of(episodes: Sequence[Row]) -> dict[str, list[Row]]:
     """Episodes by policy and level."""
     parts: dict[str, list[Row]] = {}
     for row in episodes:
         parts.setdefault(f"{row['policy']}, {row['level']}", []).append(row)
-    return list(parts.items())
+    return parts
+
+
+def _outcome(row: Row) -> str:
+    return next(name for name in OUTCOMES if row[name]).replace("_", " ")
+
+
+def _told(row: Row) -> str:
+    """What a film shows."""
+    return f"case {row['case']}, seed {row['seed']}: {_outcome(row)}"
 
 
 def _worst(episodes: Sequence[Row]) -> list[dict[str, Any]]:
-    """Crashes first, then timeouts, then the slowest."""
-    order = sorted(
-        episodes, key=lambda row: (-row["crashed"], row["parked"], -row["length"])
-    )
+    columns = ("length", "path", "gear_changes", "final_distance")
     return [
         {
-            "case": row["case"],
-            "kind": row["kind"],
-            "outcome": next(name for name in OUTCOMES if row[name]).replace("_", " "),
-            **{
-                name: row[name]
-                for name in ("length", "path", "gear_changes", "final_distance")
-            },
+            **{name: row[name] for name in ("case", "seed", "kind")},
+            "outcome": _outcome(row),
+            **{name: row[name] for name in columns},
         }
-        for row in order[:WORST]
+        for row in worst_first(episodes)[:WORST]
     ]

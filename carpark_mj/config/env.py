@@ -47,9 +47,9 @@ class EnvConfig:
             default settings: `street`, `street_parallel`, `angled`, `lot`,
             `garage_row`, `dead_end`, `slots` (Pandita 2022; also `slots_diagonal`,
             `slots_parallel`, `slots_single`, `slots_single_diagonal`), HOPE's levels
-            (`hope_normal_perpendicular` and others), `mixture`. Or a layout file
-            (.json, or a TPCAP case as .csv). A comma-separated list is a mixture. From
-            Python also the config of a family, see `carpark_mj.layouts`.
+            (`hope_normal_perpendicular` and others), `metadrive`, `mixture`. Or a
+            layout file (.json, or a TPCAP case as .csv). A comma-separated list is a
+            mixture. From Python also the config of a family, see `carpark_mj.layouts`.
         vehicle: name of a preset in `carpark_mj.vehicle`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,
@@ -152,10 +152,27 @@ class EnvConfig:
                 raise ValueError(
                     "goals.may_repeat needs fixed goals, goals.dynamic = False"
                 )
+            if self.goals.drive_out:
+                raise ValueError(
+                    "goals.drive_out needs fixed goals, goals.dynamic = False"
+                )
         elif self.goals.num_tracked_bays != GoalConfig.num_tracked_bays:
             raise ValueError(
                 f"goals.num_tracked_bays {self.goals.num_tracked_bays} needs dynamic "
                 "goals, goals.dynamic = True"
+            )
+        spawn = self.spawn
+        if self.goals.drive_out and (
+            spawn.close_ratio or spawn.crash_ratio or spawn.reverse_ratio
+        ):
+            raise ValueError(
+                "goals.drive_out needs starts at random: spawn.close_ratio, "
+                "crash_ratio and reverse_ratio = 0"
+            )
+        if self.goals.drive_out and (self.num_parked_cars or self.fleet.agents):
+            raise ValueError(
+                "goals.drive_out needs bays without parked cars that fit every agent: "
+                "num_parked_cars = 0 and no fleet.agents"
             )
         reverse = self.spawn.reverse_ratio
         if reverse and (self.goals.dynamic or self.physics == "grid"):

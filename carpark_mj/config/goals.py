@@ -18,14 +18,17 @@ class GoalConfig:
         num_tracked_bays: nearest free bays that an agent tracks (n_space).
         may_repeat: whether the goal of an episode may be that of the one before; fixed
             goals only.
+        drive_out: an agent that starts in a bay drives to an exit of the lot, all
+            others to bays; fixed goals only, in layouts with exits.
     """
 
     dynamic: bool = False
     num_tracked_bays: int = 1
     may_repeat: bool = False
+    drive_out: bool = False
 
     def __post_init__(self) -> None:
-        require_kinds(self, may_repeat=bool)
+        require_kinds(self, may_repeat=bool, drive_out=bool)
         whole(self, 1, "num_tracked_bays")
 
 

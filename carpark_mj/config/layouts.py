@@ -14,6 +14,7 @@ LayoutName = Literal[
     "hope_normal_parallel",
     "hope_normal_perpendicular",
     "lot",
+    "metadrive",
     "mixture",
     "slots",
     "slots_diagonal",

@@ -7,7 +7,7 @@ from typing import Literal
 from carpark_mj.config.checks import choose, positive, whole
 from carpark_mj.config.grid import WORLD_UNIT
 
-ParkedRule = Literal["tanner", "strict", "precise"]
+ParkedRule = Literal["tanner", "strict", "precise", "metadrive"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,6 +17,8 @@ class ParkedLimits:
     Attributes:
         offset: largest distance of centres along either axis of the bay [m].
         distance: largest distance of centres [m].
+        from_end: largest distance of the centre from the bay's far end, along its
+            axis; between its lines [m].
         inside_lines: the footprint must be within the bay's lines.
         heading: largest angle to the bay's axis, either way round [rad].
         speed: highest speed [m/s].
@@ -29,6 +31,7 @@ class ParkedLimits:
 
     offset: float | None = None
     distance: float | None = None
+    from_end: float | None = None
     inside_lines: bool = False
     heading: float | None = None
     speed: float | None = None
@@ -51,6 +54,10 @@ PARKED_RULES: dict[ParkedRule, ParkedLimits] = {
         heading=math.radians(3.0),
         speed=0.05,
         source="ParkBench's 0.2 m and 3 deg",
+    ),
+    "metadrive": ParkedLimits(
+        from_end=5.0,
+        source="MetaDrive's arrival: 5 m about the end of the last lane",
     ),
 }
 

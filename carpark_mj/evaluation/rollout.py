@@ -7,6 +7,7 @@ lots, and every number of agents the same number of lots.
 
 import dataclasses
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -59,6 +60,7 @@ def evaluate(
     num_episodes: int,
     seed: int,
     num_lots: int = 128,
+    span: float | None = None,
 ) -> Evaluation:
     """Runs at least `num_episodes` whole episodes and summarises them.
 
@@ -69,11 +71,13 @@ def evaluate(
         seed: of the held-out lots, goals and spawns.
         num_lots: lots run side by side; fewer if the episodes do not fill them, but
             one for each member of a mixture with each number of agents.
+        span: of the lots so filled all episodes that begin within this time [s] count,
+            however many of an agent; None = the same number for every agent.
 
     Raises:
-        ValueError: no episodes, or an environment without respawn.
+        ValueError: no episodes, or an environment without respawn, or no time.
     """
-    return Evaluator(env).evaluate(policy, num_episodes, seed, num_lots)
+    return Evaluator(env).evaluate(policy, num_episodes, seed, num_lots, span)
 
 
 class Evaluator:
@@ -100,23 +104,27 @@ class Evaluator:
         num_episodes: int,
         seed: int,
         num_lots: int = 128,
+        span: float | None = None,
         values: Mapping[str, float] | None = None,
     ) -> Evaluation:
         """Runs whole episodes as `evaluate` does.
 
         Args:
-            policy: see `evaluate`, as are the next three.
+            policy: see `evaluate`, as are the next four.
             num_episodes: at least.
             seed: of the lots.
             num_lots: side by side.
+            span: in which episodes begin [s].
             values: other values of settings, see `ParkingEnv.with_values`; the same
                 settings in every call.
 
         Raises:
-            ValueError: no episodes.
+            ValueError: no episodes, or no time.
         """
         if num_episodes < 1:
             raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
+        if span is not None and not span > 0:
+            raise ValueError(f"span must be positive, not {span}")
         env = self.env
         traced = {path: jnp.float32(value) for path, value in (values or {}).items()}
         shares, counts = member_shares(env.layout_config), env.config.agent_counts
@@ -134,10 +142,12 @@ class Evaluator:
         reset_key, act_key = jax.random.split(evaluation_key(seed))
         begun = self._reset(traced, lots, reset_key)
         present = _count_agents(begun[0])
-        quota = math.ceil(num_episodes / present.sum())
+        quota, last = math.ceil(num_episodes / present.sum()), math.inf
+        if span is not None:
+            quota, last = sys.maxsize, span / env.config.sim.ctrl_dt
         carry = (*begun, act_key)
         kinds = env.fleet.agent_names
-        episodes = self._episodes(traced, policy, carry, quota)
+        episodes = self._episodes(traced, policy, carry, (quota, last))
         for (lot, agent, episode), kind, metrics in episodes:
             which = {"lot": float(lot), "agent": float(agent)}
             which |= {"episode": float(episode), "agents_present": float(present[lot])}
@@ -151,9 +161,9 @@ class Evaluator:
         values: Mapping[str, jax.Array],
         policy: AnyPolicy,
         carry: tuple[State, jax.Array, jax.Array],
-        quota: int,
+        limits: tuple[int, float],
     ) -> Iterator[tuple[tuple[int, int, int], int, dict[str, float]]]:
-        """The first `quota` episodes of every agent.
+        """The episodes that count.
 
         Each is its lot, agent and number, the kind of car driven, and its metrics.
 
@@ -161,20 +171,25 @@ class Evaluator:
             values: of settings.
             policy: acting function.
             carry: lots at their start, what the agents observe, and a key, consumed.
-            quota: episodes of every agent that its lot has.
+            limits: the number of episodes of every agent that its lot has, and the
+                control step before which they begin.
         """
+        quota, last = limits
         finished = np.where(np.asarray(carry[0].active), 0, quota)
+        begun, now = np.zeros(finished.shape, int), 0
         policy = as_argument(policy)
-        while finished.min() < quota:
+        while ((finished < quota) & (begun < last)).any():
             carry, (done, kind, metrics) = self._chunk(values, policy, carry)
             kind = np.asarray(kind)
             metrics = {name: np.asarray(value) for name, value in metrics.items()}
             for t, lot, agent in np.argwhere(np.asarray(done)):
-                if finished[lot, agent] < quota:
+                if finished[lot, agent] < quota and begun[lot, agent] < last:
                     row = {n: float(x[t, lot, agent]) for n, x in metrics.items()}
                     which = int(lot), int(agent), int(finished[lot, agent])
                     yield which, int(kind[t, lot, agent]), row
                 finished[lot, agent] += 1
+                begun[lot, agent] = now + t + 1
+            now += CHUNK
 
 
 def _summarised(

@@ -7,6 +7,7 @@ are in the package (`carpark_mj.layouts.held_out`); an episode ends after 100 s.
 import dataclasses
 import math
 import time
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +25,12 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.aggregation import Row, complete_row, summarise
+from carpark_mj.evaluation.aggregation import (
+    Row,
+    complete_row,
+    summarise,
+    wilson_interval,
+)
 from carpark_mj.evaluation.rollout import CHUNK, evaluation_key
 from carpark_mj.layouts import HopeConfig, Layout, layout_maxima, pad_layout
 from carpark_mj.layouts.held_out import LEVELS, load_held_out
@@ -87,9 +93,25 @@ def pick_cases(level: Level, count: int) -> Cases:
     return Cases(level, np.arange(count), parallel[:count], padded)
 
 
+class Drives(NamedTuple):
+    """How the car of n cases drove, t control steps with k poses in each.
+
+    What comes after the last step of an episode means nothing.
+
+    Attributes:
+        pose_w: (n, t, k, 3) footprint centres.
+        steering: (n, t) bicycle angles at the end of the steps [rad].
+        speed: (n, t) signed speeds at the end of the steps [m/s].
+    """
+
+    pose_w: np.ndarray
+    steering: np.ndarray
+    speed: np.ndarray
+
+
 def drive_cases(
     env: ParkingEnv, policy: AnyPolicy, cases: Cases, seed: int
-) -> list[Row]:
+) -> tuple[list[Row], Drives]:
     """One episode in each case, side by side; a row each, see `evaluation.catalogue`.
 
     Args:
@@ -107,17 +129,24 @@ def drive_cases(
         state, observation = carry
         action = choose_actions(policy, state, observation, key)
         state, timestep = jax.vmap(env.step)(state, action)
-        return (state, timestep.observation), (timestep.events.done, timestep.metrics)
+        motion = timestep.motion
+        drive = (motion.trace_w, motion.steering, motion.speed)
+        drive = tuple(x[:, 0] for x in drive)  # of the only agent
+        ended = timestep.events.done, timestep.metrics
+        return (state, timestep.observation), (*ended, drive)
 
     @jax.jit
     def run(policy, carry, keys):
         return jax.lax.scan(lambda c, k: step(policy, c, k), carry, keys)
 
     rows: list[Row | None] = [None] * count
+    chunks: list[tuple[np.ndarray, ...]] = []
     policy, carry = as_argument(policy), (state, observation)
     while any(row is None for row in rows):
         act_key, own = jax.random.split(act_key)
-        carry, (done, metrics) = run(policy, carry, jax.random.split(own, CHUNK))
+        carry, out = run(policy, carry, jax.random.split(own, CHUNK))
+        done, metrics, drive = out
+        chunks.append(jax.device_get(drive))
         metrics = {name: np.asarray(value) for name, value in metrics.items()}
         for t, lot, agent in np.argwhere(np.asarray(done)):
             if rows[lot] is None:
@@ -125,7 +154,10 @@ def drive_cases(
                 rows[lot] = _label(cases, lot) | complete_row(
                     row, env.config.sim.ctrl_dt
                 )
-    return [row for row in rows if row is not None]
+    drives = Drives(
+        *(np.concatenate(parts).swapaxes(0, 1) for parts in zip(*chunks, strict=True))
+    )
+    return [row for row in rows if row is not None], drives
 
 
 def _label(cases: Cases, lot: int) -> Row:
@@ -150,41 +182,81 @@ def decision_time(env: ParkingEnv, policy: AnyPolicy, cases: Cases) -> float:
     return min(taken[1:])
 
 
-def table_rows(policy: str, rows: list[Row]) -> list[dict[str, Any]]:
-    """A row of results for every level and kind of a policy's episodes.
+def worst_first(rows: Sequence[Row]) -> list[Row]:
+    """Episodes in order: crashes, then timeouts, then the slowest."""
+    return sorted(
+        rows, key=lambda row: (-row["crashed"], row["parked"], -row["length"])
+    )
 
-    `planned` and `planned_path` of an episode, if it has them, are whether the planner
-    found a path there and how long it is.
+
+def planned_paths(rows: Sequence[Row]) -> dict[tuple[int, str, int], float]:
+    """Length of the planner's paths [m] by seed, level and case, where it found one."""
+    return {
+        (row["seed"], row["level"], row["case"]): row["planned_path"]
+        for row in rows
+        if not math.isnan(row.get("planned_path", math.nan))
+    }
+
+
+def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """A row of results for every level and kind of a policy.
+
+    Args:
+        policy: its name.
+        rows: all episodes of the suite, of `drive_cases`, with the names of their
+            policies and their seeds. Those of the planner also have `planned`, whether
+            it found a path, `planned_path`, its length [m], and `planning_seconds`.
     """
+    plans = planned_paths(rows)
+    own = [row for row in rows if row["policy"] == policy]
     found = []
     for level in LEVELS:
-        of_level = [row for row in rows if row["level"] == level]
+        of_level = [row for row in own if row["level"] == level]
         kinds = sorted({row["kind"] for row in of_level})
         for kind in (*kinds, "all") if len(kinds) > 1 else kinds:
             part = [row for row in of_level if kind in ("all", row["kind"])]
-            found.append({"policy": policy, "level": level, "kind": kind, **_sum(part)})
+            which = {"policy": policy, "level": level, "kind": kind}
+            found.append(which | _sum(part, plans))
     return found
 
 
-def _sum(rows: list[Row]) -> dict[str, Any]:
-    summary = summarise(rows)
-    ratios = [
-        row["path"] / row["planned_path"]
-        for row in rows
-        if row["parked"] and row.get("planned_path", math.nan) > 0
-    ]
-    parked = summary["parked"]
+def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str, Any]:
+    summary, seeds = summarise(rows), sorted({row["seed"] for row in rows})
+    cases = len({row["case"] for row in rows})
+    ratios = []
+    for row in rows:
+        planned = plans.get((row["seed"], row["level"], row["case"]), 0.0)
+        if row["parked"] and planned > 0:
+            ratios.append(row["path"] / planned)
+    rate = summary["parked"]["rate"]
+    # The same case with another seed is not another case.
+    low, high = wilson_interval(rate * cases, cases)
+    decision = _mean(rows, "ms / decision")
     return {
-        "cases": len(rows),
-        "parked": parked["rate"],
-        "low": parked["low"],
-        "high": parked["high"],
+        "cases": cases,
+        "seeds": len(seeds),
+        "parked": rate,
+        "low": low,
+        "high": high,
+        "by seed": [
+            _mean([row for row in rows if row["seed"] == seed], "parked")
+            for seed in seeds
+        ],
         "crashed": summary["crashed"]["rate"],
         "timed out": summary["timed_out"]["rate"],
+        "path found": _mean(rows, "planned"),
         "gear changes": summary["gear_changes"],
         "path [m]": summary["path"],
         "path / planned": float(np.mean(ratios)) if ratios else math.nan,
         "off by [m]": summary["final_distance"],
         "off by [deg]": math.degrees(summary["final_heading"]),
         "time [s]": summary["time_to_park"],
+        "planning [s]": _mean(rows, "planning_seconds"),
+        "ms / decision": decision,
+        "decisions/s": 1e3 / decision,
     }
+
+
+def _mean(rows: Sequence[Row], name: str) -> float:
+    values = [row[name] for row in rows if name in row]
+    return float(np.mean(values)) if values else math.nan

@@ -11,6 +11,7 @@ from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
+from carpark_mj.layouts.types import BayKind
 from carpark_mj.vehicle import VehicleParameters
 
 SAMPLED_LOTS = 4  # in which a random lot's bays are measured against the fleet
@@ -42,6 +43,26 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
         raise ValueError(
             f"num_parked_cars must be at most {free} ({bays} bays less {agents} "
             f"agents' goals), not {config.num_parked_cars}"
+        )
+
+
+def check_exits(config: EnvConfig, layout: Layout | None) -> None:
+    """Refuses cars that drive out where there are no exits, and exits for others.
+
+    Args:
+        config: of the environment.
+        layout: of a lot that is always the same; random ones have no exits.
+
+    Raises:
+        ValueError: naming the setting.
+    """
+    exits = layout is not None and bool(
+        (layout.bay_mask & (layout.bay_kind == BayKind.EXIT)).any()
+    )
+    if exits != config.goals.drive_out:
+        have = "has exits: set" if exits else "has no exits: use metadrive, or leave"
+        raise ValueError(
+            f"the layout {have} goals.drive_out = {exits}, not {config.goals.drive_out}"
         )
 
 

@@ -6,6 +6,7 @@ from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.layouts.garage_row import GarageRowConfig
 from carpark_mj.layouts.hope import HOPE, HopeConfig
 from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts.metadrive import MetaDriveConfig
 from carpark_mj.layouts.mixture import MixtureConfig
 from carpark_mj.layouts.registry import (
     FAMILIES,
@@ -52,6 +53,7 @@ __all__ = [
     "Layout",
     "LotConfig",
     "Maxima",
+    "MetaDriveConfig",
     "MixtureConfig",
     "SlotsConfig",
     "SquareConfig",

@@ -4,6 +4,8 @@
 `describe_faults` puts those of one layout into sentences.
 """
 
+from collections.abc import Mapping, Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +17,7 @@ from carpark_mj.geometry import (
     swept_half_size,
 )
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.types import ROWS, Layout
+from carpark_mj.layouts.types import ROWS, BayKind, Layout
 
 # Neighbours share an edge: sizes shrink by rounding errors before they are compared.
 ROUNDING = 1e-3  # m
@@ -44,6 +46,10 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
         of row it concerns, none for the lot as a whole.
     """
     bay = (layout.bay_pose, layout.bay_size - ROUNDING, layout.bay_mask)
+    is_exit = layout.bay_mask & (layout.bay_kind == BayKind.EXIT)
+    # Lanes lead through exits, and where there are any cars may start in bays.
+    off_lane = (*bay[:2], layout.bay_mask & ~is_exit)
+    no_start = (*bay[:2], jnp.where(is_exit.any(), is_exit, layout.bay_mask))
     wall = (layout.wall_pose, layout.wall_size, layout.wall_mask)
     disc = (layout.disc_centre, layout.disc_radius, layout.disc_mask)
     lane = (layout.lane_pose, layout.lane_size - ROUNDING, layout.lane_mask)
@@ -61,12 +67,12 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
         "bays overlap": jnp.triu(_boxes_meet(bay, bay), 1),
         "bays meet walls": _boxes_meet(bay, wall),
         "bays meet discs": _discs_meet(bay, disc),
-        "lanes meet bays": _boxes_meet(lane, bay),
+        "lanes meet bays": _boxes_meet(lane, off_lane),
         "lanes meet walls": _boxes_meet(lane, wall),
         "lanes meet discs": _discs_meet(lane, disc),
         "cars spawning in spawn regions meet walls": _boxes_meet(swept, wall),
         "cars spawning in spawn regions meet discs": _discs_meet(swept, disc),
-        "cars spawning in spawn regions meet bays": _boxes_meet(swept, bay),
+        "cars spawning in spawn regions meet bays": _boxes_meet(swept, no_start),
     }
 
 
@@ -84,7 +90,9 @@ def _discs_meet(box: _Rows, disc: _Rows) -> jax.Array:
 
 
 def describe_faults(
-    layout: Layout, car_size: tuple[float, float] | None = None
+    layout: Layout,
+    car_size: tuple[float, float] | None = None,
+    lines: Mapping[str, Sequence[int]] | None = None,
 ) -> list[str]:
     """Faults of one layout, a sentence each; runs on the host.
 
@@ -92,11 +100,13 @@ def describe_faults(
     least one bay and one spawn region; its bays lie within the extent, hold the car
     and overlap neither each other nor walls, discs or lanes; no wall or disc stands in
     a lane; and a car that spawns anywhere in a spawn region, at any heading it allows,
-    touches no wall, disc or bay.
+    touches no wall, disc or bay. Exits may lie on lanes; in a lot with exits cars may
+    spawn in the other bays.
 
     Args:
         layout: no batch dimension.
         car_size: length and width of the largest car [m]; the design car's if None.
+        lines: of the layout's file, on which rows `bay`, `lane` and `spawn` begin.
 
     Returns:
         Empty if the layout is valid.
@@ -110,11 +120,17 @@ def describe_faults(
         if fault.any():
             rows = np.argwhere(fault)[:3]
             rows = rows[:, 0] if fault.ndim == 1 else rows
-            found.append(f"{words}: {rows.tolist()}" if fault.ndim else words)
+            told = f"{words}: {rows.tolist()}" if fault.ndim else words
+            if lines is not None and fault.ndim:
+                kind = _SUBJECTS[words.split()[0]]
+                told += f", the first on line {lines[kind][int(rows.flat[0])]}"
+            found.append(told)
     return found
 
 
 _find_faults = jax.jit(find_faults)
+# What rows the sentences of `find_faults` are about, by their first words.
+_SUBJECTS = {"bays": "bay", "lanes": "lane", "cars": "spawn"}
 
 
 def _malformed(layout: Layout) -> list[str]:

@@ -55,14 +55,14 @@ def read_json(path: Path) -> Layout:
         why = getattr(error, "strerror", None) or "it is no text"
         raise ValueError(f"cannot read the layout {path}: {why}") from None
     try:
-        layout = _parse(text)
+        layout, lines = _parse(text)
     except json.JSONDecodeError as error:
         raise ValueError(f"{path}, line {error.lineno}: {error.msg}") from None
     except RecursionError:
         raise ValueError(f"{path}: brackets are nested too deeply") from None
     except _RowError as error:
         raise ValueError(f"{path}, line {error.line}: {error}") from None
-    if faults := describe_faults(layout):
+    if faults := describe_faults(layout, lines=lines):
         raise ValueError(f"{path} is not a valid layout: {'; '.join(faults)}")
     return layout
 
@@ -122,7 +122,8 @@ def layout_text(layout: Layout) -> str:
     return "{" + ",\n ".join(entries) + "}\n"
 
 
-def _parse(text: str) -> Layout:
+def _parse(text: str) -> tuple[Layout, dict[str, list[int]]]:
+    """A layout, and the lines on which its rows begin, by their kinds."""
     data = json.loads(text, cls=_Decoder)
     if not isinstance(data, dict):
         raise _RowError(1, f"a layout is an object, not {type(data).__name__}")
@@ -142,26 +143,29 @@ def _parse(text: str) -> Layout:
         "lanes": build.lanes,
         "spawns": build.spawns,
     }
-    groups = []
+    groups, lines = [], {}
     for name, schema in _SCHEMA.items():
         rows = data.get(name, [])
         if not isinstance(rows, list):
             raise _RowError(line, f"{name} must be a list of objects, not {rows!r}")
         if rows:
-            columns = _columns(name, schema, rows, line)
+            columns, places = _columns(name, schema, rows, line)
             groups.append(make[name](**columns))
+            lines[name.removesuffix("s")] = places
     extent = _number(line, "extent", data["extent"], 2)
-    return build.assemble(extent, *groups)
+    return build.assemble(extent, *groups), lines
 
 
 def _columns(
     name: str, schema: dict[str, Any], rows: list[Any], line: int
-) -> dict[str, np.ndarray]:
+) -> tuple[dict[str, np.ndarray], list[int]]:
     columns: dict[str, list[Any]] = {part: [] for part in schema}
+    lines: list[int] = []
     for index, row in enumerate(rows):
         if not isinstance(row, dict):
             raise _RowError(line, f"{name}[{index}] must be an object, not {row!r}")
         place = row.pop(_LINE)
+        lines.append(place)
         if unknown := sorted(set(row) - set(schema)):
             raise _RowError(
                 place, f"{name}[{index}] has unknown {unknown}; allowed {list(schema)}"
@@ -187,7 +191,7 @@ def _columns(
                         place, f"unknown {what} {row[part]!r}; choose from {names}"
                     )
                 columns[part].append(names.index(row[part]))
-    return {part: np.array(values) for part, values in columns.items()}
+    return {part: np.array(values) for part, values in columns.items()}, lines
 
 
 def _number(line: int, what: str, value: Any, count: int) -> Any:

@@ -15,6 +15,7 @@ BAY_COLOURS = {
     BayKind.ACCESSIBLE: "#9ec9f5",
     BayKind.FAMILY: "#f7c6dd",
     BayKind.RESERVED: "#e3e3e3",
+    BayKind.EXIT: "#cdeac0",
 }
 WALL_COLOURS = {
     WallKind.WALL: "#555555",

@@ -14,6 +14,7 @@ from carpark_mj.layouts.garage_row import GarageRowConfig, garage_row
 from carpark_mj.layouts.hope import HOPE, HopeConfig, hope
 from carpark_mj.layouts.lot import lot
 from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts.metadrive import MetaDriveConfig, metadrive
 from carpark_mj.layouts.mixture import MixtureConfig
 from carpark_mj.layouts.slots import SLOTS, SlotsConfig, slots
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
@@ -63,6 +64,7 @@ FAMILIES: dict[str, Family] = {
     "dead_end": Family(DeadEndConfig, dead_end),
     "slots": Family(SlotsConfig, slots),
     "hope": Family(HopeConfig, hope),
+    "metadrive": Family(MetaDriveConfig, metadrive),
     "from_file": Family(FromFileConfig, from_file),
     "mixture": Family(MixtureConfig, draw_mixture),
 }

@@ -19,6 +19,7 @@ import numpy as np
 
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
+from carpark_mj.layouts.json_file import FARTHEST
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import Layout
 
@@ -36,6 +37,7 @@ BAY_MARGIN = 0.2  # m on every side of the goal footprint, less where obstacles 
 EDGE = 0.02  # m, thickness of the walls along the edges of a polygon
 TOUCHING = 0.01  # m by which a car may stand in an obstacle, for rounded coordinates
 START = 0.02  # m, side of the spawn region
+LEAST_AREA = 1e-4  # m², of an obstacle
 RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
 
 
@@ -71,8 +73,21 @@ def read_tpcap(path: Path, car: DesignCar = TPCAP_CAR) -> Layout:
             f"{path}, line {lines[-1]}: {count} obstacles with {sum(sizes)} vertices "
             f"make {expected} numbers, not {len(numbers)}"
         )
+    for number in (0, 1, 3, 4, *range(7 + count, expected)):
+        if abs(numbers[number]) > FARTHEST:
+            raise ValueError(
+                f"{path}, line {lines[number]}: a coordinate must be at most "
+                f"{FARTHEST:g} m, not {numbers[number]:g}"
+            )
     vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
     polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
+    for k, polygon in enumerate(polygons):
+        if abs(_area(polygon)) < LEAST_AREA:
+            line = lines[7 + count + 2 * sum(sizes[:k])]
+            raise ValueError(
+                f"{path}, line {line}: obstacle {k} has no area, its {sizes[k]} "
+                "vertices lie on a line or its edges cross"
+            )
     try:
         return _case(np.array(numbers[:3]), np.array(numbers[3:6]), polygons, car)
     except _BlockedError as error:
@@ -90,7 +105,7 @@ class _BlockedError(ValueError):
 def _numbers(path: Path) -> tuple[list[float], list[int]]:
     """The numbers of a file and the line of each."""
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8-sig")  # some programs write a mark
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or "it is no text"
         raise ValueError(f"cannot read the case {path}: {why}") from None
@@ -151,6 +166,12 @@ def _case(
     )
 
 
+def _area(polygon: np.ndarray) -> float:
+    """Area of a polygon (n, 2) [m²], negative if its vertices run clockwise."""
+    x, y = (polygon - polygon[0]).T
+    return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
+
+
 def _boxes(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Centre poses and sizes of the walls that represent a polygon (n, 2)."""
     ahead = np.roll(polygon, -1, axis=0) - polygon
@@ -164,9 +185,7 @@ def _boxes(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
             yaw = math.atan2(unit[0, 1], unit[0, 0])
             pose = np.append(polygon.mean(axis=0), yaw)
             return [(pose, length[:2])]
-    x, y = polygon.T
-    area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2
-    inwards = np.sign(area) * np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    inwards = np.sign(_area(polygon)) * np.stack([-unit[:, 1], unit[:, 0]], axis=1)
     middle = polygon + ahead / 2 + inwards * EDGE / 2
     yaw = np.arctan2(unit[:, 1], unit[:, 0])
     return [

@@ -19,6 +19,7 @@ from carpark_mj.mdp.spawning.collision_course import (
     crash_pose,
 )
 from carpark_mj.mdp.spawning.draws import draw_uniform, pick
+from carpark_mj.mdp.spawning.driving_out import goal_of_start
 from carpark_mj.mdp.spawning.placing import (
     Placing,
     SpawnInputs,
@@ -70,12 +71,15 @@ class FixedGoals:
         """Takes the rules of spawning."""
         self._config = config.spawn
         self._may_repeat = config.goals.may_repeat
+        self._drive_out = config.goals.drive_out
 
     def place_first(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
     ) -> Placing:
-        """A start of any kind for the given goal."""
+        """A start of any kind for the given goal; goals may follow from starts."""
         config, layout = self._config, inputs.layout
+        if self._drive_out:
+            return self.place(inputs, placing, agent, key)
         around = surroundings(inputs, placing, agent)
         around = dataclasses.replace(around, others=~placing.waiting)
         goal_pose = layout.bay_pose[placing.goal]
@@ -102,6 +106,13 @@ class FixedGoals:
         """
         config, layout = self._config, inputs.layout
         draws, key = self._draw(inputs, placing, key)
+        if self._drive_out:
+            around = surroundings(inputs, placing, agent)
+            around = dataclasses.replace(around, others=~placing.waiting)
+            pose = self._pose(inputs, placing, around, draws, key)
+            placed = placing.set(agent, pose_w=pose)
+            goal = goal_of_start(layout, placed, agent, draws.goal[0])
+            return placed.set(agent, goal=goal)
         drawn = self.new_goal(inputs, placing, agent, draws.goal)
         around = surroundings(inputs, drawn, agent)
         pose = self._pose(inputs, drawn, around, draws, key)

@@ -31,6 +31,11 @@ def is_parked(
     if limits.distance is not None:
         distance = norm(offset)
         parked = parked & (distance < limits.distance)
+    if limits.from_end is not None:
+        own = rotate(offset, -bay_pose[..., 2])
+        along = jnp.abs(own[..., 0] + bay_size[..., 0] / 2)
+        between = jnp.abs(own[..., 1]) <= bay_size[..., 1] / 2
+        parked = parked & (along < limits.from_end) & between
     if limits.inside_lines:
         inside = box_inside(motion.pose_w, motion.size, bay_pose, bay_size)
         parked = parked & inside

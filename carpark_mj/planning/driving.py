@@ -124,5 +124,5 @@ class Agent:
         points = segment.pose[(ahead >= 0) & (ahead <= LOOK_AHEAD)][::10]
         nothing = Solids(pose[near], size[near], np.zeros((0, 2)), np.zeros(0))
         wide = sight.car.length + 2 * GAP, sight.car.width + 2 * GAP
-        here = FreeSpace(nothing, wide, sight.extent)
+        here = FreeSpace(nothing, wide, sight.extent, grid=False)
         return not all(here.is_free(*place) for place in sight.car.centre(points))

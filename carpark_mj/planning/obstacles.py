@@ -43,9 +43,16 @@ class FreeSpace:
     """
 
     def __init__(
-        self, solids: Solids, size: tuple[float, float], extent: np.ndarray
+        self,
+        solids: Solids,
+        size: tuple[float, float],
+        extent: np.ndarray,
+        grid: bool = True,
     ) -> None:
-        """Prepares the test for a rectangle of this length and width [m]."""
+        """Prepares the test for a rectangle of this length and width [m].
+
+        A grid takes some milliseconds, and pays for more than some hundred tests.
+        """
         self.extent = extent
         self._half = size[0] / 2, size[1] / 2
         self._x, self._y, yaw = solids.pose.T
@@ -57,7 +64,7 @@ class FreeSpace:
         self._far = math.hypot(*self._half) + slack
         self._near = min(self._half) - slack
         self._counts = tuple(math.ceil(2 * half / CELL) for half in extent)
-        self._grid = self._distances().tolist()
+        self._grid = self._distances().tolist() if grid else None
 
     def _distances(self) -> np.ndarray:
         """Distances [m] from the middles of cells to the nearest obstacle."""
@@ -88,6 +95,8 @@ class FreeSpace:
         row = math.floor((y + self.extent[1]) / CELL)
         if not (0 <= column < self._counts[0] and 0 <= row < self._counts[1]):
             return False
+        if self._grid is None:
+            return self._test(x, y, yaw)
         distance = self._grid[column][row]
         if distance > self._far:
             return True

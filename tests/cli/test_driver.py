@@ -1,9 +1,12 @@
 """The environment of an evaluation: that of the run with what flags change."""
 
+import dataclasses
+
 import pytest
 
-from carpark_mj.cli.driver import adapt
+from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import ContinuousObservation, EnvConfig, FleetConfig
+from carpark_mj.registry import METADRIVE
 
 RUN = EnvConfig(num_agents=5, min_agents=3)
 
@@ -46,3 +49,12 @@ def test_rule_and_hitboxes_are_set_alone_and_together():
     assert (both.parked_rule, both.hitbox_scale) == ("precise", 1.1)
     assert adapt(RUN, hitbox_scale=1.1).episode.parked_rule == RUN.episode.parked_rule
     assert adapt(RUN).episode == RUN.episode
+
+
+def test_a_trained_policy_observes_another_task_as_in_training():
+    env, own = find_driver("anywhere", "metadrive").env, find_driver("anywhere").env
+    assert (env.observation, env.reward) == (own.observation, own.reward)
+    alike = {"observation": METADRIVE.observation, "reward": METADRIVE.reward}
+    assert dataclasses.replace(env, **alike) == METADRIVE
+    with pytest.raises(ValueError, match=r"reward\.route"):
+        find_driver("anywhere", "tanner-fixed")

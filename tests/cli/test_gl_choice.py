@@ -27,7 +27,7 @@ with contextlib.suppress(SystemExit):
 """
 
 
-@pytest.mark.parametrize("script", ["train/ppo.py", "eval/render.py"])
+@pytest.mark.parametrize("script", ["train/ppo.py", "eval/render.py", "eval/suite.py"])
 def test_a_script_that_renders_chooses_gl_before_mujoco_is_imported(script: str):
     assert choose_gl() is None, "this machine cannot render"
     environment = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"}

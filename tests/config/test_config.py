@@ -5,6 +5,7 @@ from typing import get_args
 import pytest
 
 from carpark_mj.config import (
+    PARKED_RULES,
     REWARDS,
     ContinuousObservation,
     EnvConfig,
@@ -236,7 +237,7 @@ def test_a_full_lot_is_allowed():
     ("make", "known"),
     [
         (lambda: EnvConfig(layout="x"), sorted(get_args(LayoutName))),
-        (lambda: EpisodeConfig(parked_rule="x"), ["precise", "strict", "tanner"]),
+        (lambda: EpisodeConfig(parked_rule="x"), sorted(PARKED_RULES)),
         (lambda: reward_preset("x"), ["shaped", "tanner"]),
     ],
 )

@@ -69,6 +69,19 @@ def test_one_program_evaluates_environments_that_differ_in_numbers(env, result):
     assert sums[0]["return_time"] > 0 > sums[1]["return_time"]
 
 
+def test_a_span_counts_the_episodes_that_begin_within_it(env):
+    policy, span = random_policy(ActionSpec(2)), 8.0  # s, 40 steps
+    result = evaluate(env, policy, num_episodes=8, seed=3, num_lots=4, span=span)
+    lengths: dict[tuple, list[float]] = {}
+    for row in result.episodes:
+        lengths.setdefault((row["lot"], row["agent"]), []).append(row["length"])
+    assert len(lengths) == 8
+    for steps in lengths.values():
+        assert sum(steps[:-1]) < 40 <= sum(steps)
+    with pytest.raises(ValueError, match="span must be positive, not 0"):
+        evaluate(env, policy, num_episodes=8, seed=3, span=0.0)
+
+
 def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
     by_term = result.summary["mean_returns"]
     assert {"park", "crash", "time", "progress", "approach"} <= by_term.keys()

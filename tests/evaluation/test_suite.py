@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.cli.suite import SuiteConfig
+from carpark_mj.cli.suite_films import Film
 from carpark_mj.cli.suite_report import header, shown_cells, write_results
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.suite import (
@@ -15,6 +16,7 @@ from carpark_mj.evaluation.suite import (
     pick_cases,
     suite_env,
     table_rows,
+    worst_first,
 )
 from carpark_mj.layouts.held_out import load_held_out
 from carpark_mj.policy.baselines import zero_policy
@@ -28,8 +30,9 @@ HITS = {"hit_agent": 0.0, "hit_parked_car": 0.0, "hit_wall": 0.0}
 def episode(number, kind, ends, path=10.0, **more):
     numbers = {"gear_changes": 2.0, "path": path, "final_distance": 0.05}
     numbers |= {"final_heading": math.radians(2.0), "time_to_park": 30.0}
-    numbers |= {"length": 150.0, **HITS, **ends, **more}
-    return {"level": "normal", "case": number, "kind": kind, **numbers}
+    numbers |= {"ms / decision": 2.0, "length": 150.0, **HITS, **ends, **more}
+    which = {"policy": "x", "rule": "strict", "seed": 0, "made_with": "cpu"}
+    return {**which, "level": "normal", "case": number, "kind": kind, **numbers}
 
 
 def test_every_case_gives_one_row_from_its_own_start():
@@ -38,12 +41,14 @@ def test_every_case_gives_one_row_from_its_own_start():
     short = dataclasses.replace(config.episode, max_steps=3)
     env = ParkingEnv(dataclasses.replace(config, episode=short))
     cases = pick_cases("complex", 4)
-    rows = drive_cases(env, zero_policy(env.action_spec), cases, seed=0)
+    rows, drives = drive_cases(env, zero_policy(env.action_spec), cases, seed=0)
     assert [row["case"] for row in rows] == [0, 1, 2, 3]
     assert [row["kind"] for row in rows] == ["perpendicular", "parallel"] * 2
     assert [row["timed_out"] for row in rows] == [1.0] * 4
     # A car that stands still ends where the case starts.
     layouts = load_held_out("complex").layouts
+    start = np.asarray(layouts.spawn_pose)[:4, 0]
+    np.testing.assert_allclose(drives.pose_w[:, 2, -1], start, atol=2e-3)
     gap = np.asarray(layouts.spawn_pose - layouts.bay_pose)[:4, 0, :2]
     expected = np.hypot(*gap.T)
     ends = [row["final_distance"] for row in rows]
@@ -60,11 +65,14 @@ def test_cases_of_all_levels_have_the_same_shapes():
 
 def test_the_table_counts_by_kind_and_compares_paths_with_the_planners():
     rows = [
-        episode(0, "perpendicular", PARKED, 12.0, planned_path=10.0),
-        episode(1, "parallel", MISSED, 3.0, planned_path=10.0),
-        episode(2, "perpendicular", PARKED, 8.0, planned_path=10.0),
-        episode(3, "parallel", PARKED, 9.0, planned_path=math.nan),
+        episode(0, "perpendicular", PARKED, 12.0),
+        episode(1, "parallel", MISSED, 3.0),
+        episode(2, "perpendicular", PARKED, 8.0),
+        episode(3, "parallel", PARKED, 9.0),
     ]
+    for number, length in enumerate((10.0, 10.0, 10.0, math.nan)):
+        own = episode(number, "?", PARKED, planned_path=length)
+        rows.append({**own, "policy": "planner"})
     table = {row["kind"]: row for row in table_rows("x", rows)}
     assert list(table) == ["parallel", "perpendicular", "all"]
     assert table["all"]["cases"] == 4
@@ -75,24 +83,48 @@ def test_the_table_counts_by_kind_and_compares_paths_with_the_planners():
     assert table["perpendicular"]["path / planned"] == pytest.approx(1.0)
     assert math.isnan(table["parallel"]["path / planned"])
     assert table["all"]["off by [deg]"] == pytest.approx(2.0)
+    assert table["all"]["decisions/s"] == 500.0
 
 
-def test_files_hold_the_table_the_episodes_and_the_worst_first(tmp_path):
-    episodes = [
-        {"policy": "x", **episode(0, "parallel", PARKED)},
-        {"policy": "x", **episode(7, "parallel", MISSED)},
+def test_seeds_add_episodes_and_not_cases():
+    rows = [episode(n, "parallel", PARKED) for n in range(4)]
+    rows += [episode(n, "parallel", MISSED, seed=1) for n in range(4)]
+    # With this seed the planner found a path of another length.
+    rows.append({**rows[0], "policy": "planner", "planned_path": 5.0})
+    rows.append({**rows[4], "policy": "planner", "planned_path": 1.0})
+    (row,) = table_rows("x", rows)
+    assert (row["cases"], row["seeds"]) == (4, 2)
+    assert (row["parked"], row["by seed"]) == (0.5, [1.0, 0.0])
+    assert row["path / planned"] == pytest.approx(2.0)
+    # Wilson, 2 of 4.
+    assert row["low"] == pytest.approx(0.1500, abs=1e-4)
+
+
+def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
+    late = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
+    rows = [
+        episode(0, "parallel", PARKED),
+        episode(1, "parallel", PARKED, length=300.0),
+        episode(2, "parallel", late, length=500.0),
+        episode(3, "parallel", MISSED, length=20.0),
+        episode(4, "parallel", MISSED, length=90.0),
     ]
-    row = {**table_rows("x", episodes)[0], "path found": math.nan}
-    head = header("strict", 2, 0)
-    files = write_results(tmp_path, head, [row], episodes, [])
-    names = ["suite.md", "suite.csv", "cases.csv", "suite.html"]
-    assert [path.name for path in files] == names
+    assert [row["case"] for row in worst_first(rows)] == [4, 3, 2, 1, 0]
+
+
+def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
+    episodes = [episode(0, "parallel", PARKED), episode(7, "parallel", MISSED)]
+    (row,) = table_rows("x", episodes)
+    films = [Film(episodes[1], tmp_path / "films" / "x.mp4")]
+    files = write_results(tmp_path, header(episodes), [row], episodes, [], films)
+    assert [path.name for path in files] == ["suite.md", "suite.csv", "suite.html"]
     page = files[0].read_text()
-    assert "the first 2 of each level; seed 0" in page
-    assert "| x | normal | parallel | 2 | 50.0 (9.5 … 90.5) |" in page
-    assert len(files[2].read_text().splitlines()) == 3
-    html = files[3].read_text()
+    assert "2 of normal; seed 0; on cpu." in page
+    assert "| x | normal | parallel | 2 | 1 | 50.0 (9.5 … 90.5) | – |" in page
+    html = files[2].read_text()
     assert html.index("<td>7</td>") < html.index("<td>0</td>")
+    assert '<video src="films/x.mp4"' in html
+    assert "case 7, seed 0: crashed" in html
     assert shown_cells(row)["path found [%]"] == "–"
 
 
@@ -103,7 +135,11 @@ def test_files_hold_the_table_the_episodes_and_the_worst_first(tmp_path):
         ({"policies": ("planner", "planner")}, "policies must differ"),
         ({"policies": ("zero",), "cases": 0}, "cases must be 1 to 1000, not 0"),
         ({"policies": ("zero",), "cases": 1001}, "cases must be 1 to 1000"),
-        ({"policies": ("zero",), "levels": ()}, "levels must differ"),
+        ({"policies": ("zero",), "levels": ()}, "levels must not be empty"),
+        ({"policies": ("zero",), "seeds": (1, 1)}, "seeds must differ"),
+        ({"policies": ("zero",), "seeds": (-1,)}, "seeds must not be negative"),
+        ({"policies": ("zero",), "films": 11}, "films must be 0 to 10, not 11"),
+        ({"policies": ("zero",), "combine": ("a",)}, "not both"),
     ],
 )
 def test_impossible_settings_are_refused(settings, message):

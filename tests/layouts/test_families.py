@@ -245,7 +245,7 @@ def test_a_lot_has_its_wide_bays_islands_pillars_and_gates():
     )
     layout = jax.device_get(make_layout(config))
     kind, mask = layout.bay_kind, layout.bay_mask
-    assert [(mask & (kind == k)).sum() for k in BayKind] == [24 + 4, 2, 1, 0]
+    assert [(mask & (kind == k)).sum() for k in BayKind] == [24 + 4, 2, 1, 0, 0]
     assert config.min_bays == 31  # 2 x 3.5 m + 3 m + 4 x 2.5 m = 20 m = 8 x 2.5 m
     assert (layout.bay_size[mask & (kind == BayKind.ACCESSIBLE), 1] == 3.5).all()
     wall = layout.wall_kind[layout.wall_mask]

@@ -140,9 +140,12 @@ def test_an_invalid_layout_is_refused(tmp_path):
     bay = HAND["bays"][0]
     path = written(tmp_path, changed(bays=[bay, bay]))
     with pytest.raises(
-        ValueError, match=r"not a valid layout: bays overlap: \[\[0, 1\]\]"
-    ):
+        ValueError,
+        match=r"valid layout: bays overlap: \[\[0, 1\]\], the first on line \d",
+    ) as caught:
         make_layout(str(path))
+    line = int(str(caught.value).split()[-1])
+    assert "pose" in path.read_text().splitlines()[line - 1]
 
 
 def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):
@@ -227,6 +230,10 @@ BAD_CSV = [
     ("0,0,0,5,12,0,0,inf\n", 1, "'inf' is no number"),
     ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", 2, "at the goal would stand in an"),
     ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", 1, "at the start would stand in an"),
+    ("0,0,0\n5,1e30,0\n0\n", 2, r"a coordinate must be at most 10000 m, not 1e\+30"),
+    ("0,0,0,5,12,0,1,3\n9,9,-2e4,7,8,8\n", 2, "coordinate .* not -20000"),
+    ("0,0,0,5,12,0,1,3\n9,9,10,9,11,9\n", 2, "obstacle 0 has no area, its 3 vert"),
+    ("0,0,0,5,12,0,2,3,4\n9,9,9,8,8,8\n7,7,9,9,9,7,7,9\n", 3, "obstacle 1 has no"),
 ]
 
 
@@ -237,6 +244,11 @@ def test_bad_tpcap_cases_are_told_what_and_where(text, line, message, tmp_path):
         make_layout(str(path))
     assert f"{path}, line {line}: " in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_byte_order_mark_is_no_fault(tmp_path):
+    path = case(tmp_path, [], text="\ufeff0,0,0\n5,12,0\n0\n")
+    assert make_layout(str(path)).num_bays == 1
 
 
 def test_a_case_without_obstacles_and_a_missing_one(tmp_path):

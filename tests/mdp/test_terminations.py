@@ -71,6 +71,16 @@ CASES = {
         ((0.0, 0.0, 0.0), 0.05 + TILT, False),
         ((0.0, 0.0, 0.0), -0.05 - TILT, False),
     ],
+    # The far end lies 3 m behind the middle.
+    "metadrive": [
+        ((0.0, 0.0, 0.0), 0.0, True),
+        ((2.0 - TILT, 0.0, 90.0), 3.0, True),  # any heading, any speed
+        ((2.0 + TILT, 0.0, 0.0), 0.0, False),
+        ((-8.0 + TILT, 0.0, 0.0), 0.0, True),  # 5 m beyond it
+        ((-8.0 - TILT, 0.0, 0.0), 0.0, False),
+        ((0.0, 1.5 - TILT, 0.0), 0.0, True),
+        ((0.0, -1.5 - TILT, 0.0), 0.0, False),
+    ],
 }
 # The bay lies anywhere and points anywhere; the rules are those of its own frame.
 BAYS = [(0.0, 0.0, 0.0), (3.0, -18.0, math.pi / 2), (-7.0, 5.0, 2.5)]

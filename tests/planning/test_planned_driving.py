@@ -31,7 +31,7 @@ def sight(pose=None, others=NOBODY, begins=False):
 def test_the_physical_car_parks_on_its_path(level, count):
     env = ParkingEnv(suite_env(EnvConfig(), "strict"))
     policy, planner = planner_policy(env)
-    rows = drive_cases(env, policy, pick_cases(level, count), seed=0)
+    rows, _ = drive_cases(env, policy, pick_cases(level, count), seed=0)
     assert [row["parked"] for row in rows] == [1.0] * count
     for lot, row in enumerate(rows):
         [found] = planner.searches(lot, 0)

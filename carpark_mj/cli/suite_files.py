@@ -1,0 +1,150 @@
+"""Results of the suite that another process reads: every episode, and the worst drives.
+
+`cases.csv` has a row for each episode, which also says under which rule it was driven
+and with what; `worst.npz` has how the cars of the worst ones drove.
+"""
+
+import csv
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carpark_mj.evaluation.aggregation import Row
+from carpark_mj.evaluation.suite import Drives
+from carpark_mj.layouts.held_out import CASES, LEVELS, SHA256
+from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.policy.runs import write_csv
+
+CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
+_TEXT = ("policy", "rule", "held_out", "made_with", "level", "kind")
+_WHOLE = ("seed", "case")
+_NEEDED = ("parked", "crashed", "timed_out", "length", "ms / decision")
+
+Key = tuple[str, str, int, int]  # of an episode: policy, level, seed, case
+
+
+def key_of(row: Row) -> Key:
+    """Which episode a row is."""
+    return row["policy"], row["level"], row["seed"], row["case"]
+
+
+def write_run(
+    folder: Path, episodes: Sequence[Row], drives: Mapping[Key, Drives]
+) -> list[Path]:
+    """Writes both files; returns them.
+
+    Args:
+        folder: where.
+        episodes: all of them; numbers that one lacks are left empty.
+        drives: of some of them, n = 1 each.
+    """
+    columns = list(dict.fromkeys(name for row in episodes for name in row))
+    cases = folder / CASES_FILE
+    write_csv(cases, [{n: row.get(n, "") for n in columns} for row in episodes])
+    policy, level, seed, case = (list(part) for part in zip(*drives, strict=True))
+    length = max(drive.speed.shape[1] for drive in drives.values())
+    arrays = {
+        name: np.concatenate([_pad(x, length) for x in parts])
+        for name, parts in zip(
+            Drives._fields, zip(*drives.values(), strict=True), strict=True
+        )
+    }
+    arrays |= {"policy": np.array(policy), "level": np.array(level)}
+    arrays |= {"seed": np.array(seed), "case": np.array(case)}
+    worst = folder / WORST_FILE
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+
+    write_atomically(worst, write)
+    return [cases, worst]
+
+
+def _pad(array: np.ndarray, length: int) -> np.ndarray:
+    more = [(0, 0)] * array.ndim
+    more[1] = (0, length - array.shape[1])
+    return np.pad(array, more)
+
+
+def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
+    """What `write_run` wrote into folders, together.
+
+    Raises:
+        ValueError: a file is malformed, or has an episode that another one has too, or
+            other cases than this version, or another rule.
+        OSError: a file cannot be read.
+    """
+    episodes: dict[Key, Row] = {}
+    drives: dict[Key, Drives] = {}
+    for folder in folders:
+        for row in _read_cases(folder / CASES_FILE):
+            key = key_of(row)
+            if key in episodes:
+                policy, level, seed, case = key
+                raise ValueError(
+                    f"{folder / CASES_FILE} repeats case {case} of {level} by {policy} "
+                    f"with seed {seed}, which a folder before it has"
+                )
+            episodes[key] = row
+        drives |= _read_worst(folder / WORST_FILE)
+    rules = sorted({row["rule"] for row in episodes.values()})
+    if len(rules) > 1:
+        raise ValueError(f"results under different rules do not mix: {rules}")
+    order = sorted(episodes.values(), key=lambda row: (row["seed"], row["case"]))
+    return order, drives
+
+
+def _read_cases(path: Path) -> list[Row]:
+    with path.open(newline="") as file:
+        reader = csv.DictReader(file)
+        missing = {*_TEXT, *_WHOLE, *_NEEDED} - {*(reader.fieldnames or ())}
+        if missing:
+            raise ValueError(f"{path} lacks the columns {', '.join(sorted(missing))}")
+        rows = [_parse(row, f"{path}, line {reader.line_num}") for row in reader]
+    for row in rows:
+        if row["held_out"] != SHA256[:16]:
+            raise ValueError(
+                f"{path} is about other held-out cases, {row['held_out']!r}, not "
+                f"{SHA256[:16]}"
+            )
+    return rows
+
+
+def _parse(row: Mapping[str, Any], place: str) -> Row:
+    parsed: Row = {}
+    for name, text in row.items():
+        if not isinstance(text, str):  # DictReader fills up with None, and with a list
+            raise ValueError(f"{place}: not as many values as columns")
+        try:
+            if name in _TEXT:
+                parsed[name] = text
+            elif name in _WHOLE:
+                parsed[name] = int(text)
+            elif text or name in _NEEDED:
+                parsed[name] = float(text)
+        except ValueError:
+            raise ValueError(f"{place}: {name} is no number, {text!r}") from None
+    if parsed["level"] not in LEVELS or not 0 <= parsed["case"] < CASES:
+        raise ValueError(
+            f"{place}: there is no case {parsed['case']} of level {parsed['level']!r}"
+        )
+    return parsed
+
+
+def _read_worst(path: Path) -> dict[Key, Drives]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            names = (*Drives._fields, "policy", "level", "seed", "case")
+            data = {name: file[name] for name in names}
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} has no drives of the suite: {error}") from None
+    columns = (data[name].tolist() for name in ("policy", "level", "seed", "case"))
+    keys = zip(*columns, strict=True)
+    return {
+        key: Drives(*(data[name][[index]] for name in Drives._fields))
+        for index, key in enumerate(keys)
+    }

@@ -1,0 +1,108 @@
+"""Short films of driven cases of the suite."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from carpark_mj.cli.suite_files import Key, key_of
+from carpark_mj.config import EnvConfig
+from carpark_mj.evaluation.aggregation import OUTCOMES, Row
+from carpark_mj.evaluation.suite import Drives, suite_env
+from carpark_mj.layouts.held_out import load_held_out
+from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.rendering.renderer import LotRenderer, RenderingError
+from carpark_mj.rendering.rollout import Recording
+from carpark_mj.rendering.snapshot import frames_per_second, num_frames
+from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.video import draw_frame, write_video
+from carpark_mj.vehicle import preset
+
+SIZE = (640, 400)  # pixels
+FASTER = 4  # times: 100 s last 25 s
+FPS = 10.0
+END = 10  # frames that the last one stays
+FOLDER = "films"
+
+
+class Film(NamedTuple):
+    """A film of an episode.
+
+    Attributes:
+        row: the episode.
+        path: the file.
+    """
+
+    row: Row
+    path: Path
+
+
+def require_gl() -> None:
+    """Refuses to film without OpenGL.
+
+    Raises:
+        RenderingError: there is none.
+    """
+    if missing := choose_gl():
+        raise RenderingError(missing)
+
+
+def make_films(
+    folder: Path, rows: Sequence[Row], drives: Mapping[Key, Drives]
+) -> list[Film]:
+    """Films episodes from above, `FASTER` than they were driven.
+
+    Args:
+        folder: the films' folder is made in it.
+        rows: the episodes.
+        drives: how they were driven.
+
+    Raises:
+        RenderingError: there is no OpenGL.
+    """
+    films = []
+    for row in rows:
+        policy = Path(row["policy"]).name
+        name = f"{policy}-{row['level']}-{row['seed']}-{row['case']}.mp4"
+        path = folder / FOLDER / name
+        path.parent.mkdir(exist_ok=True)
+        _film(path, recording_of(row, drives[key_of(row)]))
+        films.append(Film(row, path))
+    return films
+
+
+def recording_of(row: Row, drive: Drives) -> Recording:
+    """An episode as the renderer takes it."""
+    steps = round(row["length"])
+    layouts = load_held_out(row["level"]).layouts
+    ends = {
+        name: (np.arange(steps) == steps - 1)[:, None] & bool(row[name])
+        for name in OUTCOMES[:3]
+    }
+    return Recording(
+        layout=jax.tree.map(lambda x: np.asarray(x[row["case"]]), layouts),
+        ctrl_dt=suite_env(EnvConfig(), "strict").sim.ctrl_dt,
+        pose_w=drive.pose_w[0, :steps, :, None],
+        steering=drive.steering[0, :steps, None],
+        speed=drive.speed[0, :steps, None],
+        goal=np.zeros((steps, 1), np.int32),
+        parked_pose=np.zeros((steps, 0, 3), np.float32),
+        active=np.ones((steps, 1), bool),
+        step=np.arange(1, steps + 1)[:, None],
+        **ends,
+    )
+
+
+def _film(path: Path, recording: Recording) -> None:
+    stage = Stage(recording.layout, preset("tpcap"), 1, 0)
+    renderer = LotRenderer(stage, "topdown", SIZE)
+    stride = max(1, round(FASTER * frames_per_second(recording) / FPS))
+    last = num_frames(recording) - 1
+    indices = [*range(stride - 1, last, stride), *[last] * END]
+    try:
+        pictures = (draw_frame(recording, renderer, index) for index in indices)
+        write_video(path, pictures, FASTER * frames_per_second(recording) / stride)
+    finally:
+        renderer.close()

@@ -1,0 +1,120 @@
+"""Results of the suite that several processes have written, read together."""
+
+import numpy as np
+import pytest
+
+from carpark_mj.cli.suite import SuiteConfig, main
+from carpark_mj.cli.suite_files import CASES_FILE, read_runs, write_run
+from carpark_mj.cli.suite_films import FASTER, make_films, recording_of
+from carpark_mj.evaluation.suite import Drives
+from carpark_mj.layouts.held_out import SHA256, load_held_out
+from carpark_mj.rendering.gl import choose_gl
+
+
+def episode(case, seed=0, rule="strict", **more):
+    which = {"policy": "x", "rule": rule, "held_out": SHA256[:16], "made_with": "cpu"}
+    which |= {"seed": seed, "level": "extreme", "case": case, "kind": "parallel"}
+    ends = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
+    return {**which, **ends, "length": 4.0 + case, "ms / decision": 2.0, **more}
+
+
+def drives(length):
+    shape = (1, length)
+    pose = np.broadcast_to(np.array([1.0, 2.0, 3.0], np.float32), (*shape, 2, 3))
+    return Drives(pose, np.ones(shape, np.float32), np.ones(shape, np.float32))
+
+
+def write(folder, *rows):
+    folder.mkdir()
+    kept = rows[-1]
+    key = kept["policy"], kept["level"], kept["seed"], kept["case"]
+    write_run(folder, rows, {key: drives(round(kept["length"]))})
+    return folder
+
+
+def test_what_processes_wrote_is_read_together(tmp_path):
+    planned = episode(1, policy="planner", planned=1.0, planned_path=float("nan"))
+    first = [episode(0), planned]
+    folders = [write(tmp_path / "a", *first), write(tmp_path / "b", episode(3, 1))]
+    episodes, kept = read_runs(folders)
+    assert episodes[0] == first[0]  # what a row lacks it lacks again
+    assert episodes[1] == pytest.approx(first[1], nan_ok=True)
+    assert [(row["seed"], row["case"]) for row in episodes] == [(0, 0), (0, 1), (1, 3)]
+    assert list(kept) == [("planner", "extreme", 0, 1), ("x", "extreme", 1, 3)]
+    for mine, read in zip(drives(7), kept["x", "extreme", 1, 3], strict=True):
+        np.testing.assert_array_equal(read, mine)
+    # Together again: the shorter drive is filled up, and what follows means nothing.
+    (tmp_path / "c").mkdir()
+    write_run(tmp_path / "c", episodes, kept)
+    again, both = read_runs([tmp_path / "c"])
+    assert [row["case"] for row in again] == [0, 1, 3]
+    assert both["planner", "extreme", 0, 1].speed.shape == (1, 7)
+    recording = recording_of(again[1], both["planner", "extreme", 0, 1])
+    assert recording.pose_w.shape == (5, 2, 1, 3)
+    assert recording.timed_out[:, 0].tolist() == [False] * 4 + [True]
+    layout = load_held_out("extreme").layouts
+    np.testing.assert_array_equal(recording.layout.bay_pose, layout.bay_pose[1])
+
+
+def test_combining_makes_the_table_of_all(tmp_path, capsys):
+    folders = [
+        write(tmp_path / "a", episode(0), episode(1)),
+        write(tmp_path / "b", episode(0, 1, parked=1.0, timed_out=0.0), episode(1, 1)),
+    ]
+    numbers = ("gear_changes", "path", "final_distance", "final_heading")
+    for folder in folders:  # as an episode that was driven has them
+        lines = (folder / CASES_FILE).read_text().splitlines()
+        more = ["," + ",".join(numbers) + ",time_to_park,hit_agent"]
+        more += [",1.0,9.0,0.1,0.1,30.0,0.0"] * (len(lines) - 1)
+        rows = [line + own for line, own in zip(lines, more, strict=True)]
+        (folder / CASES_FILE).write_text("\n".join(rows))
+    out = tmp_path / "out"
+    (row,) = main(SuiteConfig(combine=tuple(map(str, folders)), out=str(out)))
+    assert (row["cases"], row["seeds"], row["parked"]) == (2, 2, 0.25)
+    assert row["by seed"] == [0.0, 0.5]
+    assert "seeds 0, 1" in (out / "suite.md").read_text()
+    assert len(read_runs([out])[0]) == 4
+    assert "suite.html" in capsys.readouterr().out
+    with pytest.raises(ValueError, match="must not be one of the combined"):
+        main(SuiteConfig(combine=(str(out),), out=str(out)))
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([episode(0)], "repeats case 0 of extreme by x with seed 0"),
+        ([episode(1, rule="precise")], "different rules"),
+        ([episode(1, held_out="0")], "other held-out cases, '0'"),
+        ([episode(1, crashed="often")], "line 2: crashed is no number, 'often'"),
+        ([episode(1000)], "line 2: there is no case 1000 of level 'extreme'"),
+        ([episode(2), episode(1, length="")], "line 3: length is no number, ''"),
+    ],
+)
+def test_results_that_do_not_fit_are_refused(rows, message, tmp_path):
+    rows, last = [*rows[:-1]], rows[-1]
+    good = write(tmp_path / "good", episode(0))
+    bad = write(tmp_path / "bad", *rows, episode(9))
+    write_run(bad, [*rows, last], {("x", "extreme", 0, 9): drives(3)})
+    with pytest.raises(ValueError, match=message):
+        read_runs([good, bad])
+
+
+def test_a_file_of_something_else_is_refused(tmp_path):
+    (tmp_path / CASES_FILE).write_text("policy,seed\nx,0\n")
+    with pytest.raises(ValueError, match=r"cases\.csv lacks the columns case, crashed"):
+        read_runs([tmp_path])
+    folder = write(tmp_path / "a", episode(0))
+    (folder / "worst.npz").write_bytes(b"PK")
+    with pytest.raises(ValueError, match=r"worst\.npz has no drives of the suite"):
+        read_runs([folder])
+
+
+def test_a_film_is_faster_than_driving(tmp_path):
+    import imageio_ffmpeg
+
+    assert choose_gl() is None, "this machine cannot render"
+    row = episode(0, length=40.0)  # 8 s, and then the last picture for 1 s
+    (film,) = make_films(tmp_path, [row], {("x", "extreme", 0, 0): drives(40)})
+    assert film.path == tmp_path / "films" / "x-extreme-0-0.mp4"
+    data = next(imageio_ffmpeg.read_frames(str(film.path)))
+    assert data["duration"] == pytest.approx(8.0 / FASTER + 1.0, abs=0.2)
