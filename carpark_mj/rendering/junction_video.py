@@ -92,7 +92,7 @@ def _snapshot(
     pose = np.asarray(motion.trace_w)[:, trace]
     state = dataclasses.replace(state, motion=dataclasses.replace(motion, pose_w=pose))
     words = [
-        f"{name}: {_intention(drive, step, k)}, {speed:.0f} m/s"
+        f"{name}: {_intention(drive, step, k)}, {round(float(speed))} m/s"
         for k, (name, speed) in enumerate(zip(names, motion.speed, strict=True))
     ]
     tally = {"crashed": float(drive.crashed[step].sum())}

@@ -10,6 +10,7 @@ from carpark_mj.junction.actions import INDEX, SCALAR, parse, target_speeds
 
 PAIR = junctions.env()
 MIXED = junctions.env(scenario="3av-hd")
+BESIDE_HUMAN = junctions.env(scenario="2av-hd", end="all", max_steps=150)
 BATCH = tuple(jax.jit(jax.vmap(f)) for f in (MIXED.reset, MIXED.step))
 
 
@@ -149,6 +150,33 @@ def test_missions_are_dealt_out_and_starts_vary_if_asked():
         np.asarray(junctions.begin(junctions.env(scenario="3av")).along), 3
     )
     assert again.tolist() == [15.0, 15.0, 15.0]
+
+
+def test_a_car_that_waits_for_the_human_driven_one_earns_four_times_as_much():
+    """From the east: 1.6 s of braking and then on, or straight into the crash."""
+    begun = junctions.begin(BESIDE_HUMAN)
+    waits = junctions.drive(BESIDE_HUMAN, begun, lambda k: [int(k < 16), 0], 150)
+    goes = junctions.drive(BESIDE_HUMAN, begun, lambda _: [0, 0], 150)
+    earned = [float(steps[-1][1].returns[0]) for steps in (waits, goes)]
+    assert waits[-1][1].events.arrived[0]
+    assert earned == pytest.approx([68.1 - 2 + 10, 17.5], abs=2)
+
+
+@pytest.mark.parametrize(("held", "least", "most"), [(1, 0.0, 0.0), (5, 0.02, 0.2)])
+def test_random_actions_let_the_human_driven_car_pass_if_they_are_held(
+    held, least, most
+):
+    """Why IPPO and MAPPO hold theirs: step by step nobody ever waits."""
+
+    def episode(key):
+        state, _ = BESIDE_HUMAN.reset(key)
+        drawn = jax.random.randint(key, (150 // held, 2), 0, 4)
+        driven = jnp.repeat(drawn, held, axis=0)
+        steps = jax.lax.scan(BESIDE_HUMAN.step, state, driven)[1]
+        return steps.events.arrived[:, 0].any()
+
+    keys = jax.random.split(jax.random.key(0), 512)
+    assert least <= jax.jit(jax.vmap(episode))(keys).mean() <= most
 
 
 def test_with_probe_an_episode_begins_one_slow_down_in():

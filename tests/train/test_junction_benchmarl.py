@@ -11,10 +11,13 @@ pytest.importorskip("benchmarl", reason='pip install ".[torchrl]"')
 import jax
 import torch
 from tensordict import TensorDict
+from torchrl.envs import Compose, TransformedEnv
 
 from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
 from carpark_mj.junction.evaluation import NEVER
 from carpark_mj.policy import runs
+from carpark_mj.wrappers.junction_torchrl import TorchRLJunction
+from learners.benchmarl.build import HeldActions, make_task
 from learners.benchmarl.config import BenchMARLConfig
 from learners.benchmarl.episodes import Evaluation, GreedyPolicy
 from learners.benchmarl.presets import benchmarl_presets
@@ -27,6 +30,7 @@ TINY = {
     "name": "tiny",
     "hidden": (8,),
     "num_junctions": 4,
+    "repeat": 1,
     "unroll": 4,
     "updates": 2,
     "batch_size": 8,
@@ -56,7 +60,7 @@ def read_csv(path):
     ("algorithm", "changes"),
     [
         ("ippo", {"shared": False}),
-        ("mappo", {"action": "scalar", "scenario": "3av-hd"}),
+        ("mappo", {"action": "scalar", "scenario": "3av-hd", "repeat": 2, "unroll": 2}),
         ("maddpg", {}),
         ("vdn", RECURRENT),
         ("qmix", RECURRENT | {"scenario": "2av-hd"}),
@@ -96,6 +100,36 @@ def test_a_stopped_run_goes_on_with_its_networks_and_optimisers(tmp_path):
     assert steps == ["16", "32", "48"]
     assert len(runs.checkpoint_files(folder)) == 2
     assert train_run(resumed) == (folder, True)  # nothing is left to do
+
+
+def test_a_held_action_is_that_of_as_many_control_steps():
+    """And of fewer, if the episode ends before: 1.7 s to the crash, then nothing."""
+    held = HeldActions(2, repeat=5, scenario="2av-hd", end="all", seed=0)
+    single = TorchRLJunction(2, scenario="2av-hd", end="all", seed=0)
+    a, b = held.reset(), single.reset()
+    for choice in (0, 3, 1, 0, 0, 0, 0):
+        action = torch.full((2, 2), choice)
+        a = held.step(a.set(("agents", "action"), action))["next"]
+        rewards = 0.0
+        for _ in range(5):
+            b = single.step(b.set(("agents", "action"), action))["next"]
+            rewards = rewards + b["agents", "reward"].clone()
+        np.testing.assert_allclose(a["agents", "reward"], rewards, rtol=1e-5)
+        for name in ("observation", "terminated", "truncated"):
+            np.testing.assert_allclose(a["agents", name], b["agents", name], rtol=1e-5)
+    assert a["agents", "terminated"].any()
+
+
+@pytest.mark.parametrize(("algorithm", "scale"), [("mappo", 20.0), ("qmix", 1.0)])
+def test_ppo_learns_from_smaller_rewards_but_reports_them_as_they_are(algorithm, scale):
+    task = make_task(benchmarl_presets(algorithm)["parallel"])
+    env = task.get_env_fun(2, False, 0, "cpu")()
+    transforms = (*task.get_env_transforms(env), task.get_reward_sum_transform(env))
+    taken = TransformedEnv(env, Compose(*transforms)).rollout(8)["next", "agents"]
+    assert taken["reward"].any()
+    np.testing.assert_allclose(
+        taken["reward"].sum(1) * scale, taken["episode_reward"][:, -1], rtol=1e-5
+    )
 
 
 def test_critics_of_maddpg_have_a_learning_rate_of_their_own(tmp_path):

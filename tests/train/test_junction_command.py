@@ -50,6 +50,7 @@ def test_a_resumed_run_keeps_its_algorithm(tmp_path):
         (["--eval-jitter", "20"], ["jitter", "at most", "20"]),
         (["--eval-episodes", "0"], ["eval_episodes", "at least 1"]),
         (["--algorithm", "ippo", "--unroll", "1"], ["batch_size", "at most 256"]),
+        (["--algorithm", "ippo", "--max-steps", "99"], ["multiple of repeat", "99"]),
         (["--resume", "nowhere"], ["no run at nowhere"]),
     ],
 )

@@ -16,7 +16,8 @@ class BenchMARLConfig(JunctionRunConfig):
     The settings of `JunctionRunConfig` come first.
 
     Attributes:
-        unroll: control steps of every junction between updates.
+        repeat: control steps for which actions are held in training.
+        unroll: decisions of every agent between updates.
         updates: passes over these steps (`ippo`, `mappo`), or gradient steps on batches
             of the buffer after them.
         batch_size: transitions of a gradient step.
@@ -44,6 +45,7 @@ class BenchMARLConfig(JunctionRunConfig):
     shared: bool = True
     end: EndRule = "all"
     checkpoint_minutes: float = 5.0
+    repeat: int = 1
     unroll: int = 32
     updates: int = 4
     batch_size: int = 1024
@@ -55,7 +57,7 @@ class BenchMARLConfig(JunctionRunConfig):
     discount: float = 0.99
     gae_lambda: float = 0.95
     clip: float = 0.2
-    entropy: float = 0.1
+    entropy: float = 0.01
     tau: float = 0.01
     epsilon_start: float = 1.0
     epsilon_end: float = 0.05
@@ -81,12 +83,17 @@ class BenchMARLConfig(JunctionRunConfig):
                 f"{self.algorithm} observes vectors here, no {self.observation}: give "
                 "--observation vector"
             )
-        whole(self, 1, "unroll", "updates", "batch_size", "epsilon_steps")
+        whole(self, 1, "repeat", "unroll", "updates", "batch_size", "epsilon_steps")
+        if self.max_steps % self.repeat:
+            raise ValueError(
+                f"max_steps must be a multiple of repeat, {self.repeat}, or time would "
+                f"run out within a decision, not {self.max_steps}"
+            )
         whole(self, self.batch_size, "buffer_size")
         whole(self, 0, "random_steps", "recurrent")
-        if self.on_policy and self.batch_size > self.frames:
+        if self.on_policy and self.batch_size > self.decisions:
             raise ValueError(
-                f"batch_size must be at most {self.frames}, num_junctions times "
+                f"batch_size must be at most {self.decisions}, num_junctions times "
                 f"unroll, not {self.batch_size}"
             )
         positive(self, "learning_rate", "critic_learning_rate", "max_gradient", "clip")
@@ -103,9 +110,14 @@ class BenchMARLConfig(JunctionRunConfig):
         return self.algorithm in ON_POLICY
 
     @property
+    def decisions(self) -> int:
+        """What an agent decides between updates, in all junctions together."""
+        return self.num_junctions * self.unroll
+
+    @property
     def frames(self) -> int:
         """Control steps between updates, of all junctions together."""
-        return self.num_junctions * self.unroll
+        return self.decisions * self.repeat
 
     @property
     def iterations(self) -> int:

@@ -6,10 +6,12 @@ from typing import Any
 from learners.benchmarl.config import ON_POLICY, BenchMARLConfig
 from learners.junction.config import Algorithm
 
-# Starts vary more than in evaluations, and who waits has the time to get through.
+# Starts vary more than in evaluations, and who waits has the time to get through. Held
+# for 0.5 s, random actions brake for long enough to find out that waiting pays.
 PPO: dict[str, Any] = {
     "max_steps": 150,
     "jitter": 3.0,
+    "repeat": 5,
     "num_junctions": 256,
     "discount": 0.995,
 }

@@ -81,12 +81,17 @@ class Training(Experiment):
         if runs.checkpoint_files(folder):
             self._load(runs.latest_checkpoint(folder))
 
+    @property
+    def env_steps(self) -> int:
+        """Control steps of all junctions so far."""
+        return self.total_frames * self._run.repeat
+
     def train(self) -> bool:
         """Trains until done, stopped or at the time limit; True when done."""
         config = self._run
         self._loop = Loop(config.algorithm, config)
         with (
-            self._loop.over(config.iterations * config.frames, self.total_frames),
+            self._loop.over(config.iterations * config.frames, self.env_steps),
             contextlib.closing(MetricsLog(self._folder, self.n_iters_performed)) as log,
         ):
             self._log = log
@@ -109,9 +114,9 @@ class Training(Experiment):
             self.losses[GROUP].entropy_coeff.fill_(config.entropy * left)
         if finished or done % config.iterations_per_evaluation == 0:
             self._evaluate()
-        counts = {"update": done, "env_steps": self.total_frames}
+        counts = {"update": done, "env_steps": self.env_steps}
         self._log.write(counts | self._monitor.row())
-        self._loop.show(self.total_frames, progress(self.evaluations[-1]))
+        self._loop.show(self.env_steps, progress(self.evaluations[-1]))
         leaving = finished or self._loop.stopping
         if leaving or self._loop.checkpoint_is_due:
             self._save()
@@ -126,11 +131,11 @@ class Training(Experiment):
         return GreedyPolicy(self.policy, self.test_env.reset()[:episodes])
 
     def _evaluate(self) -> None:
-        if any(row["env_steps"] == self.total_frames for row in self.evaluations):
+        if any(row["env_steps"] == self.env_steps for row in self.evaluations):
             return
         outcomes = self._evaluation(self.greedy_policy(self._run.eval_episodes))
         row = summarize(outcomes, self._run.junction.traffic)
-        self.evaluations.append({"env_steps": self.total_frames, **row})
+        self.evaluations.append({"env_steps": self.env_steps, **row})
         write_evaluations(self._folder, self._run, self.evaluations)
 
     def _save(self) -> None:
@@ -142,11 +147,11 @@ class Training(Experiment):
             "algorithm": self._run.algorithm,
             "config": dataclasses.asdict(self._run),
             "evaluations": self.evaluations,
-            "env_steps": self.total_frames,
+            "env_steps": self.env_steps,
             "bytes": len(file.getbuffer()),
         }
         tree = {"torch": np.frombuffer(file.getbuffer(), np.uint8)}
-        runs.save_checkpoint(self._folder, tree, header, self.total_frames)
+        runs.save_checkpoint(self._folder, tree, header, self.env_steps)
 
     def _load(self, path: Path) -> None:
         header = checkpoints.read_header(path)
