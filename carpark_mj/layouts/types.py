@@ -20,9 +20,7 @@ class BayKind(enum.IntEnum):
     ACCESSIBLE = 1
     FAMILY = 2
     RESERVED = 3  # for parked cars: no agent's goal while another bay is free
-    EXIT = (
-        4  # a lane out of the lot, the goal of cars that leave: `GoalConfig.drive_out`
-    )
+    EXIT = 4  # a lane out of the lot, goal of cars that leave: `GoalConfig.drive_out`
 
 
 class WallKind(enum.IntEnum):
