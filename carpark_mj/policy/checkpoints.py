@@ -151,6 +151,16 @@ def read_header(path: Path) -> dict[str, Any]:
     return header
 
 
+def names(path: Path) -> list[str]:
+    """Names of the arrays in a checkpoint, each the path in its pytree.
+
+    Raises:
+        CheckpointError: missing, damaged or foreign file.
+    """
+    with _open(path) as file:
+        return [name for name in file.files if name != _HEADER]
+
+
 def load(path: Path, template: Any) -> Any:
     """Reads the arrays of a checkpoint into the structure of `template`.
 

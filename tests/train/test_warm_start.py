@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.training.types import UInt64
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import (
     ContinuousObservation,
@@ -14,10 +15,13 @@ from carpark_mj.config import (
     ShareConfig,
     SimConfig,
 )
+from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import make_fields
 from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.loading import save_policy
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.normalizer import update_normalizer
+from carpark_mj.wrappers.brax import BraxParking
 from learners.ppo.learner import Learner
 from learners.ppo.presets import PRESETS
 from learners.ppo.train import load_or_init, save
@@ -79,6 +83,41 @@ def test_a_resumed_run_goes_on_from_its_own_checkpoint(other, tmp_path):
     save(tmp_path, config, own)
     state = load_or_init(Learner(config), [tmp_path])
     jax.tree.map(np.testing.assert_array_equal, state.policy, own.policy)
+
+
+def same(one, other):
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+    return all(np.array_equal(a, b) for a, b in pairs)
+
+
+def test_a_policy_alone_lends_its_actor_which_rests_while_a_critic_learns(
+    other, tmp_path
+):
+    folder, theirs = other
+    save_policy(folder, tmp_path / "alone.npz")
+    # A step more than one update: two.
+    steps = TINY.steps_per_update + 1
+    config = dataclasses.replace(
+        TINY, warm_start=str(tmp_path / "alone.npz"), critic_steps=steps
+    )
+    require_run(config)
+    learner = Learner(config)
+    learner.env = BraxParking(ParkingEnv(config.env, SlidePhysics()))
+    state = load_or_init(learner, [tmp_path / "run"])
+    start = jax.device_get(state)
+    for actor in (start.policy, start.average):
+        assert same(actor, theirs.average)
+    assert same(start.normalizer, theirs.normalizer)
+    assert same(start.value, jax.device_get(Learner(config).init()).value)
+    update, moved = learner.compile(), []
+    for _ in range(3):
+        state, _ = update(state)
+        now = jax.device_get(state)
+        moved.append(
+            [not same(now.policy, start.policy), not same(now.value, start.value)]
+        )
+    assert moved == [[False, True], [False, True], [True, True]]
+    assert now.skipped == 0
 
 
 WIDER = dataclasses.replace(
@@ -178,8 +217,13 @@ def refused(tmp_path, error, match, **changes):
 
 def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
     folder = str(other[0])
-    with pytest.raises(ValueError, match="of a run, not 'square'"):
+    with pytest.raises(
+        ValueError, match=r"or a pretrained policy \(.*\), not 'nobody'"
+    ):
+        require_run(dataclasses.replace(TINY, warm_start="nobody"))
+    with pytest.raises(ValueError, match="square is a policy without a critic: give"):
         require_run(dataclasses.replace(TINY, warm_start="square"))
+    require_run(dataclasses.replace(TINY, warm_start="square", critic_steps=1))
     require_run(dataclasses.replace(TINY, warm_start=folder))
     refused(tmp_path, CheckpointError, "no checkpoint", warm_start=str(tmp_path))
     refused(

@@ -58,8 +58,8 @@ class PPOConfig(RunConfig):
 
     Attributes:
         preset: settings the other flags start from.
-        warm_start: run whose networks the training starts from instead of random ones;
-            folder or checkpoint.
+        warm_start: run whose networks the training starts from instead of random ones:
+            folder, checkpoint, or name of a pretrained policy with `critic_steps`.
         num_steps: total number of agent steps.
         minutes: time after which training ends before `num_steps` are made, compiling
             included, evaluation and video not [min]; 0 = no limit. Schedules then
@@ -86,6 +86,8 @@ class PPOConfig(RunConfig):
         hitbox_scale: factor on the cars' lengths and widths in collision tests during
             the first `hitbox_steps`, so that a margin is learnt; never in evaluations.
         hitbox_steps: agent steps with `hitbox_scale`, rounded up to updates.
+        critic_steps: agent steps at the start in which only the critic learns, rounded
+            up to updates; for warm starts from a policy without a critic.
         checkpoint_updates: updates between checkpoints, instead of minutes; 0 = use
             `checkpoint_minutes`.
         eval_episodes: episodes of the evaluation at the end; 0 = none.
@@ -117,6 +119,7 @@ class PPOConfig(RunConfig):
     averaged_updates: int = 32
     hitbox_scale: float = 1.0
     hitbox_steps: int = 0
+    critic_steps: int = 0
     checkpoint_updates: int = 0
     eval_episodes: int = 1024
     video_seconds: float = 20.0
@@ -149,6 +152,7 @@ class PPOConfig(RunConfig):
             "clip_end",
             "checkpoint_updates",
             "hitbox_steps",
+            "critic_steps",
         )
         # Refused now, not when the training is over.
         for name, most in (
@@ -210,6 +214,11 @@ class PPOConfig(RunConfig):
     def steps_per_update(self) -> int:
         """Agent steps collected for one update."""
         return self.num_lots * self.env.num_agents * self.unroll_length
+
+    @property
+    def critic_updates(self) -> int:
+        """Updates in which only the critic learns."""
+        return -(-self.critic_steps // self.steps_per_update)
 
     @property
     def hitbox_updates(self) -> int:

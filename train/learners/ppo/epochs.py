@@ -93,6 +93,14 @@ def learn(
     if ml_agents:
         old = prepare_steps(unravel(start), networks, normalizer, old)
     loss: Any = ml_agents_loss if ml_agents else ppo_loss
+    rate: Any = learning_rate
+    if config.critic_steps:
+        acts = (state.update >= config.critic_updates).astype(jnp.float32)
+        moves = network_params(
+            jax.tree.map(lambda x: jnp.full_like(x, acts), state.policy),
+            jax.tree.map(jnp.ones_like, state.value),
+        )
+        rate = learning_rate * ravel_pytree(moves)[0]
 
     def epoch(carry: Any, key: jax.Array) -> tuple[Any, Any]:
         steps = old if ml_agents else prepare(unravel(carry[0]))
@@ -114,7 +122,7 @@ def learn(
             grads = jax.lax.pmean(ravel_pytree(grads)[0], AXIS)
             updates: Any
             updates, moments = optimizer.update(grads, moments)
-            return (params - learning_rate * updates, moments), losses
+            return (params - rate * updates, moments), losses
 
         shuffle_key, loss_key = jax.random.split(key)
         # Of steps, or of agents.

@@ -1,4 +1,7 @@
-"""Warm starts: a training that begins with the networks of another run."""
+"""Warm starts: a training that begins with the networks of another run.
+
+Of a pretrained policy, which has no critic, only the actor; a new critic learns first.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -13,26 +16,41 @@ from carpark_mj.policy import checkpoints
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.networks import make_networks, network_inputs
 from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.policy.pretrained import describe_names, find_policy
 from learners.ppo.config import PPOConfig
 from learners.ppo.state import TrainingState
 from learners.ppo.widening import new_fields, widen
 
 # What a run takes over; optimizer, schedules, lots and counters are its own.
 TAKEN = ("normalizer", "policy", "average", "value")
+ALONE = ("normalizer", "average")  # what a policy without a critic has
 
 
 def require_run(config: PPOConfig) -> None:
-    """Refuses a warm start from what is no run.
+    """Refuses a warm start from what is no run, or has no critic while one is needed.
 
     Raises:
-        ValueError: there is nothing of that name. Pretrained policies are found by
-            name elsewhere, but have no critic.
+        CheckpointError: the run has no checkpoint.
+        ValueError: there is nothing of that name, or no critic in it.
     """
-    if config.warm_start and not Path(config.warm_start).exists():
+    if not config.warm_start:
+        return
+    if not find_policy(config.warm_start).exists():
         raise ValueError(
-            "warm_start must be the folder or a checkpoint of a run, not "
-            f"{config.warm_start!r}"
+            "warm_start must be the folder or a checkpoint of a run, or a pretrained "
+            f"policy ({describe_names()}), not {config.warm_start!r}"
         )
+    path = load_policy(config.warm_start).path
+    if not config.critic_steps and not _has_critic(path):
+        raise ValueError(
+            f"{config.warm_start} is a policy without a critic: give critic_steps, in "
+            "which only a new critic learns, for example 5000000"
+        )
+
+
+def _has_critic(path: Path) -> bool:
+    """Whether a checkpoint is a training's, not that of a policy alone."""
+    return any(name.startswith("['value']") for name in checkpoints.names(path))
 
 
 def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
@@ -48,19 +66,26 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
         CheckpointError: the run has no checkpoint, or other networks.
         ValueError: its agents do something else, or observe what ours do not.
     """
-    run = load_policy(Path(config.warm_start))
+    run = load_policy(config.warm_start)
+    taken = TAKEN if _has_critic(run.path) else ALONE
     if not new_fields(config, run.env):
-        path = load_policy(Path(config.warm_start), env=config.env).path
-        template = {name: getattr(state, name) for name in TAKEN}
-        return dataclasses.replace(state, **checkpoints.load(path, template))
+        path = load_policy(config.warm_start, env=config.env).path
+        template = {name: getattr(state, name) for name in taken}
+        return _replace(state, checkpoints.load(path, template))
     if action_spec(run.env) != action_spec(config.env):
         raise ValueError(
             f"{config.warm_start} was trained for other actions "
             f"({action_spec(run.env)}) than this environment's "
             f"({action_spec(config.env)})"
         )
-    taken = checkpoints.load(run.path, _template(config, run.env))
-    return dataclasses.replace(state, **widen(config, run.env, taken))
+    template = _template(config, run.env)
+    found = checkpoints.load(run.path, {name: template[name] for name in taken})
+    return _replace(state, widen(config, run.env, found))
+
+
+def _replace(state: TrainingState, found: dict[str, Any]) -> TrainingState:
+    """The state with what was found; a policy alone is an average, the actor too."""
+    return dataclasses.replace(state, **{"policy": found["average"]} | found)
 
 
 def _template(config: PPOConfig, env: EnvConfig) -> dict[str, Any]:
