@@ -181,7 +181,9 @@ def test_a_start_is_free_and_the_way_back_ends_parked_in_the_bay(name):
 
     back = retrace(start, draws, bay_pose, fleet)
     there = cars(back[:, -1], size=size)
-    parks = {rule: is_parked(rule, there, bay_pose, bay_size) for rule in PARKED_RULES}
+    # Who is 5 m from a bay's end, where starts are, has arrived as MetaDrive has it.
+    rules = [name for name, limits in PARKED_RULES.items() if limits.from_end is None]
+    parks = {rule: is_parked(rule, there, bay_pose, bay_size) for rule in rules}
     standing = cars(start, size=size)
     for rule, good in parks.items():
         assert np.asarray(good)[found].all(), rule
