@@ -153,6 +153,20 @@ def columns(config, keep=None):
     )
 
 
+def test_a_policy_alone_is_widened_too(other, tmp_path):
+    save_policy(other[0], tmp_path / "alone.npz")
+    config = dataclasses.replace(
+        WIDER, warm_start=str(tmp_path / "alone.npz"), critic_steps=1
+    )
+    state = jax.device_get(load_or_init(Learner(config), [tmp_path / "run"]))
+    whole = dataclasses.replace(WIDER, warm_start=str(other[0]))
+    expected = jax.device_get(load_or_init(Learner(whole), [tmp_path / "run"]))
+    for name in ("normalizer", "average"):
+        assert same(getattr(state, name), getattr(expected, name))
+    assert same(state.policy, expected.average)
+    assert same(state.value, jax.device_get(Learner(config).init()).value)
+
+
 def test_agents_that_observe_more_act_as_before_and_learn_from_it(other, tmp_path):
     folder, theirs = other
     config = dataclasses.replace(WIDER, warm_start=str(folder))
