@@ -55,7 +55,8 @@ class SuiteConfig:
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
             or `random`.
         levels: which levels.
-        cases: of each level, from its first one.
+        cases: how many of each level; all from `first_case` on if None.
+        first_case: of each level, from 0.
         rule: when a car counts as parked.
         seeds: of the planner's searches, and of policies that draw; each drives all
             cases.
@@ -71,7 +72,8 @@ class SuiteConfig:
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
     ] = ()
     levels: tuple[Level, ...] = LEVELS
-    cases: int = CASES
+    cases: int | None = None
+    first_case: int = 0
     rule: ParkedRule = "strict"
     seeds: tuple[int, ...] = (0,)
     films: int = 0
@@ -84,8 +86,15 @@ class SuiteConfig:
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
             )
-        if not 1 <= self.cases <= CASES:
-            raise ValueError(f"cases must be 1 to {CASES}, not {self.cases}")
+        if not 0 <= self.first_case < CASES:
+            raise ValueError(
+                f"first_case must be 0 to {CASES - 1}, not {self.first_case}"
+            )
+        if self.cases is not None and not 1 <= self.cases <= CASES - self.first_case:
+            raise ValueError(
+                f"cases must be 1 to {CASES - self.first_case} from case "
+                f"{self.first_case} on, not {self.cases}"
+            )
         if not 0 <= self.films <= WORST:
             raise ValueError(f"films must be 0 to {WORST}, not {self.films}")
         for name in ("policies", "levels", "seeds", "combine"):
@@ -143,7 +152,8 @@ _Drawn = list[tuple[str, Layout, Path | None]]
 def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Drawn]:
     """Episodes, how the worst ones were driven, and the planner's first paths."""
     drivers = {name: find_driver(name) for name in config.policies}
-    cases = [pick_cases(level, config.cases) for level in config.levels]
+    count = config.cases or CASES - config.first_case
+    cases = [pick_cases(level, count, config.first_case) for level in config.levels]
     head = {"rule": config.rule, "held_out": SHA256[:16]}
     tail = {"made_with": made_with()}
     episodes: list[Row] = []
@@ -153,7 +163,9 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
         env = ParkingEnv(suite_env(driver.env, config.rule))
         for seed in config.seeds:
             for part in cases:
-                policy, planner = _policy(name, driver.policy, env, seed)
+                policy, planner = _policy(
+                    name, driver.policy, env, seed, config.first_case
+                )
                 rows, driven = drive_cases(env, policy, part, seed)
                 if planner is not None:
                     plans = _plans(planner, len(rows))
@@ -170,9 +182,11 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
 
 
 def _policy(
-    name: str, make: Any, env: ParkingEnv, seed: int
+    name: str, make: Any, env: ParkingEnv, seed: int, first: int
 ) -> tuple[AnyPolicy, Planner | None]:
-    return planner_policy(env, seed) if name == PLANNER else (make(env), None)
+    if name != PLANNER:
+        return make(env), None
+    return planner_policy(env, seed, first_lot=first)
 
 
 def _worst_drives(rows: list[Row], driven: Drives) -> dict[Key, Drives]:

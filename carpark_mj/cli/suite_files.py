@@ -75,7 +75,8 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
 
     Raises:
         ValueError: a file is malformed, or has an episode that another one has too, or
-            other cases than this version, or another rule.
+            other cases than this version, or another rule, or a policy's episodes were
+            driven with different versions of packages.
         OSError: a file cannot be read.
     """
     episodes: dict[Key, Row] = {}
@@ -94,6 +95,14 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
     rules = sorted({row["rule"] for row in episodes.values()})
     if len(rules) > 1:
         raise ValueError(f"results under different rules do not mix: {rules}")
+    for policy in {row["policy"] for row in episodes.values()}:
+        own = (row for row in episodes.values() if row["policy"] == policy)
+        # Devices may differ: what stands before the first comma.
+        versions = sorted({row["made_with"].partition(", ")[2] for row in own})
+        if len(versions) > 1:
+            raise ValueError(
+                f"results of {policy} with different versions do not mix: {versions}"
+            )
     order = sorted(episodes.values(), key=lambda row: (row["seed"], row["case"]))
     return order, drives
 

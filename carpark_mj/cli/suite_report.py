@@ -1,8 +1,9 @@
 """The results of the suite as a table on the screen and as files."""
 
 import importlib.metadata
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ def header(episodes: Sequence[Row]) -> list[str]:
     """The title of a suite's results, then what they depend on."""
     seeds = sorted({row["seed"] for row in episodes})
     levels = [
-        f"{len(found)} of {level}"
+        f"{len(found)} of {level} ({_ranges(found)})"
         for level in LEVELS
         if (found := {row["case"] for row in episodes if row["level"] == level})
     ]
@@ -59,6 +60,17 @@ def header(episodes: Sequence[Row]) -> list[str]:
         "episodes; planning and the planner's decisions are counted in seconds of the "
         "processor, decisions are those of one car at a time.",
     ]
+
+
+def _ranges(numbers: Iterable[int]) -> str:
+    """Whole numbers, those that follow each other as a range: 0 to 3, 7."""
+    shown: list[str] = []
+    for _, pairs in itertools.groupby(
+        enumerate(sorted(numbers)), lambda pair: pair[1] - pair[0]
+    ):
+        run = [number for _, number in pairs]
+        shown.append(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]))
+    return ", ".join(shown)
 
 
 def shown_cells(row: Mapping[str, Any]) -> dict[str, str]:

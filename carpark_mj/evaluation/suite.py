@@ -33,7 +33,7 @@ from carpark_mj.evaluation.aggregation import (
 )
 from carpark_mj.evaluation.rollout import CHUNK, evaluation_key
 from carpark_mj.layouts import HopeConfig, Layout, layout_maxima, pad_layout
-from carpark_mj.layouts.held_out import LEVELS, load_held_out
+from carpark_mj.layouts.held_out import CASES, LEVELS, load_held_out
 from carpark_mj.layouts.standards import Level
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 
@@ -82,15 +82,15 @@ class Cases(NamedTuple):
     layouts: Layout
 
 
-def pick_cases(level: Level, count: int) -> Cases:
-    """The first cases of a level."""
+def pick_cases(level: Level, count: int, first: int = 0) -> Cases:
+    """Cases of a level that follow each other."""
     layouts, parallel = load_held_out(level)
     shapes = [load_held_out(name).layouts for name in LEVELS]
-    maxima = layout_maxima(shapes)
+    maxima, which = layout_maxima(shapes), slice(first, first + count)
     padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
-        jax.tree.map(lambda x: x[:count], layouts)
+        jax.tree.map(lambda x: x[which], layouts)
     )
-    return Cases(level, np.arange(count), parallel[:count], padded)
+    return Cases(level, np.arange(CASES)[which], parallel[which], padded)
 
 
 class Drives(NamedTuple):

@@ -1,9 +1,11 @@
-"""Solid boxes and discs, and whether a car stands free of them; NumPy, one pose a call.
+"""Solid boxes and discs, and whether a car stands free of them; one pose a call.
 
 The test is exact, as `carpark_mj.geometry.boxes_overlap`, which is for batches. A grid
-of distances to the nearest obstacle answers most calls before it.
+says which obstacles are near: often none, or one that is too near for any heading. The
+few others are tested on plain numbers, for NumPy takes longer to call than to compute.
 """
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -35,6 +37,28 @@ class Solids(NamedTuple):
         )
 
 
+class _Box(NamedTuple):
+    x: float
+    y: float
+    cos: float
+    sin: float
+    half_x: float
+    half_y: float
+
+
+class _Disc(NamedTuple):
+    x: float
+    y: float
+    radius: float
+
+
+class _Near(NamedTuple):
+    """Obstacles that a rectangle may touch."""
+
+    boxes: list[_Box]
+    discs: list[_Disc]
+
+
 class FreeSpace:
     """Where a rectangle can stand in a lot.
 
@@ -55,36 +79,47 @@ class FreeSpace:
         """
         self.extent = extent
         self._half = size[0] / 2, size[1] / 2
-        self._x, self._y, yaw = solids.pose.T
-        self._yaw, self._cos, self._sin = yaw, np.cos(yaw), np.sin(yaw)
-        self._half_x, self._half_y = solids.size.T / 2
-        self._disc, self._radius = solids.centre, solids.radius
-        # Any point of a cell is so near to the cell's middle.
-        slack = CELL * math.sqrt(0.5)
-        self._far = math.hypot(*self._half) + slack
-        self._near = min(self._half) - slack
+        x, y, yaw = solids.pose.T
+        boxes = np.column_stack([x, y, np.cos(yaw), np.sin(yaw), solids.size / 2])
+        discs = np.column_stack([solids.centre, solids.radius])
+        self._boxes = [_Box(*row) for row in boxes.tolist()]
+        self._discs = [_Disc(*row) for row in discs.tolist()]
         self._counts = tuple(math.ceil(2 * half / CELL) for half in extent)
-        self._grid = self._distances().tolist() if grid else None
+        self._distance = self._distances() if grid else None
+        self._near: dict[tuple[int, int], _Near | None] = {}
 
     def _distances(self) -> np.ndarray:
-        """Distances [m] from the middles of cells to the nearest obstacle."""
+        """Distances [m] from the middles of cells to every box, then every disc."""
         x, y = (
             CELL * (np.arange(count) + 0.5) - half
             for count, half in zip(self._counts, self.extent, strict=True)
         )
         x, y = x[:, None], y[None]
-        nearest = np.full(self._counts, np.inf)
-        for row in range(len(self._x)):
-            cos, sin = self._cos[row], self._sin[row]
-            dx, dy = x - self._x[row], y - self._y[row]
-            along = np.abs(cos * dx + sin * dy) - self._half_x[row]
-            across = np.abs(cos * dy - sin * dx) - self._half_y[row]
+        gaps = np.empty((*self._counts, len(self._boxes) + len(self._discs)))
+        for number, box in enumerate(self._boxes):
+            dx, dy = x - box.x, y - box.y
+            along = np.abs(box.cos * dx + box.sin * dy) - box.half_x
+            across = np.abs(box.cos * dy - box.sin * dx) - box.half_y
             gap = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
-            nearest = np.minimum(nearest, gap)
-        for (cx, cy), radius in zip(self._disc, self._radius, strict=True):
-            gap = np.maximum(np.hypot(x - cx, y - cy) - radius, 0.0)
-            nearest = np.minimum(nearest, gap)
-        return nearest
+            gaps[:, :, number] = gap
+        for number, disc in enumerate(self._discs, start=len(self._boxes)):
+            gap = np.hypot(x - disc.x, y - disc.y) - disc.radius
+            gaps[:, :, number] = np.maximum(gap, 0.0)
+        return gaps
+
+    def _obstacles(self, column: int, row: int) -> _Near | None:
+        """What the rectangle may touch with its centre in a cell; None: one for sure."""
+        if self._distance is None:
+            return _Near(self._boxes, self._discs)
+        # Any point of a cell is so near to the cell's middle.
+        slack = CELL * math.sqrt(0.5)
+        distance = self._distance[column, row]
+        if (distance < min(self._half) - slack).any():
+            return None
+        near = (distance <= math.hypot(*self._half) + slack).tolist()
+        boxes = itertools.compress(self._boxes, near)
+        discs = itertools.compress(self._discs, near[len(self._boxes) :])
+        return _Near(list(boxes), list(discs))
 
     def is_free(self, x: float, y: float, yaw: float) -> bool:
         """Whether the rectangle with this centre lies in the lot and touches nothing.
@@ -93,39 +128,35 @@ class FreeSpace:
         """
         column = math.floor((x + self.extent[0]) / CELL)
         row = math.floor((y + self.extent[1]) / CELL)
-        if not (0 <= column < self._counts[0] and 0 <= row < self._counts[1]):
-            return False
-        if self._grid is None:
-            return self._test(x, y, yaw)
-        distance = self._grid[column][row]
-        if distance > self._far:
-            return True
-        return distance >= self._near and self._test(x, y, yaw)
+        cell = column, row
+        if cell not in self._near:
+            if not (0 <= column < self._counts[0] and 0 <= row < self._counts[1]):
+                return False
+            self._near[cell] = self._obstacles(column, row)
+        near = self._near[cell]
+        return near is not None and self._test(near, x, y, yaw)
 
-    def _test(self, x: float, y: float, yaw: float) -> bool:
-        """The separating axis theorem against all boxes, and all discs."""
+    def _test(self, near: _Near, x: float, y: float, yaw: float) -> bool:
+        """The separating axis theorem against boxes, and discs."""
         half_x, half_y = self._half
         cos, sin = math.cos(yaw), math.sin(yaw)
-        dx, dy = self._x - x, self._y - y
-        turn = self._yaw - yaw
-        c, s = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-        apart = np.abs(cos * dx + sin * dy) >= half_x + self._half_x * c + (
-            self._half_y * s
-        )
-        apart |= np.abs(cos * dy - sin * dx) >= half_y + self._half_x * s + (
-            self._half_y * c
-        )
-        apart |= np.abs(self._cos * dx + self._sin * dy) >= (
-            self._half_x + half_x * c + half_y * s
-        )
-        apart |= np.abs(self._cos * dy - self._sin * dx) >= (
-            self._half_y + half_x * s + half_y * c
-        )
-        if not apart.all():
-            return False
-        if not len(self._radius):
-            return True
-        dx, dy = self._disc[:, 0] - x, self._disc[:, 1] - y
-        along = np.maximum(np.abs(cos * dx + sin * dy) - half_x, 0.0)
-        across = np.maximum(np.abs(cos * dy - sin * dx) - half_y, 0.0)
-        return bool((np.hypot(along, across) >= self._radius).all())
+        for box in near.boxes:
+            dx, dy = box.x - x, box.y - y
+            c = abs(box.cos * cos + box.sin * sin)
+            s = abs(box.sin * cos - box.cos * sin)
+            if not (
+                abs(cos * dx + sin * dy) >= half_x + box.half_x * c + box.half_y * s
+                or abs(cos * dy - sin * dx) >= half_y + box.half_x * s + box.half_y * c
+                or abs(box.cos * dx + box.sin * dy)
+                >= box.half_x + half_x * c + half_y * s
+                or abs(box.cos * dy - box.sin * dx)
+                >= box.half_y + half_x * s + half_y * c
+            ):
+                return False
+        for disc in near.discs:
+            dx, dy = disc.x - x, disc.y - y
+            along = max(abs(cos * dx + sin * dy) - half_x, 0.0)
+            across = max(abs(cos * dy - sin * dx) - half_y, 0.0)
+            if math.hypot(along, across) < disc.radius:
+                return False
+        return True

@@ -30,12 +30,25 @@ class Planner:
     """
 
     def __init__(
-        self, ctrl_dt: float, seed: int = 0, config: SearchConfig | None = None
+        self,
+        ctrl_dt: float,
+        seed: int = 0,
+        config: SearchConfig | None = None,
+        first_lot: int = 0,
     ) -> None:
-        """Nobody drives yet; `ctrl_dt` is the control period [s]."""
+        """Nobody drives yet.
+
+        Args:
+            ctrl_dt: control period [s].
+            seed: of the searches, another one for each lot and agent.
+            config: how to search; the defaults if None.
+            first_lot: number of the first lot of a batch that is part of a larger one:
+                the searches are then those of the larger one.
+        """
         self.agents: dict[tuple[int, int], Agent] = {}
         self.decisions, self.seconds = 0, 0.0
-        self._dt, self._seed, self._config = ctrl_dt, seed, config or SearchConfig()
+        self._dt, self._config = ctrl_dt, config or SearchConfig()
+        self._seed = 1_000_000 * seed + 1000 * first_lot
 
     def searches(self, lot: int, agent: int) -> list[Search]:
         """The searches of an agent's last episode, the first one at its start."""
@@ -58,15 +71,18 @@ class Planner:
 
     def _agent(self, lot: int, agent: int) -> Agent:
         if (lot, agent) not in self.agents:
-            seed = 1_000_000 * self._seed + 1000 * lot + 100 * agent
+            seed = self._seed + 1000 * lot + 100 * agent
             self.agents[lot, agent] = Agent(seed, self._dt, self._config)
         return self.agents[lot, agent]
 
 
 def planner_policy(
-    env: ParkingEnv, seed: int = 0, config: SearchConfig | None = None
+    env: ParkingEnv,
+    seed: int = 0,
+    config: SearchConfig | None = None,
+    first_lot: int = 0,
 ) -> tuple[StatePolicy, Planner]:
-    """A policy that drives on planned paths, and its memory.
+    """A policy that drives on planned paths, and its memory; arguments of `Planner`.
 
     Raises:
         ValueError: OMPL is not installed, or agents choose their goals, or cars do not
@@ -80,7 +96,7 @@ def planner_policy(
     if env.config.goals.dynamic:
         raise ValueError("the planner needs fixed goals, goals.dynamic = False")
     require_ompl()
-    planner = Planner(env.config.sim.ctrl_dt, seed, config)
+    planner = Planner(env.config.sim.ctrl_dt, seed, config, first_lot)
     return StatePolicy(_callback(planner.act)), planner
 
 

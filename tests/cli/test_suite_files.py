@@ -68,6 +68,9 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys):
         more += [",1.0,9.0,0.1,0.1,30.0,0.0"] * (len(lines) - 1)
         rows = [line + own for line, own in zip(lines, more, strict=True)]
         (folder / CASES_FILE).write_text("\n".join(rows))
+    # Another device is no other version.
+    second = folders[1] / CASES_FILE
+    second.write_text(second.read_text().replace("cpu", "gpu"))
     out = tmp_path / "out"
     (row,) = main(SuiteConfig(combine=tuple(map(str, folders)), out=str(out)))
     assert (row["cases"], row["seeds"], row["parked"]) == (2, 2, 0.25)
@@ -84,6 +87,7 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys):
     [
         ([episode(0)], "repeats case 0 of extreme by x with seed 0"),
         ([episode(1, rule="precise")], "different rules"),
+        ([episode(1, made_with="cpu, jax 0")], r"x with different versions .*'jax 0'"),
         ([episode(1, held_out="0")], "other held-out cases, '0'"),
         ([episode(1, crashed="often")], "line 2: crashed is no number, 'often'"),
         ([episode(1000)], "line 2: there is no case 1000 of level 'extreme'"),

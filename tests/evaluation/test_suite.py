@@ -55,6 +55,20 @@ def test_every_case_gives_one_row_from_its_own_start():
     np.testing.assert_allclose(ends, expected, atol=2e-3)
 
 
+def test_a_part_of_a_level_has_the_cases_of_the_level():
+    whole, part = pick_cases("complex", 1000), pick_cases("complex", 3, first=501)
+    assert part.number.tolist() == [501, 502, 503]
+    assert part.parallel.tolist() == [True, False, True]
+    expected = jax.tree.map(lambda x: x[501:504], whole.layouts)
+    jax.tree.map(np.testing.assert_array_equal, part.layouts, expected)
+
+
+def test_the_header_says_which_cases_were_driven():
+    numbers = [0, 1, 2, 7, 250, 251]
+    _, told, *_ = header([episode(n, "parallel", PARKED) for n in numbers])
+    assert "6 of normal (0 to 2, 7, 250 to 251);" in told
+
+
 def test_cases_of_all_levels_have_the_same_shapes():
     shapes = [
         jax.tree.map(lambda x: x.shape, pick_cases(level, 2).layouts)
@@ -119,7 +133,7 @@ def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
     files = write_results(tmp_path, header(episodes), [row], episodes, [], films)
     assert [path.name for path in files] == ["suite.md", "suite.csv", "suite.html"]
     page = files[0].read_text()
-    assert "2 of normal; seed 0; on cpu." in page
+    assert "2 of normal (0, 7); seed 0; on cpu." in page
     assert "| x | normal | parallel | 2 | 1 | 50.0 (9.5 … 90.5) | – |" in page
     html = files[2].read_text()
     assert html.index("<td>7</td>") < html.index("<td>0</td>")
@@ -135,6 +149,12 @@ def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
         ({"policies": ("planner", "planner")}, "policies must differ"),
         ({"policies": ("zero",), "cases": 0}, "cases must be 1 to 1000, not 0"),
         ({"policies": ("zero",), "cases": 1001}, "cases must be 1 to 1000"),
+        ({"policies": ("zero",), "first_case": 1000}, "first_case must be 0 to 999"),
+        ({"policies": ("zero",), "first_case": -1}, "to 999, not -1"),
+        (
+            {"policies": ("zero",), "first_case": 750, "cases": 251},
+            "cases must be 1 to 250 from case 750 on, not 251",
+        ),
         ({"policies": ("zero",), "levels": ()}, "levels must not be empty"),
         ({"policies": ("zero",), "seeds": (1, 1)}, "seeds must differ"),
         ({"policies": ("zero",), "seeds": (-1,)}, "seeds must not be negative"),

@@ -40,6 +40,22 @@ def test_the_physical_car_parks_on_its_path(level, count):
     assert planner.seconds > 0
 
 
+def test_a_part_of_a_batch_is_searched_as_in_the_batch():
+    env = ParkingEnv(suite_env(EnvConfig(), "strict"))
+    cases = pick_cases("normal", 2)
+    state, _ = jax.jit(jax.vmap(env.reset_to_layout))(
+        cases.layouts, jax.random.split(jax.random.key(0), 2)
+    )
+    config = SearchConfig(paths=1)
+    policy, whole = planner_policy(env, 1, config)
+    jax.block_until_ready(jax.jit(policy.act)(state))
+    policy, part = planner_policy(env, 1, config, first_lot=1)
+    second = jax.tree.map(lambda x: x[1:], state)
+    jax.block_until_ready(jax.jit(policy.act)(second))
+    [expected], [found] = whole.searches(1, 0), part.searches(0, 0)
+    assert found.path.length == expected.path.length
+
+
 def test_an_agent_stops_for_another_one_and_plans_around_it():
     agent = Agent(0, 0.2, SearchConfig(paths=1))
     agent.act(sight(begins=True))
