@@ -147,7 +147,10 @@ def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
     [
         ({"policies": ()}, "at least one policy"),
         ({"policies": ("planner", "planner")}, "policies must differ"),
-        ({"policies": ("zero",), "cases": 0}, "cases must be 1 to 1000, not 0"),
+        (
+            {"policies": ("zero",), "cases": 0},
+            "cases must be 1 to 1000 from case 0 on, not 0",
+        ),
         ({"policies": ("zero",), "cases": 1001}, "cases must be 1 to 1000"),
         ({"policies": ("zero",), "first_case": 1000}, "first_case must be 0 to 999"),
         ({"policies": ("zero",), "first_case": -1}, "to 999, not -1"),
