@@ -108,7 +108,7 @@ class FreeSpace:
         return gaps
 
     def _obstacles(self, column: int, row: int) -> _Near | None:
-        """What the rectangle may touch with its centre in a cell; None: one for sure."""
+        """What a rectangle centred in a cell may touch; None if it surely does."""
         if self._distance is None:
             return _Near(self._boxes, self._discs)
         # Any point of a cell is so near to the cell's middle.

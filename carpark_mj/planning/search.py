@@ -31,7 +31,7 @@ class SearchConfig:
         spare_steering: share of the full lock that is left to the tracking controller.
         step: longest extension of a tree [m].
         paths: how many paths are searched for, at each clearance.
-        max_tests: collision tests after which a search is given up.
+        max_tests: collision tests of a search, after which it is given up.
         shorten_tests: collision tests that shorten a path.
         resolution: distance between tested poses [m].
     """
@@ -128,14 +128,19 @@ def require_ompl() -> None:
 
 
 class _Counter:
-    """Counts collision tests; true when there have been enough."""
+    """Counts collision tests; once there have been enough, nothing is free in a search.
+
+    RRT-Connect asks whether to stop only between its rounds, and a round goes on for as
+    long as moves towards the other tree are free. Now and then moves of Reeds and Shepp
+    come no nearer to it, and the round would never end.
+    """
 
     def __init__(self, test: Callable[[Any], bool]) -> None:
-        self.test, self.left = test, 0
+        self.test, self.left, self.searches = test, 0, True
 
     def __call__(self, state: Any) -> bool:
         self.left -= 1
-        return self.test(state)
+        return (self.left >= 0 or not self.searches) and self.test(state)
 
 
 def _connect(
@@ -177,7 +182,8 @@ def _connect(
     if not setup.haveExactSolutionPath():
         return None
     whole = _points(curves, setup.getSolutionPath().getStates())
-    count.left = config.shorten_tests
+    # A shortened path is checked at the end, whatever is left.
+    count.left, count.searches = config.shorten_tests, False
     setup.simplifySolution(stop)
     short = _points(curves, setup.getSolutionPath().getStates())
     # OMPL hands a shortened path out that touches obstacles, with a warning.

@@ -10,6 +10,7 @@ from helpers.planned import CAR, case, drive
 from helpers.scenes import polygons
 
 from carpark_mj.planning import search as module
+from carpark_mj.planning.obstacles import FreeSpace
 from carpark_mj.planning.paths import SHORTEST, STEP
 from carpark_mj.planning.search import SearchConfig, require_ompl, search
 
@@ -94,6 +95,24 @@ def test_a_walled_in_bay_has_no_path():
     found = search(start, goal, closed, CAR, extent, config=config)
     assert found.path is None
     assert math.isnan(found.clearance)
+
+
+def test_a_search_makes_no_more_tests_than_it_may(monkeypatch):
+    pytest.importorskip("ompl")
+    start, goal, solids, extent = case("normal", 0)
+    closed = solids.with_boxes(goal[None] + [0.0, 3.0, 0.0], np.array([[40.0, 0.2]]))
+    tests, is_free = [], FreeSpace.is_free
+
+    def counted(*arguments):
+        tests.append(arguments)
+        return is_free(*arguments)
+
+    monkeypatch.setattr(FreeSpace, "is_free", counted)
+    for most in range(500, 510):
+        tests.clear()
+        config = SearchConfig((0.05,), paths=2, max_tests=most)
+        search(start, goal, closed, CAR, extent, config=config)
+        assert len(tests) <= 2 * most + 2  # start and goal once more
 
 
 def test_without_ompl_the_planner_says_what_to_install(monkeypatch):
