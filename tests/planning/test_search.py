@@ -100,7 +100,8 @@ def test_a_walled_in_bay_has_no_path():
 def test_a_search_makes_no_more_tests_than_it_may(monkeypatch):
     pytest.importorskip("ompl")
     start, goal, solids, extent = case("normal", 0)
-    closed = solids.with_boxes(goal[None] + [0.0, 3.0, 0.0], np.array([[40.0, 0.2]]))
+    lid = np.array([[goal[0], goal[1] + 3.0, 0.0]])
+    closed = solids.with_boxes(lid, np.array([[40.0, 0.2]]))
     tests, is_free = [], FreeSpace.is_free
 
     def counted(*arguments):
@@ -112,7 +113,8 @@ def test_a_search_makes_no_more_tests_than_it_may(monkeypatch):
         tests.clear()
         config = SearchConfig((0.05,), paths=2, max_tests=most)
         search(start, goal, closed, CAR, extent, config=config)
-        assert len(tests) <= 2 * most + 2  # start and goal once more
+        # All that it may, and start and goal once more.
+        assert 2 * most <= len(tests) <= 2 * most + 2
 
 
 def test_without_ompl_the_planner_says_what_to_install(monkeypatch):
