@@ -46,8 +46,13 @@ def group(sources: Sources, by: Sequence[str]) -> list[Point]:
 
 
 def plain(value: Any) -> Any:
-    """A setting as it is compared: numbers as floats, everything else as text."""
-    if isinstance(value, bool) or value is None:
+    """A setting as it is compared: numbers as floats, everything else as text.
+
+    Truth values are spelt as flags and tables of published runs spell them.
+    """
+    if isinstance(value, bool):
+        return str(value).lower()
+    if value is None:
         return str(value)
     if isinstance(value, int | float):
         return float(value)

@@ -3,8 +3,8 @@
 RRT-Connect (Kuffner and LaValle, ICRA 2000) grows a tree from the start and one from
 the goal; Sucan, Moll and Kavraki, *The Open Motion Planning Library*, 2012. Its steps
 are short, for in a tight bay only short moves are free, and it starts afresh when it
-takes long. The quickest to drive of a few paths is taken. A search is cut off by the
-number of its collision tests, not by time.
+takes long. The quickest to drive of a few paths is taken, of more if all are slow.
+A search is cut off by the number of its collision tests, not by time.
 """
 
 import dataclasses
@@ -31,6 +31,8 @@ class SearchConfig:
         spare_steering: share of the full lock that is left to the tracking controller.
         step: longest extension of a tree [m].
         paths: how many paths are searched for, at each clearance.
+        most_paths: as many are while the quickest of them takes longer than `slow`.
+        slow: [s].
         max_tests: collision tests of a search, after which it is given up.
         shorten_tests: collision tests that shorten a path.
         resolution: distance between tested poses [m].
@@ -40,6 +42,8 @@ class SearchConfig:
     spare_steering: float = 0.05
     step: float = 0.3
     paths: int = 4
+    most_paths: int = 16
+    slow: float = 70.0
     max_tests: int = 8_000
     shorten_tests: int = 3_000
     resolution: float = 0.05
@@ -90,13 +94,15 @@ def search(
         if not (space.is_free(*start) and space.is_free(*goal)):
             continue
         task = _Task(car.rear_axle(start), car.rear_axle(np.stack([goal, turned])))
-        found = [
-            _connect(task, space, car, config, seed + number)
-            for number in range(config.paths)
-        ]
-        paths = [path for path in found if path is not None]
-        if paths:
-            best = min(paths, key=lambda path: path.duration)
+        best: Path | None = None
+        for number in range(config.most_paths):
+            path = _connect(task, space, car, config, seed + number)
+            if path and (best is None or path.duration < best.duration):
+                best = path
+            is_slow = best is not None and best.duration > config.slow
+            if number + 1 >= config.paths and not is_slow:
+                break
+        if best is not None:
             return Search(best, time.thread_time() - begun, clearance)
     return Search(None, time.thread_time() - begun, math.nan)
 

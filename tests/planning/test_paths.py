@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.planned import CAR
 
-from carpark_mj.planning.paths import BLEND, CREEP, STEP, make_path
+from carpark_mj.planning.paths import BLEND, CREEP, SHIFT_TIME, STEP, make_path
 
 RADIUS = 5.0
 
@@ -33,6 +33,19 @@ def test_a_path_is_cut_where_the_gear_changes():
     assert path.length == pytest.approx(4.0)
     assert path.shifts == 1
     np.testing.assert_allclose(path.segments[1].pose[0], [3.0, 0.0, 0.0])
+
+
+def test_driving_turning_the_wheels_and_shifting_take_time():
+    there = line(3.0)
+    back = there[-1] + line(1.0, way=-1)[1:]
+    path = make_path(np.concatenate([there, back]), CAR)
+    # 1.56 m at 1.2 m/s, 1.44 m of braking by 0.5 m/s^2; 1 m of braking; the shift.
+    assert path.duration == pytest.approx(1.3 + 2.4 + 2.0 + SHIFT_TIME, abs=0.1)
+    turn = arc(1.0)
+    straight = line(len(turn) * STEP - STEP)
+    more = make_path(turn, CAR).duration - make_path(straight, CAR).duration
+    wheels = math.atan(CAR.wheelbase / RADIUS) / CAR.steering_rate
+    assert more == pytest.approx(wheels, rel=0.05)
 
 
 def test_a_tiny_move_to_and_fro_is_left_out():

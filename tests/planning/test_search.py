@@ -11,7 +11,7 @@ from helpers.scenes import polygons
 
 from carpark_mj.planning import search as module
 from carpark_mj.planning.obstacles import FreeSpace
-from carpark_mj.planning.paths import SHORTEST, STEP
+from carpark_mj.planning.paths import SHORTEST, STEP, Path
 from carpark_mj.planning.search import SearchConfig, require_ompl, search
 
 CASES = [("normal", 0), ("normal", 1), ("complex", 0), ("complex", 1), ("extreme", 0)]
@@ -84,6 +84,31 @@ def test_the_same_seed_gives_the_same_path():
     )
     for one, other in zip(first.path.segments, again.path.segments, strict=True):
         np.testing.assert_array_equal(one.pose, other.pose)
+
+
+@pytest.mark.parametrize(
+    ("durations", "quickest", "searches"),
+    [
+        ([90.0, 50.0, 60.0, 55.0, 1.0], 50.0, 4),  # quick enough: the others can wait
+        ([90.0, 80.0, 99.0, 75.0, 72.0, 69.0, 1.0], 69.0, 6),
+        ([90.0, None, 80.0, 85.0] + 12 * [90.0] + [1.0], 80.0, 16),
+    ],
+)
+def test_slow_paths_are_worth_further_searches(
+    durations, quickest, searches, monkeypatch
+):
+    seeds = []
+
+    def connect(task, space, car, config, seed):
+        seeds.append(seed)
+        duration = durations[seed - 100]
+        return None if duration is None else Path((), duration)
+
+    monkeypatch.setattr(module, "_connect", connect)
+    start, goal, solids, extent = case("normal", 0)
+    found = search(start, goal, solids, CAR, extent, seed=100)
+    assert found.path.duration == quickest
+    assert seeds == list(range(100, 100 + searches))
 
 
 def test_a_walled_in_bay_has_no_path():

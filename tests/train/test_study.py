@@ -8,7 +8,10 @@ import pytest
 from helpers.sweeping import train
 
 import study
+from carpark_mj.analysis.points import group
+from carpark_mj.analysis.runs import Record
 from carpark_mj.evaluation.catalogue import METRICS
+from learners.settings import list_settings
 from studies.budget import Cost, choose, cost, measured_rate
 from studies.figures import (
     ELSEWHERE,
@@ -62,6 +65,18 @@ def test_its_runs_have_the_settings_of_published_ones(experiment):
         for run in runs(plan_of(experiment))
     }
     assert ours == published
+
+
+@EACH
+def test_its_runs_meet_published_ones_at_the_same_points(experiment):
+    ours = [
+        Record(run.name, dict(list_settings(settings_of(run))), {})
+        for run in runs(plan_of(experiment, repeats=1))
+    ]
+    sources = {"ours": ours, "published": published_runs(experiment.figures)}
+    points = group(sources, experiment.fields)
+    values = {name: {p.values for p in points if p.source == name} for name in sources}
+    assert values["ours"] == values["published"]
 
 
 @EACH
