@@ -95,7 +95,7 @@ class Agent:
         self._stuck = 0
         if len(self.searches) >= MAX_PLANS:
             return
-        seed = self._seed + self._config.most_paths * len(self.searches)
+        seed = self._seed + self._config.most_searches * len(self.searches)
         found = search(
             sight.pose, sight.goal, solids, sight.car, sight.extent, seed, self._config
         )

@@ -31,7 +31,7 @@ class SearchConfig:
         spare_steering: share of the full lock that is left to the tracking controller.
         step: longest extension of a tree [m].
         paths: how many paths are searched for, at each clearance.
-        most_paths: as many are while the quickest of them takes longer than `slow`.
+        more_paths: how many more, at most, while the quickest takes longer than `slow`.
         slow: [s].
         max_tests: collision tests of a search, after which it is given up.
         shorten_tests: collision tests that shorten a path.
@@ -42,11 +42,16 @@ class SearchConfig:
     spare_steering: float = 0.05
     step: float = 0.3
     paths: int = 4
-    most_paths: int = 16
+    more_paths: int = 12
     slow: float = 70.0
     max_tests: int = 8_000
     shorten_tests: int = 3_000
     resolution: float = 0.05
+
+    @property
+    def most_searches(self) -> int:
+        """Of paths at a clearance."""
+        return self.paths + self.more_paths
 
 
 class Search(NamedTuple):
@@ -95,7 +100,7 @@ def search(
             continue
         task = _Task(car.rear_axle(start), car.rear_axle(np.stack([goal, turned])))
         best: Path | None = None
-        for number in range(config.most_paths):
+        for number in range(config.most_searches):
             path = _connect(task, space, car, config, seed + number)
             if path and (best is None or path.duration < best.duration):
                 best = path
