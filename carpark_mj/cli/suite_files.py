@@ -21,6 +21,7 @@ from carpark_mj.policy.runs import write_csv
 CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
 _TEXT = ("policy", "rule", "held_out", "made_with", "level", "kind")
 _WHOLE = ("seed", "case")
+_MOVING = "moving_cars"  # how many, a column of runs with them only
 _NEEDED = ("parked", "crashed", "timed_out", "length", "ms / decision")
 
 Key = tuple[str, str, int, int]  # of an episode: policy, level, seed, case
@@ -75,8 +76,8 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
 
     Raises:
         ValueError: a file is malformed, or has an episode that another one has too, or
-            other cases than this version, or another rule, or a policy's episodes were
-            driven with different versions of packages.
+            other cases than this version, or another rule or number of moving cars, or
+            a policy's episodes were driven with different versions of packages.
         OSError: a file cannot be read.
     """
     episodes: dict[Key, Row] = {}
@@ -92,6 +93,11 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
                 )
             episodes[key] = row
         drives |= _read_worst(folder / WORST_FILE)
+    moving = sorted({row.get(_MOVING, 0) for row in episodes.values()})
+    if len(moving) > 1:
+        raise ValueError(
+            f"results with and without moving cars do not mix: {_MOVING} of {moving}"
+        )
     rules = sorted({row["rule"] for row in episodes.values()})
     if len(rules) > 1:
         raise ValueError(f"results under different rules do not mix: {rules}")
@@ -131,7 +137,7 @@ def _parse(row: Mapping[str, Any], place: str) -> Row:
         try:
             if name in _TEXT:
                 parsed[name] = text
-            elif name in _WHOLE:
+            elif name in (*_WHOLE, _MOVING):
                 parsed[name] = int(text)
             elif text or name in _NEEDED:
                 parsed[name] = float(text)
@@ -151,6 +157,11 @@ def _read_worst(path: Path) -> dict[Key, Drives]:
             data = {name: file[name] for name in names}
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} has no drives of the suite: {error}") from None
+    # Files written before there were moving cars have no axis for agents.
+    lead, pose_w = data["speed"].shape[:2], data["pose_w"]
+    data["pose_w"] = pose_w.reshape(*lead, -1, *pose_w.shape[-2:])
+    for name in ("steering", "speed"):
+        data[name] = data[name].reshape(*lead, -1)
     columns = (data[name].tolist() for name in ("policy", "level", "seed", "case"))
     keys = zip(*columns, strict=True)
     return {

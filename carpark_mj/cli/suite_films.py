@@ -10,8 +10,7 @@ import numpy as np
 from carpark_mj.cli.suite_files import Key, key_of
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import OUTCOMES, Row
-from carpark_mj.evaluation.suite import Drives, suite_env
-from carpark_mj.layouts.held_out import load_held_out
+from carpark_mj.evaluation.suite import Drives, pick_cases, suite_env
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.rollout import Recording
@@ -75,28 +74,29 @@ def make_films(
 
 def recording_of(row: Row, drive: Drives) -> Recording:
     """An episode as the renderer takes it."""
-    steps = round(row["length"])
-    layouts = load_held_out(row["level"]).layouts
+    steps, agents = round(row["length"]), drive.speed.shape[-1]
+    first = np.broadcast_to(np.arange(agents) == 0, (steps, agents))  # the one judged
+    cases = pick_cases(row["level"], 1, row["case"], agents - 1)
     ends = {
-        name: (np.arange(steps) == steps - 1)[:, None] & bool(row[name])
+        name: first & (np.arange(steps) == steps - 1)[:, None] & bool(row[name])
         for name in OUTCOMES[:3]
     }
     return Recording(
-        layout=jax.tree.map(lambda x: np.asarray(x[row["case"]]), layouts),
+        layout=jax.tree.map(lambda x: np.asarray(x[0]), cases.layouts),
         ctrl_dt=suite_env(EnvConfig(), "strict").sim.ctrl_dt,
-        pose_w=drive.pose_w[0, :steps, :, None],
-        steering=drive.steering[0, :steps, None],
-        speed=drive.speed[0, :steps, None],
-        goal=np.zeros((steps, 1), np.int32),
+        pose_w=drive.pose_w[0, :steps].swapaxes(1, 2),
+        steering=drive.steering[0, :steps],
+        speed=drive.speed[0, :steps],
+        goal=np.broadcast_to(np.arange(agents), (steps, agents)),
         parked_pose=np.zeros((steps, 0, 3), np.float32),
-        active=np.ones((steps, 1), bool),
-        step=np.arange(1, steps + 1)[:, None],
+        active=np.ones((steps, agents), bool),
+        step=np.broadcast_to(np.arange(1, steps + 1)[:, None], (steps, agents)),
         **ends,
     )
 
 
 def _film(path: Path, recording: Recording) -> None:
-    stage = Stage(recording.layout, preset("tpcap"), 1, 0)
+    stage = Stage(recording.layout, preset("tpcap"), recording.speed.shape[1], 0)
     renderer = LotRenderer(stage, "topdown", SIZE)
     stride = max(1, round(FASTER * frames_per_second(recording) / FPS))
     last = num_frames(recording) - 1

@@ -23,10 +23,10 @@ WORST = 10  # cases shown of a policy and level
 # Columns on the screen; files have all.
 PRINTED = (
     *("policy", "level", "kind", "cases", "parked [%]", "crashed [%]"),
-    *("timed out [%]", "gear changes", "path [m]", "time [s]"),
+    *("hit moving car [%]", "timed out [%]", "gear changes", "path [m]", "time [s]"),
 )
 DIGITS = {"decisions/s": 0}  # after the point, where not two
-WIDTH = 140  # of the table where there is no terminal
+WIDTH = 160  # of the table where there is no terminal
 PACKAGES = ("carpark_mj", "mujoco", "jax", "ompl")
 
 
@@ -50,8 +50,9 @@ def header(episodes: Sequence[Row]) -> list[str]:
         if (found := {row["case"] for row in episodes if row["level"] == level})
     ]
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
+    moving = episodes[0].get("moving_cars")
     return [
-        f"Hard cases, {', '.join(rules)} rule",
+        f"Hard cases, {', '.join(rules)} rule{', one moving car' if moving else ''}",
         f"Held-out cases version {VERSION} (SHA-256 {SHA256[:16]}): "
         f"{', '.join(levels)}; seed{'s' * (len(seeds) > 1)} "
         f"{', '.join(map(str, seeds))}; on {'; '.join(sorted(made))}.",
@@ -83,7 +84,7 @@ def shown_cells(row: Mapping[str, Any]) -> dict[str, str]:
         elif name == "by seed":
             rates = " ".join(f"{100 * rate:.1f}" for rate in value)
             shown["by seed [%]"] = rates if len(value) > 1 else "–"
-        elif name in ("crashed", "timed out", "path found"):
+        elif name in ("crashed", "hit moving car", "timed out", "path found"):
             shown[f"{name} [%]"] = _number(100 * value, 1)
         elif name not in ("low", "high"):
             shown[name] = _number(value, DIGITS.get(name, 2))

@@ -1,16 +1,19 @@
 """The suite of hard cases: one car parks in every held-out case of HOPE's levels.
 
 All policies drive the same car, `tpcap`, on the same physics, without noise. The cases
-are in the package (`carpark_mj.layouts.held_out`); an episode ends after 100 s.
+are in the package (`carpark_mj.layouts.held_out`); an episode ends after 100 s. Another
+car may drive through the aisle meanwhile, see `moving_car`; it is not judged.
 """
 
 import dataclasses
+import functools
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import (
@@ -25,6 +28,7 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation import moving_car
 from carpark_mj.evaluation.aggregation import (
     Row,
     complete_row,
@@ -36,22 +40,31 @@ from carpark_mj.layouts import HopeConfig, Layout, layout_maxima, pad_layout
 from carpark_mj.layouts.held_out import CASES, LEVELS, load_held_out
 from carpark_mj.layouts.standards import Level
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
+from carpark_mj.types import State
 
 VEHICLE = "tpcap"
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 TIMED = 20  # calls of a policy whose shortest counts
 
 
-def suite_env(env: EnvConfig, rule: ParkedRule) -> EnvConfig:
-    """The environment of a policy with the suite's lots, car and rules."""
+def suite_env(env: EnvConfig, rule: ParkedRule, moving_cars: int = 0) -> EnvConfig:
+    """The environment of a policy with the suite's lots, car and rules.
+
+    Args:
+        env: that it was trained in.
+        rule: when the car counts as parked.
+        moving_cars: 0 or 1.
+    """
+    # With an occupancy a lot may have fewer goals than agents, see `moving_car.reset`.
+    alone = {"num_agents": 1, "min_agents": None, "occupancy": None}
+    moving = {"num_agents": 2, "min_agents": 1, "occupancy": (0.0, 0.0)}
+    agents: dict[str, Any] = moving if moving_cars else alone
     return dataclasses.replace(
         env,
         layout=HopeConfig("extreme", "parallel"),
         vehicle=VEHICLE,
-        num_agents=1,
-        min_agents=None,
         num_parked_cars=0,
-        occupancy=None,
+        **agents,
         fleet=FleetConfig(),
         jitter=JitterConfig(),
         randomization=RandomizationConfig(),
@@ -82,26 +95,30 @@ class Cases(NamedTuple):
     layouts: Layout
 
 
-def pick_cases(level: Level, count: int, first: int = 0) -> Cases:
-    """Cases of a level that follow each other."""
+def pick_cases(level: Level, count: int, first: int = 0, moving_cars: int = 0) -> Cases:
+    """Cases of a level that follow each other, with 0 or 1 moving cars."""
     layouts, parallel = load_held_out(level)
     shapes = [load_held_out(name).layouts for name in LEVELS]
     maxima, which = layout_maxima(shapes), slice(first, first + count)
     padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
         jax.tree.map(lambda x: x[which], layouts)
     )
-    return Cases(level, np.arange(CASES)[which], parallel[which], padded)
+    number, parallel = np.arange(CASES)[which], parallel[which]
+    if moving_cars:
+        padded = moving_car.add_ends(level, number, parallel, padded)
+    return Cases(level, number, parallel, padded)
 
 
 class Drives(NamedTuple):
-    """How the car of n cases drove, t control steps with k poses in each.
+    """How the cars of n cases drove, t control steps with k poses in each.
 
-    What comes after the last step of an episode means nothing.
+    What comes after the last step of an episode means nothing. Of the agents, a, the
+    first is the one that parks.
 
     Attributes:
-        pose_w: (n, t, k, 3) footprint centres.
-        steering: (n, t) bicycle angles at the end of the steps [rad].
-        speed: (n, t) signed speeds at the end of the steps [m/s].
+        pose_w: (n, t, a, k, 3) footprint centres.
+        steering: (n, t, a) bicycle angles at the end of the steps [rad].
+        speed: (n, t, a) signed speeds at the end of the steps [m/s].
     """
 
     pose_w: np.ndarray
@@ -117,23 +134,27 @@ def drive_cases(
     Args:
         env: of `suite_env`.
         policy: acting function; a planner must be a fresh one.
-        cases: where to park.
+        cases: where to park, with as many moving cars as the environment.
         seed: of what is random in a policy.
     """
-    count = len(cases.number)
+    count, moving = len(cases.number), env.num_agents > 1
     reset_key, act_key = jax.random.split(evaluation_key(seed))
     keys = jax.random.split(reset_key, count)
-    state, observation = jax.jit(jax.vmap(env.reset_to_layout))(cases.layouts, keys)
+    state, observation = jax.jit(jax.vmap(_reset(env)))(cases.layouts, keys)
+    progress = moving_car.init_progress(count) if moving else None
 
     def step(policy, carry, key):
-        state, observation = carry
-        action = choose_actions(policy, state, observation, key)
+        state, observation, progress = carry
+        action = _choose_action(policy, state, observation, key)
+        if progress is not None:
+            drive = functools.partial(moving_car.drive, ctrl_dt=env.config.sim.ctrl_dt)
+            other, progress = jax.vmap(drive)(state, progress)
+            action = jnp.concatenate([action, other[:, None]], axis=1)
         state, timestep = jax.vmap(env.step)(state, action)
         motion = timestep.motion
-        drive = (motion.trace_w, motion.steering, motion.speed)
-        drive = tuple(x[:, 0] for x in drive)  # of the only agent
+        drives = (motion.trace_w, motion.steering, motion.speed)
         ended = timestep.events.done, timestep.metrics
-        return (state, timestep.observation), (*ended, drive)
+        return (state, timestep.observation, progress), (*ended, drives)
 
     @jax.jit
     def run(policy, carry, keys):
@@ -141,16 +162,16 @@ def drive_cases(
 
     rows: list[Row | None] = [None] * count
     chunks: list[tuple[np.ndarray, ...]] = []
-    policy, carry = as_argument(policy), (state, observation)
+    policy, carry = as_argument(policy), (state, observation, progress)
     while any(row is None for row in rows):
         act_key, own = jax.random.split(act_key)
         carry, out = run(policy, carry, jax.random.split(own, CHUNK))
         done, metrics, drive = out
         chunks.append(jax.device_get(drive))
         metrics = {name: np.asarray(value) for name, value in metrics.items()}
-        for t, lot, agent in np.argwhere(np.asarray(done)):
+        for t, lot in np.argwhere(np.asarray(done)[..., 0]):
             if rows[lot] is None:
-                row = {n: float(value[t, lot, agent]) for n, value in metrics.items()}
+                row = {n: float(value[t, lot, 0]) for n, value in metrics.items()}
                 rows[lot] = _label(cases, lot) | complete_row(
                     row, env.config.sim.ctrl_dt
                 )
@@ -158,6 +179,22 @@ def drive_cases(
         *(np.concatenate(parts).swapaxes(0, 1) for parts in zip(*chunks, strict=True))
     )
     return [row for row in rows if row is not None], drives
+
+
+def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array], Any]:
+    if env.num_agents > 1:
+        return functools.partial(moving_car.reset, env)
+    return env.reset_to_layout
+
+
+def _choose_action(
+    policy: AnyPolicy, state: State, observation: jax.Array, key: jax.Array
+) -> jax.Array:
+    """Actions (..., 1, size) of the agents that park; a policy drives nobody else."""
+    own = jnp.arange(state.active.shape[-1]) == 0
+    state = dataclasses.replace(state, active=state.active & own)
+    action = choose_actions(policy, state, observation[..., :1, :], key)
+    return action[..., :1, :]
 
 
 def _label(cases: Cases, lot: int) -> Row:
@@ -172,8 +209,8 @@ def decision_time(env: ParkingEnv, policy: AnyPolicy, cases: Cases) -> float:
     """How long a policy takes for one decision of one car [s]."""
     first = jax.tree.map(lambda x: x[0], cases.layouts)
     key = jax.random.key(0)
-    state, observation = jax.jit(env.reset_to_layout)(first, key)
-    act = jax.jit(choose_actions)
+    state, observation = jax.jit(_reset(env))(first, key)
+    act = jax.jit(_choose_action)
     taken = []
     for _ in range(TIMED + 1):
         begun = time.perf_counter()
@@ -232,6 +269,7 @@ def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str,
     # The same case with another seed is not another case.
     low, high = wilson_interval(rate * cases, cases)
     decision = _mean(rows, "ms / decision")
+    moving = any(row.get("moving_cars") for row in rows)
     return {
         "cases": cases,
         "seeds": len(seeds),
@@ -243,6 +281,7 @@ def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str,
             for seed in seeds
         ],
         "crashed": summary["crashed"]["rate"],
+        **({"hit moving car": summary["hit_agent"]["rate"]} if moving else {}),
         "timed out": summary["timed_out"]["rate"],
         "path found": _mean(rows, "planned"),
         "gear changes": summary["gear_changes"],
