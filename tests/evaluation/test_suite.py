@@ -48,7 +48,7 @@ def test_every_case_gives_one_row_from_its_own_start():
     # A car that stands still ends where the case starts.
     layouts = load_held_out("complex").layouts
     start = np.asarray(layouts.spawn_pose)[:4, 0]
-    np.testing.assert_allclose(drives.pose_w[:, 2, -1], start, atol=2e-3)
+    np.testing.assert_allclose(drives.pose_w[:, 2, 0, -1], start, atol=2e-3)
     gap = np.asarray(layouts.spawn_pose - layouts.bay_pose)[:4, 0, :2]
     expected = np.hypot(*gap.T)
     ends = [row["final_distance"] for row in rows]
@@ -114,6 +114,20 @@ def test_seeds_add_episodes_and_not_cases():
     assert row["low"] == pytest.approx(0.1500, abs=1e-4)
 
 
+def test_the_table_says_that_a_car_moves_and_how_often_it_was_hit():
+    moving = {"moving_cars": 1}
+    rows = [episode(n, "parallel", PARKED, **moving) for n in range(3)]
+    rows.append(episode(3, "parallel", MISSED, hit_agent=1.0, **moving))
+    rows.append(episode(4, "parallel", MISSED, hit_wall=1.0, **moving))
+    (row,) = table_rows("x", rows)
+    assert (row["crashed"], row["hit moving car"]) == (0.4, 0.2)
+    assert shown_cells(row)["hit moving car [%]"] == "20.0"
+    assert header(rows)[0] == "Hard cases, strict rule, one moving car"
+    alone = [episode(0, "parallel", PARKED)]
+    assert "hit moving car" not in table_rows("x", alone)[0]
+    assert header(alone)[0] == "Hard cases, strict rule"
+
+
 def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
     late = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
     rows = [
@@ -161,6 +175,7 @@ def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
         ({"policies": ("zero",), "levels": ()}, "levels must not be empty"),
         ({"policies": ("zero",), "seeds": (1, 1)}, "seeds must differ"),
         ({"policies": ("zero",), "seeds": (-1,)}, "seeds must not be negative"),
+        ({"policies": ("zero",), "moving_cars": 2}, "moving_cars must be 0 or 1"),
         ({"policies": ("zero",), "films": 11}, "films must be 0 to 10, not 11"),
         ({"policies": ("zero",), "combine": ("a",)}, "not both"),
     ],
