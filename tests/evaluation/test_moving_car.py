@@ -10,10 +10,16 @@ import pytest
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.moving_car import GAP
-from carpark_mj.evaluation.suite import drive_cases, pick_cases, suite_env
+from carpark_mj.evaluation.suite import (
+    decision_time,
+    drive_cases,
+    pick_cases,
+    suite_env,
+)
 from carpark_mj.geometry import box_distance
 from carpark_mj.layouts.held_out import LEVELS
 from carpark_mj.layouts.tpcap import TPCAP_CAR
+from carpark_mj.policy.acting import StatePolicy
 
 SIZE = np.array(TPCAP_CAR.size)
 SECONDS, DT = 60.0, 0.2
@@ -134,3 +140,16 @@ def test_a_car_that_drives_into_it_has_hit_it(drives):
     # It stays where it was hit.
     along, _, _ = way_of(drives, IS_HIT)
     np.testing.assert_array_equal(along[20:], along[20])
+
+
+def test_a_policy_that_reads_the_state_drives_only_the_car_that_parks():
+    seen = []
+
+    def act(state):
+        jax.debug.callback(lambda x: seen.append((*x.tolist(),)), state.active)
+        return jnp.zeros((2, 2))
+
+    env = ParkingEnv(suite_env(EnvConfig(), "strict", moving_cars=1))
+    decision_time(env, StatePolicy(act), pick_cases("normal", 1, moving_cars=1))
+    jax.effects_barrier()
+    assert {*seen} == {(True, False)}
