@@ -45,6 +45,7 @@ from carpark_mj.config import (
     IndexObservation,
     JitterConfig,
     RandomizationConfig,
+    RayConfig,
     RewardConfig,
     RingConfig,
     SensorConfig,
@@ -193,6 +194,32 @@ ANYWHERE = EnvConfig(
     ),
 )
 
+# HOPE's levels (docs/hard_cases.md): one car without noise among boxes, seen by rays.
+HOPE = dataclasses.replace(
+    ANYWHERE,
+    layout="hope_normal_perpendicular,hope_normal_parallel,hope_complex_perpendicular,"
+    "hope_complex_parallel,hope_extreme_parallel",
+    vehicle="tpcap",
+    num_agents=1,
+    min_agents=None,
+    num_parked_cars=0,
+    occupancy=None,
+    fleet=FleetConfig(),
+    jitter=JitterConfig(),
+    spawn=SpawnConfig(close_ratio=0.0),
+    episode=EpisodeConfig(max_steps=500),
+    reward=dataclasses.replace(ANYWHERE.reward, time=2.5),
+    observation=ContinuousObservation(
+        tracked_agents=0,
+        tracked_parked_cars=0,
+        own_car=True,
+        lines=True,
+        rays=RayConfig(72),
+    ),
+    randomization=RandomizationConfig(),
+    sensors=SensorConfig(),
+)
+
 # Pandita 2022: highway-env's car in a lot where all other slots are taken; 150 steps at
 # 5 Hz. With goal poses, reward and ends of `carpark_mj.wrappers.slots`.
 PANDITA = EnvConfig(
@@ -223,6 +250,7 @@ ENVIRONMENTS: dict[str, EnvConfig] = {
     "square": SQUARE,
     "dynamic": DYNAMIC,
     "anywhere": ANYWHERE,
+    "hope": HOPE,
     "tanner-fixed": TANNER_FIXED,
     "tanner-dynamic": TANNER_DYNAMIC,
     "tanner-qlearning": TANNER_QLEARNING,

@@ -12,6 +12,7 @@ python eval/evaluate.py --policy zero --environment tanner-fixed
 import sys
 
 from carpark_mj.cli.common import (
+    dispatch_synchronously,
     enable_output_fusion,
     keep_compiled_programs,
     run_command,
@@ -21,6 +22,7 @@ from carpark_mj.cli.evaluate import EvaluateConfig, main
 from carpark_mj.cli.flags import read_flags
 
 if __name__ == "__main__":
+    dispatch_synchronously()
     enable_output_fusion()
     keep_compiled_programs()
     sys.exit(

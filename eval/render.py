@@ -12,6 +12,7 @@ python eval/render.py --gallery --out gallery.png
 import sys
 
 from carpark_mj.cli.common import (
+    dispatch_synchronously,
     enable_output_fusion,
     keep_compiled_programs,
     run_command,
@@ -35,6 +36,7 @@ def run() -> int:
 
 
 if __name__ == "__main__":
+    dispatch_synchronously()
     enable_output_fusion()
     keep_compiled_programs()
     sys.exit(run())

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import (
+    dispatch_synchronously,
     enable_output_fusion,
     keep_compiled_programs,
     run_command,
@@ -36,6 +37,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    dispatch_synchronously()
     enable_output_fusion()
     keep_compiled_programs()
     sys.exit(run())

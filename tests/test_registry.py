@@ -1,4 +1,4 @@
-"""The named environment `anywhere`, which takes minutes to compile as it is."""
+"""The named environments `anywhere`, which takes minutes to compile, and `hope`."""
 
 import dataclasses
 
@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.suite import suite_env
+from carpark_mj.layouts import hope
 from carpark_mj.observations import observation_size
-from carpark_mj.registry import ANYWHERE, environment
+from carpark_mj.registry import ANYWHERE, HOPE, environment
 from carpark_mj.vehicle.presets import PRESETS
 
 
@@ -66,3 +68,11 @@ def test_anywhere_s_agents_observe_and_earn_finite_numbers(driven):
     np.testing.assert_array_equal(seen[:, ~state.present], 0.0)
     assert (np.abs(seen[:, state.present]).max(axis=-1) > 0.0).all()
     assert timesteps.events.done[:, state.present].any()
+
+
+def test_hope_is_the_task_of_the_suite():
+    assert set(HOPE.layout.split(",")) == {*hope.HOPE}
+    suite = suite_env(HOPE, "strict")
+    assert HOPE.episode.max_steps == suite.episode.max_steps
+    same = dataclasses.replace(suite, layout=HOPE.layout, episode=HOPE.episode)
+    assert same == HOPE

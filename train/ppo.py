@@ -18,6 +18,7 @@ from collections.abc import Sequence
 import jax
 
 from carpark_mj.cli.common import (
+    dispatch_synchronously,
     enable_output_fusion,
     keep_compiled_programs,
     run_command,
@@ -29,6 +30,8 @@ def configure_jax() -> None:
     """One CPU device per core, over which the lots are sharded; fused outputs."""
     enable_output_fusion()
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
+    if cores == 1:
+        dispatch_synchronously()
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
         jax.config.update("jax_num_cpu_devices", cores or 1)
 

@@ -69,6 +69,19 @@ def enable_output_fusion() -> None:
     os.environ.setdefault("XLA_FLAGS", OUTPUT_FUSION)
 
 
+def dispatch_synchronously() -> None:
+    """Makes JAX on a CPU run programs in the thread that calls them.
+
+    A program whose arguments are not ready yet runs in a thread of XLA's pool instead.
+    On one core that is the pool's only thread, and a callback (the planner, `scene`
+    physics) waits there for ever for arrays above 100 kB, which JAX copies in the pool
+    (jax-ml/jax#25861). Call it before JAX's first computation.
+    """
+    import jax
+
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
 def keep_compiled_programs() -> None:
     """Turns JAX's persistent compilation cache on, in the user's cache folder."""
     import jax

@@ -21,6 +21,7 @@ PresetName = Literal[
     "square",
     "dynamic",
     "anywhere",
+    "hope",
     "tanner-fixed",
     "tanner-fixed-original",
     "tanner-dynamic",

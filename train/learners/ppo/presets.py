@@ -2,8 +2,8 @@
 
 `cpu` and `gpu` are made for a kind of hardware and end in time. The others have the
 names of their environments in `carpark_mj.registry` and are meant for a GPU: `square`,
-`dynamic` and `anywhere` train real cars, the rest are the experiments of Tanner 2022,
-16 M agent steps with settings of our own.
+`dynamic`, `anywhere` and `hope` train real cars, the rest are the experiments of Tanner
+2022, 16 M agent steps with settings of our own.
 
 `tanner-fixed-original` and `tanner-dynamic-original` have the study's hyperparameters,
 table 5.1, and the details of its trainer (`learners.ppo.ml_agents`), for 12.8 M steps:
@@ -21,6 +21,7 @@ from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.registry import (
     ANYWHERE,
     DYNAMIC,
+    HOPE,
     SQUARE,
     TANNER_DYNAMIC,
     TANNER_FIXED,
@@ -77,6 +78,15 @@ _ANYWHERE = dataclasses.replace(
     networks=NetworkConfig((256, 256, 256), (256, 256, 256)),
     env=ANYWHERE,
 )
+_HOPE = dataclasses.replace(
+    _ANYWHERE,
+    preset="hope",
+    num_steps=200_000_000,
+    num_lots=8192,
+    curriculum=dataclasses.replace(_ANYWHERE.curriculum, crash_ratio=0.0),
+    networks=NetworkConfig((256, 256, 256), (256, 256, 256), encoder="flat"),
+    env=HOPE,
+)
 # Many updates on few data: it is agent steps that the study counts.
 _STUDY = PPOConfig(
     num_steps=16_000_000,
@@ -130,6 +140,7 @@ PRESETS: dict[str, PPOConfig] = {
     "square": _SQUARE,
     "dynamic": _DYNAMIC,
     "anywhere": _ANYWHERE,
+    "hope": _HOPE,
     "tanner-fixed": dataclasses.replace(
         _STUDY_FIXED, preset="tanner-fixed", env=TANNER_FIXED
     ),
