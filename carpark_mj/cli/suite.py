@@ -23,6 +23,7 @@ from carpark_mj.config import ParkedRule
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import (
+    MOVING_CAR,
     VEHICLE,
     Cases,
     Drives,
@@ -58,7 +59,7 @@ class SuiteConfig:
         cases: how many of each level; all from `first_case` on if None.
         first_case: of each level, from 0.
         rule: when a car counts as parked.
-        moving_cars: 1 = in every case another car drives through the aisle meanwhile.
+        moving_car: in every case another car drives through the aisle meanwhile.
         seeds: of the planner's searches, and of policies that draw; each drives all
             cases.
         films: how many of the worst cases of every policy and level are filmed, at most
@@ -76,7 +77,7 @@ class SuiteConfig:
     cases: int | None = None
     first_case: int = 0
     rule: ParkedRule = "strict"
-    moving_cars: int = 0
+    moving_car: bool = False
     seeds: tuple[int, ...] = (0,)
     films: int = 0
     combine: tuple[str, ...] = ()
@@ -97,8 +98,8 @@ class SuiteConfig:
                 f"cases must be 1 to {CASES - self.first_case} from case "
                 f"{self.first_case} on, not {self.cases}"
             )
-        if self.moving_cars not in (0, 1):
-            raise ValueError(f"moving_cars must be 0 or 1, not {self.moving_cars}")
+        if self.moving_car and self.combine:
+            raise ValueError("moving_car is for driving, combine reads what was driven")
         if not 0 <= self.films <= WORST:
             raise ValueError(f"films must be 0 to {WORST}, not {self.films}")
         for name in ("policies", "levels", "seeds", "combine"):
@@ -156,13 +157,13 @@ _Drawn = list[tuple[str, Layout, Path | None]]
 def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Drawn]:
     """Episodes, how the worst ones were driven, and the planner's first paths."""
     drivers = {name: find_driver(name) for name in config.policies}
-    count, moving = config.cases or CASES - config.first_case, config.moving_cars
+    count, moving = config.cases or CASES - config.first_case, config.moving_car
     cases = [
         pick_cases(level, count, config.first_case, moving) for level in config.levels
     ]
     head: Row = {"rule": config.rule, "held_out": SHA256[:16]}
     if moving:
-        head["moving_cars"] = moving
+        head[MOVING_CAR] = 1
     tail = {"made_with": made_with()}
     episodes: list[Row] = []
     drives: dict[Key, Drives] = {}

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.evaluation.aggregation import Row
-from carpark_mj.evaluation.suite import Drives
+from carpark_mj.evaluation.suite import MOVING_CAR, Drives
 from carpark_mj.layouts.held_out import CASES, LEVELS, SHA256
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.policy.runs import write_csv
@@ -21,7 +21,6 @@ from carpark_mj.policy.runs import write_csv
 CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
 _TEXT = ("policy", "rule", "held_out", "made_with", "level", "kind")
 _WHOLE = ("seed", "case")
-_MOVING = "moving_cars"  # how many, a column of runs with them only
 _NEEDED = ("parked", "crashed", "timed_out", "length", "ms / decision")
 
 Key = tuple[str, str, int, int]  # of an episode: policy, level, seed, case
@@ -76,8 +75,8 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
 
     Raises:
         ValueError: a file is malformed, or has an episode that another one has too, or
-            other cases than this version, or another rule or number of moving cars, or
-            a policy's episodes were driven with different versions of packages.
+            other cases than this version, or another rule, or some a moving car, or a
+            policy's episodes were driven with different versions of packages.
         OSError: a file cannot be read.
     """
     episodes: dict[Key, Row] = {}
@@ -93,11 +92,8 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
                 )
             episodes[key] = row
         drives |= _read_worst(folder / WORST_FILE)
-    moving = sorted({row.get(_MOVING, 0) for row in episodes.values()})
-    if len(moving) > 1:
-        raise ValueError(
-            f"results with and without moving cars do not mix: {_MOVING} of {moving}"
-        )
+    if len({row.get(MOVING_CAR, 0) for row in episodes.values()}) > 1:
+        raise ValueError("results with and without a moving car do not mix")
     rules = sorted({row["rule"] for row in episodes.values()})
     if len(rules) > 1:
         raise ValueError(f"results under different rules do not mix: {rules}")
@@ -137,7 +133,7 @@ def _parse(row: Mapping[str, Any], place: str) -> Row:
         try:
             if name in _TEXT:
                 parsed[name] = text
-            elif name in (*_WHOLE, _MOVING):
+            elif name in (*_WHOLE, MOVING_CAR):
                 parsed[name] = int(text)
             elif text or name in _NEEDED:
                 parsed[name] = float(text)
@@ -157,11 +153,6 @@ def _read_worst(path: Path) -> dict[Key, Drives]:
             data = {name: file[name] for name in names}
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} has no drives of the suite: {error}") from None
-    # Files written before there were moving cars have no axis for agents.
-    lead, pose_w = data["speed"].shape[:2], data["pose_w"]
-    data["pose_w"] = pose_w.reshape(*lead, -1, *pose_w.shape[-2:])
-    for name in ("steering", "speed"):
-        data[name] = data[name].reshape(*lead, -1)
     columns = (data[name].tolist() for name in ("policy", "level", "seed", "case"))
     keys = zip(*columns, strict=True)
     return {

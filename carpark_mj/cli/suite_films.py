@@ -76,7 +76,7 @@ def recording_of(row: Row, drive: Drives) -> Recording:
     """An episode as the renderer takes it."""
     steps, agents = round(row["length"]), drive.speed.shape[-1]
     first = np.broadcast_to(np.arange(agents) == 0, (steps, agents))  # the one judged
-    cases = pick_cases(row["level"], 1, row["case"], agents - 1)
+    cases = pick_cases(row["level"], 1, row["case"], agents > 1)
     ends = {
         name: first & (np.arange(steps) == steps - 1)[:, None] & bool(row[name])
         for name in OUTCOMES[:3]

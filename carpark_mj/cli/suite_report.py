@@ -14,7 +14,7 @@ from rich.table import Table
 from carpark_mj.analysis.page import film_of, picture, table, write_page
 from carpark_mj.cli.suite_films import Film
 from carpark_mj.evaluation.aggregation import OUTCOMES, Row
-from carpark_mj.evaluation.suite import worst_first
+from carpark_mj.evaluation.suite import has_moving_car, worst_first
 from carpark_mj.layouts.held_out import LEVELS, SHA256, VERSION
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.policy.runs import write_csv
@@ -50,7 +50,7 @@ def header(episodes: Sequence[Row]) -> list[str]:
         if (found := {row["case"] for row in episodes if row["level"] == level})
     ]
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
-    moving = episodes[0].get("moving_cars")
+    moving = has_moving_car(episodes)
     return [
         f"Hard cases, {', '.join(rules)} rule{', one moving car' if moving else ''}",
         f"Held-out cases version {VERSION} (SHA-256 {SHA256[:16]}): "

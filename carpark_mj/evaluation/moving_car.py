@@ -1,7 +1,7 @@
 """A car that drives through the aisle of a hard case while another one parks.
 
 HOPE's program has no moving cars, so the numbers are ours. The car keeps to the far
-side of the aisle and drives straight through at walking pace. It stops for a car ahead
+side of the aisle and drives straight through at 1 m/s. It stops for a car ahead
 of it, and if that stays there backs off to where it came from and tries again: in
 aisles of 3.5 to 4.5 m two cars cannot pass each other, and one that stopped for nobody,
 or for ever, would make cases that nobody can solve. It is an ordinary agent: its start
@@ -37,7 +37,7 @@ STOPPING = 0.5  # m before the goal: from there it brakes
 
 
 class Progress(NamedTuple):
-    """What the driver remembers.
+    """State of the driver, carried between steps.
 
     Attributes:
         way: () float32, 1 towards the goal or -1 while it backs off.

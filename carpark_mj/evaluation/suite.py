@@ -44,21 +44,32 @@ from carpark_mj.types import State
 
 VEHICLE = "tpcap"
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
+MOVING_CAR = "moving_car"  # column of episodes with one
 TIMED = 20  # calls of a policy whose shortest counts
 
 
-def suite_env(env: EnvConfig, rule: ParkedRule, moving_cars: int = 0) -> EnvConfig:
+def suite_env(
+    env: EnvConfig, rule: ParkedRule, with_moving_car: bool = False
+) -> EnvConfig:
     """The environment of a policy with the suite's lots, car and rules.
 
     Args:
         env: that it was trained in.
         rule: when the car counts as parked.
-        moving_cars: 0 or 1.
+        with_moving_car: of two agents, the second of which is the moving car.
+
+    Raises:
+        ValueError: the policy chooses its goals, and the moving car has its own.
     """
-    # With an occupancy a lot may have fewer goals than agents, see `moving_car.reset`.
+    if with_moving_car and env.goals.dynamic:
+        raise ValueError(
+            "a moving car needs policies with fixed goals, goals.dynamic = False"
+        )
     alone = {"num_agents": 1, "min_agents": None, "occupancy": None}
+    # An occupancy turns off the check that every agent has a bay in every lot: that of
+    # the moving car is added to the held-out lots.
     moving = {"num_agents": 2, "min_agents": 1, "occupancy": (0.0, 0.0)}
-    agents: dict[str, Any] = moving if moving_cars else alone
+    agents: dict[str, Any] = moving if with_moving_car else alone
     return dataclasses.replace(
         env,
         layout=HopeConfig("extreme", "parallel"),
@@ -95,8 +106,10 @@ class Cases(NamedTuple):
     layouts: Layout
 
 
-def pick_cases(level: Level, count: int, first: int = 0, moving_cars: int = 0) -> Cases:
-    """Cases of a level that follow each other, with 0 or 1 moving cars."""
+def pick_cases(
+    level: Level, count: int, first: int = 0, with_moving_car: bool = False
+) -> Cases:
+    """Cases of a level that follow each other, with a moving car or without."""
     layouts, parallel = load_held_out(level)
     shapes = [load_held_out(name).layouts for name in LEVELS]
     maxima, which = layout_maxima(shapes), slice(first, first + count)
@@ -104,7 +117,7 @@ def pick_cases(level: Level, count: int, first: int = 0, moving_cars: int = 0) -
         jax.tree.map(lambda x: x[which], layouts)
     )
     number, parallel = np.arange(CASES)[which], parallel[which]
-    if moving_cars:
+    if with_moving_car:
         padded = moving_car.add_ends(level, number, parallel, padded)
     return Cases(level, number, parallel, padded)
 
@@ -134,7 +147,7 @@ def drive_cases(
     Args:
         env: of `suite_env`.
         policy: acting function; a planner must be a fresh one.
-        cases: where to park, with as many moving cars as the environment.
+        cases: where to park, with a moving car if the environment has one.
         seed: of what is random in a policy.
     """
     count, moving = len(cases.number), env.num_agents > 1
@@ -142,19 +155,19 @@ def drive_cases(
     keys = jax.random.split(reset_key, count)
     state, observation = jax.jit(jax.vmap(_reset(env)))(cases.layouts, keys)
     progress = moving_car.init_progress(count) if moving else None
+    drive_on = functools.partial(moving_car.drive, ctrl_dt=env.config.sim.ctrl_dt)
 
     def step(policy, carry, key):
         state, observation, progress = carry
         action = _choose_action(policy, state, observation, key)
         if progress is not None:
-            drive = functools.partial(moving_car.drive, ctrl_dt=env.config.sim.ctrl_dt)
-            other, progress = jax.vmap(drive)(state, progress)
+            other, progress = jax.vmap(drive_on)(state, progress)
             action = jnp.concatenate([action, other[:, None]], axis=1)
         state, timestep = jax.vmap(env.step)(state, action)
         motion = timestep.motion
-        drives = (motion.trace_w, motion.steering, motion.speed)
+        recorded = (motion.trace_w, motion.steering, motion.speed)
         ended = timestep.events.done, timestep.metrics
-        return (state, timestep.observation, progress), (*ended, drives)
+        return (state, timestep.observation, progress), (*ended, recorded)
 
     @jax.jit
     def run(policy, carry, keys):
@@ -166,8 +179,8 @@ def drive_cases(
     while any(row is None for row in rows):
         act_key, own = jax.random.split(act_key)
         carry, out = run(policy, carry, jax.random.split(own, CHUNK))
-        done, metrics, drive = out
-        chunks.append(jax.device_get(drive))
+        done, metrics, recorded = out
+        chunks.append(jax.device_get(recorded))
         metrics = {name: np.asarray(value) for name, value in metrics.items()}
         for t, lot in np.argwhere(np.asarray(done)[..., 0]):
             if rows[lot] is None:
@@ -226,6 +239,11 @@ def worst_first(rows: Sequence[Row]) -> list[Row]:
     )
 
 
+def has_moving_car(rows: Sequence[Row]) -> bool:
+    """Whether a car moved through the aisle in these episodes, as in all or in none."""
+    return any(row.get(MOVING_CAR) for row in rows)
+
+
 def planned_paths(rows: Sequence[Row]) -> dict[tuple[int, str, int], float]:
     """Length of the planner's paths [m] by seed, level and case, where it found one."""
     return {
@@ -269,7 +287,7 @@ def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str,
     # The same case with another seed is not another case.
     low, high = wilson_interval(rate * cases, cases)
     decision = _mean(rows, "ms / decision")
-    moving = any(row.get("moving_cars") for row in rows)
+    moving = has_moving_car(rows)
     return {
         "cases": cases,
         "seeds": len(seeds),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.cli.suite import SuiteConfig, main
-from carpark_mj.cli.suite_files import CASES_FILE, WORST_FILE, read_runs, write_run
+from carpark_mj.cli.suite_files import CASES_FILE, read_runs, write_run
 from carpark_mj.cli.suite_films import FASTER, make_films, recording_of
 from carpark_mj.evaluation.suite import Drives
 from carpark_mj.layouts.held_out import SHA256, load_held_out
@@ -58,7 +58,7 @@ def test_what_processes_wrote_is_read_together(tmp_path):
 
 
 def test_runs_with_a_moving_car_are_read_together(tmp_path):
-    rows = [episode(case, moving_cars=1) for case in (0, 3)]
+    rows = [episode(case, moving_car=1) for case in (0, 3)]
     folders = [
         write(tmp_path / name, row) for name, row in zip("ab", rows, strict=True)
     ]
@@ -69,17 +69,6 @@ def test_runs_with_a_moving_car_are_read_together(tmp_path):
     assert recording.timed_out[-1].tolist() == [True, False]
     assert recording.goal[-1].tolist() == [0, 1]
     assert recording.layout.bay_mask.tolist() == [True, True]
-
-
-def test_drives_from_before_there_were_moving_cars_are_read(tmp_path):
-    folder = write(tmp_path / "a", episode(0))
-    with np.load(folder / WORST_FILE) as file:
-        old = dict(file)
-    old |= {name: old[name][:, :, 0] for name in Drives._fields}
-    np.savez(folder / WORST_FILE, **old)
-    (kept,) = read_runs([folder])[1].values()
-    for mine, read in zip(drives(4), kept, strict=True):
-        np.testing.assert_array_equal(read, mine)
 
 
 def test_combining_makes_the_table_of_all(tmp_path, capsys):
@@ -113,7 +102,7 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys):
     [
         ([episode(0)], "repeats case 0 of extreme by x with seed 0"),
         ([episode(1, rule="precise")], "different rules"),
-        ([episode(1, moving_cars=1)], r"with and without moving cars .* of \[0, 1\]"),
+        ([episode(1, moving_car=1)], "with and without a moving car"),
         ([episode(1, made_with="cpu, jax 0")], r"x with different versions .*'jax 0'"),
         ([episode(1, held_out="0")], "other held-out cases, '0'"),
         ([episode(1, crashed="often")], "line 2: crashed is no number, 'often'"),

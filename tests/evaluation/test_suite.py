@@ -115,7 +115,7 @@ def test_seeds_add_episodes_and_not_cases():
 
 
 def test_the_table_says_that_a_car_moves_and_how_often_it_was_hit():
-    moving = {"moving_cars": 1}
+    moving = {"moving_car": 1}
     rows = [episode(n, "parallel", PARKED, **moving) for n in range(3)]
     rows.append(episode(3, "parallel", MISSED, hit_agent=1.0, **moving))
     rows.append(episode(4, "parallel", MISSED, hit_wall=1.0, **moving))
@@ -175,7 +175,7 @@ def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
         ({"policies": ("zero",), "levels": ()}, "levels must not be empty"),
         ({"policies": ("zero",), "seeds": (1, 1)}, "seeds must differ"),
         ({"policies": ("zero",), "seeds": (-1,)}, "seeds must not be negative"),
-        ({"policies": ("zero",), "moving_cars": 2}, "moving_cars must be 0 or 1"),
+        ({"combine": ("a",), "moving_car": True}, "moving_car is for driving"),
         ({"policies": ("zero",), "films": 11}, "films must be 0 to 10, not 11"),
         ({"policies": ("zero",), "combine": ("a",)}, "not both"),
     ],

@@ -78,13 +78,14 @@ _ANYWHERE = dataclasses.replace(
     networks=NetworkConfig((256, 256, 256), (256, 256, 256)),
     env=ANYWHERE,
 )
+# One car alone: there is nobody to collide with, and no set of cars to read.
 _HOPE = dataclasses.replace(
     _ANYWHERE,
     preset="hope",
     num_steps=200_000_000,
     num_lots=8192,
     curriculum=dataclasses.replace(_ANYWHERE.curriculum, crash_ratio=0.0),
-    networks=NetworkConfig((256, 256, 256), (256, 256, 256), encoder="flat"),
+    networks=dataclasses.replace(_ANYWHERE.networks, encoder="flat"),
     env=HOPE,
 )
 # Many updates on few data: it is agent steps that the study counts.
