@@ -40,11 +40,11 @@ class Progress(NamedTuple):
     """State of the driver, carried between steps.
 
     Attributes:
-        way: () float32, 1 towards the goal or -1 while it backs off.
+        direction: () float32, 1 towards the goal or -1 while it backs off.
         waited: () float32, how long it has waited [s].
     """
 
-    way: jax.Array
+    direction: jax.Array
     waited: jax.Array
 
 
@@ -137,29 +137,44 @@ def drive(
     Returns:
         Its action (2,) and the progress after the step.
     """
-    motion, vehicle = state.motion, state.physics.vehicle
+    motion = state.motion
     pose, speed = motion.pose_w[CAR], motion.speed[CAR]
     goal = state.layout.bay_pose[CAR]
-    left = -to_local(goal, pose)[0]
+    remaining = -to_local(goal, pose)[0]
     whole = -to_local(goal, state.layout.spawn_pose[CAR])[0]
-    way = jnp.where(left >= whole - STOPPING, 1.0, progress.way)
+    # Back at its start it tries again.
+    direction = jnp.where(remaining >= whole - STOPPING, 1.0, progress.direction)
 
-    length, width = motion.size[CAR]
-    middle = jnp.stack([way * (length + LOOK_AHEAD) / 2, 0.0 * way, 0.0 * way])
-    ahead = jnp.stack([jnp.full_like(width, LOOK_AHEAD), width + 2 * GAP])
-    meets = boxes_overlap(to_world(pose, middle), ahead, motion.pose_w, motion.size)
-    blocked = jnp.any(meets.at[CAR].set(False))
+    blocked = _is_blocked(state, direction)
     waited = jnp.where(blocked, progress.waited + ctrl_dt, 0.0)
     gives_up = waited > PATIENCE
+    after = Progress(
+        direction=jnp.where(gives_up, -direction, direction),
+        waited=jnp.where(gives_up, 0.0, waited),
+    )
+    stops = blocked | (remaining < STOPPING)
+    target = jnp.where(stops, 0.0, direction * SPEED)
+    pedal = _pedal(state, target, ctrl_dt)
+    held = stops & (jnp.abs(speed) < HOLD_SPEED)  # a pedal would drive it on
+    pedal = jnp.where(held, 0.0, pedal)
+    return jnp.stack([jnp.zeros_like(pedal), pedal]), after
 
-    stops = blocked | (left < STOPPING)
-    target = jnp.where(stops, 0.0, way * SPEED)
+
+def _is_blocked(state: State, direction: jax.Array) -> jax.Array:
+    """() whether another car is on the next `LOOK_AHEAD` of its way."""
+    motion = state.motion
+    length, width = motion.size[CAR]
+    ahead = jnp.zeros(3).at[0].set(direction * (length + LOOK_AHEAD) / 2)
+    size = jnp.stack([jnp.full_like(width, LOOK_AHEAD), width + 2 * GAP])
+    pose = to_world(motion.pose_w[CAR], ahead)
+    meets = boxes_overlap(pose, size, motion.pose_w, motion.size)
+    return jnp.any(meets.at[CAR].set(False))
+
+
+def _pedal(state: State, target: jax.Array, ctrl_dt: float) -> jax.Array:
+    """() pedal that reaches a speed [m/s] in a control step, or comes nearest to it."""
+    speed, vehicle = state.motion.speed[CAR], state.physics.vehicle
     change = jnp.clip((target - speed) / ctrl_dt, -ACCELERATION, ACCELERATION)
     brakes = change * speed < 0.0
-    most = jnp.where(brakes, vehicle.max_deceleration, vehicle.max_acceleration)[CAR]
-    held = stops & (jnp.abs(speed) < HOLD_SPEED)  # a pedal would drive it on
-    pedal = jnp.where(held, 0.0, jnp.clip(change / most, -1.0, 1.0))
-    after = Progress(
-        way=jnp.where(gives_up, -way, way), waited=jnp.where(gives_up, 0.0, waited)
-    )
-    return jnp.stack([jnp.zeros_like(pedal), pedal]), after
+    limit = jnp.where(brakes, vehicle.max_deceleration, vehicle.max_acceleration)
+    return jnp.clip(change / limit[CAR], -1.0, 1.0)
