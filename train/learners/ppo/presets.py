@@ -82,7 +82,7 @@ _ANYWHERE = dataclasses.replace(
 _HOPE = dataclasses.replace(
     _ANYWHERE,
     preset="hope",
-    num_steps=200_000_000,
+    num_steps=800_000_000,
     num_lots=8192,
     curriculum=dataclasses.replace(_ANYWHERE.curriculum, crash_ratio=0.0),
     networks=dataclasses.replace(_ANYWHERE.networks, encoder="flat"),
