@@ -8,10 +8,12 @@ Conversion: the goal is the only bay, a little larger than the car; the start is
 a spawn region of 2 cm. A rectangle becomes one wall. Of any other polygon, convex or
 not, the edges become walls 2 cm thick on its inner side: from outside that is the
 polygon to within 2 cm, and no car gets inside without crossing an edge. There are no
-lanes and no outer walls. The case is moved so that the lot's centre is the origin.
+lanes and no outer walls. The case is moved so that the lot's centre is the origin, in
+double precision: published cases lie up to 1e10 m from theirs.
 """
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -38,6 +40,7 @@ EDGE = 0.02  # m, thickness of the walls along the edges of a polygon
 TOUCHING = 0.01  # m by which a car may stand in an obstacle, for rounded coordinates
 START = 0.02  # m, side of the spawn region
 LEAST_AREA = 1e-4  # m², of an obstacle
+FARTHEST_ORIGIN = 1e10  # m; float64 resolves 2e-6 m there
 RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
 
 
@@ -73,12 +76,7 @@ def read_tpcap(path: Path, car: DesignCar = TPCAP_CAR) -> Layout:
             f"{path}, line {lines[-1]}: {count} obstacles with {sum(sizes)} vertices "
             f"make {expected} numbers, not {len(numbers)}"
         )
-    for number in (0, 1, 3, 4, *range(7 + count, expected)):
-        if abs(numbers[number]) > FARTHEST:
-            raise ValueError(
-                f"{path}, line {lines[number]}: a coordinate must be at most "
-                f"{FARTHEST:g} m, not {numbers[number]:g}"
-            )
+    _require_near(path, numbers, lines, (0, 1, 3, 4, *range(7 + count, expected)))
     vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
     polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
     for k, polygon in enumerate(polygons):
@@ -132,6 +130,24 @@ def _whole(path: Path, line: int, what: str, value: float, least: int) -> int:
             f"not {value:g}"
         )
     return int(value)
+
+
+def _require_near(
+    path: Path, numbers: list[float], lines: list[int], coordinates: Sequence[int]
+) -> None:
+    """Refuses a case that is too large, or too far from its origin to be resolved."""
+    for k, number in enumerate(coordinates):
+        value, place = numbers[number], f"{path}, line {lines[number]}: a coordinate"
+        if abs(value) > FARTHEST_ORIGIN:
+            raise ValueError(
+                f"{place} must be at most {FARTHEST_ORIGIN:g} m, not {value:g}"
+            )
+        away = abs(value - numbers[k % 2])  # start, goal and vertices: x, y in turn
+        if away > FARTHEST:
+            raise ValueError(
+                f"{place} must be at most {FARTHEST:g} m from the start's, not "
+                f"{away:g} m"
+            )
 
 
 def _case(
