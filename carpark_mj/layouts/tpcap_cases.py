@@ -59,7 +59,7 @@ TPCAP: dict[str, TpcapConfig] = dict(
 def tpcap(config: TpcapConfig, key: jax.Array) -> Layout:
     """The layout of a case; of any, padded alike, if the config names none."""
     if config.case is not None:
-        return jax.tree.map(jnp.asarray, _read()[config.case - 1])
+        return jax.tree.map(jnp.asarray, _read(config.case))
     pick = jax.random.randint(key, (), 0, len(NUMBERS))
     return jax.tree.map(lambda rows: jnp.asarray(rows)[pick], load_tpcap())
 
@@ -71,20 +71,27 @@ def load_tpcap() -> Layout:
     Raises:
         ValueError: the files in the package are not the published ones.
     """
-    maxima = layout_maxima(_read())
+    cases = [_read(number) for number in NUMBERS]
+    maxima = layout_maxima(cases)
     with jax.ensure_compile_time_eval():
-        padded = [jax.device_get(pad_layout(case, maxima)) for case in _read()]
+        padded = [jax.device_get(pad_layout(case, maxima)) for case in cases]
     return jax.tree.map(lambda *rows: np.stack(rows), *padded)
 
 
 @functools.cache
-def _read() -> list[Layout]:
-    files = [FOLDER / f"case{number}.csv" for number in NUMBERS]
-    texts = [file.read_text(encoding="utf-8") for file in files]
+def _read(number: int) -> Layout:
+    with jax.ensure_compile_time_eval():  # also while a program is traced
+        return jax.device_get(read_tpcap(_files()[number]))
+
+
+@functools.cache
+def _files() -> dict[int, Path]:
+    """The files by number, once they have been compared with the published ones."""
+    files = {number: FOLDER / f"case{number}.csv" for number in NUMBERS}
+    texts = [file.read_text(encoding="utf-8") for file in files.values()]
     if (found := hashlib.sha256("".join(texts).encode()).hexdigest()) != SHA256:
         raise ValueError(
             f"{FOLDER} has other cases than the published ones: their SHA-256 is "
             f"{found}, not {SHA256}"
         )
-    with jax.ensure_compile_time_eval():  # also while a program is traced
-        return [jax.device_get(read_tpcap(file)) for file in files]
+    return files
