@@ -81,11 +81,11 @@ def load_tpcap() -> Layout:
 @functools.cache
 def _read(number: int) -> Layout:
     with jax.ensure_compile_time_eval():  # also while a program is traced
-        return jax.device_get(read_tpcap(_files()[number]))
+        return jax.device_get(read_tpcap(published_files()[number]))
 
 
 @functools.cache
-def _files() -> dict[int, Path]:
+def published_files() -> dict[int, Path]:
     """The files by number, once they have been compared with the published ones."""
     files = {number: FOLDER / f"case{number}.csv" for number in NUMBERS}
     texts = [file.read_text(encoding="utf-8") for file in files.values()]
