@@ -50,7 +50,7 @@ from carpark_mj.policy.checkpoints import require_writable
 from carpark_mj.vehicle import preset
 
 PLANNER = "planner"
-DRAWN = 4  # cases of each level in the picture of paths
+DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
 
 
 @dataclasses.dataclass(frozen=True)
@@ -236,9 +236,10 @@ def _plans(planner: Planner, lots: int) -> list[Row]:
 
 
 def _drawn(planner: Planner, cases: Cases) -> _Drawn:
-    """Titles, layouts and paths of the first cases."""
+    """Titles, layouts and paths of the cases in the picture."""
     found: _Drawn = []
-    for lot, number in enumerate(cases.number[:DRAWN].tolist()):
+    count = None if cases.level == TPCAP else DRAWN
+    for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path
         told = f"{path.length:.1f} m, {path.shifts} gear changes" if path else "no path"
         layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)

@@ -39,7 +39,8 @@ def plot_paths(
         axis.set_title(title, fontsize=9)
         axis.set_aspect("equal")
         mask = layout.wall_mask
-        _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], "0.6")
+        # Outlined: edges of polygons are too thin to be seen.
+        _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], "0.6", width=0.8)
         size = np.array([car.length, car.width])
         _fill(axis, layout.bay_pose[:1], layout.bay_size[:1], "tab:green", 0.4)
         _fill(axis, layout.spawn_pose[:1], size[None], "tab:blue", 0.3)
@@ -65,7 +66,12 @@ def _view(layout: Layout, path: Path | None) -> np.ndarray:
 
 
 def _fill(
-    axis: Axes, pose: np.ndarray, size: np.ndarray, color: str, alpha: float = 1.0
+    axis: Axes,
+    pose: np.ndarray,
+    size: np.ndarray,
+    color: str,
+    alpha: float = 1.0,
+    width: float = 0.0,
 ) -> None:
     for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
-        axis.fill(*outline.T, color=color, alpha=alpha, lw=0)
+        axis.fill(*outline.T, color=color, alpha=alpha, lw=width)
