@@ -12,6 +12,7 @@ lanes and no outer walls. The case is moved so that the lot's centre is the orig
 double precision: published cases lie up to 1e10 m from theirs.
 """
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -197,10 +198,8 @@ def _case(
         solid,
         spawns(start[None], (START, START), 0.0),
     )
-    fields = {name: np.asarray(value) for name, value in vars(layout).items()}
-    for name in solid:
-        fields[name] = fields[name][: len(boxes)]
-    return jax.tree.map(jnp.asarray, Layout(**fields))
+    kept = {name: np.asarray(rows)[: len(boxes)] for name, rows in solid.items()}
+    return dataclasses.replace(layout, **jax.tree.map(jnp.asarray, kept))
 
 
 @jax.jit

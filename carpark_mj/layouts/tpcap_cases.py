@@ -14,7 +14,7 @@ import numpy as np
 
 from carpark_mj.config import TPCAP_NAMES, LayoutConfig
 from carpark_mj.layouts.tpcap import read_tpcap
-from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
+from carpark_mj.layouts.types import Layout
 
 FOLDER = Path(__file__).with_name("tpcap_data")
 # Of the texts of the files in the order of their numbers.
@@ -71,11 +71,14 @@ def load_tpcap() -> Layout:
     Raises:
         ValueError: the files in the package are not the published ones.
     """
-    cases = [_read(number) for number in NUMBERS]
-    maxima = layout_maxima(cases)
-    with jax.ensure_compile_time_eval():
-        padded = [jax.device_get(pad_layout(case, maxima)) for case in cases]
-    return jax.tree.map(lambda *rows: np.stack(rows), *padded)
+
+    def stack(*parts: np.ndarray) -> np.ndarray:
+        most = max(len(part) for part in parts)
+        # As `pad_layout` does, which would be compiled for each case.
+        more = [[(0, most - len(part)), *[(0, 0)] * (part.ndim - 1)] for part in parts]
+        return np.stack(list(map(np.pad, parts, more)))
+
+    return jax.tree.map(stack, *map(_read, NUMBERS))
 
 
 @functools.cache
