@@ -48,6 +48,8 @@ def test_a_lot_is_its_file(number):
     theirs = shapely.union_all(shapes)
     assert mine.within(theirs.buffer(1.01 * EDGE, join_style="mitre"))
     outline = theirs.boundary
+    outside = mine.difference(theirs.buffer(1e-4)).area  # tips at sharp corners
+    assert outside < 0.05 * EDGE * outline.length
     assert outline.difference(mine.buffer(1e-4)).length < 1e-3
 
 
