@@ -25,18 +25,23 @@ from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import (
     MOVING_CAR,
     VEHICLE,
-    Cases,
     Drives,
     decision_time,
     drive_cases,
-    pick_cases,
     suite_env,
     table_rows,
     worst_first,
 )
+from carpark_mj.evaluation.suite_cases import (
+    TPCAP,
+    Cases,
+    SuiteLevel,
+    case_numbers,
+    fingerprint,
+    pick_cases,
+)
 from carpark_mj.layouts import Layout
-from carpark_mj.layouts.held_out import CASES, LEVELS, SHA256
-from carpark_mj.layouts.standards import Level
+from carpark_mj.layouts.held_out import LEVELS
 from carpark_mj.planning.paths import Path, car_of
 from carpark_mj.planning.plot import plot_paths
 from carpark_mj.planning.policy import Planner, planner_policy
@@ -45,7 +50,7 @@ from carpark_mj.policy.checkpoints import require_writable
 from carpark_mj.vehicle import preset
 
 PLANNER = "planner"
-DRAWN = 4  # cases of each level in the picture of paths
+DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,9 +60,9 @@ class SuiteConfig:
     Attributes:
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
             or `random`.
-        levels: which levels.
+        levels: which levels, `tpcap` being TPCAP's 20 published cases.
         cases: how many of each level; all from `first_case` on if None.
-        first_case: of each level, from 0.
+        first_case: of each level, from 0 (of TPCAP's, numbered from 1, 0 is the first).
         rule: when a car counts as parked.
         moving_car: in every case another car drives through the aisle meanwhile.
         seeds: of the planner's searches, and of policies that draw; each drives all
@@ -73,7 +78,7 @@ class SuiteConfig:
     policies: Annotated[
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
     ] = ()
-    levels: tuple[Level, ...] = LEVELS
+    levels: tuple[SuiteLevel, ...] = LEVELS
     cases: int | None = None
     first_case: int = 0
     rule: ParkedRule = "strict"
@@ -89,14 +94,11 @@ class SuiteConfig:
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
             )
-        if not 0 <= self.first_case < CASES:
+        for level in self.levels:
+            self._check_cases(level)
+        if self.moving_car and TPCAP in self.levels:
             raise ValueError(
-                f"first_case must be 0 to {CASES - 1}, not {self.first_case}"
-            )
-        if self.cases is not None and not 1 <= self.cases <= CASES - self.first_case:
-            raise ValueError(
-                f"cases must be 1 to {CASES - self.first_case} from case "
-                f"{self.first_case} on, not {self.cases}"
+                f"moving_car needs an aisle, which the cases of level {TPCAP} lack"
             )
         if self.moving_car and self.combine:
             raise ValueError("moving_car is for driving, combine reads what was driven")
@@ -111,6 +113,20 @@ class SuiteConfig:
                 raise ValueError(f"{name} must not be empty")
         if min(self.seeds) < 0:
             raise ValueError(f"seeds must not be negative, not {self.seeds}")
+
+    def _check_cases(self, level: SuiteLevel) -> None:
+        known = len(case_numbers(level))
+        if not 0 <= self.first_case < known:
+            raise ValueError(
+                f"first_case must be 0 to {known - 1}, not {self.first_case}: level "
+                f"{level} has {known} cases"
+            )
+        left = known - self.first_case
+        if self.cases is not None and not 1 <= self.cases <= left:
+            raise ValueError(
+                f"cases must be 1 to {left} from case {self.first_case} on, not "
+                f"{self.cases}: level {level} has {known}"
+            )
 
 
 def main(config: SuiteConfig) -> list[dict[str, Any]]:
@@ -157,13 +173,13 @@ _Drawn = list[tuple[str, Layout, Path | None]]
 def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Drawn]:
     """Episodes, how the worst ones were driven, and the planner's first paths."""
     drivers = {name: find_driver(name) for name in config.policies}
-    count, moving = config.cases or CASES - config.first_case, config.moving_car
+    first, moving = config.first_case, config.moving_car
     cases = [
-        pick_cases(level, count, config.first_case, moving) for level in config.levels
+        pick_cases(
+            level, config.cases or len(case_numbers(level)) - first, first, moving
+        )
+        for level in config.levels
     ]
-    head: Row = {"rule": config.rule, "held_out": SHA256[:16]}
-    if moving:
-        head[MOVING_CAR] = 1
     tail = {"made_with": made_with()}
     episodes: list[Row] = []
     drives: dict[Key, Drives] = {}
@@ -172,9 +188,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
         env = ParkingEnv(suite_env(driver.env, config.rule, moving))
         for seed in config.seeds:
             for part in cases:
-                policy, planner = _policy(
-                    name, driver.policy, env, seed, config.first_case
-                )
+                policy, planner = _policy(name, driver.policy, env, seed, first)
                 rows, driven = drive_cases(env, policy, part, seed)
                 if planner is not None:
                     plans = _plans(planner, len(rows))
@@ -183,7 +197,9 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
                         drawn += _drawn(planner, part)
                 own = {"ms / decision": 1e3 * _seconds(env, policy, planner, part)}
                 own |= tail
-                which = {"policy": name, "seed": seed, **head}
+                which = {"policy": name, "seed": seed, "rule": config.rule}
+                which |= {"held_out": fingerprint(part.level)}
+                which |= {MOVING_CAR: 1} if moving else {}
                 rows = [which | row | own for row in rows]
                 episodes += rows
                 drives |= _worst_drives(rows, driven)
@@ -220,9 +236,10 @@ def _plans(planner: Planner, lots: int) -> list[Row]:
 
 
 def _drawn(planner: Planner, cases: Cases) -> _Drawn:
-    """Titles, layouts and paths of the first cases."""
+    """Titles, layouts and paths of the cases in the picture."""
     found: _Drawn = []
-    for lot, number in enumerate(cases.number[:DRAWN].tolist()):
+    count = None if cases.level == TPCAP else DRAWN
+    for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path
         told = f"{path.length:.1f} m, {path.shifts} gear changes" if path else "no path"
         layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)

@@ -14,7 +14,7 @@ import numpy as np
 
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import MOVING_CAR, Drives
-from carpark_mj.layouts.held_out import CASES, LEVELS, SHA256
+from carpark_mj.evaluation.suite_cases import LEVELS, case_numbers, fingerprint
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.policy.runs import write_csv
 
@@ -117,10 +117,10 @@ def _read_cases(path: Path) -> list[Row]:
             raise ValueError(f"{path} lacks the columns {', '.join(sorted(missing))}")
         rows = [_parse(row, f"{path}, line {reader.line_num}") for row in reader]
     for row in rows:
-        if row["held_out"] != SHA256[:16]:
+        if row["held_out"] != fingerprint(row["level"]):
             raise ValueError(
                 f"{path} is about other held-out cases, {row['held_out']!r}, not "
-                f"{SHA256[:16]}"
+                f"{fingerprint(row['level'])}"
             )
     return rows
 
@@ -139,10 +139,9 @@ def _parse(row: Mapping[str, Any], place: str) -> Row:
                 parsed[name] = float(text)
         except ValueError:
             raise ValueError(f"{place}: {name} is no number, {text!r}") from None
-    if parsed["level"] not in LEVELS or not 0 <= parsed["case"] < CASES:
-        raise ValueError(
-            f"{place}: there is no case {parsed['case']} of level {parsed['level']!r}"
-        )
+    level, case = parsed["level"], parsed["case"]
+    if level not in LEVELS or case not in case_numbers(level):
+        raise ValueError(f"{place}: there is no case {case} of level {level!r}")
     return parsed
 
 

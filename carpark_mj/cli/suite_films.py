@@ -10,7 +10,8 @@ import numpy as np
 from carpark_mj.cli.suite_files import Key, key_of
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import OUTCOMES, Row
-from carpark_mj.evaluation.suite import Drives, pick_cases, suite_env
+from carpark_mj.evaluation.suite import Drives, suite_env
+from carpark_mj.evaluation.suite_cases import case_numbers, pick_cases
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.rollout import Recording
@@ -76,7 +77,8 @@ def recording_of(row: Row, drive: Drives) -> Recording:
     """An episode as the renderer takes it."""
     steps, agents = round(row["length"]), drive.speed.shape[-1]
     first = np.broadcast_to(np.arange(agents) == 0, (steps, agents))  # the one judged
-    cases = pick_cases(row["level"], 1, row["case"], agents > 1)
+    place = case_numbers(row["level"]).index(row["case"])
+    cases = pick_cases(row["level"], 1, place, agents > 1)
     ends = {
         name: first & (np.arange(steps) == steps - 1)[:, None] & bool(row[name])
         for name in OUTCOMES[:3]

@@ -15,7 +15,8 @@ from carpark_mj.analysis.page import film_of, picture, table, write_page
 from carpark_mj.cli.suite_films import Film
 from carpark_mj.evaluation.aggregation import OUTCOMES, Row
 from carpark_mj.evaluation.suite import has_moving_car, worst_first
-from carpark_mj.layouts.held_out import LEVELS, SHA256, VERSION
+from carpark_mj.evaluation.suite_cases import LEVELS, TPCAP, fingerprint
+from carpark_mj.layouts.held_out import VERSION
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.policy.runs import write_csv
 
@@ -44,17 +45,21 @@ def made_with() -> str:
 def header(episodes: Sequence[Row]) -> list[str]:
     """The title of a suite's results, then what they depend on."""
     seeds = sorted({row["seed"] for row in episodes})
-    levels = [
-        f"{len(found)} of {level} ({_ranges(found)})"
-        for level in LEVELS
-        if (found := {row["case"] for row in episodes if row["level"] == level})
-    ]
+    parts: dict[str, list[str]] = {}
+    for level in LEVELS:
+        source = (
+            "TPCAP's cases" if level == TPCAP else f"Held-out cases version {VERSION}"
+        )
+        if found := {row["case"] for row in episodes if row["level"] == level}:
+            told = f"{len(found)} of {level} ({_ranges(found)})"
+            title = f"{source} (SHA-256 {fingerprint(level)})"
+            parts.setdefault(title, []).append(told)
+    cases = "; ".join(f"{title}: {', '.join(told)}" for title, told in parts.items())
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
     moving = has_moving_car(episodes)
     return [
         f"Hard cases, {', '.join(rules)} rule{', one moving car' if moving else ''}",
-        f"Held-out cases version {VERSION} (SHA-256 {SHA256[:16]}): "
-        f"{', '.join(levels)}; seed{'s' * (len(seeds) > 1)} "
+        f"{cases}; seed{'s' * (len(seeds) > 1)} "
         f"{', '.join(map(str, seeds))}; on {'; '.join(sorted(made))}.",
         "Rates with Wilson's 95 % interval for the number of cases, however many seeds "
         "drove them; gear changes, paths, errors and times are means over parked "

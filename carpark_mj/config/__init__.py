@@ -11,9 +11,11 @@ from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.insertion import insert
 from carpark_mj.config.layouts import (
     LAYOUT_FILES,
+    TPCAP_NAMES,
     LayoutChoice,
     LayoutConfig,
     LayoutName,
+    require_layout,
 )
 from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observations import (
@@ -44,6 +46,7 @@ __all__ = [
     "LAYOUT_FILES",
     "PARKED_RULES",
     "REWARDS",
+    "TPCAP_NAMES",
     "WORLD_UNIT",
     "BayPart",
     "ContextName",
@@ -81,5 +84,6 @@ __all__ = [
     "TyresName",
     "ViewConfig",
     "insert",
+    "require_layout",
     "reward_preset",
 ]

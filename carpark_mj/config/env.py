@@ -1,7 +1,7 @@
 """The environment's configuration."""
 
 import dataclasses
-from typing import Literal, get_args
+from typing import Literal
 
 from carpark_mj.config.checks import (
     Range,
@@ -15,10 +15,9 @@ from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.grid import GridConfig
 from carpark_mj.config.layouts import (
-    LAYOUT_FILES,
     LayoutChoice,
     LayoutConfig,
-    LayoutName,
+    require_layout,
 )
 from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observations import (
@@ -107,12 +106,7 @@ class EnvConfig:
         if not isinstance(self.layout, LayoutConfig | str):  # pyright: ignore
             raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
         for name in self.layout.split(",") if isinstance(self.layout, str) else ():
-            if not name.endswith(LAYOUT_FILES) and name not in get_args(LayoutName):
-                raise ValueError(
-                    f"unknown layout {name!r}; choose from "
-                    f"{sorted(get_args(LayoutName))}, or name a file "
-                    f"({', '.join(LAYOUT_FILES)})"
-                )
+            require_layout(name)
         choose("physics", self.physics, PhysicsName)
         require_kinds(
             self,

@@ -1,6 +1,6 @@
 """Which lot: names, files, and the base of the families' configs."""
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 # Layouts given by name alone; `carpark_mj.layouts` defines them.
 LayoutName = Literal[
@@ -25,8 +25,24 @@ LayoutName = Literal[
     "street",
     "street_parallel",
     "tanner",
+    "tpcap",
 ]
+TPCAP_NAMES = tuple(f"tpcap_{number}" for number in range(1, 21))  # one case each
 LAYOUT_FILES = (".json", ".csv")
+
+
+def require_layout(name: str) -> None:
+    """Refuses what is neither the name of a layout nor that of a layout file.
+
+    Raises:
+        ValueError: with the known names.
+    """
+    known = sorted(get_args(LayoutName))
+    if not name.endswith(LAYOUT_FILES) and name not in (*known, *TPCAP_NAMES):
+        raise ValueError(
+            f"unknown layout {name!r}; choose from {known}, or {TPCAP_NAMES[0]} to "
+            f"{TPCAP_NAMES[-1]}, or name a file ({', '.join(LAYOUT_FILES)})"
+        )
 
 
 class LayoutConfig:

@@ -1,8 +1,8 @@
-"""The suite of hard cases: one car parks in every held-out case of HOPE's levels.
+"""The suite of hard cases: one car parks in every case of some levels.
 
 All policies drive the same car, `tpcap`, on the same physics, without noise. The cases
-are in the package (`carpark_mj.layouts.held_out`); an episode ends after 100 s. Another
-car may drive through the aisle meanwhile, see `moving_car`; it is not judged.
+are in the package (`suite_cases`); an episode ends after 100 s. Another car may drive
+through the aisle meanwhile, see `moving_car`; it is not judged.
 """
 
 import dataclasses
@@ -36,9 +36,8 @@ from carpark_mj.evaluation.aggregation import (
     wilson_interval,
 )
 from carpark_mj.evaluation.rollout import CHUNK, evaluation_key
-from carpark_mj.layouts import HopeConfig, Layout, layout_maxima, pad_layout
-from carpark_mj.layouts.held_out import CASES, LEVELS, load_held_out
-from carpark_mj.layouts.standards import Level
+from carpark_mj.evaluation.suite_cases import LEVELS, Cases
+from carpark_mj.layouts import HopeConfig, Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.types import State
 
@@ -88,38 +87,6 @@ def suite_env(
         ),
         metrics=MetricsConfig(),
     )
-
-
-class Cases(NamedTuple):
-    """Some cases of a level.
-
-    Attributes:
-        level: its name.
-        number: (n,) which of the level's.
-        parallel: (n,) bool; the others are perpendicular.
-        layouts: (n, ...) of the same shapes at every level.
-    """
-
-    level: Level
-    number: np.ndarray
-    parallel: np.ndarray
-    layouts: Layout
-
-
-def pick_cases(
-    level: Level, count: int, first: int = 0, with_moving_car: bool = False
-) -> Cases:
-    """Cases of a level that follow each other, with a moving car or without."""
-    layouts, parallel = load_held_out(level)
-    shapes = [load_held_out(name).layouts for name in LEVELS]
-    maxima, which = layout_maxima(shapes), slice(first, first + count)
-    padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
-        jax.tree.map(lambda x: x[which], layouts)
-    )
-    number, parallel = np.arange(CASES)[which], parallel[which]
-    if with_moving_car:
-        padded = moving_car.add_ends(level, number, parallel, padded)
-    return Cases(level, number, parallel, padded)
 
 
 class Drives(NamedTuple):
@@ -214,7 +181,7 @@ def _label(cases: Cases, lot: int) -> Row:
     return {
         "level": cases.level,
         "case": int(cases.number[lot]),
-        "kind": "parallel" if cases.parallel[lot] else "perpendicular",
+        "kind": str(cases.kind[lot]),
     }
 
 

@@ -23,6 +23,7 @@ from carpark_mj.layouts.slots import SlotsConfig
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
+from carpark_mj.layouts.tpcap_cases import TpcapConfig
 from carpark_mj.layouts.types import (
     ROWS,
     BayKind,
@@ -59,6 +60,7 @@ __all__ = [
     "SquareConfig",
     "StreetConfig",
     "StreetParallelConfig",
+    "TpcapConfig",
     "WallKind",
     "generate",
     "generate_member",

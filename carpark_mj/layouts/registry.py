@@ -1,12 +1,12 @@
 """Families of lots by name, and the layouts of names and configs."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import LAYOUT_FILES, LayoutConfig, LayoutName
+from carpark_mj.config import LAYOUT_FILES, LayoutConfig, require_layout
 from carpark_mj.layouts.angled import AngledConfig, angled
 from carpark_mj.layouts.dead_end import DeadEndConfig, dead_end
 from carpark_mj.layouts.from_file import FromFileConfig, from_file
@@ -19,6 +19,7 @@ from carpark_mj.layouts.mixture import MixtureConfig
 from carpark_mj.layouts.slots import SLOTS, SlotsConfig, slots
 from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
 from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig, street
+from carpark_mj.layouts.tpcap_cases import TPCAP, TpcapConfig, tpcap
 from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
 
 
@@ -65,13 +66,14 @@ FAMILIES: dict[str, Family] = {
     "slots": Family(SlotsConfig, slots),
     "hope": Family(HopeConfig, hope),
     "metadrive": Family(MetaDriveConfig, metadrive),
+    "tpcap": Family(TpcapConfig, tpcap),
     "from_file": Family(FromFileConfig, from_file),
     "mixture": Family(MixtureConfig, draw_mixture),
 }
 
 SQUARES: dict[str, SquareConfig] = {"tanner": TANNER, "compact": COMPACT}
 # Configs with a name of their own, besides the defaults of the families.
-NAMED: dict[str, LayoutConfig] = {**SQUARES, **SLOTS, **HOPE}
+NAMED: dict[str, LayoutConfig] = {**SQUARES, **SLOTS, **HOPE, **TPCAP}
 
 
 def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
@@ -92,11 +94,7 @@ def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
         return FromFileConfig(path=layout)
     if layout in NAMED:
         return NAMED[layout]
-    if layout not in get_args(LayoutName):
-        raise ValueError(
-            f"unknown layout {layout!r}; choose from {sorted(get_args(LayoutName))} "
-            f"or name a file ({', '.join(LAYOUT_FILES)})"
-        )
+    require_layout(layout)
     return FAMILIES[layout].config()
 
 

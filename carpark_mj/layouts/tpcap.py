@@ -8,17 +8,21 @@ Conversion: the goal is the only bay, a little larger than the car; the start is
 a spawn region of 2 cm. A rectangle becomes one wall. Of any other polygon, convex or
 not, the edges become walls 2 cm thick on its inner side: from outside that is the
 polygon to within 2 cm, and no car gets inside without crossing an edge. There are no
-lanes and no outer walls. The case is moved so that the lot's centre is the origin.
+lanes and no outer walls. The case is moved so that the lot's centre is the origin, in
+double precision: published cases lie up to 1e10 m from theirs.
 """
 
+import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.geometry import boxes_overlap
-from carpark_mj.layouts.build import assemble, bays, spawns, walls
+from carpark_mj.layouts.build import Group, assemble, bays, spawns, walls
 from carpark_mj.layouts.json_file import FARTHEST
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import Layout
@@ -34,10 +38,13 @@ TPCAP_CAR = DesignCar(
     max_steering=0.75,
 )
 BAY_MARGIN = 0.2  # m on every side of the goal footprint, less where obstacles are near
+SHARES = (1.0, 0.75, 0.5, 0.25)  # of it: the first that is free; else none
 EDGE = 0.02  # m, thickness of the walls along the edges of a polygon
 TOUCHING = 0.01  # m by which a car may stand in an obstacle, for rounded coordinates
 START = 0.02  # m, side of the spawn region
+PADDED = 256  # walls, to multiples of which
 LEAST_AREA = 1e-4  # m², of an obstacle
+FARTHEST_ORIGIN = 1e10  # m; float64 resolves 2e-6 m there
 RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
 
 
@@ -73,12 +80,7 @@ def read_tpcap(path: Path, car: DesignCar = TPCAP_CAR) -> Layout:
             f"{path}, line {lines[-1]}: {count} obstacles with {sum(sizes)} vertices "
             f"make {expected} numbers, not {len(numbers)}"
         )
-    for number in (0, 1, 3, 4, *range(7 + count, expected)):
-        if abs(numbers[number]) > FARTHEST:
-            raise ValueError(
-                f"{path}, line {lines[number]}: a coordinate must be at most "
-                f"{FARTHEST:g} m, not {numbers[number]:g}"
-            )
+    _require_near(path, numbers, lines, (0, 1, 3, 4, *range(7 + count, expected)))
     vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
     polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
     for k, polygon in enumerate(polygons):
@@ -134,6 +136,24 @@ def _whole(path: Path, line: int, what: str, value: float, least: int) -> int:
     return int(value)
 
 
+def _require_near(
+    path: Path, numbers: list[float], lines: list[int], coordinates: Sequence[int]
+) -> None:
+    """Refuses a case that is too large, or too far from its origin to be resolved."""
+    for k, number in enumerate(coordinates):
+        value, place = numbers[number], f"{path}, line {lines[number]}: a coordinate"
+        if abs(value) > FARTHEST_ORIGIN:
+            raise ValueError(
+                f"{place} must be at most {FARTHEST_ORIGIN:g} m, not {value:g}"
+            )
+        away = abs(value - numbers[k % 2])  # start, goal and vertices: x, y in turn
+        if away > FARTHEST:
+            raise ValueError(
+                f"{place} must be at most {FARTHEST:g} m from the start's, not "
+                f"{away:g} m"
+            )
+
+
 def _case(
     start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray], car: DesignCar
 ) -> Layout:
@@ -153,17 +173,42 @@ def _case(
     pose = np.array([pose for pose, _ in boxes]).reshape(-1, 3)
     size = np.array([size for _, size in boxes]).reshape(-1, 2)
     start, goal = start - middle, goal - middle
-    for first, what, stand in ((0, "start", start), (3, "goal", goal)):
-        size_there = np.array(car.size) - 2 * TOUCHING
-        if boxes_overlap(*map(jnp.asarray, (stand, size_there, pose, size))).any():
+    # Padded while JAX has them: cases would each be compiled on their own.
+    padding = [(0, -len(boxes) % PADDED), (0, 0)]
+    solid = walls(
+        np.pad(pose, padding),
+        np.pad(size, padding),
+        mask=np.arange(len(boxes) + padding[0][1]) < len(boxes),
+    )
+    margins = np.array([-TOUCHING, *(share * BAY_MARGIN for share in SHARES)])
+    sizes = np.array(car.size) + 2 * margins[:, None]
+    blocked = _is_blocked(
+        np.stack([start, goal, *[goal] * len(SHARES)]),
+        sizes[[0, *range(len(sizes))]],
+        solid,
+    )
+    for first, what, number in ((0, "start", 0), (3, "goal", 1)):
+        if blocked[number]:
             raise _BlockedError(first, what)
-    margin = _free_margin(goal, car, pose, size)
-    return assemble(
+    free = sizes[1:][~blocked[2:]]
+    bay_size = free[0] if len(free) else np.array(car.size)
+    layout = assemble(
         (high - low) / 2,
-        bays(goal[None], np.array(car.size) + 2 * margin),
-        walls(pose, size),
+        bays(goal[None], bay_size),
+        solid,
         spawns(start[None], (START, START), 0.0),
     )
+    kept = {name: np.asarray(rows)[: len(boxes)] for name, rows in solid.items()}
+    return dataclasses.replace(layout, **jax.tree.map(jnp.asarray, kept))
+
+
+@jax.jit
+def _is_blocked(pose: jax.Array, size: jax.Array, solid: Group) -> jax.Array:
+    """(n,) bool, whether boxes (n, 3), (n, 2) overlap a wall."""
+    meets = boxes_overlap(
+        pose[:, None], size[:, None], solid["wall_pose"], solid["wall_size"]
+    )
+    return (meets & solid["wall_mask"]).any(axis=-1)
 
 
 def _area(polygon: np.ndarray) -> float:
@@ -192,15 +237,3 @@ def _boxes(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         (np.append(m, a), np.array([n, EDGE]))
         for m, a, n in zip(middle, yaw, length, strict=True)
     ]
-
-
-def _free_margin(
-    goal: np.ndarray, car: DesignCar, pose: np.ndarray, size: np.ndarray
-) -> float:
-    """The largest of a few margins that keep the bay clear of the walls."""
-    goal_pose, wall_pose, wall_size = map(jnp.asarray, (goal, pose, size))
-    for share in (1.0, 0.75, 0.5, 0.25):
-        bay = jnp.asarray(np.array(car.size) + 2 * share * BAY_MARGIN)
-        if not boxes_overlap(goal_pose, bay, wall_pose, wall_size).any():
-            return share * BAY_MARGIN
-    return 0.0

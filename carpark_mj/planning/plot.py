@@ -15,6 +15,7 @@ from carpark_mj.policy.checkpoints import write_atomically
 
 COLUMNS = 4
 CELL = (4.4, 2.6)  # inches
+AROUND = 5.0  # m shown beyond start, goal and path
 WAYS = {1: "tab:blue", -1: "tab:red"}
 
 
@@ -38,7 +39,8 @@ def plot_paths(
         axis.set_title(title, fontsize=9)
         axis.set_aspect("equal")
         mask = layout.wall_mask
-        _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], "0.6")
+        # Outlined: edges of polygons are too thin to be seen.
+        _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], "0.6", width=0.8)
         size = np.array([car.length, car.width])
         _fill(axis, layout.bay_pose[:1], layout.bay_size[:1], "tab:green", 0.4)
         _fill(axis, layout.spawn_pose[:1], size[None], "tab:blue", 0.3)
@@ -49,13 +51,27 @@ def plot_paths(
             )
             axis.fill(*outline.T, fill=False, ec=WAYS[segment.way], lw=0.6)
             axis.plot(*segment.pose[:, :2].T, color=WAYS[segment.way], lw=1.2)
-        x, y = layout.extent
-        axis.set(xlim=(-0.7 * x, 0.7 * x), ylim=(-y, 0.6 * y))
+        low, high = _view(layout, path)
+        axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=80))
 
 
+def _view(layout: Layout, path: Path | None) -> np.ndarray:
+    """(2, 2) corners of the part of a lot around start, goal and path [m]."""
+    poses = [layout.spawn_pose[0], layout.bay_pose[0]]
+    parts = [part.pose for part in path.segments] if path is not None else []
+    points = np.concatenate([np.stack(poses), *parts])[:, :2]
+    ends = np.stack([points.min(axis=0) - AROUND, points.max(axis=0) + AROUND])
+    return np.clip(ends, -layout.extent, layout.extent)
+
+
 def _fill(
-    axis: Axes, pose: np.ndarray, size: np.ndarray, color: str, alpha: float = 1.0
+    axis: Axes,
+    pose: np.ndarray,
+    size: np.ndarray,
+    color: str,
+    alpha: float = 1.0,
+    width: float = 0.0,
 ) -> None:
     for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
-        axis.fill(*outline.T, color=color, alpha=alpha, lw=0)
+        axis.fill(*outline.T, color=color, alpha=alpha, lw=width)

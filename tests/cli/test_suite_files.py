@@ -8,6 +8,7 @@ from carpark_mj.cli.suite_files import CASES_FILE, read_runs, write_run
 from carpark_mj.cli.suite_films import FASTER, make_films, recording_of
 from carpark_mj.evaluation.suite import Drives
 from carpark_mj.layouts.held_out import SHA256, load_held_out
+from carpark_mj.layouts.tpcap_cases import load_tpcap
 from carpark_mj.rendering.gl import choose_gl
 
 
@@ -55,6 +56,12 @@ def test_what_processes_wrote_is_read_together(tmp_path):
     layout = load_held_out("extreme").layouts
     np.testing.assert_array_equal(recording.layout.bay_pose, layout.bay_pose[1])
     assert recording.goal[-1].tolist() == [0]
+
+
+def test_a_recording_of_a_tpcap_case_is_in_its_lot():
+    recording = recording_of(episode(8, level="tpcap"), drives(12))
+    lots = load_tpcap()
+    np.testing.assert_array_equal(recording.layout.bay_pose, lots.bay_pose[8 - 1])
 
 
 def test_runs_with_a_moving_car_are_read_together(tmp_path):
@@ -107,6 +114,8 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys):
         ([episode(1, held_out="0")], "other held-out cases, '0'"),
         ([episode(1, crashed="often")], "line 2: crashed is no number, 'often'"),
         ([episode(1000)], "line 2: there is no case 1000 of level 'extreme'"),
+        ([episode(0, level="tpcap")], "line 2: there is no case 0 of level 'tpcap'"),
+        ([episode(1, level="tpcap")], f"other held-out cases, '{SHA256[:16]}', not "),
         ([episode(2), episode(1, length="")], "line 3: length is no number, ''"),
     ],
 )

@@ -7,6 +7,7 @@ import pytest
 from carpark_mj.config import (
     PARKED_RULES,
     REWARDS,
+    TPCAP_NAMES,
     ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
@@ -340,10 +341,10 @@ def test_the_default_reward_is_the_shaped_preset():
 
 def test_every_layout_name_of_the_config_has_a_generator():
     names = get_args(LayoutName)
-    # `hope` goes by the names of its levels.
-    assert set(names) == {*NAMED, *FAMILIES} - {"from_file", "hope"}
+    # `hope` goes by the names of its levels; those of single cases are not listed.
+    assert set(names) == {*NAMED, *FAMILIES} - {"from_file", "hope", *TPCAP_NAMES}
     assert any(layout_config(name).family == "hope" for name in names)
-    for name in names:
+    for name in (*names, *TPCAP_NAMES):
         config = layout_config(EnvConfig(layout=name).layout)
         assert FAMILIES[config.family].config is type(config)
     with pytest.raises(ValueError, match=str(sorted(names)).replace("[", r"\[")):

@@ -10,12 +10,8 @@ import pytest
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.moving_car import GAP
-from carpark_mj.evaluation.suite import (
-    decision_time,
-    drive_cases,
-    pick_cases,
-    suite_env,
-)
+from carpark_mj.evaluation.suite import decision_time, drive_cases, suite_env
+from carpark_mj.evaluation.suite_cases import pick_cases
 from carpark_mj.geometry import box_distance
 from carpark_mj.layouts.held_out import LEVELS
 from carpark_mj.layouts.tpcap import TPCAP_CAR

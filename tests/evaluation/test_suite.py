@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import jax
 import numpy as np
@@ -13,11 +14,12 @@ from carpark_mj.cli.suite_report import header, shown_cells, write_results
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.suite import (
     drive_cases,
-    pick_cases,
     suite_env,
     table_rows,
     worst_first,
 )
+from carpark_mj.evaluation.suite_cases import pick_cases
+from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.held_out import load_held_out
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.registry import ANYWHERE
@@ -58,7 +60,7 @@ def test_every_case_gives_one_row_from_its_own_start():
 def test_a_part_of_a_level_has_the_cases_of_the_level():
     whole, part = pick_cases("complex", 1000), pick_cases("complex", 3, first=501)
     assert part.number.tolist() == [501, 502, 503]
-    assert part.parallel.tolist() == [True, False, True]
+    assert part.kind.tolist() == ["parallel", "perpendicular", "parallel"]
     expected = jax.tree.map(lambda x: x[501:504], whole.layouts)
     jax.tree.map(np.testing.assert_array_equal, part.layouts, expected)
 
@@ -67,6 +69,13 @@ def test_the_header_says_which_cases_were_driven():
     numbers = [0, 1, 2, 7, 250, 251]
     _, told, *_ = header([episode(n, "parallel", PARKED) for n in numbers])
     assert "6 of normal (0 to 2, 7, 250 to 251);" in told
+    published = {**episode(7, "published", PARKED), "level": "tpcap"}
+    _, told, *_ = header([episode(3, "parallel", PARKED), published])
+    assert re.search(
+        r"version 1 \(SHA-256 773f\w+\): 1 of normal \(3\); "
+        r"TPCAP's cases \(SHA-256 7ea1\w+\): 1 of tpcap \(7\); seed 0",
+        told,
+    )
 
 
 def test_cases_of_all_levels_have_the_same_shapes():
@@ -75,6 +84,19 @@ def test_cases_of_all_levels_have_the_same_shapes():
         for level in ("normal", "complex", "extreme")
     ]
     assert shapes[0] == shapes[1] == shapes[2]
+    assert shapes[0].wall_mask[1] < 30  # TPCAP's have up to 206
+
+
+def test_tpcap_s_cases_go_by_their_published_numbers():
+    part = pick_cases("tpcap", 3, first=6)
+    assert part.number.tolist() == [7, 8, 9]
+    lot = jax.device_get(make_layout("tpcap_8"))
+    count = len(lot.wall_mask)
+    assert part.layouts.wall_mask[1].sum() == count == lot.wall_mask.sum()
+    np.testing.assert_allclose(
+        part.layouts.wall_pose[1, :count], lot.wall_pose, atol=1e-6
+    )
+    np.testing.assert_allclose(part.layouts.bay_pose[1], lot.bay_pose, atol=1e-6)
 
 
 def test_the_table_counts_by_kind_and_compares_paths_with_the_planners():
@@ -171,6 +193,18 @@ def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
         (
             {"policies": ("zero",), "first_case": 750, "cases": 251},
             "cases must be 1 to 250 from case 750 on, not 251",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("normal", "tpcap"), "cases": 21},
+            "cases must be 1 to 20 from case 0 on, not 21: level tpcap has 20",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("tpcap",), "first_case": 20},
+            "first_case must be 0 to 19, not 20: level tpcap has 20 cases",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("tpcap",), "moving_car": True},
+            "moving_car needs an aisle, which the cases of level tpcap lack",
         ),
         ({"policies": ("zero",), "levels": ()}, "levels must not be empty"),
         ({"policies": ("zero",), "seeds": (1, 1)}, "seeds must differ"),

@@ -210,6 +210,23 @@ def test_rectangles_are_one_wall_and_other_polygons_their_edges(tmp_path):
         assert mine.difference(polygon).area < 0.002  # tips at sharp corners
 
 
+@pytest.mark.parametrize("shift", [(5e3, -2e4), (4.5e9, -8.7e9)])
+def test_where_a_case_lies_makes_no_difference(shift, tmp_path):
+    here, there = (
+        read_tpcap(
+            case(
+                tmp_path,
+                [[(x + dx, y + dy) for x, y in shape] for shape in (SQUARE, SHARP)],
+                start=(dx, dy, 0),
+                goal=(5 + dx, 12 + dy, 1.0),
+            )
+        )
+        for dx, dy in ((0.0, 0.0), shift)
+    )
+    for name, value in vars(here).items():
+        np.testing.assert_allclose(getattr(there, name), value, atol=1e-5, err_msg=name)
+
+
 def test_a_tight_goal_gets_a_smaller_bay(tmp_path):
     # A wall 0.08 m beside the goal's footprint, which is 1.942 m wide about y = 12.
     wall = [(4, 13.051), (9, 13.051), (9, 14), (4, 14)]
@@ -230,8 +247,9 @@ BAD_CSV = [
     ("0,0,0,5,12,0,0,inf\n", 1, "'inf' is no number"),
     ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", 2, "at the goal would stand in an"),
     ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", 1, "at the start would stand in an"),
-    ("0,0,0\n5,1e30,0\n0\n", 2, r"a coordinate must be at most 10000 m, not 1e\+30"),
-    ("0,0,0,5,12,0,1,3\n9,9,-2e4,7,8,8\n", 2, "coordinate .* not -20000"),
+    ("0,0,0\n5,1e30,0\n0\n", 2, r"a coordinate must be at most 1e\+10 m, not 1e\+30"),
+    ("0,0,0,5,12,0,1,3\n9,9,-2e4,7,8,8\n", 2, "at most 10000 m from the .*, not 20000"),
+    ("3e9,0,0\n3e9,2e4,0\n0\n", 2, "at most 10000 m from the start's, not 20000 m"),
     ("0,0,0,5,12,0,1,3\n9,9,10,9,11,9\n", 2, "obstacle 0 has no area, its 3 vert"),
     ("0,0,0,5,12,0,2,3,4\n9,9,9,8,8,8\n7,7,9,9,9,7,7,9\n", 3, "obstacle 1 has no"),
 ]

@@ -7,7 +7,8 @@ from helpers.planned import CAR, case
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.suite import drive_cases, pick_cases, suite_env
+from carpark_mj.evaluation.suite import drive_cases, suite_env
+from carpark_mj.evaluation.suite_cases import pick_cases
 from carpark_mj.planning.driving import MAX_PLANS, PATIENCE, Agent, Sight
 from carpark_mj.planning.policy import planner_policy
 from carpark_mj.planning.search import SearchConfig

@@ -1,0 +1,69 @@
+"""The cases of the suite: the held-out ones of HOPE's levels, and TPCAP's."""
+
+from typing import Literal, NamedTuple, get_args
+
+import jax
+import numpy as np
+
+from carpark_mj.evaluation import moving_car
+from carpark_mj.layouts import Layout, layout_maxima, pad_layout, tpcap_cases
+from carpark_mj.layouts import held_out as hope_cases
+from carpark_mj.layouts.standards import Level
+
+SuiteLevel = Literal[Level, "tpcap"]
+LEVELS: tuple[SuiteLevel, ...] = get_args(SuiteLevel)
+TPCAP = "tpcap"
+
+
+class Cases(NamedTuple):
+    """Some cases of a level.
+
+    Attributes:
+        level: its name.
+        number: (n,) which of the level's.
+        kind: (n,) str, `parallel`, `perpendicular`, or `published` of TPCAP's.
+        layouts: (n, ...) of the same shapes in all of HOPE's levels.
+    """
+
+    level: SuiteLevel
+    number: np.ndarray
+    kind: np.ndarray
+    layouts: Layout
+
+
+def case_numbers(level: SuiteLevel) -> range:
+    """The numbers of a level's cases: of HOPE's from 0, TPCAP's as published."""
+    return tpcap_cases.NUMBERS if level == TPCAP else range(hope_cases.CASES)
+
+
+def fingerprint(level: SuiteLevel) -> str:
+    """The beginning of the SHA-256 of the data that a level's cases are from."""
+    return (tpcap_cases if level == TPCAP else hope_cases).SHA256[:16]
+
+
+def pick_cases(
+    level: SuiteLevel, count: int, first: int = 0, with_moving_car: bool = False
+) -> Cases:
+    """Cases of a level that follow each other, with a moving car or without.
+
+    Args:
+        level: whose.
+        count: how many.
+        first: how many of the level's are left out before them.
+        with_moving_car: of HOPE's levels only.
+    """
+    which = slice(first, first + count)
+    number = np.array(case_numbers(level)[which])
+    if level == TPCAP:
+        layouts = jax.tree.map(lambda x: x[which], tpcap_cases.load_tpcap())
+        return Cases(level, number, np.full(len(number), "published"), layouts)
+    layouts, parallel = hope_cases.load_held_out(level)
+    shapes = [hope_cases.load_held_out(name).layouts for name in hope_cases.LEVELS]
+    maxima, parallel = layout_maxima(shapes), parallel[which]
+    padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
+        jax.tree.map(lambda x: x[which], layouts)
+    )
+    if with_moving_car:
+        padded = moving_car.add_ends(level, number, parallel, padded)
+    kind = np.where(parallel, "parallel", "perpendicular")
+    return Cases(level, number, kind, padded)
