@@ -33,12 +33,13 @@ from carpark_mj.evaluation.suite import (
     worst_first,
 )
 from carpark_mj.evaluation.suite_cases import (
-    TPCAP,
+    TPCAP_LEVEL,
     Cases,
     SuiteLevel,
     case_numbers,
     fingerprint,
     pick_cases,
+    require_aisle,
 )
 from carpark_mj.layouts import Layout
 from carpark_mj.layouts.held_out import LEVELS
@@ -96,10 +97,8 @@ class SuiteConfig:
             )
         for level in self.levels:
             self._check_cases(level)
-        if self.moving_car and TPCAP in self.levels:
-            raise ValueError(
-                f"moving_car needs an aisle, which the cases of level {TPCAP} lack"
-            )
+            if self.moving_car:
+                require_aisle(level)
         if self.moving_car and self.combine:
             raise ValueError("moving_car is for driving, combine reads what was driven")
         if not 0 <= self.films <= WORST:
@@ -115,11 +114,12 @@ class SuiteConfig:
             raise ValueError(f"seeds must not be negative, not {self.seeds}")
 
     def _check_cases(self, level: SuiteLevel) -> None:
-        known = len(case_numbers(level))
+        numbers = case_numbers(level)
+        known = len(numbers)
         if not 0 <= self.first_case < known:
             raise ValueError(
                 f"first_case must be 0 to {known - 1}, not {self.first_case}: level "
-                f"{level} has {known} cases"
+                f"{level} has the cases {numbers[0]} to {numbers[-1]}"
             )
         left = known - self.first_case
         if self.cases is not None and not 1 <= self.cases <= left:
@@ -238,7 +238,7 @@ def _plans(planner: Planner, lots: int) -> list[Row]:
 def _drawn(planner: Planner, cases: Cases) -> _Drawn:
     """Titles, layouts and paths of the cases in the picture."""
     found: _Drawn = []
-    count = None if cases.level == TPCAP else DRAWN
+    count = None if cases.level == TPCAP_LEVEL else DRAWN
     for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path
         told = f"{path.length:.1f} m, {path.shifts} gear changes" if path else "no path"

@@ -15,7 +15,7 @@ from carpark_mj.analysis.page import film_of, picture, table, write_page
 from carpark_mj.cli.suite_films import Film
 from carpark_mj.evaluation.aggregation import OUTCOMES, Row
 from carpark_mj.evaluation.suite import has_moving_car, worst_first
-from carpark_mj.evaluation.suite_cases import LEVELS, TPCAP, fingerprint
+from carpark_mj.evaluation.suite_cases import LEVELS, TPCAP_LEVEL, fingerprint
 from carpark_mj.layouts.held_out import VERSION
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.policy.runs import write_csv
@@ -47,9 +47,8 @@ def header(episodes: Sequence[Row]) -> list[str]:
     seeds = sorted({row["seed"] for row in episodes})
     parts: dict[str, list[str]] = {}
     for level in LEVELS:
-        source = (
-            "TPCAP's cases" if level == TPCAP else f"Held-out cases version {VERSION}"
-        )
+        held_out = f"Held-out cases version {VERSION}"
+        source = "TPCAP's cases" if level == TPCAP_LEVEL else held_out
         if found := {row["case"] for row in episodes if row["level"] == level}:
             told = f"{len(found)} of {level} ({_ranges(found)})"
             title = f"{source} (SHA-256 {fingerprint(level)})"

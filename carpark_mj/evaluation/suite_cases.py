@@ -12,7 +12,7 @@ from carpark_mj.layouts.standards import Level
 
 SuiteLevel = Literal[Level, "tpcap"]
 LEVELS: tuple[SuiteLevel, ...] = get_args(SuiteLevel)
-TPCAP = "tpcap"
+TPCAP_LEVEL = "tpcap"
 
 
 class Cases(NamedTuple):
@@ -33,12 +33,24 @@ class Cases(NamedTuple):
 
 def case_numbers(level: SuiteLevel) -> range:
     """The numbers of a level's cases: of HOPE's from 0, TPCAP's as published."""
-    return tpcap_cases.NUMBERS if level == TPCAP else range(hope_cases.CASES)
+    return tpcap_cases.NUMBERS if level == TPCAP_LEVEL else range(hope_cases.CASES)
 
 
 def fingerprint(level: SuiteLevel) -> str:
     """The beginning of the SHA-256 of the data that a level's cases are from."""
-    return (tpcap_cases if level == TPCAP else hope_cases).SHA256[:16]
+    return (tpcap_cases if level == TPCAP_LEVEL else hope_cases).SHA256[:16]
+
+
+def require_aisle(level: SuiteLevel) -> None:
+    """Refuses a moving car in TPCAP's cases.
+
+    Raises:
+        ValueError: it has no aisle to drive through.
+    """
+    if level == TPCAP_LEVEL:
+        raise ValueError(
+            f"moving_car needs an aisle, which the cases of level {level} lack"
+        )
 
 
 def pick_cases(
@@ -51,10 +63,15 @@ def pick_cases(
         count: how many.
         first: how many of the level's are left out before them.
         with_moving_car: of HOPE's levels only.
+
+    Raises:
+        ValueError: a moving car in TPCAP's cases, which have no aisle.
     """
+    if with_moving_car:
+        require_aisle(level)
     which = slice(first, first + count)
     number = np.array(case_numbers(level)[which])
-    if level == TPCAP:
+    if level == TPCAP_LEVEL:
         layouts = jax.tree.map(lambda x: x[which], tpcap_cases.load_tpcap())
         return Cases(level, number, np.full(len(number), "published"), layouts)
     layouts, parallel = hope_cases.load_held_out(level)

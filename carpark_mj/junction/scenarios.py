@@ -79,8 +79,8 @@ SCENARIOS: dict[str, Scenario] = {
         solved=100.0,
     ),
     # Where the human-driven car turns is not published (SMARTS draws the route of an
-    # endless mission): to the left, across everybody's way. The first points of the
-    # study's curves rule out right, see docs/junction.md.
+    # endless mission): to the left, across everybody's way. Right does not fit the
+    # first points of the study's curves, see docs/junction.md.
     "2av-hd": Scenario(
         missions=(
             Mission(_LEFT_FROM_EAST, 10.0, 60.0),

@@ -35,7 +35,8 @@ class TpcapConfig(LayoutConfig):
     family: str = "tpcap"
 
     def __post_init__(self) -> None:
-        if self.case is not None and self.case not in NUMBERS:
+        known = type(self.case) is int and self.case in NUMBERS  # True is 1, too
+        if self.case is not None and not known:
             raise ValueError(
                 f"case must be {NUMBERS[0]} to {NUMBERS[-1]}, not {self.case!r}"
             )

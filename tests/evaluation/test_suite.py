@@ -200,7 +200,7 @@ def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
         ),
         (
             {"policies": ("zero",), "levels": ("tpcap",), "first_case": 20},
-            "first_case must be 0 to 19, not 20: level tpcap has 20 cases",
+            "first_case must be 0 to 19, not 20: level tpcap has the cases 1 to 20",
         ),
         (
             {"policies": ("zero",), "levels": ("tpcap",), "moving_car": True},

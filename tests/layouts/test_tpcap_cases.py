@@ -65,8 +65,9 @@ def test_a_key_draws_any_of_them():
     assert len(np.unique(drawn.bay_pose[:, 0], axis=0)) == CASES
     assert TpcapConfig().is_random
     assert not TpcapConfig(3).is_random
-    with pytest.raises(ValueError, match="case must be 1 to 20, not 21"):
-        TpcapConfig(21)
+    for wrong in (21, 0, True, 3.0):
+        with pytest.raises(ValueError, match=f"case must be 1 to 20, not {wrong}"):
+            TpcapConfig(wrong)
 
 
 def test_a_changed_file_is_refused(tmp_path, monkeypatch):
