@@ -12,13 +12,14 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import Field
 from carpark_mj.types import Motion, ParkedCars
 
+RAYS = "rays"  # name of the field
 CHUNK = 8  # obstacles whose rays are computed at a time in a crowded lot
 
 
 def ray_fields(config: RayConfig) -> list[Field]:
     """The field `rays`, if there are any."""
     meaning = f"free way along bearings from ahead to the left [{config.reach:g} m]"
-    return [Field("rays", config.count, 0.0, 1.0, meaning)] if config.count else []
+    return [Field(RAYS, config.count, 0.0, 1.0, meaning)] if config.count else []
 
 
 def cast_rays(

@@ -12,6 +12,7 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import (
     ContinuousObservation,
     EnvConfig,
+    RayConfig,
     ShareConfig,
     SimConfig,
 )
@@ -222,6 +223,38 @@ def test_statistics_of_new_fields_have_unit_variance_and_go_on(other):
     # Half of the numbers seen are 3, the others were of mean 0 and variance 1.
     np.testing.assert_allclose(again.mean[new], 1.5, rtol=1e-4)
     np.testing.assert_allclose(again.std[new] ** 2, 0.5 + 1.5**2, rtol=1e-3)
+
+
+def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path):
+    folder, theirs = other
+    assert TINY.env.observation.rays.count == 24
+    seen = ContinuousObservation(rays=RayConfig(72))
+    env = dataclasses.replace(TINY.env, observation=seen)
+    config = dataclasses.replace(TINY, env=env, warm_start=str(folder))
+    narrow, wide = Learner(TINY), Learner(config)
+    state = jax.device_get(load_or_init(wide, [tmp_path]))
+    # Every third of 72 bearings is one of 24.
+    kept = columns(config, lambda name: name != "rays")
+    rays = columns(config, lambda name: name == "rays")
+    kept = np.sort(np.concatenate([kept, rays[::3]]))
+    rng = np.random.default_rng(2)
+    more = rng.uniform(-1, 1, (20, columns(config).size)).astype(np.float32)
+    before, after = (
+        learner.networks.policy_network.apply(each.normalizer, each.policy, observation)
+        for learner, each, observation in (
+            (narrow, theirs, more[:, kept]),
+            (wide, state, more),
+        )
+    )
+    np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("rays", [RayConfig(36), RayConfig(72, reach=20.0)])
+def test_rays_of_other_bearings_or_reach_are_refused(other, tmp_path, rays):
+    seen = ContinuousObservation(rays=rays)
+    env = dataclasses.replace(TINY.env, observation=seen)
+    match = "trained on other observations: rays"
+    refused(tmp_path, ValueError, match, warm_start=str(other[0]), env=env)
 
 
 def refused(tmp_path, error, match, **changes):

@@ -4,6 +4,8 @@ Weights of new fields begin at zero, so that the networks act as they did; their
 statistics begin at mean 0 and standard deviation 1, for observations are of order 1.
 """
 
+import dataclasses
+from fractions import Fraction
 from typing import Any
 
 import jax
@@ -12,22 +14,29 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations import make_fields
+from carpark_mj.observations.fields import Field
+from carpark_mj.observations.rays import RAYS
 from carpark_mj.observations.sets import OWN
 from learners.ppo.config import PPOConfig
 
 
 def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
-    """Fields that agents of a training observe and those in `env` do not.
+    """Fields of which agents of a training observe more than those in `env`.
 
     Raises:
         ValueError: those in `env` observe others besides, or no set encoder reads them,
             or they are of another kind of entities.
     """
     ours, theirs = (
-        {field for field in make_fields(each) if field.index == 0}
+        {
+            (number, _without_count(field)): field
+            for field in make_fields(each)
+            if field.index == 0
+            for number in _numbers(field)
+        }
         for each in (config.env, env)
     )
-    added = sorted(field.name for field in ours - theirs)
+    added = sorted({ours[number].name for number in ours.keys() - theirs.keys()})
     if not added:
         return []
     if config.networks.encoder != "set":
@@ -35,13 +44,13 @@ def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
             f"{config.warm_start} was trained without {', '.join(added)}; only a set "
             "encoder takes more observations"
         )
-    if theirs - ours:
-        names = sorted(field.name for field in theirs - ours)
+    lost = sorted({theirs[number].name for number in theirs.keys() - ours.keys()})
+    if lost:
         raise ValueError(
-            f"{config.warm_start} was trained on other observations: {', '.join(names)}"
+            f"{config.warm_start} was trained on other observations: {', '.join(lost)}"
         )
     # A new kind would change what the layers behind the encoder read.
-    kinds = {field.group for field in ours} - {field.group for field in theirs}
+    kinds = {f.group for f in ours.values()} - {f.group for f in theirs.values()}
     if kinds:
         raise ValueError(
             f"{config.warm_start} was trained without entities of the kind "
@@ -85,9 +94,21 @@ def _places(env: EnvConfig) -> dict[str, list[str]]:
     names: dict[str, list[str]] = {}
     for field in make_fields(env):
         if field.index == 0:
-            numbers = [f"{field.name} {k}" for k in range(field.size)]
-            names.setdefault(field.group or OWN, []).extend(numbers)
+            names.setdefault(field.group or OWN, []).extend(_numbers(field))
     return names
+
+
+def _numbers(field: Field) -> list[str]:
+    """Names of a field's numbers: of rays by bearing, so that 24 are among 72."""
+    size = field.size
+    if field.name == RAYS:
+        return [f"{RAYS} {Fraction(k, size)} of a turn" for k in range(size)]
+    return [f"{field.name} {k}" for k in range(size)]
+
+
+def _without_count(field: Field) -> Field:
+    """The field, but for how many rays there are."""
+    return dataclasses.replace(field, size=0) if field.name == RAYS else field
 
 
 def _spread(
