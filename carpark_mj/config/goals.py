@@ -16,6 +16,8 @@ class GoalConfig:
         dynamic: every agent chooses its goal itself, at every step, among the free
             bays it tracks; otherwise the environment draws one for each episode.
         num_tracked_bays: nearest free bays that an agent tracks (n_space).
+        slots_by_distance: number the tracked bays anew at every step, the nearest
+            first; otherwise a bay keeps its slot for as long as it is tracked.
         may_repeat: whether the goal of an episode may be that of the one before; fixed
             goals only.
         drive_out: an agent that starts in a bay drives to an exit of the lot, all
@@ -24,11 +26,12 @@ class GoalConfig:
 
     dynamic: bool = False
     num_tracked_bays: int = 1
+    slots_by_distance: bool = False
     may_repeat: bool = False
     drive_out: bool = False
 
     def __post_init__(self) -> None:
-        require_kinds(self, may_repeat=bool, drive_out=bool)
+        require_kinds(self, slots_by_distance=bool, may_repeat=bool, drive_out=bool)
         whole(self, 1, "num_tracked_bays")
 
 

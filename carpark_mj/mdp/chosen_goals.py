@@ -65,7 +65,8 @@ class ChosenGoals:
 
     def track(self, state: State) -> State:
         """Updates tracked bays; goals that are no longer among them are lost."""
-        state = update_tracked_bays(state, self._usable_bays(state))
+        by_distance = self._config.goals.slots_by_distance
+        state = update_tracked_bays(state, self._usable_bays(state), by_distance)
         assert state.tracked_bays is not None
         lost = state.active & untracked(state.goal, state.tracked_bays)
         goal = jnp.where(lost, NO_BAY, state.goal)

@@ -1,9 +1,11 @@
-"""The free bays that each agent tracks, in slots that keep their bays.
+"""The free bays that each agent tracks, and in which slots.
 
 A bay is free if it holds no parked car: bays that are other agents' goals, or that
 someone is driving through, count as well (Tanner 2022). An agent tracks the nearest. A
 bay stays in its slot for as long as it is among them, as in the study's text: "my
-second bay" means the same from step to step, whichever of the two is nearer.
+second bay" means the same from step to step, whichever of the two is nearer. With
+`GoalConfig.slots_by_distance` the first slot has the nearest at every step, as in the
+study's program.
 """
 
 import dataclasses
@@ -17,7 +19,9 @@ from carpark_mj.mdp.bays import free_bays
 from carpark_mj.types import NO_BAY, State
 
 
-def update_tracked_bays(state: State, usable: jax.Array | None) -> State:
+def update_tracked_bays(
+    state: State, usable: jax.Array | None, by_distance: bool = False
+) -> State:
     """Agents track the free bays nearest to them.
 
     Agents that have finished keep their goals, and in these bays they stand.
@@ -25,6 +29,7 @@ def update_tracked_bays(state: State, usable: jax.Array | None) -> State:
     Args:
         state: of a lot with dynamic goals.
         usable: (num_agents, bays) bool, bays that an agent can track; None = all.
+        by_distance: `GoalConfig.slots_by_distance`.
     """
     assert state.tracked_bays is not None
     standing = jnp.where(state.active, NO_BAY, state.goal)
@@ -32,8 +37,10 @@ def update_tracked_bays(state: State, usable: jax.Array | None) -> State:
     free = free_bays(state.layout, taken)
     if usable is not None:
         free = free & usable
-    xy = state.motion.xy
-    tracked_bays = track_bays(state.layout, xy, free, state.tracked_bays)
+    before = state.tracked_bays
+    if by_distance:  # all slots are empty, and the nearest enters the first
+        before = jnp.full_like(before, NO_BAY)
+    tracked_bays = track_bays(state.layout, state.motion.xy, free, before)
     return dataclasses.replace(state, tracked_bays=tracked_bays)
 
 

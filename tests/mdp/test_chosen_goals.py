@@ -108,6 +108,26 @@ def test_bays_out_of_view_are_not_tracked():
     )  # some see fewer than they could track
 
 
+@pytest.mark.parametrize("by_distance", [True, False])
+def test_slots_are_sorted_by_distance_only_if_asked_for(by_distance):
+    goals = dataclasses.replace(CONFIG.goals, slots_by_distance=by_distance)
+    env = ParkingEnv(dataclasses.replace(CONFIG, goals=goals), SlidePhysics())
+
+    def advance(state, key):
+        controls = jax.random.uniform(key, (AGENTS, 2), minval=-1.0)
+        first = jnp.ones((AGENTS, 1))  # choose the first slot
+        after, timestep = env.step(state, jnp.concatenate([controls, first], axis=1))
+        bay = after.layout.bay_pose[after.tracked_bays, :2]
+        gap = jnp.linalg.norm(bay - after.motion.xy[:, None], axis=-1)
+        return after, (timestep.goal == state.tracked_bays[:, 0], gap)
+
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
+    keys = jax.random.split(jax.random.key(1), 100)
+    _, (is_first, gap) = jax.jit(lambda s: jax.lax.scan(advance, s, keys))(state)
+    assert is_first.all()
+    assert (jnp.diff(gap) >= 0.0).all() == by_distance
+
+
 # Steps by hand
 
 

@@ -18,7 +18,7 @@ ROW = pad_layout(
 )
 
 
-def tracked_at(x, taken=(), tracked=None, count=2):
+def tracked_at(x, taken=(), tracked=None, count=2, by_distance=False):
     """Bays tracked by one agent at (x, 0), by the parked cars that there are."""
     state = state_of(
         ROW,
@@ -27,7 +27,7 @@ def tracked_at(x, taken=(), tracked=None, count=2):
         parked_cars=parked_in(ROW, list(taken)),
         tracked_bays=[[NO_BAY] * count if tracked is None else tracked],
     )
-    return update_tracked_bays(state, None).tracked_bays[0].tolist()
+    return update_tracked_bays(state, None, by_distance).tracked_bays[0].tolist()
 
 
 def test_an_agent_that_tracks_none_yet_numbers_the_nearest_bays_by_distance():
@@ -41,6 +41,13 @@ def test_a_bay_keeps_its_slot_for_as_long_as_it_is_among_the_nearest():
     assert tracked_at(7.0, tracked=[0, 1]) == [2, 1]  # bay 0 has left its slot to 2
     assert tracked_at(16.0, tracked=[0, 1]) == [4, 3]  # both are new
     assert tracked_at(3.0, taken=[1], tracked=[0, 1]) == [0, 2]  # somebody parked
+
+
+def test_slots_by_distance_have_the_nearest_bay_first():
+    assert tracked_at(3.0, tracked=[0, 1], by_distance=True) == [1, 0]
+    assert tracked_at(7.0, tracked=[0, 1], by_distance=True) == [2, 1]
+    assert tracked_at(3.0, [1], [2, 0], by_distance=True) == [0, 2]
+    assert tracked_at(0.0, [0, 1, 2, 4], [0, 3], by_distance=True) == [3, NO_BAY]
 
 
 def test_slots_for_which_there_is_no_bay_are_empty():
