@@ -18,6 +18,7 @@ from pathlib import Path
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import at_least, whole
+from carpark_mj.policy.checkpoints import require_writable
 from learners.junction.config import JunctionPreset
 from studies.jobs import run_jobs
 from studies.junction import CELLS, SCENARIOS, cells_of
@@ -106,8 +107,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     ]
     left = [job for job in jobs if not job.is_done]
     print(f"{len(jobs)} runs, {len(jobs) - len(left)} of them done", flush=True)
-    failed = run_jobs(left, config.workers, config.minutes)
     folder.mkdir(parents=True, exist_ok=True)
+    require_writable(folder / "report.md")  # refused before the work
+    failed = run_jobs(left, config.workers, config.minutes)
     print(f"wrote {report(config)}")
     return 1 if failed else 0
 

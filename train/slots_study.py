@@ -18,6 +18,7 @@ from pathlib import Path
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import at_least, positive, whole
+from carpark_mj.policy.checkpoints import require_writable
 from learners.sac.config import SACPreset
 from studies.jobs import Job, run_jobs
 from studies.slots import EXPERIMENTS, SlotsExperiment, slots_experiment
@@ -115,8 +116,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     order = sorted(budget.values(), key=lambda pair: -pair[0])
     left = [job for _, job in order if not job.is_done]
     print(f"{len(budget)} runs, {len(budget) - len(left)} of them done", flush=True)
-    failed = run_jobs(left, config.workers, config.minutes)
     folder.mkdir(parents=True, exist_ok=True)
+    require_writable(folder / "report.md")  # refused before the work
+    failed = run_jobs(left, config.workers, config.minutes)
     print(f"wrote {report(folder, jobs)}")
     return 1 if failed else 0
 

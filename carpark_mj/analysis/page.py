@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from carpark_mj.analysis.runs import Record
 from carpark_mj.policy.checkpoints import write_atomically
@@ -55,9 +56,9 @@ def picture(path: Path) -> str:
 
 def film_of(path: Path, page: Path, caption: str) -> str:
     """A film that lies beside the page, or below it, as HTML with a caption."""
-    source = html.escape(os.path.relpath(path, page.parent))
     return (
-        f'<figure><video src="{source}" controls muted preload="metadata"></video>'
+        f'<figure><video src="{_link(path, page)}" controls muted '
+        'preload="metadata"></video>'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
     )
 
@@ -87,12 +88,16 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 def videos(path: Path, records: Sequence[Record]) -> str:
     """Links to the videos of runs, as seen from the page at `path`."""
     links = [
-        f'<li><a href="{html.escape(os.path.relpath(film, path.parent))}">'
-        f"{html.escape(record.name)}</a></li>"
+        f'<li><a href="{_link(film, path)}">{html.escape(record.name)}</a></li>'
         for record in records
         if record.folder and (film := record.folder / "video.mp4").exists()
     ]
     return f"<ul>{''.join(links)}</ul>" if links else ""
+
+
+def _link(path: Path, page: Path) -> str:
+    """A file as seen from the page; sweeps' folders have `%` in their names."""
+    return html.escape(quote(os.path.relpath(path, page.parent), safe="/=,+"))
 
 
 def _cell(value: Any) -> str:

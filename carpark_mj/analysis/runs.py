@@ -46,10 +46,15 @@ def read_run(folder: Path) -> Record:
     described = _read_json(folder / "config.json", "config")
     evaluation = _read_json(folder / "evaluation.json", "summary")
     settings = dict(_flatten(described["config"]))
+    try:
+        metrics = flat_metrics(evaluation["summary"])
+    except (TypeError, ValueError) as error:
+        path = folder / "evaluation.json"
+        raise CheckpointError(f"{path} is damaged: {error}") from None
     return Record(
         name=folder.name,
         settings=settings,
-        metrics=flat_metrics(evaluation["summary"]),
+        metrics=metrics,
         seed=int(settings.get("seed", 0)),
         folder=folder,
         versions=described.get("versions", {}),
@@ -58,7 +63,7 @@ def read_run(folder: Path) -> Record:
 
 
 def run_folders(paths: Sequence[Path]) -> list[Path]:
-    """The folders of runs and of the runs of sweeps.
+    """The folders of runs and of the runs of sweeps, each once.
 
     Raises:
         CheckpointError: a path is neither.
@@ -71,7 +76,11 @@ def run_folders(paths: Sequence[Path]) -> list[Path]:
             folders.append(path)
         else:
             raise CheckpointError(f"{path} is neither a run nor a sweep")
-    return folders
+    # One that is given twice, or with its sweep, is not two runs.
+    first: dict[Path, Path] = {}
+    for folder in folders:
+        first.setdefault(folder.resolve(), folder)
+    return [*first.values()]
 
 
 def swept_settings(paths: Sequence[Path], records: Sequence[Record]) -> list[str]:
@@ -84,7 +93,7 @@ def swept_settings(paths: Sequence[Path], records: Sequence[Record]) -> list[str
     names: list[str] = []
     for path in paths:
         if (path / "sweep.json").exists():
-            swept = _read_json(path / "sweep.json", "swept")["swept"]
+            swept = _read_json(path / "sweep.json", "swept", list)["swept"]
             names += [fields[0] for fields in swept]
     if names:
         return list(dict.fromkeys(names))
@@ -135,14 +144,14 @@ def _flatten(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
             yield f"{prefix}{name}", value
 
 
-def _read_json(path: Path, key: str) -> dict[str, Any]:
-    """Reads a JSON object that must have a key."""
+def _read_json(path: Path, key: str, kind: type = dict) -> dict[str, Any]:
+    """Reads a JSON object that must have a value of a kind under a key."""
     try:
         data = json.loads(path.read_text())
     except (FileNotFoundError, NotADirectoryError):
         raise CheckpointError(f"no {path.name} in {path.parent}") from None
     except ValueError as error:
         raise CheckpointError(f"{path} is damaged: {error}") from None
-    if not isinstance(data, dict) or key not in data:
+    if not isinstance(data, dict) or not isinstance(data.get(key), kind):
         raise CheckpointError(f"{path} has no {key!r}")
     return data

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from carpark_mj.analysis.page import picture, table, videos, write_page
@@ -163,12 +164,12 @@ def _plots(
 
 
 def _print_table(rows: Sequence[dict[str, Any]], title: str) -> None:
-    shown = Table(title=title)
+    shown = Table(title=escape(title))
     for name in rows[0] if rows else ():
         shown.add_column(name)
     for row in rows:
         words = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()]
-        shown.add_row(*words)
+        shown.add_row(*map(escape, words))
     Console().print(shown)
 
 

@@ -148,6 +148,6 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
         f"{task.env.physics} physics, seed {config.seed}"
     )
     print_report(result, title)
-    settings = {"policy": task.name, **dataclasses.asdict(config)}
+    settings = {**dataclasses.asdict(config), "policy": task.name}
     written = write_evaluation(task.folder, result, settings)
     print(f"wrote {', '.join(map(str, written))}")

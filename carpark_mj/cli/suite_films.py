@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import quote
 
 import jax
 import numpy as np
@@ -64,7 +65,7 @@ def make_films(
     """
     films = []
     for row in rows:
-        policy = Path(row["policy"]).name
+        policy = quote(row["policy"], safe="")  # of runs the whole path
         name = f"{policy}-{row['level']}-{row['seed']}-{row['case']}.mp4"
         path = folder / FOLDER / name
         path.parent.mkdir(exist_ok=True)

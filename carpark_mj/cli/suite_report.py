@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from carpark_mj.analysis.page import film_of, picture, table, write_page
@@ -113,7 +114,7 @@ def print_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
             name, justify="left" if name in ("policy", "level") else "right"
         )
     for row in cells:
-        shown.add_row(*row.values())
+        shown.add_row(*map(escape, row.values()))
     console = Console()
     if not console.is_terminal:
         console.width = WIDTH

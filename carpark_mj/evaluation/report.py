@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from carpark_mj.evaluation.aggregation import HITS, OUTCOMES
@@ -92,7 +93,7 @@ def print_groups(name: str, groups: dict[str, dict[str, Any]]) -> None:
     for group, summary in groups.items():
         rates = [summary[name] for name in ("parked", "crashed", "timed_out")]
         table.add_row(
-            group,
+            escape(group),
             f"{summary['episodes']}",
             *(
                 f"{r['rate']:.1%}\n{100 * r['low']:.1f} … {100 * r['high']:.1f}"
@@ -105,7 +106,7 @@ def print_groups(name: str, groups: dict[str, dict[str, Any]]) -> None:
 
 def print_table(summary: dict[str, Any], title: str) -> None:
     """Prints rates with 95 % intervals and means."""
-    table = Table(title=f"{title}: {summary['episodes']} episodes")
+    table = Table(title=f"{escape(title)}: {summary['episodes']} episodes")
     for column in ("outcome", "rate", "95 % interval", "episodes"):
         table.add_column(column, justify="left" if column == "outcome" else "right")
     for name in OUTCOMES + HITS:

@@ -144,6 +144,8 @@ def read_header(path: Path) -> dict[str, Any]:
             header = json.loads(_read(file, path, _HEADER).tobytes().decode())
         except (UnicodeDecodeError, json.JSONDecodeError):
             raise CheckpointError(f"{path} has a damaged header") from None
+    if not isinstance(header, dict):
+        raise CheckpointError(f"{path} has a damaged header")
     if header.get("format") != FORMAT:
         raise CheckpointError(
             f"{path} has format {header.get('format')!r}, this version reads {FORMAT!r}"

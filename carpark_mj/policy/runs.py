@@ -149,12 +149,18 @@ def latest_checkpoint(run: Path) -> Path:
 
 
 def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> Path:
-    """Saves a training state and removes all but the last two."""
+    """Saves a training state and removes all but the last two.
+
+    Those of later steps go too: the run went on from an older one, and would be
+    evaluated and resumed with what it gave up.
+    """
     folder = run / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"step_{step:012d}.npz"
     checkpoints.save(path, tree, {"config_version": CONFIG_VERSION, **header})
-    for old in checkpoint_files(run)[:-KEPT_CHECKPOINTS]:
+    files = checkpoint_files(run)
+    end = files.index(path) + 1
+    for old in files[: max(0, end - KEPT_CHECKPOINTS)] + files[end:]:
         old.unlink(missing_ok=True)
     return path
 

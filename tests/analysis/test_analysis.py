@@ -4,6 +4,8 @@ import csv
 import dataclasses
 import math
 import re
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import pytest
 from helpers.sweeping import write_run
@@ -13,7 +15,13 @@ import analysis
 from carpark_mj.analysis.page import SHOWN_ROWS, table, videos
 from carpark_mj.analysis.plots import plot_metric
 from carpark_mj.analysis.points import group, run_rows, spread_rows
-from carpark_mj.analysis.runs import Record, flat_metrics, read_curve, read_run
+from carpark_mj.analysis.runs import (
+    Record,
+    flat_metrics,
+    read_curve,
+    read_run,
+    run_folders,
+)
 from carpark_mj.cli.analysis import MAX_ROWS, analyse
 from learners.ppo.presets import PRESETS
 
@@ -194,3 +202,46 @@ def test_bad_input_is_one_sentence(flags, said, tmp_path, monkeypatch, capsys):
     assert told.startswith("analysis: ")
     assert said in told
     assert told.count("\n") == 1
+
+
+def test_a_run_that_is_given_twice_counts_once(tmp_path):
+    names = make_runs(tmp_path / "runs", (1,), 2)
+    (tmp_path / "sweep.json").write_text('{"swept": []}')
+    again = [tmp_path, *names, f"{names[0]}/../a1-0", names[1]]
+    assert sorted(run_folders([*map(Path, again)])) == [*map(Path, names)]
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "said"),
+    [
+        ("config.json", '{"config": []}', "config.json has no 'config'"),
+        ("evaluation.json", '{"summary": 3}', "evaluation.json has no 'summary'"),
+        (
+            "evaluation.json",
+            '{"summary": {"parked": {"rate": "x"}}}',
+            "evaluation.json is damaged: could not convert",
+        ),
+    ],
+)
+def test_a_damaged_run_is_named_and_left_out(file, text, said, tmp_path, capsys):
+    runs = make_runs(tmp_path)
+    (tmp_path / "a1-0" / file).write_text(text)
+    assert analysis.run([*runs, "--out", str(tmp_path / "out")]) == 0
+    assert f"{tmp_path / 'a1-0' / said}" in capsys.readouterr().out
+
+
+def test_links_lead_to_files_whatever_their_names(tmp_path):
+    folder = tmp_path / "layout=a%2Fb.json,seed=0#?"
+    folder.mkdir()
+    (folder / "video.mp4").touch()
+    run = dataclasses.replace(RECORDS[0], folder=folder)
+    [link] = re.findall('href="([^"]*)"', videos(tmp_path / "a.html", [run]))
+    assert urlsplit(link)[3:] == ("", "")  # neither a query nor a fragment
+    assert tmp_path / unquote(link) == folder / "video.mp4"
+
+
+def test_names_of_runs_and_settings_are_printed_as_they_are(tmp_path, capsys):
+    runs = [record("[b]", 0, 0.5), record("[/red]", 0, 0.5)]
+    analyse({"ours": runs}, ["env.num_agents"], ["parked"], tmp_path, "x[/blue]")
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in ("x[/blue]", " [b] ", " [/red] "))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from carpark_mj.cli import suite_films
 from carpark_mj.cli.suite import SuiteConfig, main
 from carpark_mj.cli.suite_files import CASES_FILE, read_runs, write_run
 from carpark_mj.cli.suite_films import FASTER, make_films, recording_of
@@ -147,3 +148,15 @@ def test_a_film_is_faster_than_driving(tmp_path):
     assert film.path == tmp_path / "films" / "x-extreme-0-0.mp4"
     data = next(imageio_ffmpeg.read_frames(str(film.path)))
     assert data["duration"] == pytest.approx(8.0 / FASTER + 1.0, abs=0.2)
+
+
+def test_runs_whose_folders_have_the_same_name_have_films_of_their_own(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(suite_films, "_film", lambda path, _: path.write_text("film"))
+    names = ("runs/a/best", "runs/b/best", "runs/b-best")
+    rows = [episode(0, policy=name, length=4.0) for name in names]
+    kept = {(name, "extreme", 0, 0): drives(4) for name in names}
+    films = make_films(tmp_path, rows, kept)
+    assert len({film.path for film in films}) == 3
+    assert all(film.path.read_text() == "film" for film in films)

@@ -6,6 +6,9 @@ import json
 
 import pytest
 
+from carpark_mj.cli.driver import Driver
+from carpark_mj.cli.evaluate import EvaluateConfig, Task, report
+from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import OUTCOMES, summarise
 from carpark_mj.evaluation.report import (
     print_groups,
@@ -124,3 +127,22 @@ def test_a_fleet_has_a_table_by_kind_of_car(plain, tmp_path):
         rows = list(csv.DictReader(file))
     assert [row["vehicle"] for row in rows] == ["city", "van", "all"]
     assert [row["episodes"] for row in rows[:2]] == ["7", "7"]
+
+
+@pytest.mark.parametrize("flag", ["run", "policy"])
+def test_the_file_names_the_policy_however_it_was_given(flag, plain, tmp_path):
+    config, env = EvaluateConfig(**{flag: "runs/a"}), EnvConfig()
+    driver = Driver(env, tmp_path, lambda env: pytest.fail("drove"))
+    report(config, Task("runs/a", driver, env, tmp_path), plain)
+    stored = json.loads((tmp_path / "evaluation.json").read_text())
+    assert stored["settings"]["policy"] == "runs/a"
+    assert stored["settings"]["seed"] == 0
+
+
+def test_names_are_printed_as_they_are(plain, capsys):
+    name = "x[/red][b]"
+    print_table(plain.summary, name)
+    print_groups("family", {name: plain.summary, "all": plain.summary})
+    printed = capsys.readouterr().out
+    assert f"{name}:" in printed
+    assert f"│ {name} " in printed

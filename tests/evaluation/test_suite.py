@@ -10,7 +10,12 @@ import pytest
 
 from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.cli.suite_films import Film
-from carpark_mj.cli.suite_report import header, shown_cells, write_results
+from carpark_mj.cli.suite_report import (
+    header,
+    print_rows,
+    shown_cells,
+    write_results,
+)
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.suite import (
     drive_cases,
@@ -160,6 +165,12 @@ def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
         episode(4, "parallel", MISSED, length=90.0),
     ]
     assert [row["case"] for row in worst_first(rows)] == [4, 3, 2, 1, 0]
+
+
+def test_policies_are_printed_by_the_names_they_have(capsys):
+    rows = table_rows("x[/red]", [episode(0, "parallel", PARKED, policy="x[/red]")])
+    print_rows(rows, "a title")
+    assert "x[/red]" in capsys.readouterr().out
 
 
 def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):

@@ -116,6 +116,13 @@ def test_another_format_version_is_refused(tmp_path, monkeypatch):
         checkpoints.read_header(path)
 
 
+def test_a_header_that_is_no_object_is_damaged(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, header=np.frombuffer(b"[1]", np.uint8))
+    with pytest.raises(CheckpointError, match=r"a\.npz has a damaged header"):
+        checkpoints.read_header(path)
+
+
 def test_misfits_name_the_array_and_both_shapes(tmp_path):
     path = tmp_path / "a.npz"
     checkpoints.save(path, tree(), {})
@@ -130,6 +137,15 @@ def test_only_the_last_two_checkpoints_are_kept(tmp_path):
         runs.save_checkpoint(tmp_path, tree(), {}, step)
     names = [path.name for path in runs.checkpoint_files(tmp_path)]
     assert names == ["step_000000000200.npz", "step_000000003000.npz"]
+
+
+def test_what_a_run_gave_up_by_going_on_from_an_older_checkpoint_is_removed(tmp_path):
+    for step in (10, 20):
+        runs.save_checkpoint(tmp_path, tree(), {"first": True}, step)
+    newest = runs.save_checkpoint(tmp_path, tree(), {"first": False}, 15)
+    names = [path.name for path in runs.checkpoint_files(tmp_path)]
+    assert names == ["step_000000000010.npz", newest.name]
+    assert runs.latest_checkpoint(tmp_path) == newest
 
 
 def test_the_newest_readable_checkpoint_is_found(tmp_path):

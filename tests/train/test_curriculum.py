@@ -140,3 +140,10 @@ def test_impossible_curricula_are_refused(changes, message):
     with pytest.raises(ValueError, match=message) as refusal:
         CurriculumConfig(**changes)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_horizon_that_is_infinite_cannot_change():
+    ends = CurriculumConfig(discount_end=0.99)
+    with pytest.raises(ValueError, match=r"discount must be below 1 .*, not 1\.0"):
+        PPOConfig(discount=1.0, curriculum=ends)
+    assert PPOConfig(discount=1.0).discount == 1.0

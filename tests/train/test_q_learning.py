@@ -1,5 +1,6 @@
 """Tabular Q-learning: the update, the schedules, and a small run end to end."""
 
+import csv
 import dataclasses
 import itertools
 import math
@@ -19,7 +20,7 @@ from carpark_mj.policy.runs import checkpoint_files
 from carpark_mj.registry import TANNER_QLEARNING, TANNER_QLEARNING_RECORDED
 from learners.q_learning import train
 from learners.q_learning.config import QLearningConfig
-from learners.q_learning.curve import rolling_mean
+from learners.q_learning.curve import rolling_mean, write_metrics
 from learners.q_learning.learner import QLearner, Training
 from learners.run_folder import LOCK, open_run
 
@@ -130,6 +131,20 @@ def test_a_rolling_mean_by_hand():
     np.testing.assert_allclose(rolling_mean(np.arange(5.0), 2), [0.5, 1.5, 2.5, 3.5])
     np.testing.assert_allclose(rolling_mean(np.arange(3.0), 9), [1.0])
     assert len(rolling_mean(np.zeros(0), 3)) == 0
+
+
+def test_no_row_of_metrics_mixes_training_and_evaluation(tmp_path):
+    config = QLearningConfig(num_seeds=1, episodes=7, eval_episodes=5, window=4)
+    # A return of 1 in evaluation, where all park; two episodes are not over yet.
+    returns = (np.arange(12) >= 7)[None].astype(float)
+    outcome = np.where(returns > 0, 0, 1).astype(np.int8)
+    outcome[:, -2:] = -1
+    made = {"episode_return": returns, "outcome": outcome, "length": np.ones((1, 12))}
+    write_metrics(tmp_path, config, made)
+    with (tmp_path / "metrics.csv").open(newline="") as file:
+        rows = [(r["episode"], r["phase"], r["parked"]) for r in csv.DictReader(file)]
+    training = [(end, "training", "0.0") for end in ("4", "7")]
+    assert rows == [*training, ("10", "evaluation", "1.0")]
 
 
 @pytest.fixture(scope="module")

@@ -86,6 +86,30 @@ def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):
     assert [opened() for _ in range(3)] == ["cpu-0", "cpu-0-2", "cpu-0-3"]
 
 
+def test_the_name_of_a_run_killed_before_it_wrote_its_settings_is_free(tmp_path):
+    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
+    (tmp_path / "mine").mkdir()
+    for name in (LOCK, ".config.123.json"):
+        (tmp_path / "mine" / name).touch()
+    with open_run(config) as folder:
+        assert read_config(PPOConfig, folder) == config
+        with pytest.raises(ValueError, match="mine exists"), open_run(config):
+            pass
+    (tmp_path / "other").touch()
+    other = dataclasses.replace(config, name="other")
+    with pytest.raises(ValueError, match="other exists"), open_run(other):
+        pass
+
+
+def test_a_run_that_is_about_to_write_its_settings_is_left_alone(tmp_path):
+    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
+    with open_run(config) as folder:
+        (folder / "config.json").unlink()
+        with pytest.raises(ValueError, match="another process"), open_run(config):
+            pass
+        assert folder.is_dir()
+
+
 ERRORS = (
     ValueError("sizes"),
     MemoryError(),

@@ -5,10 +5,12 @@ import re
 
 import pytest
 
+from carpark_mj.policy.runs import write_json
 from carpark_mj.registry import TANNER_FIXED
 from learners.ppo.config import RUN_SETTINGS
 from learners.ppo.presets import PRESETS, SUMMARIES
 from learners.q_learning.presets import Q_PRESETS, Q_SUMMARIES
+from learners.run_folder import describe
 from learners.settings import read_settings
 
 
@@ -85,3 +87,18 @@ def test_the_whole_help_lists_every_setting(capsys):
     for flag in ("--seed INT", "--clip FLOAT", "--env.num-agents INT"):
         assert flag in printed
     assert "(default: 1024)" in printed  # the preset's
+
+
+def test_a_resumed_run_keeps_its_preset(tmp_path):
+    config = dataclasses.replace(PRESETS["cpu"], seed=4)
+    write_json(tmp_path / "config.json", describe(config))
+    flags = ["--resume", str(tmp_path), "--preset"]
+    assert read(*flags, "cpu").seed == 4
+    with pytest.raises(ValueError, match="keeps its own settings: drop preset"):
+        read(*flags, "tanner-fixed")
+
+
+@pytest.mark.parametrize("flags", [["--resume", ""], ["--resume="]])
+def test_an_empty_name_is_no_run_to_resume(flags):
+    with pytest.raises(ValueError, match="resume must name the folder of a run"):
+        read(*flags)

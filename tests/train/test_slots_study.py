@@ -34,6 +34,15 @@ def test_experiments_that_train_alike_share_a_run(tmp_path):
     assert len({*others, folder("2", seed=1)}) == 6
 
 
+def test_runs_of_other_presets_and_scales_are_other_runs(tmp_path):
+    folders = {
+        make_job(slots_experiment("2"), preset, scale, 0, tmp_path).folder
+        for preset in ("study", "pandita")
+        for scale in (1.0, 2.0)
+    }
+    assert len(folders) == 4
+
+
 def test_every_run_has_a_log_of_its_own(tmp_path):
     jobs = {
         make_job(slots_experiment(name), "study", 1.0, seed, tmp_path)

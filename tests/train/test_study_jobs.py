@@ -7,6 +7,10 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
+import junction_study
+import slots_study
 from studies import jobs
 from studies.jobs import Job, run_jobs
 
@@ -65,3 +69,16 @@ def test_an_interrupt_waits_for_the_job_and_begins_no_other(tmp_path):
     assert error.endswith(b"KeyboardInterrupt\n")
     assert log.read_text() == "1\n2\n"
     assert not (tmp_path / "b.log").exists()
+
+
+@pytest.mark.parametrize(
+    ("script", "flags"),
+    [(slots_study, ["--experiment", "2"]), (junction_study, ["--table", "6.1"])],
+)
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
+    script, flags, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(script, "run_jobs", lambda *arguments: pytest.fail("ran"))
+    (tmp_path / "file").touch()
+    assert script.main([*flags, "--runs-dir", str(tmp_path / "file" / "runs")]) == 2
+    assert "cannot use" in capsys.readouterr().err

@@ -95,6 +95,7 @@ def test_runs_that_end_by_the_clock_train_alone():
         (["--set", "num_agents=0..99999"], "has more than 10000 values"),
         (["--set", "num_agents="], "env.num_agents has an empty value"),
         (["--set", "num_agents=1,1"], "env.num_agents has a value twice"),
+        (["--set", "clip=0.1,0.10"], "clip=0.10: the same settings as cpu, clip=0.1"),
         (["--set", "clip=0.1", "clip=0.2"], "clip is given twice"),
         (["--set", "num_agents=1,0"], "num_agents=0: num_agents must be at least 1"),
         (["--set", "num_agents=two"], "cpu: --env.num-agents: invalid literal"),

@@ -72,6 +72,27 @@ def test_a_folder_keeps_to_one_kind_of_runs(tmp_path):
         run_sweep(tmp_path, other, runs, HERE, train)
 
 
+def test_rows_of_earlier_values_and_seeds_stay_in_the_table(tmp_path):
+    for text, repeats in (("num_agents=1,2", 2), ("num_agents=2,3", 1)):
+        plan, runs = plan_runs(text, repeats=repeats)
+        run_sweep(tmp_path, plan, runs, HERE, train)
+    rows = table(tmp_path)
+    ran = sorted((row["env.num_agents"], row["seed"], row["length"]) for row in rows)
+    lengths = (("1", "10.0"), ("1", "10.0"), ("2", "20.0"), ("2", "20.0"))
+    seeds = ("0", "1", "0", "1")
+    expected = [(n, seed, x) for (n, x), seed in zip(lengths, seeds, strict=True)]
+    assert ran == [*expected, ("3", "0", "30.0")]
+    assert {row["status"] for row in rows} == {"done"}
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]"])
+def test_a_damaged_sweep_is_refused_in_a_sentence(text, tmp_path):
+    plan, _ = plan_runs("num_agents=1,2")
+    (tmp_path / "sweep.json").write_text(text)
+    with pytest.raises(ValueError, match=r"sweep\.json describes no sweep"):
+        open_sweep(tmp_path, plan, False)
+
+
 def test_failed_and_killed_jobs_stop_no_others_and_are_tried_again(tmp_path):
     plan, runs = plan_runs("num_agents=1..4")
     where = Where("local", jobs=2)

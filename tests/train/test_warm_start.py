@@ -23,6 +23,7 @@ from carpark_mj.policy.loading import save_policy
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.normalizer import update_normalizer
 from carpark_mj.wrappers.brax import BraxParking
+from learners.ppo.group import make_learner
 from learners.ppo.learner import Learner
 from learners.ppo.presets import PRESETS
 from learners.ppo.train import load_or_init, save
@@ -75,6 +76,19 @@ def test_networks_and_statistics_are_taken_and_the_rest_is_new(other, tmp_path):
         )
         jax.tree.map(np.testing.assert_array_equal, found, wanted)
     assert state.update == 0
+
+
+def test_of_runs_side_by_side_each_has_its_own_warm_start_or_none(other, tmp_path):
+    folder, theirs = other
+    starts = ("", str(folder))
+    learner = make_learner([dataclasses.replace(TINY, warm_start=s) for s in starts])
+    fresh, warm = learner.split(load_or_init(learner, [tmp_path / "a", tmp_path / "b"]))
+    for expected, found in ((theirs, warm), (Learner(TINY).init(), fresh)):
+        jax.tree.map(
+            lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6),
+            expected.policy,
+            found.policy,
+        )
 
 
 def test_a_resumed_run_goes_on_from_its_own_checkpoint(other, tmp_path):

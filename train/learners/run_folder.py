@@ -103,6 +103,8 @@ def _new_folder(config: RunConfig) -> Path:
         try:
             folder.mkdir()
         except FileExistsError:
+            if config.name and _is_bare(folder):
+                return folder
             if config.name:
                 raise ValueError(
                     f"{folder} exists: choose another --name, or continue with "
@@ -112,6 +114,14 @@ def _new_folder(config: RunConfig) -> Path:
             folder = folder.with_name(f"{name}-{number}")
         else:
             return folder
+
+
+def _is_bare(folder: Path) -> bool:
+    """Whether a run was killed before it wrote its settings, or is about to.
+
+    Its lock tells these apart.
+    """
+    return folder.is_dir() and all(p.name.startswith(".") for p in folder.iterdir())
 
 
 def _remove(folder: Path) -> None:

@@ -46,6 +46,8 @@ def read_settings(
     text = f"{description or ''}\nPresets:\n{_preset_table(presets, summaries)}\n"
     config = read_flags(type(default), arguments, preset, text, short)
     if not config.resume:
+        if any(word.partition("=")[0] == "--resume" for word in arguments):
+            raise ValueError("resume must name the folder of a run, not ''")
         return dataclasses.replace(config, preset=preset.preset)
     changed = [
         field.name
@@ -53,12 +55,14 @@ def read_settings(
         if getattr(config, field.name) != getattr(preset, field.name)
         and field.name not in RESUME_FLAGS
     ]
+    stored = read_config(type(default), Path(config.resume))
+    if named(arguments, "preset") not in ("", stored.preset):
+        changed.append("preset")
     if changed:
         raise ValueError(
             f"a resumed run keeps its own settings: drop {', '.join(changed)} "
             f"(allowed with --resume: --time-limit)"
         )
-    stored = read_config(type(default), Path(config.resume))
     return dataclasses.replace(
         stored, resume=config.resume, time_limit=config.time_limit
     )

@@ -14,6 +14,8 @@ def make_job(
     slug = "+".join(phase.replace(",", "-").replace(":", "_") for phase in phases)
     extra = "".join(experiment.flags).replace("--", "-")
     name = f"{experiment.replay}-{slug}{extra}-{seed}"
+    if preset != "study":
+        name = f"{preset}-{name}"
     flags = ("--preset", preset, "--name", name, "--runs-dir", str(folder))
     flags += ("--seed", str(seed), "--video-seconds", "0", "--phases", *phases)
     flags += ("--replay", experiment.replay, *experiment.flags)

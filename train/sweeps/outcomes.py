@@ -9,6 +9,7 @@ runs/SWEEP/
 """
 
 import contextlib
+import csv
 import dataclasses
 import fcntl
 import json
@@ -60,7 +61,9 @@ def open_sweep(folder: Path, plan: Plan, stochastic: bool) -> None:
         try:
             known = json.loads(path.read_text())
         except ValueError:
-            raise ValueError(f"{path} describes no sweep") from None
+            known = None
+        if not isinstance(known, dict):
+            raise ValueError(f"{path} describes no sweep")
         if known != definition:
             differing = [k for k, v in definition.items() if known.get(k) != v]
             raise ValueError(
@@ -103,14 +106,28 @@ def locked(sweep: Path, run: Run) -> Generator[None]:
 
 
 def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
-    """Writes a row per run: settings, seed, status, metrics, versions."""
-    rows = [_row(sweep, run) for run in runs]
+    """Writes a row per run: settings, seed, status, metrics, versions.
+
+    Rows of runs that were trained before, with other values or seeds, stay.
+    """
+    names = {run.name for run in runs}
+    rows = [row for row in _known_rows(sweep) if row.get("run") not in names]
+    rows += [_row(sweep, run) for run in runs]
     columns = list(dict.fromkeys(name for row in rows for name in row))
     # Columns that some runs lack stand behind those that all have, and are empty there.
     write_csv(
         sweep / TABLE, [{name: row.get(name, "") for name in columns} for row in rows]
     )
     return sweep / TABLE
+
+
+def _known_rows(sweep: Path) -> list[dict[str, Any]]:
+    """Rows of the table as it is."""
+    try:
+        with (sweep / TABLE).open(newline="") as file:
+            return list(csv.DictReader(file))
+    except FileNotFoundError:
+        return []
 
 
 def _row(sweep: Path, run: Run) -> dict[str, Any]:

@@ -113,10 +113,12 @@ def checked_runs(plan: Plan) -> list[Run]:
     """All runs, each with settings that can be trained.
 
     Raises:
-        ValueError: one of them cannot; the message says which and why.
+        ValueError: one of them cannot, or is another one again, as of 0.1 and 0.10;
+            the message says which and why.
     """
     checked: list[Run] = []
     possible: set[EnvConfig] = set()
+    known: dict[PPOConfig, Run] = {}
     for run in runs(plan):
         try:
             config = settings_of(run)
@@ -125,6 +127,10 @@ def checked_runs(plan: Plan) -> list[Run]:
                 possible.add(config.env)
         except ValueError as error:
             raise ValueError(f"{_describe(run)}: {error}") from None
+        if known.setdefault(config, run) is not run:
+            raise ValueError(
+                f"{_describe(run)}: the same settings as {_describe(known[config])}"
+            )
         if len(run.name) > MAX_NAME:
             raise ValueError(
                 f"the names of runs are too long, {len(run.name)} characters: sweep "

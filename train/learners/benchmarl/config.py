@@ -26,7 +26,7 @@ class BenchMARLConfig(JunctionRunConfig):
         learning_rate: of Adam.
         critic_learning_rate: the same of MADDPG's critic.
         max_gradient: norm to which gradients are clipped.
-        discount: discount factor per control step.
+        discount: discount factor per decision, of `repeat` control steps.
         gae_lambda: trade-off of bias and variance of advantages (`ippo`, `mappo`).
         clip: most that a probability ratio counts above or below 1 (`ippo`, `mappo`).
         entropy: weight of the entropy bonus at the beginning, from which it falls

@@ -174,6 +174,11 @@ class PPOConfig(RunConfig):
                 f"hitbox_scale must be 1 in scene physics, where crashes are contacts, "
                 f"not {self.hitbox_scale}"
             )
+        if self.discount == 1.0 and self.curriculum.discount_end:
+            raise ValueError(
+                "discount must be below 1 where curriculum.discount_end "
+                f"{self.curriculum.discount_end} changes it, not {self.discount}"
+            )
         choose("variant", self.variant, VariantName)
         if self.variant == "ml-agents":
             self._check_ml_agents()

@@ -50,10 +50,11 @@ def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
     """
     if not any(runs.checkpoint_files(folder) for folder in folders):
         state = learner.init()
-        if not learner.config.warm_start:
+        if not any(config.warm_start for config in learner.configs):
             return state
         states = zip(learner.configs, learner.split(learner.gather(state)), strict=True)
-        return learner.place(learner.join([warm_start(c, s) for c, s in states]))
+        begun = [warm_start(c, s) if c.warm_start else s for c, s in states]
+        return learner.place(learner.join(begun))
     template = vars(jax.eval_shape(lambda x: learner.split(x)[0], learner.shapes()))
     states = [
         TrainingState(**checkpoints.load(path, template))

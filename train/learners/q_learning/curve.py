@@ -1,5 +1,6 @@
 """The episodes of a Q-learning run: rolling means as a table and as a picture."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ def rolling_mean(values: np.ndarray, window: int) -> np.ndarray:
 def write_metrics(
     folder: Path, config: QLearningConfig, episodes: dict[str, np.ndarray]
 ) -> Path:
-    """Writes `metrics.csv`: for every seed a row per `window` episodes.
+    """Writes `metrics.csv`: for every seed a row per `window` episodes of a phase.
 
     Args:
         folder: of the run.
@@ -33,8 +34,7 @@ def write_metrics(
     rows: list[dict[str, Any]] = []
     for seed in range(config.num_seeds):
         count = int((episodes["outcome"][seed] >= 0).sum())
-        for first in range(0, count, config.window):
-            part = slice(first, min(first + config.window, count))
+        for part in _windows(config, count):
             outcome = episodes["outcome"][seed, part]
             row: dict[str, Any] = {
                 "seed": seed,
@@ -49,6 +49,14 @@ def write_metrics(
     path = folder / "metrics.csv"
     write_csv(path, rows)
     return path
+
+
+def _windows(config: QLearningConfig, count: int) -> Iterator[slice]:
+    """The first `count` episodes by `window`; none holds episodes of both phases."""
+    trained = min(count, config.episodes)
+    for begin, end in ((0, trained), (trained, count)):
+        for first in range(begin, end, config.window):
+            yield slice(first, min(first + config.window, end))
 
 
 def plot_returns(
