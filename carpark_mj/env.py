@@ -89,7 +89,7 @@ class ParkingEnv:
             check_randomization(config.randomization, params)
         check_room(config, self.layout_config)
         check_occupancy(config, self.layout_config)
-        check_exits(config, self._layout)
+        check_exits(config, self.layout_config)
         check_cars(config, self.fleet, self.layout_config, self._layout)
         self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
@@ -260,9 +260,14 @@ class ParkingEnv:
 def _freeze(
     state: State, physics: PhysicsState, motion: Motion
 ) -> tuple[PhysicsState, Motion]:
-    """Keeps agents that are not active exactly where they stand."""
+    """Keeps agents that are not active exactly where they stand, at rest."""
     physics = where_cars(state.active, physics, state.physics)
-    motion = where_cars(state.active, motion, state.motion)
+    rest = dataclasses.replace(
+        state.motion,
+        velocity_b=jnp.zeros_like(state.motion.velocity_b),
+        yaw_rate=jnp.zeros_like(state.motion.yaw_rate),
+    )
+    motion = where_cars(state.active, motion, rest)
     still = jnp.broadcast_to(motion.pose_w[:, None], motion.trace_w.shape)
     trace_w = where_cars(state.active, motion.trace_w, still)
     return physics, dataclasses.replace(motion, trace_w=trace_w)

@@ -4,15 +4,16 @@ An `Episodes` holds constants only, those of a `ParkingEnv`.
 """
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
-from carpark_mj.layouts import Layout, layout_config
+from carpark_mj.layouts import DesignCar, Layout, MixtureConfig, layout_config
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.bays import bay_fits
@@ -32,7 +33,7 @@ from carpark_mj.mdp.spawning.placing import (
 from carpark_mj.observations import rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
-from carpark_mj.vehicle import Vehicle
+from carpark_mj.vehicle import Vehicle, VehicleParameters
 
 
 class StepKeys(NamedTuple):
@@ -63,7 +64,9 @@ class Episodes:
         self._goals = goals
         self._physics = physics
         may_be_fewer = config.occupancy is not None and config.min_agents is not None
-        bays = layout_config(config.layout).min_bays
+        lot = layout_config(config.layout)
+        bays = lot.min_bays
+        self._may_touch = not all(_starts_are_free(lot, car) for car in fleet.agents)
         self._limits_agents = (
             may_be_fewer and not config.goals.dynamic and config.num_agents > bays // 2
         )
@@ -190,8 +193,8 @@ class Episodes:
         self, layout: Layout, parked_cars: ParkedCars, new: Vehicle, old: Vehicle
     ) -> SpawnInputs:
         fits = bay_fits(self._config, layout, new.size, parked_cars.size)
-        # Spawn regions have room for cars of the one kind they were made for.
-        sizes = (new.size, old.size) if self._fleet.mixed else (None, None)
+        sized = self._fleet.mixed or self._may_touch
+        sizes = (new.size, old.size) if sized else (None, None)
         return SpawnInputs(layout, parked_cars, *sizes, fits, new)
 
     def _split(self, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -219,6 +222,17 @@ class Episodes:
             first_goals=first_goals,
             relocate=relocate,
         )
+
+
+def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
+    """Whether a car touches nothing wherever it may start in lots of a family."""
+    if isinstance(lot, MixtureConfig):
+        return all(_starts_are_free(member, car) for member in lot.members)
+    # Spawn regions have room for the car they are made for; in a square for any turn.
+    made_for = getattr(lot, "car", DesignCar())
+    margin = getattr(lot, "spawn_margin", 0.0)
+    fits = car.length <= made_for.length and car.width <= made_for.width
+    return fits or math.hypot(car.length, car.width) / 2 <= margin
 
 
 def _most_agents(layout: Layout) -> jax.Array:

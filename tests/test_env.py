@@ -206,6 +206,7 @@ def test_without_respawning_finished_agents_are_frozen_for_ever():
     state = state.replace(step=jnp.array([0, MAX_STEPS - 1, 0], jnp.int32))
     state, timestep = step(state, np.float32([[0, 0], [0.5, 1.0], [0, 0]]))
     np.testing.assert_array_equal(timestep.events.timed_out, [False, True, False])
+    assert float(timestep.motion.speed[1]) > 0.0
     np.testing.assert_array_equal(state.active, [True, False, True])
     assert float(timestep.reward[1]) != 0.0  # its last step still counts
     physics, pose = agent_of(state.physics, 1), np.asarray(state.motion.pose_w[1])
@@ -216,6 +217,8 @@ def test_without_respawning_finished_agents_are_frozen_for_ever():
         assert same(agent_of(state.physics, 1), physics)
         np.testing.assert_array_equal(state.motion.pose_w[1], pose)
         np.testing.assert_array_equal(state.motion.trace_w[1], [pose] * 4)
+        np.testing.assert_array_equal(state.motion.velocity_b[1], 0.0)  # as others see
+        assert float(state.motion.yaw_rate[1]) == 0.0
         assert float(timestep.reward[1]) == 0.0
         assert not timestep.events.done[1]
         assert (timestep.reward[::2] != 0.0).all()

@@ -8,7 +8,7 @@ import numpy as np
 
 from carpark_mj.config import PARKED_RULES, EnvConfig, LayoutConfig
 from carpark_mj.fleet.draw import Fleet
-from carpark_mj.layouts import Layout, make_layout
+from carpark_mj.layouts import Layout, MixtureConfig, make_layout
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import BayKind
@@ -46,19 +46,24 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
         )
 
 
-def check_exits(config: EnvConfig, layout: Layout | None) -> None:
+def check_exits(config: EnvConfig, lot: LayoutConfig) -> None:
     """Refuses cars that drive out where there are no exits, and exits for others.
 
     Args:
         config: of the environment.
-        layout: of a lot that is always the same; random ones have no exits.
+        lot: its layout's config.
 
     Raises:
         ValueError: naming the setting.
     """
-    exits = layout is not None and bool(
-        (layout.bay_mask & (layout.bay_kind == BayKind.EXIT)).any()
-    )
+    if isinstance(lot, MixtureConfig):
+        for member in lot.members:
+            check_exits(config, member)
+        return
+    exits = False  # random lots have none
+    if not lot.is_random:
+        layout = make_layout(lot)
+        exits = bool((layout.bay_mask & (layout.bay_kind == BayKind.EXIT)).any())
     if exits != config.goals.drive_out:
         have = "has exits: set" if exits else "has no exits: use metadrive, or leave"
         raise ValueError(

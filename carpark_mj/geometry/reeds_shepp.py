@@ -11,6 +11,9 @@ import jax.numpy as jnp
 from carpark_mj.geometry.se2 import to_local, wrap_angle
 
 _HALF = jnp.pi / 2
+# A turn of 0 may come out as this much in the other direction: without it a car that
+# has its goal straight ahead would find a word only with turns of 60 degrees and more.
+_ROUNDING = 1e-5  # rad, or radii of straight way
 
 
 def reeds_shepp_length(
@@ -48,30 +51,30 @@ def _symmetric_words(x: jax.Array, y: jax.Array, phi: jax.Array) -> list[jax.Arr
     # (8.1) left, straight, left
     u, t = _polar(*same)
     v = wrap_angle(phi - t)
-    lsl = _if((t >= 0) & (v >= 0), t + u + v)
+    lsl = _if((t >= -_ROUNDING) & (v >= -_ROUNDING), t + u + v)
     # (8.2) left, straight, right
     rho, angle = _polar(*other)
     u = _root(rho**2 - 4.0)
     t = wrap_angle(angle + jnp.arctan2(2.0, u))
     v = wrap_angle(t - phi)
-    lsr = _if((rho >= 2.0) & (t >= 0) & (v >= 0), t + u + v)
+    lsr = _if((rho >= 2.0) & (t >= -_ROUNDING) & (v >= -_ROUNDING), t + u + v)
     # (8.7) left, right | left, right, the two in the middle alike
     share = (2.0 + rho) / 4.0
     u = _arccos(share)
     t, v = _ends(u, -u, *other, phi)
-    lrlr = _if((share <= 1.0) & (t >= 0) & (v <= 0), t + 2 * u - v)
+    lrlr = _if((share <= 1.0) & (t >= -_ROUNDING) & (v <= _ROUNDING), t + 2 * u - v)
     # (8.8) left | right, left | right
     share = (20.0 - rho**2) / 16.0
     u = -_arccos(share)
     t, v = _ends(u, u, *other, phi)
-    valid = (share >= 0.0) & (share <= 1.0) & (t >= 0) & (v >= 0)
+    valid = (share >= 0.0) & (share <= 1.0) & (t >= -_ROUNDING) & (v >= -_ROUNDING)
     cusped = _if(valid, t - 2 * u + v)
     # (8.11) left | right, straight, left | right, a quarter turn each in the middle
     xi, eta = other
     u = 4.0 - _root(rho**2 - 4.0)
     t = jnp.arctan2((4.0 - u) * xi - 2.0 * eta, -2.0 * xi + (u - 4.0) * eta)
     v = wrap_angle(t - phi)
-    valid = (rho >= 2.0) & (u <= 0) & (t >= 0) & (v >= 0)
+    valid = (rho >= 2.0) & (u <= _ROUNDING) & (t >= -_ROUNDING) & (v >= -_ROUNDING)
     quarters = _if(valid, t + jnp.pi - u + v)
     return [lsl, lsr, lrlr, cusped, quarters]
 
@@ -84,19 +87,19 @@ def _words(x: jax.Array, y: jax.Array, phi: jax.Array) -> list[jax.Array]:
     u = -2.0 * jnp.arcsin(jnp.clip(rho / 4.0, 0.0, 1.0))
     t = wrap_angle(angle + u / 2 + jnp.pi)
     v = wrap_angle(phi - t + u)
-    lrl = _if((rho <= 4.0) & (t >= 0), t - u + jnp.abs(v))
+    lrl = _if((rho <= 4.0) & (t >= -_ROUNDING), t - u + jnp.abs(v))
     # (8.9) left | right a quarter, straight, left
     r = _root(rho**2 - 4.0)
     u = 2.0 - r
     t = wrap_angle(angle + jnp.arctan2(r, -2.0))
     v = wrap_angle(phi - _HALF - t)
-    valid = (rho >= 2.0) & (t >= 0) & (u <= 0) & (v <= 0)
+    valid = (rho >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING)
     lrsl = _if(valid, t + _HALF - u - v)
     # (8.10) left | right a quarter, straight, right
     rho, t = _polar(-(y - 1.0 - cos), x + sin)
     u = 2.0 - rho
     v = wrap_angle(t + _HALF - phi)
-    valid = (rho >= 2.0) & (t >= 0) & (u <= 0) & (v <= 0)
+    valid = (rho >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING)
     lrsr = _if(valid, t + _HALF - u - v)
     return [lrl, lrsl, lrsr]
 

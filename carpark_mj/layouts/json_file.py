@@ -9,10 +9,10 @@
      "extent": [half_x, half_y]}
 
 Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessible`,
-`family`, `reserved`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`. `bays`,
-`spawns` and `extent` are needed; `kind` is by default the first of its list, `one_way`
-true and `spread` 0.1. Files of another version and invalid layouts (`layouts.checks`)
-are refused; messages about a row name its line.
+`family`, `reserved`, `exit`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`.
+`bays`, `spawns` and `extent` are needed; `kind` is by default the first of its list,
+`one_way` true and `spread` 0.1. Files of another version and invalid layouts
+(`layouts.checks`) are refused; messages about a row name its line.
 """
 
 import json

@@ -172,8 +172,8 @@ class FixedGoals:
         car there makes way: to the agent's old goal if that is empty and farther than
         `min_distance` from every other agent, otherwise to a random bay like that. If
         there is none, the goal is drawn among the bays without parked cars. With no bay
-        to choose the agent keeps its goal; a car of a fleet that has come there when
-        the agent parked makes way to any free bay, best one it fits.
+        to choose the agent keeps its goal; a parked car that has come there when the
+        agent parked makes way, if need be to any free bay, best one it fits.
 
         Args:
             inputs: the lot and who fits where.
@@ -207,9 +207,11 @@ class FixedGoals:
         goal = jnp.where(found, pick(candidate, scores[0]), old)
         score = jnp.where(rows == old, 2.0, scores[1])
         evicted = placing.parked_bay == goal
-        if fits.parked_cars is not None:
+        free = layout.bay_mask & ~is_goal & ~has_car
+        if fits.parked_cars is None:
+            refuge = jnp.where(refuge.any(), refuge, free)
+        else:
             suits = (fits.parked_cars & evicted[:, None]).any(axis=0)
-            free = layout.bay_mask & ~is_goal & ~has_car
             last = jnp.where((free & suits).any(), free & suits, free)
             refuge = jnp.where(found, refuge & suits, last)
         shelter = pick(refuge, score)

@@ -81,6 +81,15 @@ def test_the_way_back_is_as_long_and_frames_do_not_matter():
     assert (there > straight - 1e-4).all()
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-7, 1e-5])
+def test_no_detour_is_made_to_what_lies_straight_ahead_or_behind(noise):
+    frame, stray = random_poses(5000, 0), random_poses(5000, 1) * noise / 8
+    ahead = stray.at[:, 0].add(jnp.linspace(-6.0, 6.0, 5000))
+    got = length(frame, to_world(frame, ahead), jnp.float32(3.9))
+    # In float32 the poses are off by 1e-6, for which a car steers some centimetres.
+    np.testing.assert_allclose(got, jnp.abs(ahead[:, 0]), atol=0.05)
+
+
 def test_a_detour_is_no_shorter_and_a_tighter_circle_no_longer():
     a, b, c = (random_poses(2000, seed) for seed in range(3))
     direct = length(a, c, jnp.float32(3.0))

@@ -41,6 +41,20 @@ def test_cars_in_bays_drive_out_and_others_to_bays_that_nobody_drives_to():
     assert into[2:8].min() > 500 / 6 * 0.6
 
 
+def test_cars_leave_again_where_every_bay_is_another_agents_goal():
+    layout = make_layout("metadrive")
+    goal = jnp.arange(9).at[8].set(NO_BAY)
+    placing = start_placing(
+        goal,
+        jnp.full(0, NO_BAY),
+        jnp.tile(layout.spawn_pose[1], (9, 1)),
+        jnp.arange(9) == 8,
+    )
+    scores = jax.random.uniform(jax.random.key(0), (100, 11))
+    drawn = jax.vmap(lambda s: goal_of_start(layout, placing, jnp.int32(8), s))(scores)
+    assert set(drawn.tolist()) == set(EXITS)
+
+
 def test_lots_begin_with_cars_at_eleven_places_and_respawn_in_them():
     env = ParkingEnv(dataclasses.replace(METADRIVE, episode=SHORT))
     state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(1), 20))
@@ -73,6 +87,11 @@ def _check(state):
     ("changes", "message"),
     [
         ({"goals": GoalConfig()}, "has exits: set goals.drive_out = True"),
+        (
+            {"goals": GoalConfig(), "layout": "metadrive,street"},
+            "has exits: set goals.drive_out = True",
+        ),
+        ({"layout": "metadrive,street"}, "has no exits: use metadrive"),
         ({"layout": "compact"}, "has no exits: use metadrive"),
         ({"layout": "lot"}, "has no exits: use metadrive"),
         ({"goals": GoalConfig(True, drive_out=True)}, "drive_out needs fixed goals"),

@@ -208,6 +208,17 @@ def test_a_full_row_swaps_goal_and_car_when_nobody_is_near():
     np.testing.assert_array_equal(moved, 0)
 
 
+def test_a_car_on_a_goal_that_is_kept_makes_way_even_near_another_agent():
+    # As after a relocation from bay 3: the only bays that are not reserved are goals.
+    kind = jnp.full(6, BayKind.RESERVED).at[jnp.array([1, 5])].set(BayKind.STANDARD)
+    row = ROW.replace(bay_kind=kind)
+    xy = jnp.array([[10.0, 0.0], [30.0, 5.0]])  # agent 1 is 5 m from the free bay
+    goal, parked_bay = jnp.array([1, 5]), jnp.array([1, 0, 2, 4])
+    after = new_goal(row, goal, parked_bay, 0, xy, jax.random.key(0))
+    assert after.goal.tolist() == [1, 5]
+    assert after.parked_bay.tolist() == [3, 0, 2, 4]
+
+
 def test_reserved_bays_are_no_goals_and_their_cars_come_back():
     layout = make_layout("slots")  # slot 2 of 12 is not reserved
     _, (goals, bays, _) = history(layout, 1, 11, num_steps=60)

@@ -21,7 +21,7 @@ def goal_of_start(
 
     Uniform over the exits if it starts in a bay, any number of agents to each;
     otherwise over the bays that no other agent drives to; agents that are about to
-    leave may stand in them.
+    leave may stand in them. Over the exits, too, if there is no such bay.
 
     Args:
         layout: with exits.
@@ -34,5 +34,6 @@ def goal_of_start(
     leaves = ((gap <= 0) & layout.bay_mask & ~is_exit).any()
     drives = ~placing.waiting & (jnp.arange(placing.goal.shape[0]) != agent)
     taken = marked(layout, jnp.where(drives, placing.goal, NO_BAY))
-    candidate = layout.bay_mask & jnp.where(leaves, is_exit, ~is_exit & ~taken)
-    return pick(candidate, scores)
+    free = layout.bay_mask & ~is_exit & ~taken
+    leaves = leaves | ~free.any()
+    return pick(jnp.where(leaves, layout.bay_mask & is_exit, free), scores)

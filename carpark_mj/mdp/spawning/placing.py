@@ -30,8 +30,7 @@ class SpawnInputs:
         layout: the lot.
         parked_cars: where they stood before the first is placed.
         size: (num_agents, 2) footprints of the cars drawn for agents that begin [m];
-            None if all agents drive cars of one kind, which spawn regions have room
-            for.
+            None if spawn regions have room for them all.
         old_size: (num_agents, 2) footprints of the cars they drove before [m]; None as
             for `size`.
         fits: who fits into which bay.

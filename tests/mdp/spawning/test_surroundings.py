@@ -3,12 +3,21 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from helpers.scenes import lot, polygons
+from helpers.sliding import SlidePhysics
 from helpers.spawning import surroundings_of
 from helpers.states import parked_in
 
-from carpark_mj.config import SpawnConfig
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    RayConfig,
+    SpawnConfig,
+)
+from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.bays import BayFits
+from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import (
     SpawnInputs,
@@ -16,6 +25,7 @@ from carpark_mj.mdp.spawning.placing import (
     surroundings,
 )
 from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
+from carpark_mj.vehicle import preset
 
 
 def test_starts_keep_off_parked_cars_where_they_stand():
@@ -74,3 +84,24 @@ def test_in_a_crowded_lane_the_start_with_most_room_between_outlines_is_taken():
         ]
         own = polygons(pose[None], np.array([outlines[0]]))[0].distance(other)
         np.testing.assert_allclose(own, max(room), atol=1e-4)
+
+
+@pytest.mark.parametrize("vehicle", ["van", "compact"])
+def test_a_car_larger_than_lots_are_made_for_starts_clear_of_them_too(vehicle):
+    config = EnvConfig(
+        layout="dead_end",
+        vehicle=vehicle,
+        num_agents=1,
+        num_parked_cars=3,
+        observation=ContinuousObservation(rays=RayConfig()),
+    )
+    env = ParkingEnv(config, SlidePhysics())
+
+    def touches(key):
+        state, _ = env.reset(key)
+        return find_hits(state).any[0], state.motion.size[0]
+
+    hit, size = jax.jit(jax.vmap(touches))(jax.random.split(jax.random.key(0), 500))
+    assert not hit.any()
+    params = preset(vehicle)
+    np.testing.assert_allclose(size[0], [params.length, params.width])
