@@ -11,7 +11,7 @@ from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.rollout import Recording
-from carpark_mj.rendering.snapshot import frames_per_second, snapshot
+from carpark_mj.rendering.snapshot import frames_per_second, num_frames, snapshot
 
 GIF_GREYS, GIF_COLOURS = 48, 144  # palette entries
 CHROMA = 40  # of 255; less is grey
@@ -30,8 +30,12 @@ def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.nd
 
 
 def frame_stride(recording: Recording, fps: float) -> int:
-    """Every how many frames to draw to come closest to a wanted rate."""
-    return max(1, round(frames_per_second(recording) / fps))
+    """Every how many frames to draw to come closest to a wanted rate.
+
+    No more than there are: the shortest video is one frame.
+    """
+    wanted = round(frames_per_second(recording) / fps)
+    return min(max(1, wanted), num_frames(recording))
 
 
 def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
