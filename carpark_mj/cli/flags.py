@@ -83,7 +83,7 @@ def read_flags(
         SystemExit: after the help.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    options: dict[str, Any] = {"description": description, "prog": prog}
+    options: dict[str, Any] = {"description": _by_line(description), "prog": prog}
     if "--help-all" in arguments:
         arguments = ["--help"]
     elif short and {"-h", "--help"} & {*arguments}:
@@ -151,6 +151,11 @@ def _print_short_help(
     finally:
         text = f"More settings, which --help-all explains: {', '.join(flags)}"
         print("\n".join(textwrap.wrap(text, 80, break_on_hyphens=False)))
+
+
+def _by_line(text: str | None) -> str | None:
+    """Indents commands, as tyro joins lines that begin with a letter."""
+    return text and re.sub(r"^(?=(python|srun) )", "    ", text, flags=re.MULTILINE)
 
 
 def _sentence(box: str) -> str:

@@ -197,7 +197,7 @@ def main(config: SceneConfig) -> None:
     if config.out:
         path = Path(config.out)
         path.parent.mkdir(parents=True, exist_ok=True)
-        text = scene_xml(spec, vehicle(config), config.out)
+        text = scene_xml(spec, vehicle(config))
         write_atomically(path, lambda temporary: temporary.write_text(text))
         print(f"wrote {path}; open it: python -m mujoco.viewer --mjcf={path}")
     if blind:

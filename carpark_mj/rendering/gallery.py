@@ -41,7 +41,7 @@ def cell_size(width: int) -> tuple[int, int]:
 def draw_lots(
     family: str, size: tuple[int, int], camera: str, seed: int
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Draws a family's held-out lots as episodes start in them, half of the bays full.
+    """Draws a family's training lots as episodes start in them, half of the bays full.
 
     Args:
         family: name of the layout.

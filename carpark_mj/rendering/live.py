@@ -27,7 +27,7 @@ class LiveLot:
     """
 
     def __init__(self, env: ParkingEnv, policy: AnyPolicy, seed: int) -> None:
-        """Compiles and starts a held-out lot."""
+        """Compiles and starts a lot, of those for training."""
         self._env, self._policy = env, as_argument(policy)
         self._key = evaluation_key(seed)
         self._reset = jax.jit(env.reset)

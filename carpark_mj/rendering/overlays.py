@@ -92,7 +92,7 @@ def draw_labels(
             box = (x - radius, y - radius, x + radius, y + radius)
             shape(box, fill=colour, outline=WHITE, width=2)
             draw.text((x, y), str(agent), _ink(colour), font=large, anchor="mm")
-            if shape == draw.ellipse:
+            if shape == draw.ellipse and state:
                 tag(x, y + radius + 3, state, WHITE)
     return np.asarray(image)
 

@@ -46,7 +46,8 @@ def _mujoco_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:
     except Exception as error:  # PyOpenGL and MuJoCo raise many kinds
         backend = os.environ.get("MUJOCO_GL", "unset")
         raise RenderingError(
-            f"{MISSING_GL}. MUJOCO_GL is {backend}; the error was: {error}"
+            f"{MISSING_GL}; if it is there, set MUJOCO_GL=egl before anything imports "
+            f"MuJoCo. MUJOCO_GL is {backend}; the error was: {error}"
         ) from None
 
 

@@ -30,9 +30,12 @@ def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.nd
 
 
 def frame_stride(recording: Recording, fps: float) -> int:
-    """Every how many frames to draw to come closest to a wanted rate; at least one."""
-    stride = round(frames_per_second(recording) / fps)
-    return min(max(1, stride), num_frames(recording))
+    """Every how many frames to draw to come closest to a wanted rate.
+
+    No more than there are: the shortest video is one frame.
+    """
+    wanted = round(frames_per_second(recording) / fps)
+    return min(max(1, wanted), num_frames(recording))
 
 
 def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:

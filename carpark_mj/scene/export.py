@@ -1,7 +1,6 @@
 """Exported scenes: self-contained MJCF for any MuJoCo viewer."""
 
 import math
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -23,7 +22,7 @@ SETTLING = 5.0  # s, after which a car placed on the ground is at rest
 _PLACES = {"carpark": "car park", "junction": "road junction"}  # by model
 _GUIDE = """
   A {place} with {agents} to drive, made by carpark_mj.
-  Open it:  python -m mujoco.viewer --mjcf={name}
+  Open it with `python -m mujoco.viewer`: drop the file into the window.
 
   Sliders of car K (panel "Control"):
     agentK/steer  target angle of the bicycle model's wheel [rad], left positive,
@@ -132,14 +131,16 @@ def _place(
     body.quat = quat
 
 
-def scene_xml(spec: mujoco.MjSpec, params: VehicleParameters, name: str) -> str:
-    """The scene as MJCF text, with a guide to its controls at the top."""
+def scene_xml(spec: mujoco.MjSpec, params: VehicleParameters) -> str:
+    """The scene as MJCF text, with a guide to its controls at the top.
+
+    It is well-formed XML for other readers too: comments must not contain `--`.
+    """
     spec.compile()
     agents = sum(body.name.startswith("agent") for body in spec.worldbody.bodies)
     guide = _GUIDE.format(
         place=_PLACES[spec.modelname],
         agents="1 car" if agents == 1 else f"{agents} cars",
-        name=Path(name).name,
         rate=params.steering_rate,
         reverse=-params.max_reverse_speed / params.max_speed,
         speed=params.max_speed,

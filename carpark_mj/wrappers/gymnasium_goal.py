@@ -78,6 +78,13 @@ class ParkGoalEnv(PoseRewardMixin, ParkEnv):
         config = one_agent(configure(options, GOAL_OPTIONS))
         return shared_goal_env(config, self.pose_reward)
 
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """See `ParkEnv.step`; the reward is exactly that of `compute_reward`."""
+        seen, _, terminated, truncated, info = super().step(action)
+        goals = seen["achieved_goal"], seen["desired_goal"]
+        reward = float(self.compute_reward(*goals, info))
+        return seen, reward, terminated, truncated, info
+
 
 @functools.lru_cache(maxsize=32)
 def shared_goal_env(config: EnvConfig, pose_reward: PoseReward) -> GoalParking:

@@ -125,7 +125,8 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
                 from the operating system if there is none.
             options: unused.
         """
-        self._observation = observation = self._lots.reset_numpy(seed)[0]
+        observation = self._lots.reset_numpy(seed)[0]
+        self._observation = observation.copy()  # callers may change what they get
         self.agents = self.possible_agents
         active = self._by_agent(np.asarray(self._lots.state.active[0]))
         self.agents = [agent for agent, drives in active.items() if drives]
@@ -155,7 +156,8 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         for agent, given in actions.items():
             action[0, self.possible_agents.index(agent)] = flat_action(given, spec)
         step = self._lots.step_numpy(action)
-        self._observation = observation = step.observation[0]
+        observation = step.observation[0]
+        self._observation = observation.copy()
         ends = step.reward, step.terminated, step.truncated, step.success, step.crashed
         rewards, terminations, truncations, success, crashed = (
             {agent: value.item() for agent, value in self._by_agent(values[0]).items()}
@@ -183,7 +185,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         if self._observation is None:
             EnvLogger.error_state_before_reset()
             raise AssertionError
-        return self._observation.ravel()
+        return self._observation.flatten()
 
     def render(self) -> np.ndarray | None:
         """Draws the lot: (height, width, 3) uint8 by `rgb_array`, or in the window."""

@@ -109,10 +109,14 @@ class TorchRLAgents(EnvBase):
         def grouped(specs: dict[str, Any]) -> Composite:
             return Composite({GROUP: Composite(specs, shape=agents)}).to(self.device)
 
+        # As TorchRL's own adapters: samples between infinite bounds are NaN.
+        seen = Bounded(low, high, dtype=low.dtype)
+        if not (low.isfinite() | high.isfinite()).any():
+            seen = Unbounded(low.shape, dtype=low.dtype)
         info = Composite(flags((self.success, "crashed"), *agents), shape=agents)
         self.full_action_spec_unbatched = grouped({"action": action})
         self.full_observation_spec_unbatched = grouped(
-            {"observation": Bounded(low, high, dtype=low.dtype), "info": info}
+            {"observation": seen, "info": info}
         )
         self.full_reward_spec_unbatched = grouped({"reward": Unbounded((*agents, 1))})
         done = grouped(flags(_ENDS, *agents))

@@ -111,6 +111,15 @@ def test_a_short_help_lists_some_and_names_the_others(capsys):
         assert "--part {None}|{LOW HIGH}" in printed
 
 
+def test_the_help_has_a_line_for_every_command(capsys):
+    text = "Counts\nthings.\n\npython a.py --count 1\npython -m b\n\nThe end."
+    with pytest.raises(SystemExit):
+        read_flags(Settings, ["--help"], description=text)
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines() if line]
+    start = lines.index("Counts things.")
+    assert lines[start + 1 : start + 3] == ["python a.py --count 1", "python -m b"]
+
+
 def test_what_the_user_can_mend_is_one_line_and_exit_code_2(capsys):
     def fail(error):
         raise error

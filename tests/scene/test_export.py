@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -42,6 +43,7 @@ def test_the_file_is_whole_and_the_same_model(exported, model):
     text = exported.read_text()
     assert "file=" not in text  # no mesh or texture of its own
     assert "agentK/steer" in text.split("<mujoco")[0]  # the guide comes first
+    assert ElementTree.fromstring(text).tag == "mujoco"  # for other readers of XML
     spec, _ = make_scene(SceneConfig(out="x.xml"))
     built = spec.compile()
     assert [model.actuator(k).name for k in range(model.nu)] == [

@@ -70,6 +70,16 @@ def test_steps_pay_what_compute_reward_says_one_by_one_and_all_at_once():
     assert crashes > 0
 
 
+def test_a_single_step_pays_exactly_what_compute_reward_says():
+    # As the checkers of Stable-Baselines3 and Gymnasium-Robotics ask.
+    env = gymnasium.make(GOAL, physics="bicycle", parked_cars=2).unwrapped
+    env.reset(seed=0)
+    for _ in range(30):
+        seen, reward, *_, info = env.step(np.array([0.3, 1.0], np.float32))
+        goals = seen["achieved_goal"], seen["desired_goal"]
+        assert reward == env.compute_reward(*goals, info)
+
+
 def test_the_goal_is_seen_in_the_desired_goal_alone(goal):
     state, vector = jax.jit(goal.reset)(jax.random.key(0))
     other = dataclasses.replace(state, goal=(state.goal + 7) % 36)

@@ -58,6 +58,10 @@ def test_the_state_is_all_observations_and_zeros_of_those_who_have_left(env):
     observations, _ = env.reset(seed=1)
     np.testing.assert_array_equal(env.state(), np.concatenate([*observations.values()]))
     assert env.state_space.contains(env.state())
+    before = env.state().copy()
+    observations["agent_0"] -= 1.0  # arrays are the caller's own
+    env.state()[:] = 2.0
+    np.testing.assert_array_equal(env.state(), before)
     while "agent_0" in env.agents:
         observations, *_ = env.step(idle(env) | {"agent_0": np.float32([0, 1])})
     last = env.state().reshape(3, -1)[0]

@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, SensorConfig
 from carpark_mj.registry import TANNER_DYNAMIC
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
@@ -51,6 +51,12 @@ def rollout(env):
 )
 def test_torchrl_accepts_the_environment(options):
     check_env_specs(TorchRLParking(3, seed=0, **options))
+
+
+def test_samples_of_unbounded_observations_are_numbers():
+    noisy = EnvConfig(physics="bicycle", sensors=SensorConfig(position_noise=0.1))
+    spec = TorchRLParking(2, config=noisy).observation_spec
+    assert torch.isfinite(spec.rand()["agents", "observation"]).all()
 
 
 def test_tensors_are_grouped_by_agent(env, rollout):
