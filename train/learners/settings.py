@@ -55,17 +55,26 @@ def read_settings(
         if getattr(config, field.name) != getattr(preset, field.name)
         and field.name not in RESUME_FLAGS
     ]
+    _refuse_changes(changed)
     stored = read_config(type(default), Path(config.resume))
     if named(arguments, "preset") not in ("", stored.preset):
-        changed.append("preset")
-    if changed:
-        raise ValueError(
-            f"a resumed run keeps its own settings: drop {', '.join(changed)} "
-            f"(allowed with --resume: --time-limit)"
-        )
+        _refuse_changes(["preset"])
     return dataclasses.replace(
         stored, resume=config.resume, time_limit=config.time_limit
     )
+
+
+def _refuse_changes(names: list[str]) -> None:
+    """Refuses settings given to a run that goes on.
+
+    Raises:
+        ValueError: there are such settings.
+    """
+    if names:
+        raise ValueError(
+            f"a resumed run keeps its own settings: drop {', '.join(names)} "
+            f"(allowed with --resume: --time-limit)"
+        )
 
 
 def read_config(cls: type[Config], folder: Path) -> Config:
