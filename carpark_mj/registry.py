@@ -21,8 +21,8 @@ implementation disagree, or do not say, the choice is:
 - an agent loses its goal when the bay is no longer among the num_tracked_bays nearest,
   not the n_track nearest (text). This has the reward of giving the goal up, and losing
   it to another agent that parks there has none (implementation; not in the text).
-- tracked bays are numbered by distance at every step, as in all published runs; in the
-  text they keep their slots, `GoalConfig.slots_by_distance`.
+- tracked bays are numbered by distance at every step (implementation); in the text they
+  keep their slots, `GoalConfig.slots_by_distance`.
 - starts on a collision course: the other agent's distance to its own goal must be long
   enough, as the starting agent has no position yet. At a reset goals are not redrawn.
 - starts are drawn until they keep their distance, 16,016 poses at most; a close start

@@ -155,6 +155,10 @@ class EnvConfig:
                 f"goals.num_tracked_bays {self.goals.num_tracked_bays} needs dynamic "
                 "goals, goals.dynamic = True"
             )
+        elif self.goals.slots_by_distance:
+            raise ValueError(
+                "goals.slots_by_distance needs dynamic goals, goals.dynamic = True"
+            )
         spawn = self.spawn
         if self.goals.drive_out and (
             spawn.close_ratio or spawn.crash_ratio or spawn.reverse_ratio

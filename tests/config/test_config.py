@@ -133,6 +133,10 @@ CONTRADICTIONS = [
     ),
     ({"goals": GoalConfig(num_tracked_bays=3)}, "num_tracked_bays 3 needs dynamic"),
     (
+        {"goals": GoalConfig(slots_by_distance=True)},
+        "slots_by_distance needs dynamic goals",
+    ),
+    (
         {"physics": "grid", "randomization": RandomizationConfig(mass=(0.9, 1.1))},
         "randomization has no effect on the grid",
     ),
