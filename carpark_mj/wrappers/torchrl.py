@@ -109,7 +109,7 @@ class TorchRLAgents(EnvBase):
         def grouped(specs: dict[str, Any]) -> Composite:
             return Composite({GROUP: Composite(specs, shape=agents)}).to(self.device)
 
-        # As TorchRL's own adapters: samples between infinite bounds are NaN.
+        # Samples of `Bounded` between infinite bounds are not finite.
         seen = Bounded(low, high, dtype=low.dtype)
         if not (low.isfinite() | high.isfinite()).any():
             seen = Unbounded(low.shape, dtype=low.dtype)
