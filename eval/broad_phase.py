@@ -20,7 +20,6 @@ from rich.table import Table
 
 from benchmarking.broad_phase import SCENES, make_env, measure
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.cli.flags import read_flags
 
 COLUMNS = (
     "scene",
@@ -90,10 +89,13 @@ def run(config: BroadPhaseConfig) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-    return run_command(
-        "broad_phase",
-        lambda: run(read_flags(BroadPhaseConfig, arguments, description=__doc__)),
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(BroadPhaseConfig, arguments, description=__doc__))
+
+    return run_command("broad_phase", command)
 
 
 if __name__ == "__main__":

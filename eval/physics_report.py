@@ -14,7 +14,6 @@ from pathlib import Path
 import jax
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.policy.checkpoints import require_writable
 from carpark_mj.vehicle import PRESETS, preset
 from vehicle_suite.report import write_report
@@ -86,10 +85,13 @@ def run(config: ReportConfig) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    return run_command(
-        "physics_report",
-        lambda: run(read_flags(ReportConfig, arguments, description=__doc__)),
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(ReportConfig, arguments, description=__doc__))
+
+    return run_command("physics_report", command)
 
 
 if __name__ == "__main__":

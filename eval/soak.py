@@ -19,7 +19,6 @@ from rich.console import Console
 from rich.table import Table
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import SimConfig
 from carpark_mj.vehicle import PRESETS
 from vehicle_suite import soak
@@ -105,10 +104,13 @@ def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-    return run_command(
-        "soak",
-        lambda: run(read_flags(SoakConfig, arguments, description=__doc__)),
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(SoakConfig, arguments, description=__doc__))
+
+    return run_command("soak", command)
 
 
 if __name__ == "__main__":

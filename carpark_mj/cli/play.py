@@ -293,9 +293,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> None:
-    try:
-        from carpark_mj.cli.flags import read_flags
-    except ImportError:
-        raise OSError("flags need tyro: pip install 'carpark_mj[eval]'") from None
+    from carpark_mj.cli.flags import read_flags
+
     description = command_help(__doc__)
     main(read_flags(PlayConfig, arguments, description=description, prog=PROGRAM))

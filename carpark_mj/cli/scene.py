@@ -243,10 +243,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> None:
-    try:
-        from carpark_mj.cli.flags import read_flags
-    except ImportError:
-        raise OSError("flags need tyro: pip install 'carpark_mj[eval]'") from None
+    from carpark_mj.cli.flags import read_flags
+
     words = complete(sys.argv[1:] if arguments is None else arguments)
     main(
         read_flags(
