@@ -20,17 +20,14 @@ from vehicle_suite.report import write_report
 from vehicle_suite.suites import Tyres, drive_suites
 from vehicle_suite.table import Study
 
-# Made for the hard cases, where cars drive on brush tyres; on contact tyres it misses
-# five rows (docs/vehicle.md).
-NOT_REPORTED = {"tpcap"}
-
 
 @dataclasses.dataclass(frozen=True)
 class ReportConfig:
     """Settings of `python eval/physics_report.py`.
 
     Attributes:
-        presets: vehicle presets to test; default: all but `NOT_REPORTED`.
+        presets: vehicle presets to test; default: all cars, but none
+            of the boxes of other studies (`tpcap`, `tanner`, `highway`).
         tyres: tyre models to test.
         out: folder of the report.
         quick: run fewer cases, with shorter runs.
@@ -67,7 +64,7 @@ def run(config: ReportConfig) -> int:
     require_writable(out / "report.md")  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # few cars: no work for a GPU
     everything = Study("", "")
-    presets = config.presets or tuple(sorted({*PRESETS} - NOT_REPORTED))
+    presets = config.presets or tuple(sorted(PRESETS))
     for study in drive_suites(config.tyres, presets, config.quick):
         everything.rows.extend(study.rows)
         everything.curves.extend(study.curves)
