@@ -8,17 +8,19 @@ python eval/analysis.py runs/cpu-num_agents --metrics parked length --by env.num
 import sys
 from collections.abc import Sequence
 
-from carpark_mj.cli.analysis import AnalysisConfig, main
 from carpark_mj.cli.common import run_command
-from carpark_mj.cli.flags import read_flags
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    return run_command(
-        "analysis",
-        lambda: main(read_flags(AnalysisConfig, arguments, description=__doc__)) and 0,
-    )
+
+    def command() -> None:
+        from carpark_mj.cli.analysis import AnalysisConfig, main
+        from carpark_mj.cli.flags import read_flags
+
+        main(read_flags(AnalysisConfig, arguments, description=__doc__))
+
+    return run_command("analysis", command)
 
 
 if __name__ == "__main__":

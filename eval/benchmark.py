@@ -29,7 +29,6 @@ from benchmarking.records import Clock, Job, What
 from benchmarking.report import markdown
 from benchmarking.run import WorkerError, measure
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import EnvConfig
 
 Cars = Literal["brush", "mjx.step", "contact"]
@@ -135,10 +134,13 @@ def run(config: BenchmarkConfig) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    return run_command(
-        "benchmark",
-        lambda: run(read_flags(BenchmarkConfig, arguments, description=__doc__)),
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(BenchmarkConfig, arguments, description=__doc__))
+
+    return run_command("benchmark", command)
 
 
 if __name__ == "__main__":

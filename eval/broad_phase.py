@@ -20,7 +20,7 @@ from rich.table import Table
 
 from benchmarking.broad_phase import SCENES, make_env, measure
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.cli.flags import read_flags
+from carpark_mj.config.checks import at_least
 
 COLUMNS = (
     "scene",
@@ -59,6 +59,7 @@ class BroadPhaseConfig:
                 raise ValueError(
                     f"{name} must be at least 1, not {getattr(self, name)}"
                 )
+        at_least(self, 0, "rays")
         if not self.scenes:
             raise ValueError("scenes must name at least one")
         if unknown := set(self.scenes) - set(SCENES):
@@ -90,10 +91,13 @@ def run(config: BroadPhaseConfig) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-    return run_command(
-        "broad_phase",
-        lambda: run(read_flags(BroadPhaseConfig, arguments, description=__doc__)),
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(BroadPhaseConfig, arguments, description=__doc__))
+
+    return run_command("broad_phase", command)
 
 
 if __name__ == "__main__":

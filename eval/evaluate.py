@@ -17,17 +17,19 @@ from carpark_mj.cli.common import (
     keep_compiled_programs,
     run_command,
 )
-from carpark_mj.cli.driver import command_help
-from carpark_mj.cli.evaluate import EvaluateConfig, main
-from carpark_mj.cli.flags import read_flags
+
+
+def run() -> None:
+    """Evaluates."""
+    from carpark_mj.cli.driver import command_help
+    from carpark_mj.cli.evaluate import EvaluateConfig, main
+    from carpark_mj.cli.flags import read_flags
+
+    main(read_flags(EvaluateConfig, description=command_help(__doc__)))
+
 
 if __name__ == "__main__":
     dispatch_synchronously()
     enable_output_fusion()
     keep_compiled_programs()
-    sys.exit(
-        run_command(
-            "evaluate",
-            lambda: main(read_flags(EvaluateConfig, description=command_help(__doc__))),
-        )
-    )
+    sys.exit(run_command("evaluate", run))

@@ -18,7 +18,6 @@ from rich.table import Table
 
 from benchmarking.timing import best_time
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import whole
 from carpark_mj.junction import JunctionConfig, JunctionEnv
 from carpark_mj.junction.actions import ACTIONS
@@ -86,10 +85,13 @@ def run(config: JunctionSpeedConfig) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-    return run_command(
-        "junction_speed",
-        lambda: run(read_flags(JunctionSpeedConfig, arguments, description=__doc__)),
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(JunctionSpeedConfig, arguments, description=__doc__))
+
+    return run_command("junction_speed", command)
 
 
 if __name__ == "__main__":

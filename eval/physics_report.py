@@ -14,16 +14,11 @@ from pathlib import Path
 import jax
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.policy.checkpoints import require_writable
 from carpark_mj.vehicle import PRESETS, preset
 from vehicle_suite.report import write_report
 from vehicle_suite.suites import Tyres, drive_suites
 from vehicle_suite.table import Study
-
-# Made for the hard cases, where cars drive on brush tyres; on contact tyres it misses
-# five rows (docs/vehicle.md).
-NOT_REPORTED = {"tpcap"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +26,8 @@ class ReportConfig:
     """Settings of `python eval/physics_report.py`.
 
     Attributes:
-        presets: vehicle presets to test; default: all but `NOT_REPORTED`.
+        presets: vehicle presets to test; default: all cars, but none
+            of the boxes of other studies (`tpcap`, `tanner`, `highway`).
         tyres: tyre models to test.
         out: folder of the report.
         quick: run fewer cases, with shorter runs.
@@ -68,7 +64,7 @@ def run(config: ReportConfig) -> int:
     require_writable(out / "report.md")  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # few cars: no work for a GPU
     everything = Study("", "")
-    presets = config.presets or tuple(sorted({*PRESETS} - NOT_REPORTED))
+    presets = config.presets or tuple(sorted(PRESETS))
     for study in drive_suites(config.tyres, presets, config.quick):
         everything.rows.extend(study.rows)
         everything.curves.extend(study.curves)
@@ -86,10 +82,13 @@ def run(config: ReportConfig) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    return run_command(
-        "physics_report",
-        lambda: run(read_flags(ReportConfig, arguments, description=__doc__)),
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(ReportConfig, arguments, description=__doc__))
+
+    return run_command("physics_report", command)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from pathlib import Path
 import jax
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.policy.checkpoints import require_writable
 from vehicle_suite import referee, referee_report
 
@@ -45,11 +44,13 @@ def run(config: RefereeConfig) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-    return run_command(
-        "referee",
-        lambda: run(read_flags(RefereeConfig, arguments, description=__doc__)),
-        (ImportError,),  # the package of the reference models is not installed
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(RefereeConfig, arguments, description=__doc__))
+
+    return run_command("referee", command)
 
 
 if __name__ == "__main__":

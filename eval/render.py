@@ -17,22 +17,24 @@ from carpark_mj.cli.common import (
     keep_compiled_programs,
     run_command,
 )
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.rendering.gl import choose_gl
 
 
 def run() -> int:
     """Runs the command; returns the exit code."""
     choose_gl()  # before MuJoCo is imported
-    from carpark_mj.cli.driver import command_help
-    from carpark_mj.cli.render import RenderConfig, main
     from carpark_mj.rendering.renderer import RenderingError
 
-    return run_command(
-        "render",
-        lambda: main(read_flags(RenderConfig, description=command_help(__doc__))),
-        (RenderingError,),
-    )
+    return run_command("render", command, (RenderingError,))
+
+
+def command() -> None:
+    """Renders."""
+    from carpark_mj.cli.driver import command_help
+    from carpark_mj.cli.flags import read_flags
+    from carpark_mj.cli.render import RenderConfig, main
+
+    main(read_flags(RenderConfig, description=command_help(__doc__)))
 
 
 if __name__ == "__main__":

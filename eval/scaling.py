@@ -25,7 +25,6 @@ from benchmarking.scaling import (
     write_points,
 )
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.policy.checkpoints import require_writable
 
 
@@ -103,10 +102,13 @@ def run(config: ScalingConfig) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-    return run_command(
-        "scaling",
-        lambda: run(read_flags(ScalingConfig, arguments, description=__doc__)),
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(ScalingConfig, arguments, description=__doc__))
+
+    return run_command("scaling", command)
 
 
 if __name__ == "__main__":

@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import SimConfig
+from carpark_mj.config.checks import at_least
 from carpark_mj.vehicle import PRESETS
 from vehicle_suite import soak
 from vehicle_suite.soak import HOLD, PATTERNS, ROUNDS, Soak, Worst
@@ -54,6 +54,7 @@ class SoakConfig:
                 raise ValueError(
                     f"{name} must be at least 1, not {getattr(self, name)}"
                 )
+        at_least(self, 0, "max_hop", "max_energy")
         if self.first_case < 0:
             raise ValueError(f"first_case must be at least 0, not {self.first_case}")
 
@@ -105,10 +106,13 @@ def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-    return run_command(
-        "soak",
-        lambda: run(read_flags(SoakConfig, arguments, description=__doc__)),
-    )
+
+    def command() -> object:
+        from carpark_mj.cli.flags import read_flags
+
+        return run(read_flags(SoakConfig, arguments, description=__doc__))
+
+    return run_command("soak", command)
 
 
 if __name__ == "__main__":

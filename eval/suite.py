@@ -18,23 +18,22 @@ from carpark_mj.cli.common import (
     keep_compiled_programs,
     run_command,
 )
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.rendering.gl import choose_gl
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     choose_gl()  # before MuJoCo is imported
-    from carpark_mj.cli.driver import command_help
-    from carpark_mj.cli.suite import SuiteConfig, main
     from carpark_mj.rendering.renderer import RenderingError
 
-    help_text = command_help(__doc__)
-    return run_command(
-        "suite",
-        lambda: main(read_flags(SuiteConfig, arguments, description=help_text)) and 0,
-        (RenderingError,),
-    )
+    def command() -> None:
+        from carpark_mj.cli.driver import command_help
+        from carpark_mj.cli.flags import read_flags
+        from carpark_mj.cli.suite import SuiteConfig, main
+
+        main(read_flags(SuiteConfig, arguments, description=command_help(__doc__)))
+
+    return run_command("suite", command, (RenderingError,))
 
 
 if __name__ == "__main__":

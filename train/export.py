@@ -11,19 +11,19 @@ import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import keep_compiled_programs, run_command
-from carpark_mj.cli.driver import command_help
-from carpark_mj.cli.export import ExportConfig, main
-from carpark_mj.cli.flags import read_flags
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    return run_command(
-        "export",
-        lambda: main(
-            read_flags(ExportConfig, arguments, description=command_help(__doc__))
-        ),
-    )
+
+    def command() -> None:
+        from carpark_mj.cli.driver import command_help
+        from carpark_mj.cli.export import ExportConfig, main
+        from carpark_mj.cli.flags import read_flags
+
+        main(read_flags(ExportConfig, arguments, description=command_help(__doc__)))
+
+    return run_command("export", command)
 
 
 if __name__ == "__main__":

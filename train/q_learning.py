@@ -19,17 +19,18 @@ from carpark_mj.cli.common import (
     keep_compiled_programs,
     run_command,
 )
-from learners.memory import require_memory
-from learners.q_learning.config import RUN_SETTINGS, QLearningConfig
-from learners.q_learning.learner import QLearner
-from learners.q_learning.presets import Q_PRESETS, Q_SUMMARIES
-from learners.q_learning.train import train
-from learners.run_folder import open_run
-from learners.settings import read_settings
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
     """Trains."""
+    from learners.memory import require_memory
+    from learners.q_learning.config import RUN_SETTINGS, QLearningConfig
+    from learners.q_learning.learner import QLearner
+    from learners.q_learning.presets import Q_PRESETS, Q_SUMMARIES
+    from learners.q_learning.train import train
+    from learners.run_folder import open_run
+    from learners.settings import read_settings
+
     config = read_settings(
         QLearningConfig(), Q_PRESETS, arguments, __doc__, RUN_SETTINGS, Q_SUMMARIES
     )

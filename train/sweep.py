@@ -14,16 +14,13 @@ from collections.abc import Sequence
 import jax
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.cli.flags import read_flags
-from sweeps.config import SweepConfig, sweep_folder
-from sweeps.manage import run_sweep
-from sweeps.plan import checked_runs
-from sweeps.work import set_up_jax
 
 
 def prepare(cluster: str) -> None:
     """Sets JAX up; a process that only submits leaves the GPU to its jobs."""
     if cluster == "debug":
+        from sweeps.work import set_up_jax
+
         set_up_jax()
     else:
         enable_output_fusion()
@@ -32,6 +29,11 @@ def prepare(cluster: str) -> None:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the sweep; returns the exit code, 1 if runs have failed."""
+    from carpark_mj.cli.flags import read_flags
+    from sweeps.config import SweepConfig, sweep_folder
+    from sweeps.manage import run_sweep
+    from sweeps.plan import checked_runs
+
     config = read_flags(SweepConfig, arguments, description=__doc__)
     plan = config.plan
     prepare(config.cluster)

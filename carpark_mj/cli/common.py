@@ -9,6 +9,11 @@ USER_ERRORS = (ValueError, OSError, OverflowError, MemoryError)
 MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in memory
 MAX_SECONDS = 3600  # of a recording, which is held in memory
 OUTPUT_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
+# What installs the packages that commands need beside the library's own.
+EXTRAS = dict.fromkeys(
+    ("tyro", "rich", "matplotlib", "tensorboardX", "imageio_ffmpeg", "scipy"),
+    "train,eval",
+) | {"vehiclemodels": "test"}
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
 
 
@@ -33,7 +38,9 @@ def run_command(
 
     Args:
         program: name before the line.
-        command: what it returns is the exit code if it is an int; else that is 0.
+        command: what it returns is the exit code if it is an int; else that is 0. It
+            imports what needs the packages of `EXTRAS`, so that one that is missing is
+            such an error.
         errors: what else, beside `USER_ERRORS` and unreadable checkpoints, is the
             user's to mend.
 
@@ -48,6 +55,11 @@ def run_command(
         code = command()
     except (CheckpointError, *USER_ERRORS, *errors) as error:
         print(f"{program}: {one_line(error)}", file=sys.stderr)
+    except ModuleNotFoundError as error:
+        extra = EXTRAS.get((error.name or "").partition(".")[0])
+        if extra is None:
+            raise
+        print(f"{program}: {error}: pip install '.[{extra}]'", file=sys.stderr)
     except JaxRuntimeError as error:
         if "RESOURCE_EXHAUSTED" not in str(error):
             raise

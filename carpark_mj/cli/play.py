@@ -34,7 +34,13 @@ from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.renderer import RenderingError
-from carpark_mj.rendering.web import HOST, PORT, make_live_viewer, require_web
+from carpark_mj.rendering.web import (
+    HOST,
+    PORT,
+    check_port,
+    make_live_viewer,
+    require_web,
+)
 
 PROGRAM = "python -m carpark_mj.play"
 COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
@@ -79,6 +85,7 @@ class PlayConfig:
     def __post_init__(self) -> None:
         if self.video and not self.replay:
             raise ValueError("video needs a drive to show: give --replay FILE.npz")
+        check_port(self.port)
 
     @property
     def shown_in(self) -> str:
@@ -88,10 +95,13 @@ class PlayConfig:
 
 def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
     """The environment to drive in, and who drives the other cars."""
+    agents = config.num_agents
+    if agents is None and not config.policy:
+        agents = 1
     scene = SceneConfig(
         layout=config.layout,
         view="web",
-        num_agents=config.num_agents if config.policy else config.num_agents or 1,
+        num_agents=agents,
         num_parked_cars=config.num_parked_cars,
         vehicle=config.vehicle,
     )
@@ -283,9 +293,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> None:
-    try:
-        from carpark_mj.cli.flags import read_flags
-    except ImportError:
-        raise OSError("flags need tyro: pip install 'carpark_mj[eval]'") from None
+    from carpark_mj.cli.flags import read_flags
+
     description = command_help(__doc__)
     main(read_flags(PlayConfig, arguments, description=description, prog=PROGRAM))

@@ -24,15 +24,18 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.driver import adapt, command_help, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.fleet.checks import has_exits
 from carpark_mj.junction import JunctionConfig, JunctionEnv
 from carpark_mj.junction.scene import HALF, drivable_junction
 from carpark_mj.junction.steered_car import road_car
 from carpark_mj.layouts import layout_config
 from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.registry import environment
 from carpark_mj.rendering.live import LiveLot
 from carpark_mj.rendering.web import (
     HOST,
     PORT,
+    check_port,
     make_live_viewer,
     make_viewer,
     require_web,
@@ -61,7 +64,8 @@ class SceneConfig:
             a page on this machine for a browser.
         policy: pretrained policy, run folder or checkpoint file that drives, or `zero`
             or `random`; in the browser only.
-        num_agents: number of cars to drive; default 2, or as the policy was trained.
+        num_agents: number of cars to drive; default 2, or 1 where a lot has one goal,
+            or as the policy was trained.
         num_parked_cars: number of parked cars; default 16, or as many as a smaller lot
             has room for, or as the policy was trained.
         vehicle: preset of all cars; default `compact`, or the policy's.
@@ -94,6 +98,7 @@ class SceneConfig:
         self._check_junction()
         if self.out and Path(self.out).suffix != ".xml":
             raise ValueError(f"out must end in .xml, not {self.out!r}")
+        check_port(self.port)
 
     def _check_junction(self) -> None:
         """A junction has its own roads and cars."""
@@ -150,11 +155,16 @@ def vehicle(config: SceneConfig) -> VehicleParameters:
 
 
 def default_env(config: SceneConfig) -> EnvConfig:
-    """Two agents, and sixteen parked cars or what a smaller lot leaves room for."""
-    base = EnvConfig(layout=config.layout or "square", num_parked_cars=0)
-    agents = config.num_agents or base.num_agents
-    room = layout_config(base.layout).min_bays - agents
-    return dataclasses.replace(base, num_parked_cars=max(0, min(16, room)))
+    """Two agents and sixteen parked cars, or what the lot leaves room for."""
+    name = config.layout or "square"
+    lot = layout_config(name)
+    agents = config.num_agents or min(EnvConfig.num_agents, lot.min_goals)
+    if has_exits(lot):
+        drive_out = environment("metadrive")
+        return dataclasses.replace(drive_out, layout=name, num_agents=agents)
+    room = lot.min_bays - agents
+    parked = max(0, min(EnvConfig.num_parked_cars, room))
+    return EnvConfig(layout=name, num_agents=agents, num_parked_cars=parked)
 
 
 def show_policy(config: SceneConfig) -> None:
@@ -233,10 +243,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> None:
-    try:
-        from carpark_mj.cli.flags import read_flags
-    except ImportError:
-        raise OSError("flags need tyro: pip install 'carpark_mj[eval]'") from None
+    from carpark_mj.cli.flags import read_flags
+
     words = complete(sys.argv[1:] if arguments is None else arguments)
     main(
         read_flags(

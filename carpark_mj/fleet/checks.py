@@ -60,15 +60,22 @@ def check_exits(config: EnvConfig, lot: LayoutConfig) -> None:
         for member in lot.members:
             check_exits(config, member)
         return
-    exits = False  # random lots have none
-    if not lot.is_random:
-        layout = make_layout(lot)
-        exits = bool((layout.bay_mask & (layout.bay_kind == BayKind.EXIT)).any())
+    exits = has_exits(lot)
     if exits != config.goals.drive_out:
         have = "has exits: set" if exits else "has no exits: use metadrive, or leave"
         raise ValueError(
             f"the layout {have} goals.drive_out = {exits}, not {config.goals.drive_out}"
         )
+
+
+def has_exits(lot: LayoutConfig) -> bool:
+    """Whether cars can drive out of a lot; of a mixture, out of all its members."""
+    if isinstance(lot, MixtureConfig):
+        return all(map(has_exits, lot.members))
+    if lot.is_random:  # random lots have none
+        return False
+    layout = make_layout(lot)
+    return bool((layout.bay_mask & (layout.bay_kind == BayKind.EXIT)).any())
 
 
 def check_occupancy(config: EnvConfig, lot: LayoutConfig) -> None:

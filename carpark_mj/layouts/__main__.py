@@ -2,6 +2,14 @@
 
 import sys
 
-from carpark_mj.cli.layouts import main
+from carpark_mj.cli.common import run_command
 
-sys.exit(main())
+
+def run() -> int:
+    """Runs the command; returns the exit code, 1 if a layout has a problem."""
+    from carpark_mj.cli.layouts import main
+
+    return main()
+
+
+sys.exit(run_command("layouts", run))

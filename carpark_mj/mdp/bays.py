@@ -33,7 +33,9 @@ def fits(bay_size: jax.Array, car_size: jax.Array, slack: float = 0.0) -> jax.Ar
 
 def free_bays(layout: Layout, taken: jax.Array) -> jax.Array:
     """(bays,) bool, the bays of a lot less those in `taken` (k,) int32."""
-    return layout.bay_mask.at[taken].set(False, mode="drop")
+    # No scatter: XLA on a CPU aborts where it fuses this one for a single agent.
+    number = jnp.arange(layout.num_bays)
+    return layout.bay_mask & (taken[:, None] != number).all(axis=0)
 
 
 def marked(layout: Layout, bay: jax.Array) -> jax.Array:

@@ -16,6 +16,7 @@ from carpark_mj.scene.materials import ASPHALT, agent_colour
 from carpark_mj.scene.parts import GROUND, VERGE_GAP
 
 HOST, PORT = "localhost", 8080
+LAST_PORT = 65_535
 MISSING_WEB = (
     "the browser view needs mjviser: pip install 'carpark_mj[web]' "
     "(or write a file with --out and open it elsewhere)"
@@ -29,6 +30,16 @@ def require_web() -> None:
     """Raises OSError unless the browser view is installed."""
     if importlib.util.find_spec("mjviser") is None:
         raise OSError(MISSING_WEB)
+
+
+def check_port(port: int) -> None:
+    """Refuses what is no port: viser would serve on any other one.
+
+    Raises:
+        ValueError: naming it.
+    """
+    if not 1 <= port <= LAST_PORT:
+        raise ValueError(f"port must be 1 to {LAST_PORT}, not {port}")
 
 
 def make_viewer(

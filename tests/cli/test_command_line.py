@@ -1,11 +1,15 @@
 """Errors of the user's making are one line that names the culprit."""
 
+import os
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from carpark_mj.cli import render
-from carpark_mj.cli.common import USER_ERRORS, one_line
+from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.policy.checkpoints import require_writable, write_atomically
 
@@ -21,6 +25,55 @@ def test_a_file_error_names_the_file_asked_for(tmp_path):
 def test_every_error_is_one_line():
     assert one_line(ValueError("a\n  b")) == "a b"
     assert "seed" in one_line(OverflowError("too large"))
+
+
+# Commands run without the packages of the extras; each prints its line and its code.
+WITHOUT = """
+import os, runpy, sys
+
+class Missing:
+    def find_spec(self, name, *_):
+        if name.partition(".")[0] in ("tyro", "matplotlib", "tensorboardX"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+for command in sys.argv[1:]:
+    run = runpy.run_path if command.endswith(".py") else runpy.run_module
+    sys.argv, sys.path[0] = [command, "--help"], os.path.dirname(command)
+    try:
+        run(command, run_name="__main__")
+    except SystemExit as end:
+        print(end.code, file=sys.stderr)
+"""
+STUDIES = {"study", "slots_study", "junction_study"}
+
+
+def test_without_its_packages_every_command_says_what_to_install():
+    root = Path(__file__).parents[2]
+    scripts = [*root.glob("eval/*.py"), *root.glob("train/*.py")]
+    names = [path.stem for path in scripts if path.stem not in STUDIES]
+    paths = [str(path) for path in scripts if path.stem not in STUDIES]
+    modules = ["layouts", "play", "scene"]
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT, *paths, *(f"carpark_mj.{m}" for m in modules)],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    expected = [
+        f"{name}: No module named 'tyro': pip install '.[train,eval]'\n2\n"
+        for name in (*names, *modules)
+    ]
+    assert done.stderr == "".join(expected)
+
+
+def test_other_missing_modules_are_mistakes_of_ours():
+    def command():
+        raise ModuleNotFoundError("No module named 'carpark'", name="carpark")
+
+    with pytest.raises(ModuleNotFoundError):
+        run_command("any", command)
 
 
 UNWRITABLE = {

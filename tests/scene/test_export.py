@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from carpark_mj.cli.scene import SceneConfig, main, make_scene
+from carpark_mj.cli.scene import SceneConfig, default_env, main, make_scene
+from carpark_mj.env import ParkingEnv
 from carpark_mj.scene import car_look
 from carpark_mj.scene.export import try_out
 from carpark_mj.vehicle import COMPACT
@@ -161,6 +162,11 @@ def test_impossible_scenes_are_one_sentence(tmp_path):
     with pytest.raises(ValueError, match="unknown vehicle 'tank'"):
         main(SceneConfig(out=str(tmp_path / "a.xml"), vehicle="tank"))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("layout", ["metadrive", "tpcap_3", "slots_single", "street"])
+def test_every_lot_opens_by_its_name_alone(layout):
+    assert ParkingEnv(default_env(SceneConfig(layout, out="x.xml")))
 
 
 def test_without_a_display_the_way_out_is_named(monkeypatch):

@@ -4,6 +4,7 @@ import pytest
 
 import sweep
 from learners.ppo.presets import PRESETS
+from sweeps import manage
 from sweeps.axes import Axis, read_axis
 from sweeps.groups import groups
 from sweeps.plan import Plan, checked_runs, runs, settings_of
@@ -119,7 +120,7 @@ def test_a_bad_sweep_is_one_sentence_before_anything_runs(
     flags, said, capsys, monkeypatch, tmp_path
 ):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sweep, "run_sweep", pytest.fail)
+    monkeypatch.setattr(manage, "run_sweep", pytest.fail)
     assert sweep.main(["--base", "cpu", *flags]) == 2
     told = capsys.readouterr().err
     assert told.startswith("sweep: ")
