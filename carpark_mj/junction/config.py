@@ -14,6 +14,8 @@ EventRule = Literal["added", "replaced"]
 ActionKind = Literal["index", "scalar"]
 EndRule = Literal["any", "all"]
 
+QUEUE_GAP = 5.0  # m between the centres of cars on a lane; the longest has 4.90 m
+
 
 @dataclasses.dataclass(frozen=True)
 class RewardRules:
@@ -108,11 +110,17 @@ class JunctionConfig:
         for mission in self.traffic.missions:
             lane = path_length(LANES[mission.route.start])
             room = min(mission.start, lane - mission.start)
-            if self.jitter > room:
-                raise ValueError(
-                    f"jitter must be at most {room:.2f} m, or a car would start off "
-                    f"its lane, not {self.jitter}"
-                )
+            self._limit_jitter(room, "off its lane")
+        for one, other, moving in self.traffic.queues:
+            room = max(abs(one.start - other.start) - QUEUE_GAP, 0.0) / moving
+            self._limit_jitter(room, "within another one")
+
+    def _limit_jitter(self, most: float, where: str) -> None:
+        if self.jitter > most:
+            raise ValueError(
+                f"jitter must be at most {most:.2f} m, or a car would start {where}, "
+                f"not {self.jitter}"
+            )
 
     @property
     def traffic(self) -> Scenario:

@@ -4,6 +4,7 @@ Offsets are metres from the start of a lane; an offset beyond its end is its end
 """
 
 import dataclasses
+import itertools
 
 from carpark_mj.junction.roads import LANES, path_length
 from carpark_mj.junction.routes import Route
@@ -63,6 +64,13 @@ class Scenario:
     missions: tuple[Mission, ...]
     human_cars: tuple[HumanCar, ...]
     solved: float
+
+    @property
+    def queues(self) -> list[tuple[Mission, Mission | HumanCar, int]]:
+        """Pairs of cars that start on one lane, and how many of them are automated."""
+        pairs = [(a, b, 2) for a, b in itertools.combinations(self.missions, 2)]
+        pairs += [(a, b, 1) for a in self.missions for b in self.human_cars]
+        return [pair for pair in pairs if pair[0].route.start == pair[1].route.start]
 
 
 _LEFT_FROM_EAST = Route("east-EW", "south-NS")

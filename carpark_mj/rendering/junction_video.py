@@ -21,6 +21,8 @@ from carpark_mj.vehicle import preset
 
 SIZE = 720, 720  # pixels
 STILL = 1.0  # s for which the end of an episode is shown
+# Events that end an agent's episode, in the order in which they are looked for.
+ENDS = ("crashed", "arrived", "off_road", "off_route", "timed_out", "diverged")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,12 +32,12 @@ class Drive:
     Attributes:
         states: after each control step, on the host, without images.
         actions: (num_agents,) indices of `ACTIONS` that led there.
-        crashed: which agents (num_agents,) had crashed by then.
+        ended: (num_agents, len(ENDS)) bool, which of `ENDS` had happened by then.
     """
 
     states: Sequence[State]
     actions: Sequence[np.ndarray]
-    crashed: Sequence[np.ndarray]
+    ended: Sequence[np.ndarray]
 
 
 def write_drives(path: Path, config: JunctionConfig, drives: Sequence[Drive]) -> Path:
@@ -95,7 +97,7 @@ def _snapshot(
         f"{name}: {_intention(drive, step, k)}, {round(float(speed))} m/s"
         for k, (name, speed) in enumerate(zip(names, motion.speed, strict=True))
     ]
-    tally = {"crashed": float(drive.crashed[step].sum())}
+    tally = {"crashed": float(drive.ended[step][:, ENDS.index("crashed")].sum())}
     return dataclasses.replace(stage.snapshot(state), state=tuple(words), tally=tally)
 
 
@@ -103,8 +105,6 @@ def _intention(drive: Drive, step: int, agent: int) -> str:
     """What an agent is up to, or how its episode ended."""
     if agent >= len(drive.actions[step]):  # human-driven
         return "keep lane"
-    if drive.crashed[step][agent]:
-        return "crashed"
-    if not drive.states[step].active[agent]:
-        return "arrived"
-    return ACTIONS[drive.actions[step][agent]].replace("_", " ")
+    ends = np.flatnonzero(drive.ended[step][agent])
+    word = ENDS[ends[0]] if len(ends) else ACTIONS[drive.actions[step][agent]]
+    return word.replace("_", " ")

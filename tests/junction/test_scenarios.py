@@ -33,6 +33,10 @@ def test_missions_are_as_long_as_those_of_the_study(name, lengths, humans, solve
         ({"end": "never"}, "unknown end 'never'"),
         ({"max_steps": 0}, "max_steps must be at least 1, not 0"),
         ({"jitter": 14.0}, r"jitter must be at most 13.47 m.*not 14.0"),
+        (
+            {"scenario": "3av-hd", "jitter": 5.1},  # 10 m behind the human-driven car
+            "jitter must be at most 5.00 m, or a car would start within another one",
+        ),
         ({"jitter": -1.0}, "jitter must be at least 0"),
         ({"raster": None}, "raster must be of RasterConfig, not None"),
     ],

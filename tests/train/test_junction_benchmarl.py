@@ -11,6 +11,7 @@ pytest.importorskip("benchmarl", reason='pip install ".[torchrl]"')
 import jax
 import torch
 from tensordict import TensorDict
+from torch import nn
 from torchrl.envs import Compose, TransformedEnv
 
 from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
@@ -173,4 +174,6 @@ def test_the_settings_of_the_study_build(tmp_path):
         folder.mkdir()
         training = Training(dataclasses.replace(config, buffer_size=2400), folder)
         assert training.config.off_policy_n_optimizer_steps == 1
+        activations = [m for m in training.policy.modules() if isinstance(m, nn.ReLU)]
+        assert len(activations) == len(config.hidden)
         training.close()

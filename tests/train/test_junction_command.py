@@ -51,6 +51,8 @@ def test_a_resumed_run_keeps_its_algorithm(tmp_path):
         (["--eval-episodes", "0"], ["eval_episodes", "at least 1"]),
         (["--algorithm", "ippo", "--unroll", "1"], ["batch_size", "at most 256"]),
         (["--algorithm", "ippo", "--max-steps", "99"], ["multiple of repeat", "99"]),
+        (["--algorithm", "vdn", "--epsilon-start", "0"], ["at least", "0.05", "0.0"]),
+        (["--algorithm", "qmix", "--epsilon-start", "2"], ["epsilon_start", "[0, 1]"]),
         (["--resume", "nowhere"], ["no run at nowhere"]),
     ],
 )

@@ -15,7 +15,7 @@ from learners.junction.families import presets_of
 from studies.jobs import Job
 from studies.junction import Cell
 
-# Of the steps, at the end of a curve: the last ten of the study's 62 points.
+# Of the steps, at the end of a curve: the last eleven of the study's 62 points.
 TAIL = 1 / 6
 
 

@@ -132,8 +132,8 @@ def make_model(config: BenchMARLConfig) -> ModelConfig:
         mlp_layer_class=nn.Linear,
         mlp_activation_class=nn.ReLU,
     )
-    head = dataclasses.replace(layers, num_cells=config.hidden[:-1])
-    return SequenceModelConfig([head, recurrent], [config.hidden[-1]])
+    # An MLP ends in a linear layer, which comes behind all hidden ones.
+    return SequenceModelConfig([layers, recurrent], [config.hidden[-1]])
 
 
 def make_settings(

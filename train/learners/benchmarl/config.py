@@ -99,6 +99,13 @@ class BenchMARLConfig(JunctionRunConfig):
         positive(self, "learning_rate", "critic_learning_rate", "max_gradient", "clip")
         ratio(self, "discount", "gae_lambda", "tau", "epsilon_end")
         at_least(self, 0.0, "entropy", "epsilon_start")
+        if not self.on_policy and self.epsilon_start < self.epsilon_end:
+            raise ValueError(
+                f"epsilon_start must be at least epsilon_end, {self.epsilon_end}, not "
+                f"{self.epsilon_start}"
+            )
+        if self.algorithm in ("vdn", "qmix"):
+            ratio(self, "epsilon_start")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(
                 f"hidden must be one width or more, each at least 1, not {self.hidden}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from carpark_mj.junction import actions
 from carpark_mj.junction.evaluation import evaluation_env
-from carpark_mj.rendering.junction_video import Drive, write_drives
+from carpark_mj.rendering.junction_video import ENDS, Drive, write_drives
 from carpark_mj.rendering.renderer import RenderingError
 from learners.junction.config import JunctionRunConfig
 
@@ -38,7 +38,7 @@ def record(config: JunctionRunConfig, act: Act) -> list[Drive]:
     keys = config.evaluation_keys()[: config.video_episodes]
     state, observation = jax.jit(jax.vmap(env.reset))(keys)
     step = jax.jit(jax.vmap(env.step))
-    crashed = jnp.zeros((len(keys), env.num_agents), bool)
+    ended = jnp.zeros((len(keys), env.num_agents, len(ENDS)), bool)
     drives: list[tuple[list[Any], ...]] = [([], [], []) for _ in keys]
     for _ in range(env.config.max_steps):
         running = np.asarray(state.active.any(axis=1))
@@ -46,10 +46,11 @@ def record(config: JunctionRunConfig, act: Act) -> list[Drive]:
             break
         action = act(observation)
         state, timestep = step(state, action)
-        observation, crashed = timestep.observation, crashed | timestep.events.crashed
+        observation = timestep.observation
+        ended |= jnp.stack([getattr(timestep.events, name) for name in ENDS], axis=-1)
         index = jax.vmap(lambda a: actions.parse(env.action_spec, a))(action)
         bare = dataclasses.replace(state, frames=None)
-        seen = jax.device_get((bare, index, crashed))
+        seen = jax.device_get((bare, index, ended))
         for k in np.flatnonzero(running):
             for values, value in zip(drives[k], seen, strict=True):
                 values.append(jax.tree.map(lambda x, k=k: x[k], value))
