@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import action_spec
@@ -85,7 +86,9 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
 
 def _replace(state: TrainingState, found: dict[str, Any]) -> TrainingState:
     """The state with what was found; a policy alone is an average, the actor too."""
-    return dataclasses.replace(state, **{"policy": found["average"]} | found)
+    # A copy: an update takes over the memory of both.
+    actor = {"policy": jax.tree.map(jnp.copy, found["average"])}
+    return dataclasses.replace(state, **actor | found)
 
 
 def _template(config: PPOConfig, env: EnvConfig) -> dict[str, Any]:
