@@ -20,7 +20,7 @@ from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import at_least, whole
 from carpark_mj.policy.checkpoints import require_writable
 from learners.junction.config import JunctionPreset
-from studies.jobs import run_jobs
+from studies.jobs import require_minutes, run_jobs
 from studies.junction import CELLS, SCENARIOS, cells_of
 from studies.junction_curves import write_curves
 from studies.junction_report import thesis, write_report
@@ -37,7 +37,7 @@ class JunctionStudyConfig:
         list: say what there is, and train nothing.
         seeds: runs of every cell.
         preset: of `train/junction.py`; `ippo` and `mappo` have `parallel` only.
-        minutes: after which runs save and stop [min]; 0 = no limit.
+        minutes: after which runs save and stop [min], more than 1; 0 = no limit.
         workers: runs at a time, each on one core; 0 = one for every core.
         runs_dir: where runs are kept.
     """
@@ -55,6 +55,7 @@ class JunctionStudyConfig:
         whole(self, 1, "seeds")
         whole(self, 0, "workers")
         at_least(self, 0, "minutes")
+        require_minutes(self.minutes)
         if bool(self.table) + self.all + self.list != 1:
             raise ValueError("give one of --table NUMBER, --all and --list")
 
