@@ -16,15 +16,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import at_least, positive, whole
 from carpark_mj.policy.checkpoints import require_writable
 from learners.sac.config import SACPreset
 from studies.jobs import Job, require_minutes, run_jobs
 from studies.slots import EXPERIMENTS, SlotsExperiment, slots_experiment
-from studies.slots_curves import write_curves
 from studies.slots_jobs import make_job
-from studies.slots_report import read_deployments, write_matrix, write_report
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +69,9 @@ def describe() -> None:
 
 def report(folder: Path, jobs: dict[SlotsExperiment, list[Job]]) -> Path:
     """Writes the table, the matrices and the learning curves of what is done."""
+    from studies.slots_curves import write_curves
+    from studies.slots_report import read_deployments, write_matrix, write_report
+
     done = {
         experiment: [job for job in runs if job.is_done]
         for experiment, runs in jobs.items()
@@ -95,6 +95,8 @@ def report(folder: Path, jobs: dict[SlotsExperiment, list[Job]]) -> Path:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs experiments; returns the exit code, 1 if runs have failed."""
+    from carpark_mj.cli.flags import read_flags
+
     config = read_flags(SlotsStudyConfig, arguments, description=__doc__)
     if config.list:
         describe()

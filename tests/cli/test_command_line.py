@@ -47,14 +47,13 @@ for command in sys.argv[1:]:
     except SystemExit as end:
         print(end.code, file=sys.stderr)
 """
-STUDIES = {"study", "slots_study", "junction_study"}
 
 
 def test_without_its_packages_every_command_says_what_to_install():
     root = Path(__file__).parents[2]
     scripts = [*root.glob("eval/*.py"), *root.glob("train/*.py")]
-    names = [path.stem for path in scripts if path.stem not in STUDIES]
-    paths = [str(path) for path in scripts if path.stem not in STUDIES]
+    names = [path.stem for path in scripts]
+    paths = [str(path) for path in scripts]
     modules = ["layouts", "play", "scene"]
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT, *paths, *(f"carpark_mj.{m}" for m in modules)],
