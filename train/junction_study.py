@@ -16,15 +16,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import at_least, whole
 from carpark_mj.policy.checkpoints import require_writable
 from learners.junction.config import JunctionPreset
-from studies.jobs import run_jobs
+from studies.jobs import require_minutes, run_jobs
 from studies.junction import CELLS, SCENARIOS, cells_of
-from studies.junction_curves import write_curves
-from studies.junction_report import thesis, write_report
-from studies.junction_runs import make_job, read_outcome
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +33,7 @@ class JunctionStudyConfig:
         list: say what there is, and train nothing.
         seeds: runs of every cell.
         preset: of `train/junction.py`; `ippo` and `mappo` have `parallel` only.
-        minutes: after which runs save and stop [min]; 0 = no limit.
+        minutes: after which runs save and stop [min], more than 1; 0 = no limit.
         workers: runs at a time, each on one core; 0 = one for every core.
         runs_dir: where runs are kept.
     """
@@ -55,12 +51,15 @@ class JunctionStudyConfig:
         whole(self, 1, "seeds")
         whole(self, 0, "workers")
         at_least(self, 0, "minutes")
+        require_minutes(self.minutes)
         if bool(self.table) + self.all + self.list != 1:
             raise ValueError("give one of --table NUMBER, --all and --list")
 
 
 def describe() -> None:
     """Prints a line per cell."""
+    from studies.junction_report import thesis
+
     for cell in CELLS:
         said = thesis(cell.published)
         print(f"{cell.table}  {cell.scenario:7} {cell.name:15} {said}")
@@ -68,6 +67,10 @@ def describe() -> None:
 
 def report(config: JunctionStudyConfig) -> Path:
     """Writes tables and learning curves of what is done, of any table."""
+    from studies.junction_curves import write_curves
+    from studies.junction_report import write_report
+    from studies.junction_runs import make_job, read_outcome
+
     folder = Path(config.runs_dir)
     done = {
         cell: [
@@ -92,6 +95,9 @@ def report(config: JunctionStudyConfig) -> Path:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the cells of tables; returns the exit code, 1 if runs have failed."""
+    from carpark_mj.cli.flags import read_flags
+    from studies.junction_runs import make_job
+
     config = read_flags(JunctionStudyConfig, arguments, description=__doc__)
     if config.list:
         describe()

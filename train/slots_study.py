@@ -16,15 +16,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import at_least, positive, whole
 from carpark_mj.policy.checkpoints import require_writable
 from learners.sac.config import SACPreset
-from studies.jobs import Job, run_jobs
+from studies.jobs import Job, require_minutes, run_jobs
 from studies.slots import EXPERIMENTS, SlotsExperiment, slots_experiment
-from studies.slots_curves import write_curves
 from studies.slots_jobs import make_job
-from studies.slots_report import read_deployments, write_matrix, write_report
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +35,7 @@ class SlotsStudyConfig:
         seeds: runs of every training.
         preset: of `train/sac.py`.
         scale: factor on the thesis's budgets of steps.
-        minutes: after which runs save and stop [min]; 0 = no limit.
+        minutes: after which runs save and stop [min], more than 1; 0 = no limit.
         workers: runs at a time, each on one core; 0 = one for every core.
         runs_dir: where runs are kept.
     """
@@ -58,6 +55,7 @@ class SlotsStudyConfig:
         whole(self, 0, "workers")
         positive(self, "scale")
         at_least(self, 0, "minutes")
+        require_minutes(self.minutes)
         if bool(self.experiment) + self.all + self.list != 1:
             raise ValueError("give one of --experiment NAME, --all and --list")
 
@@ -71,6 +69,9 @@ def describe() -> None:
 
 def report(folder: Path, jobs: dict[SlotsExperiment, list[Job]]) -> Path:
     """Writes the table, the matrices and the learning curves of what is done."""
+    from studies.slots_curves import write_curves
+    from studies.slots_report import read_deployments, write_matrix, write_report
+
     done = {
         experiment: [job for job in runs if job.is_done]
         for experiment, runs in jobs.items()
@@ -94,6 +95,8 @@ def report(folder: Path, jobs: dict[SlotsExperiment, list[Job]]) -> Path:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs experiments; returns the exit code, 1 if runs have failed."""
+    from carpark_mj.cli.flags import read_flags
+
     config = read_flags(SlotsStudyConfig, arguments, description=__doc__)
     if config.list:
         describe()

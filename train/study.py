@@ -12,33 +12,25 @@ with the published runs drawn in, and `verdicts.md`. The same command continues.
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from carpark_mj.analysis.points import group
 from carpark_mj.analysis.runs import run_folders
-from carpark_mj.cli.analysis import analyse, read_records
 from carpark_mj.cli.common import run_command
-from carpark_mj.cli.flags import read_flags
-from learners.ppo.presets import PRESETS
-from studies.budget import Cost, choose, cost, measured_rate
-from studies.config import StudyConfig
-from studies.figures import (
-    ELSEWHERE,
-    EXPERIMENTS,
-    FIGURES,
-    Experiment,
-    experiment_of,
-    plan_of,
-)
 from studies.published import SOURCE, published_runs
 from studies.verdicts import write_verdicts
 from sweep import prepare
-from sweeps.axes import read_axis
-from sweeps.manage import run_sweep
-from sweeps.plan import Plan, Run, checked_runs
+
+if TYPE_CHECKING:  # they load what `run_command` reports if it is missing
+    from studies.budget import Cost
+    from studies.figures import Experiment
+    from sweeps.plan import Plan, Run
 
 
 def describe() -> None:
     """Prints a line per figure."""
+    from studies.figures import ELSEWHERE, FIGURES, experiment_of, plan_of
+
     for figure in FIGURES:
         if figure in ELSEWHERE:
             print(f"{figure:5} {ELSEWHERE[figure]}")
@@ -51,8 +43,10 @@ def describe() -> None:
         )
 
 
-def report(experiment: Experiment, folder: Path) -> Path | None:
+def report(experiment: "Experiment", folder: Path) -> Path | None:
     """Writes the page and the verdicts of what is done; None if nothing is."""
+    from carpark_mj.cli.analysis import analyse, read_records
+
     records, missing = read_records(run_folders([folder]))
     if not records:
         return None
@@ -70,7 +64,9 @@ def report(experiment: Experiment, folder: Path) -> Path | None:
     return page
 
 
-def say_budget(chosen: Sequence[Cost], rest: Sequence[Cost], minutes: float) -> None:
+def say_budget(
+    chosen: "Sequence[Cost]", rest: "Sequence[Cost]", minutes: float
+) -> None:
     """Says what will be run, and what is left out."""
     for words, costs in (("runs", chosen), ("leaves out", rest)):
         for one in costs:
@@ -85,6 +81,15 @@ def say_budget(chosen: Sequence[Cost], rest: Sequence[Cost], minutes: float) -> 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the study; returns the exit code, 1 if runs have failed."""
+    from carpark_mj.cli.flags import read_flags
+    from learners.ppo.presets import PRESETS
+    from studies.budget import choose, cost, measured_rate
+    from studies.config import StudyConfig
+    from studies.figures import EXPERIMENTS, experiment_of, plan_of
+    from sweeps.axes import read_axis
+    from sweeps.manage import run_sweep
+    from sweeps.plan import checked_runs
+
     config = read_flags(StudyConfig, arguments, description=__doc__)
     if config.list:
         describe()

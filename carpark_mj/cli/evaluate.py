@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from carpark_mj.cli.common import MAX_EPISODES
+from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.cli.driver import Driver, adapt, find_driver
 from carpark_mj.config import EnvConfig, MetricsConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
@@ -71,6 +71,8 @@ class EvaluateConfig:
                 f"episodes must be at least 1 and at most {MAX_EPISODES}, not "
                 f"{self.episodes}"
             )
+        if self.span is not None and not 0 < self.span <= MAX_SECONDS:
+            raise ValueError(f"span must lie in (0, {MAX_SECONDS}] s, not {self.span}")
 
 
 @dataclasses.dataclass(frozen=True)

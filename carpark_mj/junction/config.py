@@ -25,7 +25,8 @@ class RewardRules:
         events: `added`: the value of an event is added to that of the way (the study's
             text). `replaced`: it takes its place, and only the first event counts (its
             program).
-        joint: every agent earns the sum over all agents, as VDN and QMIX need it.
+        joint: every agent earns the sum over all agents, as VDN and QMIX need it; one
+            that has finished too, while others drive on.
     """
 
     events: EventRule = "added"

@@ -122,7 +122,8 @@ class JunctionEnv:
         start = self._start[order].at[:n].add(offset)
         routes = jax.tree.map(lambda x: x[order], self._routes)
         own = jax.tree.map(lambda x: x[:n], routes)
-        task = Task(routes, start, point_at(own, self._goal[order[:n]]))
+        dealt = order if self.config.shuffle else None
+        task = Task(routes, start, point_at(own, self._goal[order[:n]]), dealt)
         begun = self._cars.init(routes, start, self._speed)
         state = State(
             cars=begun,

@@ -37,7 +37,8 @@ class Outcomes:
         crashed: an agent crashed, before that end or after it.
         completed: all agents arrived, before that end or after it.
         passed: (episodes, cars) control steps after which the car was across the
-            junction, `NEVER` if it did not get there.
+            junction, `NEVER` if it did not get there; cars in the scenario's order,
+            whichever agents have got the missions.
     """
 
     returns: jax.Array
@@ -120,6 +121,8 @@ def advance(env: JunctionEnv, episode: Episode, action: jax.Array) -> Episode:
     # What crashed may still roll across.
     drives = before.present.at[: env.num_agents].set(state.active)
     across = drives & (state.along >= state.task.routes.curve[:, 1])
+    if state.task.order is not None:
+        across = jnp.zeros_like(across).at[state.task.order].set(across)
     step = episode.step + 1
     outcomes = Outcomes(
         returns=out.returns + jnp.where(counts, earned, 0.0),
@@ -172,7 +175,7 @@ def summarize(outcomes: Outcomes, traffic: Scenario) -> dict[str, float]:
 
     Args:
         outcomes: of one evaluation.
-        traffic: who drove where, agents in the order of its missions.
+        traffic: who drove where.
     """
     returns = np.asarray(outcomes.returns, float)
     passed = np.asarray(outcomes.passed)

@@ -1,6 +1,6 @@
 """The four scenarios of Cederle 2023 as data.
 
-Offsets are metres from the start of a lane; an offset beyond its end is its end.
+Offsets are metres from the start of a lane; a goal beyond its end is its end.
 """
 
 import dataclasses
@@ -23,6 +23,14 @@ class Mission:
     route: Route
     start: float
     goal: float
+
+    def __post_init__(self) -> None:
+        lane = path_length(LANES[self.route.start])
+        if not 0.0 <= self.start <= lane:
+            raise ValueError(
+                f"start of a mission must lie in [0, {lane:.2f}] m on lane "
+                f"{self.route.start!r}, not {self.start}"
+            )
 
     @property
     def goal_along(self) -> float:

@@ -21,11 +21,14 @@ class Task:
         routes: (cars,) the ways.
         start: (cars,) distances along them at which they start [m].
         goal_xy: (num_agents, 2) goals [m].
+        order: (cars,) int32 numbers in the scenario of what the cars have to do; None
+            where missions are not dealt out, and cars stand in its order.
     """
 
     routes: Routes
     start: jax.Array
     goal_xy: jax.Array
+    order: jax.Array | None
 
 
 @struct.dataclass

@@ -64,10 +64,12 @@ def write_drives(path: Path, config: JunctionConfig, drives: Sequence[Drive]) ->
 
     def frames() -> Iterator[np.ndarray]:
         for drive in drives:
+            order = drive.states[0].task.order
+            own = names if order is None else [names[k] for k in order]
             frame = np.zeros((0, 0, 3), np.uint8)
             for step in range(len(drive.states)):
                 for trace in range(traces):
-                    seen = _snapshot(stage, drive, step, trace, names)
+                    seen = _snapshot(stage, drive, step, trace, own)
                     seconds = dt * (step + (trace + 1) / traces)
                     seen = dataclasses.replace(seen, seconds=seconds)
                     renderer.place(seen)

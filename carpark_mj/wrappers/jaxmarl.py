@@ -28,7 +28,8 @@ class JaxMarlAgents(MultiAgentEnv):
 
     Observations (one agent's shape), rewards () and dones () are dicts by agent;
     `dones["__all__"]` is that of the lot. An agent whose episode has ended stays done,
-    observes zeros and earns nothing. Infos are (num_agents,) bool by outcome, True in
+    observes zeros and earns nothing; but with `rewards.joint` of junctions it earns the
+    sum over all agents, as everybody. Infos are (num_agents,) bool by outcome, True in
     the step in which an episode ends.
     """
 

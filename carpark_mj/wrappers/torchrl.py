@@ -33,7 +33,8 @@ class TorchRLAgents(EnvBase):
     of their agents are.
 
     An agent whose episode has ended stays terminated, observes zeros and earns nothing
-    until its lot is reset. All tensors are on the device on which JAX computes, and
+    until its lot is reset; but with `rewards.joint` of junctions it earns the sum over
+    all agents, as everybody. All tensors are on the device on which JAX computes, and
     share memory with its arrays. Actions that are NaN or out of range are sanitized,
     not refused.
 

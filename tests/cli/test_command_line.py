@@ -10,6 +10,8 @@ import pytest
 
 from carpark_mj.cli import render
 from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
+from carpark_mj.cli.evaluate import EvaluateConfig
+from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.policy.checkpoints import require_writable, write_atomically
 
@@ -45,14 +47,13 @@ for command in sys.argv[1:]:
     except SystemExit as end:
         print(end.code, file=sys.stderr)
 """
-STUDIES = {"study", "slots_study", "junction_study"}
 
 
 def test_without_its_packages_every_command_says_what_to_install():
     root = Path(__file__).parents[2]
     scripts = [*root.glob("eval/*.py"), *root.glob("train/*.py")]
-    names = [path.stem for path in scripts if path.stem not in STUDIES]
-    paths = [str(path) for path in scripts if path.stem not in STUDIES]
+    names = [path.stem for path in scripts]
+    paths = [str(path) for path in scripts]
     modules = ["layouts", "play", "scene"]
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT, *paths, *(f"carpark_mj.{m}" for m in modules)],
@@ -74,6 +75,16 @@ def test_other_missing_modules_are_mistakes_of_ours():
 
     with pytest.raises(ModuleNotFoundError):
         run_command("any", command)
+
+
+@pytest.mark.parametrize("span", ["1e9", "inf", "nan", "0", "-1"])
+def test_an_evaluation_refuses_spans_that_are_impossible_or_without_end(span, capsys):
+    def command():
+        return read_flags(EvaluateConfig, ["--policy", "zero", "--span", span])
+
+    assert run_command("evaluate", command) == 2
+    said = f"evaluate: span must lie in (0, 3600] s, not {float(span)}\n"
+    assert capsys.readouterr().err == said
 
 
 UNWRITABLE = {

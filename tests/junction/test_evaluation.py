@@ -39,6 +39,7 @@ class State:
 @dataclasses.dataclass
 class Task:
     routes: Any
+    order: None = None
 
     def __hash__(self):
         return 0
@@ -167,6 +168,22 @@ def test_a_car_that_stands_lets_the_other_one_across():
     [(east, west)] = found.passed
     assert west < east == NEVER
     assert found.length[0] < RETURN_STEPS  # the study's end: the first arrives
+
+
+def test_who_gives_way_is_told_of_missions_whichever_agents_have_them():
+    """Whoever comes from the east stands; it may be either agent."""
+    env = evaluation_env(JunctionConfig(shuffle=True), 0.0)
+    keys = jax.random.split(jax.random.key(0), 8)
+    state, _ = jax.jit(jax.vmap(env.reset))(keys)
+    assert {tuple(row) for row in state.task.order.tolist()} == {(0, 1), (1, 0)}
+
+    def policy(observation):
+        west = observation[:, 8] < 0.0  # cosine of the heading
+        return jnp.where(west, SLOW_DOWN, KEEP_LANE)
+
+    found = jax.jit(lambda keys: evaluate(env, policy, keys))(keys)
+    row = summarize(found, scenario("2av"))
+    assert (row["west_before_east"], row["east_before_west"]) == (1.0, 0.0)
 
 
 def test_policies_are_evaluated_until_all_are_done_from_varied_starts():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import junctions
 
+from carpark_mj.junction import RewardRules
 from carpark_mj.junction.actions import INDEX, SCALAR, parse, target_speeds
 
 PAIR = junctions.env()
@@ -95,6 +96,16 @@ def test_with_end_all_agents_leave_one_by_one():
     assert last.events.arrived.tolist() == [True, False]
     # Both drove their whole ways: 53.8 m and 63.3 m less 2 m each, and 10 each.
     assert float(last.returns.sum()) == pytest.approx(53.8 + 63.3 - 4 + 20, abs=3)
+
+
+def test_the_joint_reward_goes_to_agents_that_have_finished_too():
+    """BenchMARL's VDN and QMIX take the mean over agents, which must be the sum."""
+    env = junctions.env(end="all", rewards=RewardRules(joint=True))
+    steps = junctions.drive(env, junctions.begin(env), keep, 75)
+    first = next(k for k, (_, step) in enumerate(steps) if step.events.arrived[1])
+    after = np.array([step.reward for _, step in steps[first + 1 :]])
+    assert after[:, 0].sum() > 10.0  # the other one's last metres, and its goal
+    np.testing.assert_array_equal(after[:, 0], after[:, 1])
 
 
 def test_random_actions_earn_what_the_runs_of_the_study_begin_with():

@@ -5,6 +5,8 @@ import pytest
 from carpark_mj.config import SimConfig
 from carpark_mj.junction import SCENARIOS, JunctionConfig, JunctionEnv, RasterConfig
 from carpark_mj.junction.config import RewardRules
+from carpark_mj.junction.routes import Route
+from carpark_mj.junction.scenarios import Mission, Scenario
 
 
 @pytest.mark.parametrize(
@@ -44,6 +46,17 @@ def test_missions_are_as_long_as_those_of_the_study(name, lengths, humans, solve
 def test_impossible_settings_are_one_sentence(settings, message):
     with pytest.raises(ValueError, match=message):
         JunctionConfig(**settings)
+
+
+@pytest.mark.parametrize("start", [-0.1, 33.5, float("nan")])
+def test_a_mission_starts_on_its_lane(start):
+    route = Route("east-EW", "south-NS")
+    assert Mission(route, 33.47, 60.0).length == pytest.approx(10.32 + 34.27, abs=0.01)
+    said = (
+        rf"start of a mission must lie in \[0, 33.47\] m on lane 'east-EW', not {start}"
+    )
+    with pytest.raises(ValueError, match=said):
+        JunctionConfig(scenario=Scenario((Mission(route, start, 30.0),), (), 0.0))
 
 
 def test_impossible_parts_are_one_sentence():

@@ -18,12 +18,14 @@ from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
 from carpark_mj.junction.evaluation import NEVER
 from carpark_mj.policy import runs
 from carpark_mj.wrappers.junction_torchrl import TorchRLJunction
+from learners.benchmarl import train
 from learners.benchmarl.build import HeldActions, make_task
 from learners.benchmarl.config import BenchMARLConfig
 from learners.benchmarl.episodes import Evaluation, GreedyPolicy
 from learners.benchmarl.presets import benchmarl_presets
 from learners.benchmarl.run import train_run
 from learners.benchmarl.train import Training
+from learners.junction.video import record
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of libraries
 
@@ -101,6 +103,20 @@ def test_a_stopped_run_goes_on_with_its_networks_and_optimisers(tmp_path):
     assert steps == ["16", "32", "48"]
     assert len(runs.checkpoint_files(folder)) == 2
     assert train_run(resumed) == (folder, True)  # nothing is left to do
+
+
+def test_a_run_that_had_finished_writes_its_video_when_resumed(tmp_path, monkeypatch):
+    drives = []
+    monkeypatch.setattr(
+        train, "write_video", lambda _, config, act: drives.append(record(config, act))
+    )
+    config = tiny("mappo", tmp_path, video_episodes=2)
+    folder, _ = train_run(config)
+    assert train_run(dataclasses.replace(config, resume=str(folder))) == (folder, True)
+    first, again = drives
+    assert len(first) == len(again) == 2
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.actions, other.actions)
 
 
 def test_a_held_action_is_that_of_as_many_control_steps():

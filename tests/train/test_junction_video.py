@@ -65,6 +65,28 @@ def test_below_every_car_stands_what_it_intends_or_how_it_ended(
     assert seconds == pytest.approx(count / 20)
 
 
+def test_cars_are_called_by_their_missions_whichever_agents_have_them(
+    drives, tmp_path, monkeypatch
+):
+    seen = []
+    monkeypatch.setattr(
+        junction_video, "draw_labels", lambda frame, _, shown, *__: seen.append(shown)
+    )
+    monkeypatch.setattr(junction_video, "draw_status", lambda *_: np.zeros((64, 64, 3)))
+    monkeypatch.setattr(junction_video, "write_video", lambda _, frames, *__: [*frames])
+    monkeypatch.setattr(junction_video, "SIZE", (64, 64))
+    first = drives[0].states[0]
+    task = dataclasses.replace(first.task, order=np.array([1, 0, 2]))
+    dealt = dataclasses.replace(
+        drives[0],
+        states=[dataclasses.replace(first, task=task)],
+        actions=drives[0].actions[:1],
+    )
+    junction_video.write_drives(tmp_path / "video.mp4", CONFIG.junction, [dealt])
+    names = [text.split(":")[0] for text in seen[0].state]
+    assert names == ["west", "east", "human"]
+
+
 def test_there_is_no_video_where_none_is_wanted(tmp_path):
     write_video(tmp_path, dataclasses.replace(CONFIG, video_episodes=0), act)
     assert not [*tmp_path.iterdir()]

@@ -22,6 +22,7 @@ from studies.figures import (
 )
 from studies.published import published_runs, published_values
 from studies.verdicts import verdict
+from sweeps import manage
 from sweeps.manage import run_sweep
 from sweeps.outcomes import Outcome, open_sweep, write_outcome
 from sweeps.plan import checked_runs, runs, settings_of
@@ -33,7 +34,7 @@ EACH = pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda e: e.name)
 def stubs(monkeypatch):
     """Runs are noted, not trained, in this process, whose JAX is running."""
     monkeypatch.setattr(study, "prepare", lambda cluster: None)
-    monkeypatch.setattr(study, "run_sweep", functools.partial(run_sweep, train=train))
+    monkeypatch.setattr(manage, "run_sweep", functools.partial(run_sweep, train=train))
 
 
 def test_every_figure_is_a_sweep_or_says_what_it_is(capsys):

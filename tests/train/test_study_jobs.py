@@ -71,10 +71,27 @@ def test_an_interrupt_waits_for_the_job_and_begins_no_other(tmp_path):
     assert not (tmp_path / "b.log").exists()
 
 
-@pytest.mark.parametrize(
+STUDIES = pytest.mark.parametrize(
     ("script", "flags"),
     [(slots_study, ["--experiment", "2"]), (junction_study, ["--table", "6.1"])],
 )
+
+
+@STUDIES
+@pytest.mark.parametrize(
+    ("minutes", "code"), [("0.5", 2), ("1", 2), ("1.5", 0), ("0", 0)]
+)
+def test_a_time_in_which_no_run_begins_is_refused(
+    script, flags, minutes, code, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(script, "run_jobs", lambda *arguments: [])
+    flags = [*flags, "--runs-dir", str(tmp_path), "--minutes", minutes]
+    assert script.main(flags) == code
+    said = "minutes must be more than 1, or no run begins, or 0 = no limit, not "
+    assert (said + str(float(minutes)) in capsys.readouterr().err) == bool(code)
+
+
+@STUDIES
 def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
     script, flags, tmp_path, monkeypatch, capsys
 ):

@@ -18,6 +18,19 @@ POLL = 0.1  # s between looks at the runs
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
+def require_minutes(minutes: float) -> None:
+    """Refuses a time limit within which no run would begin.
+
+    Raises:
+        ValueError: naming it and what is allowed.
+    """
+    if 0 < minutes <= LEAST:
+        raise ValueError(
+            f"minutes must be more than {LEAST:g}, or no run begins, or 0 = no limit, "
+            f"not {minutes}"
+        )
+
+
 def is_evaluated(folder: Path) -> bool:
     """Whether there is an evaluation, of trainers that evaluate at the end only."""
     return (folder / "evaluation.json").exists()

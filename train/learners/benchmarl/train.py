@@ -99,6 +99,8 @@ class Training(Experiment):
             if self.n_iters_performed < config.iterations:
                 with contextlib.suppress(Stopped):
                     self.run()
+            else:  # it had come to its end before
+                self._last_policy = self.greedy_policy(config.video_episodes)
         print(summary(judge(config, self.evaluations)))
         finished = self.n_iters_performed >= config.iterations
         if finished and self._last_policy:
