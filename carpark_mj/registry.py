@@ -172,6 +172,7 @@ ANYWHERE = EnvConfig(
         reeds_shepp=20.0,
         alignment=0.0,
         closeness=0.0,
+        time=2.5,  # dear, against standing where they might turn either way
     ),
     observation=ContinuousObservation(
         tracked_agents=7,
@@ -180,6 +181,7 @@ ANYWHERE = EnvConfig(
         own_car=True,
         lines=True,
         route=True,
+        rays=RayConfig(72),  # one every 5 degrees
     ),
     # [est] of loaded or worn cars on a dry or wet surface.
     randomization=RandomizationConfig(
@@ -210,8 +212,6 @@ HOPE = dataclasses.replace(
     jitter=JitterConfig(),
     spawn=SpawnConfig(close_ratio=0.0),
     episode=EpisodeConfig(max_steps=500),  # 100 s, as in the suite
-    # Dearer time, against standing in front of the bay; 72 rays: one every 5 degrees.
-    reward=dataclasses.replace(ANYWHERE.reward, time=2.5),
     observation=ContinuousObservation(
         tracked_agents=0,
         tracked_parked_cars=0,
