@@ -207,6 +207,20 @@ def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypa
     assert sorted(known) == sorted(names)
 
 
+def test_what_slurm_refuses_is_said_in_one_sentence(tmp_path, monkeypatch):
+    for name, text in (
+        ("srun", ""),
+        ("sbatch", "echo 'sbatch: no such gres' >&2\nexit 1"),
+    ):
+        (tmp_path / name).write_text(f"#!/bin/sh\n{text}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    with pytest.raises(
+        ValueError, match=r"^Slurm refuses the jobs: sbatch: no such gres$"
+    ):
+        slurm_jobs(tmp_path)
+
+
 def test_without_slurm_there_is_one_sentence(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ValueError, match="cluster slurm is not available"):

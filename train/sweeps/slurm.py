@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import submitit
+from submitit.core.utils import FailedJobError
 
 from carpark_mj.config.checks import at_least
 from carpark_mj.policy.runs import write_json
@@ -58,7 +59,11 @@ class SlurmConfig:
 def submit_all(
     executor: submitit.AutoExecutor, works: Sequence[Work]
 ) -> list[tuple[Work, submitit.Job[None]]]:
-    """Submits to a cluster what does not stand in its queue from an earlier time."""
+    """Submits to a cluster what does not stand in its queue from an earlier time.
+
+    Raises:
+        ValueError: Slurm refuses the jobs; the message says why.
+    """
     if not works:
         return []
     record = works[0].sweep / "logs" / "jobs.json"
@@ -75,8 +80,12 @@ def submit_all(
             new.append(dataclasses.replace(work, runs=tuple(left)))
     jobs: list[submitit.Job[None]] = []
     if new:
-        with import_path(), executor.batch():
-            jobs = [executor.submit(work) for work in new]
+        try:
+            with import_path(), executor.batch():
+                jobs = [executor.submit(work) for work in new]
+        except FailedJobError as error:
+            reason = str(error).strip().partition("\n")[0]
+            raise ValueError(f"Slurm refuses the jobs: {reason}") from None
     submitted = list(zip(new, jobs, strict=True))
     ids = {run.name: job.job_id for work, job in submitted for run in work.runs}
     write_json(record, known | ids)
