@@ -17,14 +17,23 @@ from brax.training.distribution import (
 
 from carpark_mj.mdp.actions import ActionSpec
 
+MIN_STD = 0.001  # Brax's
 
-def action_distribution(spec: ActionSpec) -> ParametricDistribution:
-    """The distribution for actions of a kind: tanh-normal, categorical, or both."""
+
+def action_distribution(
+    spec: ActionSpec, min_std: float = MIN_STD
+) -> ParametricDistribution:
+    """The distribution for actions of a kind: tanh-normal, categorical, or both.
+
+    Args:
+        spec: the kind.
+        min_std: least standard deviation of the numbers before tanh.
+    """
     if not spec.choices:
-        return NormalTanhDistribution(event_size=spec.continuous)
+        return NormalTanhDistribution(event_size=spec.continuous, min_std=min_std)
     if not spec.continuous:
         return MultiCategorical(spec.choices)
-    return TanhNormalCategorical(spec.continuous, spec.choices)
+    return TanhNormalCategorical(spec.continuous, spec.choices, min_std)
 
 
 class Categoricals:
@@ -175,9 +184,11 @@ class TanhNormalCategorical(ParametricDistribution):
     Parameters are those of Brax's `NormalTanhDistribution`, then the branches' logits.
     """
 
-    def __init__(self, continuous: int, choices: tuple[int, ...]) -> None:
-        """Takes how many numbers there are, and the sizes of the branches."""
-        self._normal = NormalTanhDistribution(event_size=continuous)
+    def __init__(
+        self, continuous: int, choices: tuple[int, ...], min_std: float = MIN_STD
+    ) -> None:
+        """Takes how many numbers there are, sizes of the branches, least deviation."""
+        self._normal = NormalTanhDistribution(event_size=continuous, min_std=min_std)
         self._categoricals = MultiCategorical(choices)
         super().__init__(
             param_size=self._normal.param_size + self._categoricals.param_size,

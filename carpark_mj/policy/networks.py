@@ -11,11 +11,11 @@ from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
 from jax.tree_util import Partial
 
-from carpark_mj.config.checks import choose, whole
+from carpark_mj.config.checks import choose, positive, whole
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import OWN, ObservationSets, observation_sets
-from carpark_mj.policy.distributions import action_distribution
+from carpark_mj.policy.distributions import MIN_STD, action_distribution
 from carpark_mj.policy.encoder import SetEncoder
 from carpark_mj.policy.normalizer import Normalizer, normalize
 
@@ -36,6 +36,8 @@ class NetworkConfig:
             `flat`: nothing, they read the vector as it is.
         own_size: features that `set` makes of the own numbers.
         entity_size: features that `set` makes of a set of entities.
+        min_std: least standard deviation of continuous actions before tanh. With too
+            small ones hardly anything is tried, and a small step changes a lot.
     """
 
     policy_layers: tuple[int, ...] = (128, 128)
@@ -43,6 +45,7 @@ class NetworkConfig:
     encoder: EncoderName = "set"
     own_size: int = 128
     entity_size: int = 64
+    min_std: float = MIN_STD
 
     def __post_init__(self) -> None:
         for name in ("policy_layers", "value_layers"):
@@ -52,6 +55,7 @@ class NetworkConfig:
                 )
         choose("encoder", self.encoder, EncoderName)
         whole(self, 1, "own_size", "entity_size")
+        positive(self, "min_std")
 
 
 def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> ObservationSets:
@@ -92,7 +96,7 @@ def make_networks(
     They take a `Normalizer` of `network_inputs(config, fields)`.
     """
     inputs = network_inputs(config, fields)
-    distribution = action_distribution(action)
+    distribution = action_distribution(action, config.min_std)
     networks: Any = ppo_networks.PPONetworks  # its fields are hidden from Pyright
     if config.encoder == "flat":
         policy = brax_networks.make_policy_network(

@@ -158,6 +158,7 @@ def test_gradients_are_finite_where_a_set_is_empty(many):
         ({"entity_size": -1}, "entity_size must be at least 1, not -1"),
         ({"policy_layers": (8, 0)}, r"policy_layers must be .*, not \(8, 0\)"),
         ({"encoder": "sets"}, "unknown encoder 'sets'"),
+        ({"min_std": 0.0}, "min_std must be positive, not 0.0"),
     ],
 )
 def test_impossible_networks_are_refused(changes, message):

@@ -62,7 +62,8 @@ def other(tmp_path_factory):
 
 def test_networks_and_statistics_are_taken_and_the_rest_is_new(other, tmp_path):
     folder, theirs = other
-    config = dataclasses.replace(TINY, warm_start=str(folder), seed=3)
+    wider = dataclasses.replace(TINY.networks, min_std=0.1)  # no weight's shape
+    config = dataclasses.replace(TINY, warm_start=str(folder), seed=3, networks=wider)
     own = Learner(config).init()
     state = load_or_init(Learner(config), [tmp_path])
     for name in vars(own):
