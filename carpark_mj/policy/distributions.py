@@ -17,7 +17,7 @@ from brax.training.distribution import (
 
 from carpark_mj.mdp.actions import ActionSpec
 
-MIN_STD = 0.001  # Brax's
+MIN_STD = 0.001  # before tanh; Brax's
 
 
 def action_distribution(
@@ -27,7 +27,7 @@ def action_distribution(
 
     Args:
         spec: the kind.
-        min_std: least standard deviation of the numbers before tanh.
+        min_std: least standard deviation of the numbers before tanh, above 0.
     """
     if not spec.choices:
         return NormalTanhDistribution(event_size=spec.continuous, min_std=min_std)
@@ -185,7 +185,7 @@ class TanhNormalCategorical(ParametricDistribution):
     """
 
     def __init__(
-        self, continuous: int, choices: tuple[int, ...], min_std: float = MIN_STD
+        self, continuous: int, choices: tuple[int, ...], min_std: float
     ) -> None:
         """Takes how many numbers there are, sizes of the branches, least deviation."""
         self._normal = NormalTanhDistribution(event_size=continuous, min_std=min_std)

@@ -36,8 +36,8 @@ class NetworkConfig:
             `flat`: nothing, they read the vector as it is.
         own_size: features that `set` makes of the own numbers.
         entity_size: features that `set` makes of a set of entities.
-        min_std: least standard deviation of continuous actions before tanh. With too
-            small ones hardly anything is tried, and a small step changes a lot.
+        min_std: least standard deviation of continuous actions before tanh, above 0. If
+            it is small, a policy may end up exploring little.
     """
 
     policy_layers: tuple[int, ...] = (128, 128)
