@@ -33,7 +33,7 @@ from learners.ppo.curriculum_config import CurriculumConfig
 _CURRICULUM = CurriculumConfig(crash_scale=3.0, crash_ratio=0.3, discount_end=0.998)
 # Meant to end within a quarter of an hour, evaluation and video included. On two cores
 # learning takes the time: small networks, and two epochs for more steps. `min_std` has
-# not been tried in the presets below.
+# no finished trial in the presets below.
 _CPU = PPOConfig(
     preset="cpu",
     num_steps=50_000_000,
