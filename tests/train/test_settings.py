@@ -5,9 +5,10 @@ import re
 
 import pytest
 
+from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.policy.runs import write_json
 from carpark_mj.registry import TANNER_FIXED
-from learners.ppo.config import RUN_SETTINGS
+from learners.ppo.config import RUN_SETTINGS, PPOConfig
 from learners.ppo.presets import PRESETS, SUMMARIES
 from learners.q_learning.presets import Q_PRESETS, Q_SUMMARIES
 from learners.run_folder import describe
@@ -37,6 +38,13 @@ def test_settings_need_to_fit_the_named_preset_only():
     assert read("--preset", "tanner-fixed", "--num-minibatches", "28").num_lots == 128
     with pytest.raises(ValueError, match="128 must be a multiple of"):
         read("--num-minibatches", "28")
+
+
+def test_agents_that_stay_put_are_refused():
+    """Their steps would be learned from although nothing happens in them."""
+    still = EnvConfig(episode=EpisodeConfig(respawn=False))
+    with pytest.raises(ValueError, match=r"PPO needs env\.episode\.respawn = True"):
+        PPOConfig(env=still)
 
 
 def test_other_trainers_have_their_own_presets():

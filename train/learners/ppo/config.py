@@ -179,6 +179,8 @@ class PPOConfig(RunConfig):
                 "discount must be below 1 where curriculum.discount_end "
                 f"{self.curriculum.discount_end} changes it, not {self.discount}"
             )
+        if not self.env.episode.respawn:
+            raise ValueError("PPO needs env.episode.respawn = True")
         choose("variant", self.variant, VariantName)
         if self.variant == "ml-agents":
             self._check_ml_agents()
