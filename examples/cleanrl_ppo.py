@@ -133,7 +133,7 @@ def main(settings: Settings) -> None:
                 ("done", done.float()),
             ):
                 batch[name].append(tensor)
-            ends.append((step.parked.sum(), done.sum()))
+            ends.append((step.success.sum(), done.sum()))
             observation = step.observation
         data = {name: torch.stack(tensors) for name, tensors in batch.items()}
         with torch.no_grad():
@@ -197,7 +197,7 @@ def evaluate(agent: Agent, config: EnvConfig, seed: int) -> tuple[float, int]:
     observation, parked = lots.reset(seed), 0
     for _ in range(config.episode.max_steps):
         step = lots.step(agent.mean(observation))
-        observation, parked = step.observation, parked + step.parked.sum().item()
+        observation, parked = step.observation, parked + step.success.sum().item()
     episodes = 512 * config.num_agents
     return parked / episodes, episodes
 
