@@ -65,10 +65,10 @@ class Episodes:
         self._physics = physics
         may_be_fewer = config.occupancy is not None and config.min_agents is not None
         lot = layout_config(config.layout)
-        bays = lot.min_bays
+        most = min(lot.min_bays // 2, lot.min_goals)
         self._may_touch = not all(_starts_are_free(lot, car) for car in fleet.agents)
         self._limits_agents = (
-            may_be_fewer and not config.goals.dynamic and config.num_agents > bays // 2
+            may_be_fewer and not config.goals.dynamic and config.num_agents > most
         )
 
     def begin_lot(
@@ -236,5 +236,10 @@ def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
 
 
 def _most_agents(layout: Layout) -> jax.Array:
-    """Most agents () int32 of a lot that may have fewer: one for every two bays."""
-    return jnp.maximum(jnp.sum(layout.bay_mask, dtype=jnp.int32) // 2, 1)
+    """Most agents () int32 of a lot that may have fewer.
+
+    One for every two bays, and no more than bays that can be goals.
+    """
+    goals = jnp.sum(layout.goal_mask, dtype=jnp.int32)
+    half = jnp.sum(layout.bay_mask, dtype=jnp.int32) // 2
+    return jnp.maximum(jnp.minimum(half, goals), 1)
