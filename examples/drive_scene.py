@@ -1,7 +1,9 @@
 """Drives an exported scene with nothing but MuJoCo and prints what the car did.
 
-python -m carpark_mj.scene --layout square --num-parked-cars 0 --out scene.xml
+python -m carpark_mj.scene --num-agents 1 --num-parked-cars 0 --seed 11 --out scene.xml
 python examples/drive_scene.py scene.xml
+
+The car needs room for a circle to the left; it ends with code 2 if it hits something.
 """
 
 import json
@@ -14,6 +16,10 @@ CAR = "agent0/"
 SPEED = 1.5  # m/s
 
 
+class HitError(Exception):
+    """The car's body touches something."""
+
+
 class Car:
     """Car `agent0` of a scene, driven by its three sliders."""
 
@@ -21,7 +27,7 @@ class Car:
         """Loads the scene."""
         self.model = mujoco.MjModel.from_xml_path(path)
         self.data = mujoco.MjData(self.model)
-        self.start = self.data.joint(f"{CAR}root").qpos.copy()
+        self._body = self.model.body(f"{CAR}car").id
 
     @property
     def position(self) -> tuple[float, float]:
@@ -46,6 +52,8 @@ class Car:
             self.data.actuator(f"{CAR}drive").ctrl = max(-0.6, min(1.0, pedal))
             self.data.actuator(f"{CAR}brake").ctrl = brake
             mujoco.mj_step(self.model, self.data)
+            if self._body in self.model.geom_bodyid[self.data.contact.geom]:
+                raise HitError(f"the car hit something after {self.data.time:.1f} s")
             track.append(self.position)
         return track
 
@@ -85,4 +93,8 @@ def main(path: str) -> dict[str, float]:
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit(f"usage: {sys.argv[0]} scene.xml")
-    print(json.dumps(main(sys.argv[1]), indent=2))
+    try:
+        print(json.dumps(main(sys.argv[1]), indent=2))
+    except (HitError, ValueError) as error:
+        print(f"{sys.argv[0]}: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -88,6 +88,19 @@ def test_a_script_without_carpark_mj_drives_stops_and_stands(tmp_path):
     assert measured["drift_at_rest_in_10_s_mm"] < 1.0
 
 
+def test_a_car_without_room_is_reported_instead_of_measured(tmp_path):
+    path = tmp_path / "tight.xml"
+    main(SceneConfig(out=str(path), num_agents=1, num_parked_cars=0, seed=0))
+    done = subprocess.run(
+        [sys.executable, "-I", str(ROOT / "examples" / "drive_scene.py"), str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "the car hit something after" in done.stderr
+
+
 @pytest.fixture
 def empty(tmp_path):
     """One car alone in the square, the file's text and model."""
