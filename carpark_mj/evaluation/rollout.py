@@ -17,19 +17,12 @@ import numpy as np
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row, summarise
+from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts import member_shares
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.types import State
 
 CHUNK = 50  # control steps per compiled call
-
-
-def evaluation_key(seed: int) -> jax.Array:
-    """The key of an evaluation; training uses `fold_in(..., 0)`, so they never meet.
-
-    Random layouts also come from the `test` split (`carpark_mj.layouts.splits`).
-    """
-    return jax.random.fold_in(jax.random.key(seed), 1)
 
 
 @dataclasses.dataclass(frozen=True)

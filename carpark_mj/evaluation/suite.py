@@ -35,7 +35,8 @@ from carpark_mj.evaluation.aggregation import (
     summarise,
     wilson_interval,
 )
-from carpark_mj.evaluation.rollout import CHUNK, evaluation_key
+from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.evaluation.rollout import CHUNK
 from carpark_mj.evaluation.suite_cases import LEVELS, Cases
 from carpark_mj.layouts import HopeConfig, Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions

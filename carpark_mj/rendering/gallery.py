@@ -8,7 +8,7 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import evaluation_key
+from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts import layout_config
 from carpark_mj.rendering.overlays import font
 from carpark_mj.rendering.renderer import LotRenderer

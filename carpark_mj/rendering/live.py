@@ -7,7 +7,7 @@ import numpy as np
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import OUTCOMES
-from carpark_mj.evaluation.rollout import evaluation_key
+from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
@@ -29,10 +29,10 @@ class LiveLot:
     def __init__(self, env: ParkingEnv, policy: AnyPolicy, seed: int) -> None:
         """Compiles and starts a lot, of those for training."""
         self._env, self._policy = env, as_argument(policy)
-        self._key = evaluation_key(seed)
+        reset_key, self._key = jax.random.split(evaluation_key(seed))
         self._reset = jax.jit(env.reset)
         self._step = jax.jit(self._control_step)
-        self._start = self._reset(self._key)
+        self._start = self._reset(reset_key)
         state, _ = self._start
         layout = state.layout
         self.extent = np.asarray(layout.extent)

@@ -7,7 +7,8 @@ import jax
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import CHUNK, evaluation_key
+from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.evaluation.rollout import CHUNK
 from carpark_mj.layouts.types import Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.rendering.stage import Stage

@@ -76,6 +76,13 @@ def test_targets_are_constants_of_the_gradient():
     np.testing.assert_array_equal(jax.grad(loss)(TARGET_AFTER), 0.0)
 
 
+def test_training_never_starts_where_the_evaluation_does(learner):
+    starts, _ = jax.vmap(learner.env.reset)(learner.config.evaluation_keys())
+    held_out = jax.random.key_data(starts.key)
+    training = jax.random.key_data(learner.init().state.key)
+    assert not (held_out[:, None] == training).all(axis=-1).any()
+
+
 @pytest.mark.parametrize("networks", [1, 3])
 def test_what_is_sorted_by_network_comes_back_in_order(networks):
     x = jnp.arange(5 * 3 * 2).reshape(5, 3, 2)

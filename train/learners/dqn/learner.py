@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.evaluation.keys import training_key
 from carpark_mj.junction import JunctionEnv
 from carpark_mj.junction.actions import ACTIONS
 from carpark_mj.junction.evaluation import Outcomes, evaluate, evaluation_env
@@ -42,7 +43,7 @@ class DQNLearner:
     def _init(self) -> Training:
         """A fresh training."""
         config = self.config
-        key, reset_key, net_key = jax.random.split(jax.random.key(config.seed), 3)
+        key, reset_key, net_key = jax.random.split(training_key(config.seed), 3)
         reset_keys = jax.random.split(reset_key, config.num_junctions)
         state, observation = jax.vmap(self.env.reset)(reset_keys)
         seen = observation[0, :1]

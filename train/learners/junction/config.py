@@ -7,6 +7,7 @@ import jax
 
 from carpark_mj.cli.common import MAX_EPISODES
 from carpark_mj.config.checks import choose, whole
+from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.junction import JunctionConfig, RasterConfig, RewardRules
 from carpark_mj.junction.config import (
     ActionKind,
@@ -134,8 +135,7 @@ class JunctionRunConfig(RunConfig):
 
         Always the same: the curve shows the policy, not their luck.
         """
-        key = jax.random.fold_in(jax.random.key(self.seed), 1)
-        return jax.random.split(key, self.eval_episodes)
+        return jax.random.split(evaluation_key(self.seed), self.eval_episodes)
 
     @property
     def default_name(self) -> str:

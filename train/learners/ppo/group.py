@@ -15,6 +15,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from carpark_mj.config import insert
+from carpark_mj.evaluation.keys import training_key
 from carpark_mj.wrappers.brax import BraxParking
 from learners.ppo.config import PPOConfig
 from learners.ppo.learner import Learner, without_input
@@ -127,8 +128,8 @@ class GroupLearner(Learner):
 
     def build(self) -> TrainingState:
         """The states before the first update (pure)."""
-        seeds = [jax.random.key(config.seed) for config in self.configs]
-        return jax.vmap(self.begin)(jnp.stack(seeds))
+        keys = [training_key(config.seed) for config in self.configs]
+        return jax.vmap(self.begin)(jnp.stack(keys))
 
     def split(self, state: TrainingState) -> list[TrainingState]:
         """The state of every run."""

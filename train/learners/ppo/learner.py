@@ -17,6 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.keys import training_key
 from carpark_mj.observations import make_fields
 from carpark_mj.policy.networks import make_networks, make_policy, network_inputs
 from carpark_mj.policy.normalizer import init_normalizer
@@ -93,17 +94,15 @@ class Learner:
 
     def build(self) -> TrainingState:
         """The state before the first update (pure)."""
-        return self.begin(jax.random.key(self.config.seed))
+        return self.begin(training_key(self.config.seed))
 
     @functools.cached_property
     def _jitted_build(self) -> Callable[[], TrainingState]:
         """`build`, traced once for the shapes and the state."""
         return jax.jit(self.build)
 
-    def begin(self, seed: jax.Array) -> TrainingState:
-        """The state of a run with this seed, a key, before the first update (pure)."""
-        # fold_in 0 is training's half of the seed; evaluation uses 1.
-        key = jax.random.fold_in(seed, 0)
+    def begin(self, key: jax.Array) -> TrainingState:
+        """The state of a run with this key before the first update (pure)."""
         policy_key, value_key, env_key, key = jax.random.split(key, 4)
         params = network_params(
             self.networks.policy_network.init(policy_key),

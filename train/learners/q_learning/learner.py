@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.keys import training_key
 from carpark_mj.observations.indices import cardinalities
 from carpark_mj.policy.q_table import action_choices, state_index
 from carpark_mj.types import State
@@ -110,9 +111,8 @@ class QLearner:
     def init(self) -> Training:
         """All seeds at the start; tables are zero."""
         config = self.config
-        # fold_in 0 is training's half of the seed; evaluation uses 1.
-        root = jax.random.fold_in(jax.random.key(config.seed), 0)
-        return jax.jit(jax.vmap(self._init))(jax.random.split(root, config.num_seeds))
+        keys = jax.random.split(training_key(config.seed), config.num_seeds)
+        return jax.jit(jax.vmap(self._init))(keys)
 
     def _init(self, key: jax.Array) -> Training:
         key, lot_key = jax.random.split(key)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
-from carpark_mj.evaluation.rollout import evaluation_key
+from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.wrappers.gymnasium_slots import shared_slots_env
 from carpark_mj.wrappers.slots import PANDITA_REWARD, SlotsGoalParking
 from learners.sac.config import SACConfig
