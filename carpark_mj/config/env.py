@@ -178,10 +178,10 @@ class EnvConfig:
                 f"spawn.reverse_ratio {reverse} needs fixed goals and cars that steer: "
                 "goals.dynamic = False, and a physics other than grid"
             )
-        if self.physics == "grid" and self.randomization.is_on:
+        if self.physics in ("grid", "highway") and self.randomization.is_on:
             raise ValueError(
-                "randomization has no effect on the grid, whose cars have no "
-                "parameters: leave it off, or use another physics"
+                f"randomization has no effect in {self.physics} physics, whose cars "
+                "have no such parameters: leave it off, or use another physics"
             )
         if self.follows_routes and (self.goals.dynamic or self.physics == "grid"):
             raise ValueError(

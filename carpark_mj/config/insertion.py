@@ -1,6 +1,7 @@
 """Configs with traced numbers: runs that differ in them share a program."""
 
 import copy
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -13,10 +14,19 @@ def insert(config: Config, values: Mapping[str, Any]) -> Config:
     Args:
         config: a dataclass; its checks are not made.
         values: by the path of the setting, as in `env.reward.park`.
+
+    Raises:
+        ValueError: there is no such setting.
     """
     new = copy.copy(config)
     for path, value in values.items():
         name, _, rest = path.partition(".")
+        settings = [field.name for field in dataclasses.fields(new)]
+        if name not in settings:
+            raise ValueError(
+                f"{type(config).__name__} has no setting {name!r}: it has "
+                f"{', '.join(settings)}"
+            )
         value = insert(getattr(new, name), {rest: value}) if rest else value
         object.__setattr__(new, name, value)  # it is frozen
     return new

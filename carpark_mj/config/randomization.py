@@ -12,6 +12,9 @@ ADDED = ("steering_offset", "steering_lag")  # to the nominal value, which may b
 class RandomizationConfig:
     """Ranges of what differs between cars, drawn at every spawn; nothing by default.
 
+    In `bicycle` physics only `mass`, `brake_gain` and what is added to the steering
+    have an effect; `highway` and the grid refuse all.
+
     Attributes:
         mass: factor on the mass of the whole car; torques are unchanged, so a loaded
             car accelerates more slowly.

@@ -94,6 +94,8 @@ def effort(config: EnvConfig, transition: Transition) -> Effort:
         vehicle = transition.before.physics.vehicle
         turn = jnp.abs(after.steering - before.steering)
         most = vehicle.steering_rate * ctrl_dt
+        if config.physics == "highway":  # obeys at once, from lock to lock
+            most = 2.0 * vehicle.max_steering
         top = jnp.maximum(vehicle.max_speed, vehicle.max_reverse_speed)
     return Effort(turn=turn / most, speed=jnp.abs(after.speed) / top)
 

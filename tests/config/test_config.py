@@ -138,7 +138,11 @@ CONTRADICTIONS = [
     ),
     (
         {"physics": "grid", "randomization": RandomizationConfig(mass=(0.9, 1.1))},
-        "randomization has no effect on the grid",
+        "randomization has no effect in grid physics",
+    ),
+    (
+        {"physics": "highway", "randomization": RandomizationConfig(mass=(0.9, 1.1))},
+        "randomization has no effect in highway physics",
     ),
     (
         {

@@ -384,6 +384,16 @@ def test_effort_on_the_grid_is_turn_and_level_over_the_most_there_are():
     np.testing.assert_allclose(got.speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
 
 
+def test_a_car_that_obeys_at_once_turns_from_lock_to_lock_at_most():
+    lock = float(hand_cars(cars([(0.0, 0.0, 0.0)])).max_steering[0])
+    poses = [(0.0, 0.0, 0.0)] * 3
+    before = cars(poses, steering=[lock, lock, lock])
+    after = cars(poses, steering=[lock, 0.0, -lock])
+    config = EnvConfig(physics="highway", vehicle="highway", num_agents=3)
+    got = effort(config, step(config, before, after))
+    np.testing.assert_allclose(got.turn, [0.0, 0.5, 1.0], atol=1e-6)
+
+
 def test_efforts_have_one_number_an_agent():
     one = grid_cars([(0, 0)] * 4)
     for physics in ("mjx", "grid"):

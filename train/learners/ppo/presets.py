@@ -32,8 +32,8 @@ from learners.ppo.curriculum_config import CurriculumConfig
 # What all policies that drive real cars share; docs/results.md says what was tried.
 _CURRICULUM = CurriculumConfig(crash_scale=3.0, crash_ratio=0.3, discount_end=0.998)
 # Meant to end within a quarter of an hour, evaluation and video included. On two cores
-# learning takes the time: small networks, and two epochs for more steps. `min_std` has
-# no finished trial in the presets below.
+# learning takes the time: small networks, and two epochs for more steps. `square`,
+# `dynamic` and `hope` have not been trained with this `min_std`.
 _CPU = PPOConfig(
     preset="cpu",
     num_steps=50_000_000,
@@ -66,29 +66,39 @@ _DYNAMIC = dataclasses.replace(
     curriculum=dataclasses.replace(_CURRICULUM, crash_ratio=0.0),
     env=DYNAMIC,
 )
+# 2,048 lots fill one GPU; two train with twice as many (docs/policies.md).
 _ANYWHERE = dataclasses.replace(
     _SQUARE,
     preset="anywhere",
-    num_steps=3_000_000_000,
+    num_steps=4_000_000_000,
+    num_lots=2048,
     num_minibatches=32,
+    learning_rate_end=2e-5,
     curriculum=dataclasses.replace(
         _CURRICULUM,
-        crash_scale=2.0,
-        crash_ratio=0.1,
-        reverse_ratio=0.5,
+        crash_ratio=0.2,
+        reverse_ratio=0.3,
         target_rate=0.99,
+        discount_end=0.997,
     ),
-    networks=NetworkConfig((256, 256, 256), (256, 256, 256)),
+    networks=NetworkConfig((256, 256, 256), (256, 256, 256), min_std=0.1),
     env=ANYWHERE,
 )
 # One car alone: there is nobody to collide with, and no set of cars to read.
 _HOPE = dataclasses.replace(
-    _ANYWHERE,
+    _SQUARE,
     preset="hope",
     num_steps=800_000_000,
     num_lots=8192,
-    curriculum=dataclasses.replace(_ANYWHERE.curriculum, crash_ratio=0.0),
-    networks=dataclasses.replace(_ANYWHERE.networks, encoder="flat"),
+    num_minibatches=32,
+    curriculum=dataclasses.replace(
+        _CURRICULUM,
+        crash_scale=2.0,
+        crash_ratio=0.0,
+        reverse_ratio=0.5,
+        target_rate=0.99,
+    ),
+    networks=NetworkConfig((256, 256, 256), (256, 256, 256), encoder="flat"),
     env=HOPE,
 )
 # Many updates on few data: it is agent steps that the study counts.
