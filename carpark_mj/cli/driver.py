@@ -7,6 +7,8 @@ from typing import Any
 
 from carpark_mj.config import EnvConfig, FleetConfig, ParkedRule
 from carpark_mj.env import ParkingEnv
+from carpark_mj.fleet.checks import parked_cars_needed
+from carpark_mj.layouts import layout_config
 from carpark_mj.planning.policy import planner_policy
 from carpark_mj.policy import pretrained
 from carpark_mj.policy.acting import AnyPolicy
@@ -95,8 +97,9 @@ def adapt(
     """The environment with the settings that are not None replaced.
 
     A number of agents is that of every lot, unless `min_agents` is given too, and so is
-    one of parked cars, instead of an occupancy. A `vehicle` is that of all cars,
-    instead of a fleet.
+    one of parked cars, instead of an occupancy; in another layout an occupancy has as
+    many parked cars as it takes there. A `vehicle` is that of all cars, instead of a
+    fleet.
     """
     episode = {"parked_rule": rule, "hitbox_scale": hitbox_scale}
     episode = {name: value for name, value in episode.items() if value is not None}
@@ -107,6 +110,9 @@ def adapt(
         given.setdefault("min_agents", None)
     if "num_parked_cars" in given:
         given["occupancy"] = None
+    elif "layout" in given and env.occupancy is not None:
+        needed = parked_cars_needed(env.occupancy, layout_config(given["layout"]))
+        given["num_parked_cars"] = max(env.num_parked_cars, needed)
     if "vehicle" in given:
         given["fleet"] = FleetConfig()
     physics = given.get("physics", env.physics)

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from carpark_mj.config import PARKED_RULES, EnvConfig, LayoutConfig
+from carpark_mj.config.checks import Range
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import Layout, MixtureConfig, make_layout
 from carpark_mj.layouts.standards import DesignCar
@@ -86,12 +87,17 @@ def check_occupancy(config: EnvConfig, lot: LayoutConfig) -> None:
     """
     if config.occupancy is None:
         return
-    needed = math.floor(config.occupancy[1] * lot.min_bays + 1e-6)
+    needed = parked_cars_needed(config.occupancy, lot)
     if needed > config.num_parked_cars:
         raise ValueError(
             f"occupancy of up to {config.occupancy[1]:g} of {lot.min_bays} bays needs "
             f"num_parked_cars of at least {needed}, not {config.num_parked_cars}"
         )
+
+
+def parked_cars_needed(occupancy: Range, lot: LayoutConfig) -> int:
+    """How many parked cars an occupancy takes; of random lots, in the smallest."""
+    return math.floor(occupancy[1] * lot.min_bays + 1e-6)
 
 
 def check_cars(

@@ -6,7 +6,8 @@ import pytest
 
 from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import ContinuousObservation, EnvConfig, FleetConfig
-from carpark_mj.registry import METADRIVE
+from carpark_mj.env import ParkingEnv
+from carpark_mj.registry import ANYWHERE, METADRIVE
 
 RUN = EnvConfig(num_agents=5, min_agents=3)
 
@@ -42,6 +43,16 @@ def test_a_number_of_parked_cars_is_that_of_every_lot():
     run = EnvConfig(num_parked_cars=29, occupancy=(0.2, 0.8))
     assert adapt(run, num_parked_cars=10).occupancy is None
     assert adapt(run, num_agents=3).occupancy == (0.2, 0.8)
+
+
+@pytest.mark.parametrize(("layout", "count"), [("tanner", 28), ("garage_row", 20)])
+def test_an_occupancy_has_as_many_parked_cars_as_it_takes_in_another_layout(
+    layout, count
+):
+    run = adapt(ANYWHERE, layout=layout, num_agents=1)
+    assert (run.occupancy, run.num_parked_cars) == ((0.2, 0.8), count)
+    assert ParkingEnv(run).num_agents == 1  # which refuses too few
+    assert adapt(ANYWHERE, layout=layout, num_parked_cars=5).num_parked_cars == 5
 
 
 def test_rule_and_hitboxes_are_set_alone_and_together():
