@@ -1,6 +1,7 @@
 """What `python eval/evaluate.py` does: whole episodes on held-out seeds, reported."""
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,9 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.report import print_report, write_evaluation
 from carpark_mj.evaluation.rollout import Evaluation, evaluate
 from carpark_mj.policy.checkpoints import require_writable
+
+# Settings with which an evaluation is still of the run's own task.
+SAME_TASK = ("run", "policy", "episodes", "span", "seed", "out")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +49,8 @@ class EvaluateConfig:
             in one MuJoCo world.
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
-            for a baseline or a pretrained policy.
+            for a baseline or a pretrained policy, and in that a folder of
+            `evaluations/` for each other task that flags make.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
@@ -123,7 +128,7 @@ def prepare(config: EvaluateConfig) -> Task:
         )
     name = config.run or config.policy
     driver = find_driver(name, config.environment, not config.stochastic)
-    folder = Path(config.out) if config.out else driver.folder
+    folder = Path(config.out) if config.out else driver.folder / subfolder(config)
     env = adapt(
         driver.env,
         rule=config.rule,
@@ -139,6 +144,19 @@ def prepare(config: EvaluateConfig) -> Task:
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "evaluation.csv")  # refused before the work
     return Task(name, driver, env, folder)
+
+
+def subfolder(config: EvaluateConfig) -> Path:
+    """Where in a run's folder results go: into itself if the task is the run's own."""
+    changes = [
+        f"{field.name}-{value}"
+        for field in dataclasses.fields(config)
+        if (value := getattr(config, field.name)) != field.default
+        and field.name not in SAME_TASK
+    ]
+    if not changes:
+        return Path()
+    return Path("evaluations") / re.sub(r"[^\w.,-]+", "-", "_".join(changes))
 
 
 def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:

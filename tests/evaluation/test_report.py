@@ -3,11 +3,12 @@
 import csv
 import dataclasses
 import json
+from pathlib import Path
 
 import pytest
 
 from carpark_mj.cli.driver import Driver
-from carpark_mj.cli.evaluate import EvaluateConfig, Task, report
+from carpark_mj.cli.evaluate import EvaluateConfig, Task, report, subfolder
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import OUTCOMES, summarise
 from carpark_mj.evaluation.report import (
@@ -137,6 +138,21 @@ def test_the_file_names_the_policy_however_it_was_given(flag, plain, tmp_path):
     stored = json.loads((tmp_path / "evaluation.json").read_text())
     assert stored["settings"]["policy"] == "runs/a"
     assert stored["settings"]["seed"] == 0
+
+
+@pytest.mark.parametrize(
+    ("flags", "folder"),
+    [
+        ({"episodes": 5, "seed": 3}, "."),
+        ({"num_agents": 1}, "evaluations/num_agents-1"),
+        (
+            {"rule": "strict", "layout": "street,lots/my yard.json"},
+            "evaluations/rule-strict_layout-street,lots-my-yard.json",
+        ),
+    ],
+)
+def test_another_task_has_its_own_folder_in_that_of_the_run(flags, folder):
+    assert subfolder(EvaluateConfig(run="runs/a", **flags)) == Path(folder)
 
 
 def test_names_are_printed_as_they_are(plain, capsys):
