@@ -13,7 +13,9 @@ from carpark_mj.rendering.markers import Markers
 from carpark_mj.rendering.snapshot import Snapshot, Tracked, tracked_points
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
+from carpark_mj.scene.car_look import cabin_geoms
 from carpark_mj.scene.materials import agent_colour
+from carpark_mj.scene.parts import HULL_GROUP
 
 FLASH_COLOURS = {
     "parked": (0.20, 0.85, 0.35),
@@ -94,8 +96,7 @@ class LotRenderer:
 
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
         """Draws what was placed, (height, width, 3) uint8, by one of `cameras`."""
-        self._renderer.update_scene(self.data, camera=self._stage.camera(camera))
-        scene = self._renderer.scene
+        scene = self._update_scene(self._stage.camera(camera))
         # The cameras that show the lot look down on it, so there is no sky to draw.
         scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = camera not in LOT_CAMERAS
         markers = Markers(scene)
@@ -118,6 +119,21 @@ class LotRenderer:
             radius = self._stage.params.length * (0.6 + 0.5 * flash.age)
             markers.circle(flash.pose_w, radius, rgba, 0.35)
         return self._renderer.render()
+
+    def _update_scene(self, camera: str) -> Any:
+        """The scene as a camera of the model sees it, without markers.
+
+        A driver does not see roof, pillars and glass of the own car, nor their shadows.
+        """
+        hidden = np.zeros(0, int)
+        if camera.endswith("/driver"):
+            car = self.model.cam_bodyid[self.model.camera(camera).id]
+            hidden = cabin_geoms(self.model, car)
+        groups = self.model.geom_group[hidden]
+        self.model.geom_group[hidden] = HULL_GROUP
+        self._renderer.update_scene(self.data, camera=camera)
+        self.model.geom_group[hidden] = groups
+        return self._renderer.scene
 
     def project(self, point: np.ndarray, camera: str) -> tuple[float, float] | None:
         """Pixel (x, y) of a world point (3,) seen by a camera; None behind it."""
