@@ -18,7 +18,16 @@ from carpark_mj.vehicle import PRESETS, VehicleParameters
 
 FOLDER = Path(__file__).parent / "cars"
 # Parts in the frame of the car; wheels stand where they belong.
-PARTS = ("body", "glass", "headlights", "tail_lights", "trim", "tyres", "rims")
+PARTS = (
+    "body",
+    "cage",
+    "glass",
+    "headlights",
+    "tail_lights",
+    "trim",
+    "tyres",
+    "rims",
+)
 
 
 def obj_text(name: str, params: VehicleParameters) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from PIL import Image, ImageSequence
 
 from carpark_mj.cli.analysis import AnalysisConfig
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -139,6 +140,16 @@ def test_the_readme_has_speeds_of_the_results():
 def test_the_readme_fits_on_two_screens():
     assert len(README.splitlines()) <= 150
     assert f"**{observation_size(EnvConfig())} numbers**" in README
+
+
+def test_the_readme_s_first_command_makes_a_gif_as_large_and_long_as_the_one_shown():
+    line = next(c for c in commands(README) if c.endswith("parking.gif"))
+    config = read_flags(RenderConfig, shlex.split(line)[1:])
+    with Image.open(ROOT / "docs" / "parking.gif") as gif:
+        lasts = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
+        assert gif.size == (config.width, config.height)
+    assert sum(lasts) == 1000 * config.seconds
+    assert min(lasts) == 1000 / config.fps
 
 
 def test_the_parked_rules_are_those_in_force():

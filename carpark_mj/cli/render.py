@@ -53,7 +53,8 @@ class RenderConfig:
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
             wheel, or `split:K`: topdown and chase:K side by side.
         show: comma-separated extras: `tracked` links every agent to the cars and bays
-            it tracks, `rings` draws the circles in which it counts walls.
+            it tracks, `rings` draws the circles in which it counts walls; of agent K
+            alone with `chase:K`, `driver:K` and `split:K`.
         seconds: length of the video [s].
         fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
         frame: write a still at this time [s] instead of a video.

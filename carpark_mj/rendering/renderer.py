@@ -13,7 +13,9 @@ from carpark_mj.rendering.markers import Markers
 from carpark_mj.rendering.snapshot import Snapshot, Tracked, tracked_points
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
+from carpark_mj.scene.car_look import cabin_geoms
 from carpark_mj.scene.materials import agent_colour
+from carpark_mj.scene.parts import HULL_GROUP
 
 FLASH_COLOURS = {
     "parked": (0.20, 0.85, 0.35),
@@ -28,12 +30,12 @@ class RenderingError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Show:
-    """Extras to draw.
+    """Extras to draw: of the agent that a camera follows, otherwise of all.
 
     Attributes:
-        tracked: what is linked to each agent, and with it the bays it tracks; None =
+        tracked: what is linked to an agent, and with it the bays it tracks; None =
             nothing.
-        rings: diameters of the circles about each agent [m].
+        rings: diameters of the circles about an agent [m].
     """
 
     tracked: Tracked | None = None
@@ -75,6 +77,7 @@ class LotRenderer:
         self._stage = stage
         self._show = show or Show()
         self.cameras = camera_names(camera, stage.num_agents)
+        self._observers = followed_agents(self.cameras) or range(stage.num_agents)
         self.width, self.height = size[0] // len(self.cameras), size[1]
         self.model, self.data = self._stage.model, self._stage.data
         extent, aspect = np.asarray(stage.layout.extent), self.width / self.height
@@ -94,8 +97,7 @@ class LotRenderer:
 
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
         """Draws what was placed, (height, width, 3) uint8, by one of `cameras`."""
-        self._renderer.update_scene(self.data, camera=self._stage.camera(camera))
-        scene = self._renderer.scene
+        scene = self._update_scene(self._stage.camera(camera))
         # The cameras that show the lot look down on it, so there is no sky to draw.
         scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = camera not in LOT_CAMERAS
         markers = Markers(scene)
@@ -107,17 +109,40 @@ class LotRenderer:
                 markers.bay(goal, seen.goal_size[k], (*rgb, 0.45))
             if aims and seen.active[k]:
                 markers.line(here, goal, (*rgb, 0.9), 0.07, 0.05)
-            for diameter in self._show.rings:
-                markers.circle(here, diameter / 2, (*rgb, 0.5), 0.05)
-        if self._show.tracked is not None:
-            for agent, point in tracked_points(seen, self._show.tracked):
-                rgb = agent_colour(agent)[:3]
-                markers.line(seen.pose_w[agent], point, (*rgb, 0.6), 0.025, 0.04)
+        self._draw_extras(markers, seen)
         for flash in seen.flashes:
             rgba = (*FLASH_COLOURS[flash.outcome], 1.0 - 0.8 * flash.age)
             radius = self._stage.params.length * (0.6 + 0.5 * flash.age)
             markers.circle(flash.pose_w, radius, rgba, 0.35)
         return self._renderer.render()
+
+    def _update_scene(self, camera: str) -> Any:
+        """The scene as a camera of the model sees it, without markers.
+
+        A driver does not see roof, pillars and glass of the own car, nor their shadows.
+        """
+        hidden = np.zeros(0, int)
+        if camera.endswith("/driver"):
+            car = self.model.cam_bodyid[self.model.camera(camera).id]
+            hidden = cabin_geoms(self.model, car)
+        groups = self.model.geom_group[hidden]
+        self.model.geom_group[hidden] = HULL_GROUP
+        self._renderer.update_scene(self.data, camera=camera)
+        self.model.geom_group[hidden] = groups
+        return self._renderer.scene
+
+    def _draw_extras(self, markers: Markers, seen: Snapshot) -> None:
+        """Rings and links of the observers."""
+        for agent in self._observers:
+            rgb = agent_colour(agent)[:3]
+            for diameter in self._show.rings:
+                markers.circle(seen.pose_w[agent], diameter / 2, (*rgb, 0.5), 0.05)
+        if self._show.tracked is None:
+            return
+        for agent, point in tracked_points(seen, self._show.tracked):
+            if agent in self._observers:
+                rgb = agent_colour(agent)[:3]
+                markers.line(seen.pose_w[agent], point, (*rgb, 0.6), 0.025, 0.04)
 
     def project(self, point: np.ndarray, camera: str) -> tuple[float, float] | None:
         """Pixel (x, y) of a world point (3,) seen by a camera; None behind it."""
@@ -155,3 +180,9 @@ def camera_names(camera: str, num_agents: int) -> tuple[str, ...]:
         f"no camera {camera!r}; choose topdown, overview, chase:K, driver:K, split "
         f"or split:K with K from 0 to {num_agents - 1}"
     )
+
+
+def followed_agents(cameras: tuple[str, ...]) -> tuple[int, ...]:
+    """The agents on whose cars some of the cameras are; none for the whole lot."""
+    owners = [camera.partition("/")[0] for camera in cameras if "/" in camera]
+    return tuple(int(owner.removeprefix("agent")) for owner in owners)

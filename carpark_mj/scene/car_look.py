@@ -7,6 +7,7 @@ meshes, which are written into the model, so an exported scene needs no files.
 import zlib
 
 import mujoco
+import numpy as np
 import trimesh
 
 from carpark_mj.scene import materials
@@ -30,6 +31,7 @@ _SHAPE = (
 # Part: material, colour (None: the car's), whether it casts a shadow.
 _PARTS = {
     "body": ("paint", None, True),
+    "cage": ("paint", None, True),
     "glass": ("glass", materials.GLASS, True),
     "headlights": ("lamp", materials.HEADLIGHT, False),
     "tail_lights": ("lamp", materials.TAIL_LIGHT, False),
@@ -40,7 +42,8 @@ _PARTS = {
     "tyres": ("rubber", materials.TYRE, True),
     "rims": ("metal", materials.RIM, False),
 }
-_FIXED = ("body", "glass", "headlights", "tail_lights", "trim", "shade")
+_CABIN = ("cage", "glass")
+_FIXED = ("body", "cage", "glass", "headlights", "tail_lights", "trim", "shade")
 
 
 def shape_name(params: VehicleParameters) -> str:
@@ -108,3 +111,10 @@ def add_standing_car(
 ) -> None:
     """Adds a whole car whose wheels do not move; the frame is the rear axle's."""
     _add_looks(spec, body, params, (*_FIXED, "tyres", "rims"), colour)
+
+
+def cabin_geoms(model: mujoco.MjModel, car: int) -> np.ndarray:
+    """Ids of the geoms that are roof, pillars and glass of a car, by its body."""
+    own = np.flatnonzero((model.geom_bodyid == car) & (model.geom_dataid >= 0))
+    parts = [model.mesh(model.geom_dataid[g]).name.rpartition("/")[2] for g in own]
+    return own[np.isin(parts, _CABIN)]

@@ -1,4 +1,4 @@
-"""A car's meshes from its parameters: body, glass, lights, trim, tyre and rim.
+"""A car's meshes from its parameters: body, cage, glass, lights, trim, tyre and rim.
 
 Every car has the silhouette of a style (`scene.car_style`), stretched to its own
 length, width, height, wheelbase, overhangs and wheels. All parts are watertight. Frame:
@@ -42,14 +42,15 @@ _PROUD, _DEEP = 0.008, 0.03  # m, of pillars over and under the glass
 def car_meshes(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
     """Meshes of a car by part.
 
-    `body`, `glass`, `headlights`, `tail_lights`, `trim` and the soft `shade` on the
-    ground below are in the body frame, `tyre` and `rim` of a wheel about its hub, the
-    axle along y.
+    `body` up to the windows, `cage` (roof and pillars), `glass`, `headlights`,
+    `tail_lights`, `trim` and the soft `shade` on the ground below are in the body
+    frame, `tyre` and `rim` of a wheel about its hub, the axle along y.
     """
     style = STYLES[nearest_preset(params)]
     glass, cage = _cabin(params, style)
     return {
-        "body": merge([_shell(params, style), *cage]),
+        "body": _shell(params, style),
+        "cage": cage,
         "glass": glass,
         **_lights(params, style),
         "trim": _trim(params, style),
@@ -129,7 +130,7 @@ def _shell(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
 
 def _cabin(
     params: VehicleParameters, style: CarStyle
-) -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:
+) -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
     """The glass as rings from the belt upwards; roof and pillars around it."""
     (u0, h0), (u1, h1), (u2, h2), (u3, h3) = style.windows
     foot_front, front, rear, foot_rear = _x(params, np.array([u0, u1, u2, u3]))
@@ -149,8 +150,8 @@ def _cabin(
     left[:, -1, 0] -= 0.02
     rings = np.concatenate([left, left[:, ::-1] * [1.0, -1.0, 1.0]], axis=1)
     side = np.stack([fore, middle, aft])
-    cage = [_pillar(side, a, b, sign) for a, b in style.pillars for sign in (1, -1)]
-    return loft(rings), [_roof(params, left[-1]), *cage]
+    pillars = [_pillar(side, a, b, sign) for a, b in style.pillars for sign in (1, -1)]
+    return loft(rings), merge([_roof(params, left[-1]), *pillars])
 
 
 def _pillar(side: np.ndarray, start: float, end: float, sign: int) -> trimesh.Trimesh:

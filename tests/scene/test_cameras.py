@@ -1,5 +1,7 @@
 """Cameras: the lot fills the frame, and a driver sees the road over the bonnet."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -13,6 +15,19 @@ from carpark_mj.scene.materials import ASPHALT, ZENITH, agent_colour
 from carpark_mj.vehicle import PRESETS
 
 LAYOUT = make_layout("tanner")
+POSE = np.array([[-6.0, 0.0, 0.0]])
+SEEN = Snapshot(
+    seconds=0.0,
+    pose_w=POSE,
+    steering=np.zeros(1),
+    goal_pose=np.asarray(LAYOUT.bay_pose)[[3]],
+    goal_size=np.asarray(LAYOUT.bay_size)[[3]],
+    parked_pose=np.zeros((0, 3)),
+    active=np.zeros(1, bool),
+    state=("",),
+    tally={},
+    flashes=(),
+)
 
 
 def seen_from(pos, quat, fovy, points):
@@ -63,37 +78,67 @@ def test_no_nearer_eye_sees_all_points():
         assert not all_seen(nearer)
 
 
+def has_hue(pixels, colour):
+    """Which pixels have a colour's hue, however bright."""
+    cos = pixels @ np.array(colour[:3])
+    cos /= np.linalg.norm(pixels, axis=-1) * np.linalg.norm(colour[:3]) + 1e-9
+    return np.degrees(np.arccos(np.clip(cos, -1, 1))) < 8
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_the_driver_sees_sky_asphalt_and_bonnet_not_the_inside_of_the_body(name):
-    pose = np.array([[-6.0, 0.0, 0.0]])
-    goal = np.asarray(LAYOUT.bay_pose)[[3]]
-    seen = Snapshot(
-        seconds=0.0,
-        pose_w=pose,
-        steering=np.zeros(1),
-        goal_pose=goal,
-        goal_size=np.asarray(LAYOUT.bay_size)[[3]],
-        parked_pose=np.zeros((0, 3)),
-        active=np.zeros(1, bool),
-        state=("",),
-        tally={},
-        flashes=(),
-    )
     renderer = LotRenderer(Stage(LAYOUT, PRESETS[name], 1, 0), "driver:0", (160, 120))
     try:
-        renderer.place(seen)
-        frame = renderer.draw(seen, "agent0/driver").astype(float)
+        renderer.place(SEEN)
+        frame = renderer.draw(SEEN, "agent0/driver").astype(float)
     finally:
         renderer.close()
 
     def share(rows, colour):
         """Of the middle third's pixels whose hue is a colour's."""
-        pixels = frame[rows, 53:107].reshape(-1, 3)
-        cos = pixels @ np.array(colour[:3])
-        cos /= np.linalg.norm(pixels, axis=1) * np.linalg.norm(colour[:3]) + 1e-9
-        bright = pixels.sum(axis=1) > 90  # the dashboard is nearly black
-        return ((np.degrees(np.arccos(np.clip(cos, -1, 1))) < 8) & bright).mean()
+        pixels = frame[rows, 53:107]
+        bright = pixels.sum(axis=-1) > 90  # the dashboard is nearly black
+        return (has_hue(pixels, colour) & bright).mean()
 
     assert share(slice(0, 40), ZENITH) > 0.9
     assert share(slice(58, 76), ASPHALT) > 0.7
     assert share(slice(70, 118), agent_colour(0)) > 0.1
+
+
+@pytest.fixture(scope="module")
+def fleet():
+    """Draws by a camera an agent that drives a preset, one of all of them."""
+    kinds = list(PRESETS.values())
+    renderer = LotRenderer(
+        Stage(LAYOUT, kinds[0], 1, 0, kinds), "driver:0", (1280, 720)
+    )
+
+    def draw(name, camera):
+        size = np.float32([[PRESETS[name].length, PRESETS[name].width]])
+        seen = dataclasses.replace(SEEN, size=size)
+        renderer.place(seen)
+        return renderer.draw(seen, camera).astype(float)
+
+    yield draw
+    renderer.close()
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_no_pillar_and_no_shadow_of_the_roof_cuts_the_driver_s_view(fleet, name):
+    frame = fleet(name, "agent0/driver")
+    paint = has_hue(frame, agent_colour(0)) & (frame.sum(axis=-1) > 90)
+    paint[: len(paint) // 2] = False  # sky
+    sunlit = frame.sum(axis=-1) > 0.7 * np.median(frame[paint].sum(axis=-1))
+    assert sunlit[paint].mean() > 0.99
+    # Below the edge of the bonnet a column shows nothing but the car.
+    dashboard = frame.sum(axis=-1) < 90
+    below = np.maximum.accumulate(paint, axis=0)
+    assert (paint | dashboard)[below].mean() > 0.99
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_other_cameras_see_the_roof_again(fleet, name):
+    before = fleet(name, "agent0/chase")
+    fleet(name, "agent0/driver")
+    # The light of a first picture by another camera differs a little.
+    np.testing.assert_allclose(fleet(name, "agent0/chase"), before, atol=20)

@@ -22,7 +22,11 @@ TAXI = dataclasses.replace(
 STUB = dataclasses.replace(COMPACT, rear_overhang=COMPACT.wheel_radius, length=3.9)
 OWN = {"taxi": TAXI, "stub": STUB}
 CARS = [pytest.param(p, id=n) for n, p in (PRESETS | OWN).items()]
-SEEN = ("body", "glass", "headlights", "tail_lights", "trim", "tyres", "rims")
+SEEN = (
+    *("body", "cage", "glass", "headlights", "tail_lights", "trim"),
+    "tyres",
+    "rims",
+)
 
 
 def whole(params):
@@ -110,7 +114,7 @@ def test_silhouettes_tell_the_presets_apart():
         """Of roof or bonnet above a point this share of the length behind the nose."""
         x = params.length * (1 - share) - params.rear_overhang
         top = 0.0
-        for part in ("body", "glass"):
+        for part in ("body", "cage", "glass"):
             mesh = car_meshes(params)[part]
             cut = mesh.section(plane_origin=(x, 0, 0), plane_normal=(1, 0, 0))
             if cut is not None:
