@@ -26,7 +26,6 @@ class ParkedLimits:
         slack: smallest margin of a bay's length and width over those of a fleet's car
             for the bay to be its goal [m]; ending within the lines takes some room to
             steer.
-        source: where the limits come from.
     """
 
     offset: float | None = None
@@ -37,28 +36,18 @@ class ParkedLimits:
     speed: float | None = None
     before_crash: bool = False
     slack: float = 0.0
-    source: str = ""
 
 
 PARKED_RULES: dict[ParkedRule, ParkedLimits] = {
-    "tanner": ParkedLimits(
-        offset=1.001 * WORLD_UNIT,
-        before_crash=True,
-        source="reference implementation of Tanner 2022",
-    ),
+    # The reference implementation of Tanner 2022.
+    "tanner": ParkedLimits(offset=1.001 * WORLD_UNIT, before_crash=True),
     "strict": ParkedLimits(
         inside_lines=True, heading=math.radians(5.0), speed=0.2, slack=0.1
     ),
-    "precise": ParkedLimits(
-        distance=0.2,
-        heading=math.radians(3.0),
-        speed=0.05,
-        source="ParkBench's 0.2 m and 3 deg",
-    ),
-    "metadrive": ParkedLimits(
-        from_end=5.0,
-        source="MetaDrive's arrival: 5 m about the end of the last lane",
-    ),
+    # ParkBench's 0.2 m and 3 degrees.
+    "precise": ParkedLimits(distance=0.2, heading=math.radians(3.0), speed=0.05),
+    # MetaDrive's arrival: 5 m about the end of the last lane.
+    "metadrive": ParkedLimits(from_end=5.0),
 }
 
 
