@@ -1,5 +1,6 @@
 """Refusals in one sentence, shared by the configs."""
 
+import dataclasses
 import math
 import numbers
 from typing import Any, get_args
@@ -77,6 +78,20 @@ def require_kinds(config: object, **kinds: Any) -> None:
             known = kind.__args__ if hasattr(kind, "__args__") else (kind,)
             allowed = " or ".join(cls.__name__ for cls in known)
             raise ValueError(f"{name} must be of {allowed}, not {value!r}")
+
+
+def require_switches(config: Any, path: str = "") -> None:
+    """Refuses attributes declared `bool` that are something else, in nested ones too.
+
+    Raises:
+        ValueError: naming the attribute and its value.
+    """
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if field.type is bool and type(value) is not bool:
+            raise ValueError(f"{path}{field.name} must be True or False, not {value!r}")
+        if dataclasses.is_dataclass(value):
+            require_switches(value, f"{path}{field.name}.")
 
 
 def _is_finite(value: Any) -> bool:

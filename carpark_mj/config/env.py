@@ -8,6 +8,7 @@ from carpark_mj.config.checks import (
     choose,
     require_kinds,
     require_range,
+    require_switches,
     whole,
 )
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
@@ -124,6 +125,7 @@ class EnvConfig:
             sensors=SensorConfig,
             metrics=MetricsConfig,
         )
+        require_switches(self)
         whole(self, 1, "num_agents")
         if self.min_agents is not None:
             whole(self, 1, "min_agents")

@@ -35,6 +35,16 @@ IMPOSSIBLE = [
     (SimConfig, {"sim_dt": 1e-12}, "sim_dt must be at least ctrl_dt / 10000, 2e-05 s"),
     (EnvConfig, {"num_agents": 2.5}, "num_agents must be a whole number, not 2.5"),
     (EnvConfig, {"num_agents": True}, "num_agents must be a whole number, not True"),
+    (
+        EnvConfig,
+        {"goals": GoalConfig(dynamic="no")},
+        "goals.dynamic must be True or False, not 'no'",
+    ),
+    (
+        EnvConfig,
+        {"observation": ContinuousObservation(share=ShareConfig(steering=1))},
+        "observation.share.steering must be True or False, not 1",
+    ),
     (EpisodeConfig, {"max_steps": "9"}, "max_steps must be a whole number, not '9'"),
     (RewardConfig, {"park": "much"}, "park must be at least 0.0, not much"),
     (EnvConfig, {"reward": "tanner"}, "reward must be of RewardConfig, not 'tanner'"),
