@@ -1,7 +1,8 @@
 """What `python eval/evaluate.py` does: whole episodes on held-out seeds, reported."""
 
 import dataclasses
-import re
+import hashlib
+import urllib.parse
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.cli.driver import Driver, adapt, find_driver
-from carpark_mj.config import EnvConfig, MetricsConfig, ParkedRule, PhysicsName
+from carpark_mj.config import MetricsConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.report import print_report, write_evaluation
 from carpark_mj.evaluation.rollout import Evaluation, evaluate
@@ -17,6 +18,7 @@ from carpark_mj.policy.checkpoints import require_writable
 
 # Settings with which an evaluation is still of the run's own task.
 SAME_TASK = ("run", "policy", "episodes", "span", "seed", "out")
+MAX_NAME = 150  # characters of a folder's name; file systems allow 255
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +95,7 @@ class Task:
 
     name: str
     driver: Driver
-    env: EnvConfig
+    env: ParkingEnv
     folder: Path
 
 
@@ -106,9 +108,8 @@ def main(config: EvaluateConfig) -> Evaluation:
         OSError: the output folder cannot be written.
     """
     task = prepare(config)
-    env = ParkingEnv(task.env)
-    policy = task.driver.policy(env)
-    result = evaluate(env, policy, config.episodes, config.seed, span=config.span)
+    policy = task.driver.policy(task.env)
+    result = evaluate(task.env, policy, config.episodes, config.seed, span=config.span)
     report(config, task, result)
     return result
 
@@ -128,8 +129,7 @@ def prepare(config: EvaluateConfig) -> Task:
         )
     name = config.run or config.policy
     driver = find_driver(name, config.environment, not config.stochastic)
-    folder = Path(config.out) if config.out else driver.folder / subfolder(config)
-    env = adapt(
+    changed = adapt(
         driver.env,
         rule=config.rule,
         hitbox_scale=config.hitbox_scale,
@@ -141,31 +141,39 @@ def prepare(config: EvaluateConfig) -> Task:
         physics=config.physics,
         metrics=MetricsConfig(driving=True, safety=True),
     )
+    env = ParkingEnv(changed)
+    own = dataclasses.replace(changed, metrics=driver.env.metrics) == driver.env
+    own = own and not (config.environment or config.stochastic)
+    folder = driver.folder if own else driver.folder / subfolder(config)
+    folder = Path(config.out) if config.out else folder
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "evaluation.csv")  # refused before the work
     return Task(name, driver, env, folder)
 
 
 def subfolder(config: EvaluateConfig) -> Path:
-    """Where in a run's folder results go: into itself if the task is the run's own."""
+    """Where in a run's folder results of another task go, by the flags that make it."""
     changes = [
         f"{field.name}-{value}"
         for field in dataclasses.fields(config)
         if (value := getattr(config, field.name)) != field.default
         and field.name not in SAME_TASK
     ]
-    if not changes:
-        return Path()
-    return Path("evaluations") / re.sub(r"[^\w.,-]+", "-", "_".join(changes))
+    name = urllib.parse.quote("_".join(changes), safe=",")
+    if len(name) > MAX_NAME:
+        digest = hashlib.sha256(name.encode()).hexdigest()[:8]
+        name = f"{name[: MAX_NAME - 9]}-{digest}"
+    return Path("evaluations") / name
 
 
 def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
     """Prints the table and writes the files."""
-    counts, rule = task.env.agent_counts, task.env.episode.parked_rule
+    env = task.env.config
+    counts, rule = env.agent_counts, env.episode.parked_rule
     agents = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[-1]}"
     title = (
-        f"{task.name}: {agents} agents, {rule} rule, {task.env.layout} lot, "
-        f"{task.env.physics} physics, seed {config.seed}"
+        f"{task.name}: {agents} agents, {rule} rule, {env.layout} lot, "
+        f"{env.physics} physics, seed {config.seed}"
     )
     print_report(result, title)
     settings = {**dataclasses.asdict(config), "policy": task.name}

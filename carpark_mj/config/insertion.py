@@ -20,13 +20,14 @@ def insert(config: Config, values: Mapping[str, Any]) -> Config:
     """
     new = copy.copy(config)
     for path, value in values.items():
-        name, _, rest = path.partition(".")
-        settings = [field.name for field in dataclasses.fields(new)]
+        name, dot, rest = path.partition(".")
+        is_config = dataclasses.is_dataclass(new)
+        settings = [x.name for x in dataclasses.fields(new)] if is_config else []
         if name not in settings:
             raise ValueError(
                 f"{type(config).__name__} has no setting {name!r}: it has "
-                f"{', '.join(settings)}"
+                f"{', '.join(settings) or 'none'}"
             )
-        value = insert(getattr(new, name), {rest: value}) if rest else value
+        value = insert(getattr(new, name), {rest: value}) if dot else value
         object.__setattr__(new, name, value)  # it is frozen
     return new

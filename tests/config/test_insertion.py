@@ -17,6 +17,8 @@ def test_values_are_found_by_their_paths_and_the_config_stays_as_it_is():
     ("path", "sentence"),
     [
         ("rewards.park", "EnvConfig has no setting 'rewards': it has layout, vehicle"),
+        ("reward.park.x", "float has no setting 'x': it has none"),
+        ("reward.", "RewardConfig has no setting '': it has park"),
         ("reward.parking", "RewardConfig has no setting 'parking': it has park, final"),
     ],
 )

@@ -10,6 +10,7 @@ import pytest
 from carpark_mj.cli.driver import Driver
 from carpark_mj.cli.evaluate import EvaluateConfig, Task, report, subfolder
 from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import OUTCOMES, summarise
 from carpark_mj.evaluation.report import (
     print_groups,
@@ -132,8 +133,8 @@ def test_a_fleet_has_a_table_by_kind_of_car(plain, tmp_path):
 
 @pytest.mark.parametrize("flag", ["run", "policy"])
 def test_the_file_names_the_policy_however_it_was_given(flag, plain, tmp_path):
-    config, env = EvaluateConfig(**{flag: "runs/a"}), EnvConfig()
-    driver = Driver(env, tmp_path, lambda env: pytest.fail("drove"))
+    config, env = EvaluateConfig(**{flag: "runs/a"}), ParkingEnv(EnvConfig())
+    driver = Driver(env.config, tmp_path, lambda env: pytest.fail("drove"))
     report(config, Task("runs/a", driver, env, tmp_path), plain)
     stored = json.loads((tmp_path / "evaluation.json").read_text())
     assert stored["settings"]["policy"] == "runs/a"
@@ -141,18 +142,27 @@ def test_the_file_names_the_policy_however_it_was_given(flag, plain, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("flags", "folder"),
+    ("flags", "name"),
     [
-        ({"episodes": 5, "seed": 3}, "."),
-        ({"num_agents": 1}, "evaluations/num_agents-1"),
+        ({"num_agents": 1, "seed": 3}, "num_agents-1"),
         (
-            {"rule": "strict", "layout": "street,lots/my yard.json"},
-            "evaluations/rule-strict_layout-street,lots-my-yard.json",
+            {"rule": "strict", "layout": "street,my/yard.json"},
+            "rule-strict_layout-street,my%2Fyard.json",
         ),
+        ({"layout": "my-yard.json"}, "layout-my-yard.json"),
     ],
 )
-def test_another_task_has_its_own_folder_in_that_of_the_run(flags, folder):
-    assert subfolder(EvaluateConfig(run="runs/a", **flags)) == Path(folder)
+def test_results_of_another_task_go_to_a_folder_named_by_its_flags(flags, name):
+    found = subfolder(EvaluateConfig(run="runs/a", **flags))
+    assert found == Path("evaluations") / name
+
+
+def test_folders_of_long_flags_differ_and_can_be_made(tmp_path):
+    layouts = [",".join(["street"] * 60 + [last]) for last in ("lot", "angled")]
+    found = {subfolder(EvaluateConfig("runs/a", layout=name)) for name in layouts}
+    assert len(found) == 2
+    for folder in found:
+        (tmp_path / folder).mkdir(parents=True)
 
 
 def test_names_are_printed_as_they_are(plain, capsys):

@@ -18,7 +18,7 @@ UPDATES = 200
 COMMAND = (
     *(sys.executable, str(ROOT / "train/sweep.py"), "--base", "cpu", "--name", "tiny"),
     # In one process, so that the kill leaves none behind.
-    *("--cluster", "debug", "--set", "discount=0.9,0.99", "minutes=0"),
+    *("--stochastic", "--cluster", "debug", "--set", "discount=0.9,0.99", "minutes=0"),
     *("num_lots=4", "num_minibatches=2", "unroll_length=4", "num_agents=1"),
     *(f"num_steps={16 * UPDATES}", "checkpoint_updates=20", "eval_episodes=4"),
     *("num_parked_cars=4", "sim_dt=0.02", "physics=bicycle"),
@@ -80,7 +80,10 @@ def test_a_killed_sweep_goes_on_from_its_checkpoints(killed):
     assert all(0 <= float(row["parked"]) <= 1 for row in table)
     evaluate.main(
         evaluate.EvaluateConfig(
-            str(sweep / "runs" / NAMES[1]), episodes=4, out=str(folder / "alone")
+            str(sweep / "runs" / NAMES[1]),
+            episodes=4,
+            stochastic=True,
+            out=str(folder / "alone"),
         )
     )
     alone = rows(folder / "alone/evaluation.csv")

@@ -165,6 +165,31 @@ def test_nothing_is_written_into_the_package(shipped):
         assert find_driver(name).folder == Path("runs/tiny")
 
 
+@pytest.mark.parametrize(
+    ("flags", "folder"),
+    [
+        ({}, "runs/tiny"),
+        (
+            {"num_agents": 2, "layout": "tanner", "rule": "strict"},
+            "runs/tiny",
+        ),  # its own
+        ({"num_agents": 1}, "runs/tiny/evaluations/num_agents-1"),
+        ({"stochastic": True}, "runs/tiny/evaluations/stochastic-True"),
+        ({"stochastic": True, "out": "mine"}, "mine"),
+    ],
+)
+def test_evaluations_of_another_task_do_not_replace_the_own_one(shipped, flags, folder):
+    task = evaluate.prepare(evaluate.EvaluateConfig(run="tiny", **flags))
+    assert task.folder == Path(folder)
+    assert task.folder.is_dir()
+
+
+def test_a_refused_evaluation_leaves_no_folder(shipped):
+    with pytest.raises(ValueError, match="num_agents must be at most"):
+        evaluate.prepare(evaluate.EvaluateConfig(run="tiny", num_agents=500))
+    assert not Path("runs/tiny/evaluations/num_agents-500").exists()
+
+
 @pytest.mark.parametrize(("agents", "parked"), [(1, 0), (3, 9)])
 def test_a_set_encoder_drives_with_any_number_of_cars(shipped, agents, parked):
     driver = find_driver("tiny")

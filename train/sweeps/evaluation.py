@@ -6,7 +6,6 @@ from pathlib import Path
 import jax
 
 from carpark_mj.cli.evaluate import EvaluateConfig, prepare, report
-from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.rollout import Evaluator
 from carpark_mj.policy.acting import AnyPolicy
 from learners.ppo.config import PPOConfig
@@ -27,17 +26,19 @@ class GroupEvaluation:
         self._first: tuple[Evaluator, AnyPolicy] | None = None
 
     def __call__(self, config: PPOConfig, folder: Path) -> None:
-        """Evaluates a run as `python eval/evaluate.py FOLDER` does."""
+        """Evaluates a run as `eval/evaluate.py FOLDER --out FOLDER` does."""
         if not config.eval_episodes:
             return
         settings = EvaluateConfig(
-            str(folder), episodes=config.eval_episodes, stochastic=self._stochastic
+            str(folder),
+            episodes=config.eval_episodes,
+            stochastic=self._stochastic,
+            out=str(folder),
         )
         task = prepare(settings)
-        env = ParkingEnv(task.env)
-        policy = task.driver.policy(env)
+        policy = task.driver.policy(task.env)
         if self._first is None:
-            self._first = Evaluator(env), policy
+            self._first = Evaluator(task.env), policy
         evaluator, first = self._first
         own = dict(list_settings(config))
         result = evaluator.evaluate(
