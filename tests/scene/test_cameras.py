@@ -136,9 +136,13 @@ def test_no_pillar_and_no_shadow_of_the_roof_cuts_the_driver_s_view(fleet, name)
     assert (paint | dashboard)[below].mean() > 0.99
 
 
-@pytest.mark.parametrize("name", PRESETS)
-def test_other_cameras_see_the_roof_again(fleet, name):
-    before = fleet(name, "agent0/chase")
-    fleet(name, "agent0/driver")
-    # The light of a first picture by another camera differs a little.
-    np.testing.assert_allclose(fleet(name, "agent0/chase"), before, atol=20)
+def test_other_cameras_see_the_roof_again():
+    kind = PRESETS["compact"]
+    renderer = LotRenderer(Stage(LAYOUT, kind, 1, 0), "driver:0", (160, 120))
+    before = renderer.model.geom_group.copy()
+    try:
+        renderer.place(SEEN)
+        renderer.draw(SEEN, "agent0/driver")
+        np.testing.assert_array_equal(renderer.model.geom_group, before)
+    finally:
+        renderer.close()
