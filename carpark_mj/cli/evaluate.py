@@ -141,11 +141,11 @@ def prepare(config: EvaluateConfig) -> Task:
         physics=config.physics,
         metrics=MetricsConfig(driving=True, safety=True),
     )
-    env = ParkingEnv(changed)
-    own = dataclasses.replace(changed, metrics=driver.env.metrics) == driver.env
-    own = own and not (config.environment or config.stochastic)
-    folder = driver.folder if own else driver.folder / subfolder(config)
-    folder = Path(config.out) if config.out else folder
+    env = ParkingEnv(changed)  # what it refuses leaves no folder
+    same = dataclasses.replace(changed, metrics=driver.env.metrics) == driver.env
+    own_task = same and not config.environment and not config.stochastic
+    default = driver.folder if own_task else driver.folder / subfolder(config)
+    folder = Path(config.out) if config.out else default
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "evaluation.csv")  # refused before the work
     return Task(name, driver, env, folder)

@@ -11,13 +11,11 @@ from helpers.scenes import cars, lot, moved, moved_cars
 from helpers.states import HandPhysics, hand_cars
 from helpers.transitions import no_events, transition
 
-from carpark_mj.config import EnvConfig, GridConfig, RewardConfig, reward_preset
+from carpark_mj.config import EnvConfig, RewardConfig, reward_preset
 from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp.progress import goal_potential
-from carpark_mj.mdp.rewards import TERMS, Effort, effort, reward_terms, term_names
-from carpark_mj.physics.grid import GridPhysics, GridState
-from carpark_mj.vehicle import COMPACT, make_vehicle
+from carpark_mj.mdp.rewards import TERMS, reward_terms, term_names
 
 TANNER = reward_preset("tanner")
 SHAPED = reward_preset("shaped")
@@ -349,56 +347,3 @@ def test_smoothness_can_count_times_the_speed():
     got = terms(by_speed, before, after, GOAL)["smoothness"]
     expected = -0.05 / MAX_STEPS * np.abs(speed) / 3.0
     np.testing.assert_allclose(got, expected, atol=1e-9)
-
-
-# On the grid
-
-FINE = GridConfig()  # 24 headings, turns of up to 3, levels -2 to 4
-
-
-def grid_cars(points, level=0, turn=0):
-    """The grid's cars (n,) at points, as its physics shows them."""
-    physics = GridPhysics(FINE, PHYSICAL.sim)
-    count = len(points)
-    vehicle = jax.tree.map(
-        lambda x: jnp.broadcast_to(x, (count, *x.shape)), make_vehicle(COMPACT)
-    )
-    zero = jnp.zeros(count, jnp.int32)
-    return physics.read(
-        GridState(
-            point=jnp.asarray(points, jnp.int32),
-            level=zero + jnp.asarray(level, jnp.int32),
-            heading=zero,
-            turn=zero + jnp.asarray(turn, jnp.int32),
-            vehicle=vehicle,
-        )
-    )
-
-
-def test_effort_on_the_grid_is_turn_and_level_over_the_most_there_are():
-    still, turn, level = grid_cars([(0, 0)] * 5), [-3, -1, 0, 2, 3], [4, 2, 0, -1, -2]
-    after = grid_cars([(0, 0)] * 5, level, turn)
-    config = EnvConfig(physics="grid", num_agents=5)
-    got = effort(config, step(config, still, after))
-    np.testing.assert_allclose(got.turn, [1, 1 / 3, 0, 2 / 3, 1], atol=1e-6)
-    np.testing.assert_allclose(got.speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
-
-
-def test_a_car_that_obeys_at_once_turns_from_lock_to_lock_at_most():
-    lock = float(hand_cars(cars([(0.0, 0.0, 0.0)])).max_steering[0])
-    poses = [(0.0, 0.0, 0.0)] * 3
-    before = cars(poses, steering=[lock, lock, lock])
-    after = cars(poses, steering=[lock, 0.0, -lock])
-    config = EnvConfig(physics="highway", vehicle="highway", num_agents=3)
-    got = effort(config, step(config, before, after))
-    np.testing.assert_allclose(got.turn, [0.0, 0.5, 1.0], atol=1e-6)
-
-
-def test_efforts_have_one_number_an_agent():
-    one = grid_cars([(0, 0)] * 4)
-    for physics in ("mjx", "grid"):
-        config = EnvConfig(physics=physics, num_agents=4)
-        got = effort(config, step(config, one, one))
-        assert isinstance(got, Effort)
-        assert got.turn.shape == got.speed.shape == (4,)
-        assert got.turn.dtype == got.speed.dtype == jnp.float32

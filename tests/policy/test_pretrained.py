@@ -169,10 +169,7 @@ def test_nothing_is_written_into_the_package(shipped):
     ("flags", "folder"),
     [
         ({}, "runs/tiny"),
-        (
-            {"num_agents": 2, "layout": "tanner", "rule": "strict"},
-            "runs/tiny",
-        ),  # its own
+        ({"num_agents": 2, "rule": "strict"}, "runs/tiny"),  # as in its own task
         ({"num_agents": 1}, "runs/tiny/evaluations/num_agents-1"),
         ({"stochastic": True}, "runs/tiny/evaluations/stochastic-True"),
         ({"stochastic": True, "out": "mine"}, "mine"),

@@ -107,17 +107,17 @@ def test_the_driver_sees_sky_asphalt_and_bonnet_not_the_inside_of_the_body(name)
 
 @pytest.fixture(scope="module")
 def fleet():
-    """Draws by a camera an agent that drives a preset, one of all of them."""
+    """Draws the view of an agent that drives a preset, one of all of them."""
     kinds = list(PRESETS.values())
     renderer = LotRenderer(
         Stage(LAYOUT, kinds[0], 1, 0, kinds), "driver:0", (1280, 720)
     )
 
-    def draw(name, camera):
+    def draw(name):
         size = np.float32([[PRESETS[name].length, PRESETS[name].width]])
         seen = dataclasses.replace(SEEN, size=size)
         renderer.place(seen)
-        return renderer.draw(seen, camera).astype(float)
+        return renderer.draw(seen, "agent0/driver").astype(float)
 
     yield draw
     renderer.close()
@@ -125,7 +125,7 @@ def fleet():
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_no_pillar_and_no_shadow_of_the_roof_cuts_the_driver_s_view(fleet, name):
-    frame = fleet(name, "agent0/driver")
+    frame = fleet(name)
     paint = has_hue(frame, agent_colour(0)) & (frame.sum(axis=-1) > 90)
     paint[: len(paint) // 2] = False  # sky
     sunlit = frame.sum(axis=-1) > 0.7 * np.median(frame[paint].sum(axis=-1))
