@@ -5,7 +5,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import EnvConfig, FleetConfig, ParkedRule
+from carpark_mj.config import (
+    EnvConfig,
+    FleetConfig,
+    ParkedRule,
+    RandomizationConfig,
+    SensorConfig,
+)
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fleet.checks import parked_cars_needed
 from carpark_mj.layouts import layout_config
@@ -92,9 +98,12 @@ def adapt(
     env: EnvConfig,
     rule: ParkedRule | None = None,
     hitbox_scale: float | None = None,
+    nominal: bool = False,
     **changes: Any,
 ) -> EnvConfig:
     """The environment with the settings that are not None replaced.
+
+    `nominal` turns the noise and delay of sensors and the randomization of cars off.
 
     A number of agents is that of every lot, unless `min_agents` is given too, and so is
     one of parked cars, instead of an occupancy; in another layout an occupancy has as
@@ -105,6 +114,8 @@ def adapt(
     episode = {name: value for name, value in episode.items() if value is not None}
     if episode:
         changes["episode"] = dataclasses.replace(env.episode, **episode)
+    if nominal:
+        changes |= {"sensors": SensorConfig(), "randomization": RandomizationConfig()}
     given = {name: value for name, value in changes.items() if value is not None}
     if "num_agents" in given:
         given.setdefault("min_agents", None)

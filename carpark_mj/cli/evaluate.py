@@ -49,6 +49,8 @@ class EvaluateConfig:
         num_parked_cars: number of parked cars; default: that of the run.
         physics: back end; default: that of the run. With `scene`, crashes are contacts
             in one MuJoCo world.
+        nominal: cars as their presets have them, observed without noise and delay,
+            whatever the run's environment randomizes.
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
             for a baseline or a pretrained policy, and in that a folder of
@@ -69,6 +71,7 @@ class EvaluateConfig:
     layout: str | None = None
     num_parked_cars: int | None = None
     physics: PhysicsName | None = None
+    nominal: bool = False
     stochastic: bool = False
     out: str = ""
 
@@ -133,6 +136,7 @@ def prepare(config: EvaluateConfig) -> Task:
         driver.env,
         rule=config.rule,
         hitbox_scale=config.hitbox_scale,
+        nominal=config.nominal,
         num_agents=config.num_agents,
         min_agents=config.min_agents,
         num_parked_cars=config.num_parked_cars,

@@ -1,6 +1,7 @@
 """Metrics of many episodes together, exact whatever batches they came in."""
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
@@ -66,8 +67,8 @@ def summarise(rows: Sequence[Row]) -> dict[str, Any]:
 def pool(metric: Metric, rows: Sequence[Row]) -> float | dict[str, float]:
     """A metric of many episodes (completed rows); NaN if none of them has it.
 
-    Rates come with Wilson's 95 % interval and the count. Quantiles are numbers of an
-    episode, not in between two.
+    Rates come with Wilson's 95 % interval for `effective_episodes` and the count.
+    Quantiles are numbers of an episode, not in between two.
     """
     if metric.pool == "steps" and metric.ratio is not None:
         above, below = (math.fsum(row[name] for row in rows) for name in metric.ratio)
@@ -76,13 +77,51 @@ def pool(metric: Metric, rows: Sequence[Row]) -> float | dict[str, float]:
     values = [row[metric.name] for row in among if not math.isnan(row[metric.name])]
     if metric.pool == "rate":
         count = math.fsum(values)
-        low, high = wilson_interval(count, len(values))
-        return {"rate": _mean(values), "low": low, "high": high, "count": count}
+        rate, trials = _mean(values), effective_episodes(metric.name, among)
+        low, high = wilson_interval(rate * trials, trials)
+        return {"rate": rate, "low": low, "high": high, "count": count}
     if metric.pool == "least":
         return _quantiles(values, {"median": 0.5, "p5": 0.05, "min": 0.0})
     if metric.pool == "most":
         return _quantiles(values, {"median": 0.5, "p95": 0.95, "max": 1.0})
     return _mean(values)
+
+
+def effective_episodes(name: str, rows: Sequence[Row]) -> float:
+    """Number of independent episodes that would tell as much about a rate.
+
+    Episodes of a lot are alike: two agents crash together, and a lot may be narrow. It
+    is their number over the design effect (Kish 1965, at least 1): the variance of the
+    rate with lots as clusters, in strata of a family and a number of agents, over that
+    of independent episodes. Episodes without a lot, or all of one lot, count in full.
+
+    Args:
+        name: of a rate.
+        rows: episodes; NaN in `name` is left out.
+    """
+    rows = [row for row in rows if not math.isnan(row[name])]
+    values = [row[name] for row in rows]
+    strata: dict[Any, dict[Any, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for index, row in enumerate(rows):
+        stratum = row.get("family"), row.get("agents_present")
+        strata[stratum][row.get("lot", -1 - index)].append(row[name])
+    rate, count = _mean(values), len(values)
+    if not 0 < rate < 1 or sum(map(len, strata.values())) == 1:
+        return count
+    found = math.fsum(_variance(list(lots.values()), rate) for lots in strata.values())
+    independent = _variance([[value] for value in values], rate)
+    return count / max(1.0, found / independent)
+
+
+def _variance(lots: Sequence[Sequence[float]], rate: float) -> float:
+    """Variance of a stratum's sum, estimated from its lots (Cochran 1977, ch. 11).
+
+    A single lot is compared with the rate of all strata.
+    """
+    own = _mean([value for lot in lots for value in lot]) if len(lots) > 1 else rate
+    deviations = [math.fsum(lot) - own * len(lot) for lot in lots]
+    scale = len(lots) / (len(lots) - 1) if len(lots) > 1 else 1.0
+    return scale * math.fsum(deviation**2 for deviation in deviations)
 
 
 def wilson_interval(successes: float, trials: float) -> tuple[float, float]:

@@ -64,6 +64,16 @@ def test_rule_and_hitboxes_are_set_alone_and_together():
     assert adapt(RUN).episode == RUN.episode
 
 
+def test_nominal_cars_are_observed_as_they_are():
+    assert ANYWHERE.sensors.is_on
+    nominal = adapt(ANYWHERE, nominal=True, physics="highway", vehicle="compact")
+    assert not nominal.sensors.is_on
+    assert not nominal.randomization.is_on
+    assert adapt(ANYWHERE, num_agents=2).sensors == ANYWHERE.sensors
+    with pytest.raises(ValueError, match="randomization has no effect in highway"):
+        adapt(ANYWHERE, physics="highway", vehicle="compact")
+
+
 def test_a_trained_policy_observes_another_task_as_in_training():
     env, own = find_driver("anywhere", "metadrive").env, find_driver("anywhere").env
     assert (env.observation, env.reward) == (own.observation, own.reward)

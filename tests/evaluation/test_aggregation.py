@@ -10,6 +10,7 @@ from carpark_mj.evaluation.aggregation import (
     HITS,
     OUTCOMES,
     complete_row,
+    effective_episodes,
     pool,
     summarise,
     wilson_interval,
@@ -189,3 +190,71 @@ def test_wilson_intervals_match_published_values():
     assert high == pytest.approx(0.1611, abs=1e-4)  # z^2 / (n + z^2)
     assert wilson_interval(20, 20)[1] == 1.0
     assert wilson_interval(0, 0) == (0.0, 1.0)
+
+
+def in_lots(outcomes, **stratum):
+    """Episodes with `parked` as given for each lot."""
+    return [
+        episode(parked=float(parked), lot=float(lot), **stratum)
+        for lot, episodes in enumerate(outcomes)
+        for parked in episodes
+    ]
+
+
+def test_episodes_that_repeat_those_of_their_lots_tell_nothing_new():
+    rng = np.random.default_rng(1)
+    lots = rng.uniform(size=(40, 5)) < rng.uniform(0.2, 1, size=(40, 1))
+    one = effective_episodes("parked", in_lots(lots))
+    assert 50 < one < 180
+    five = effective_episodes("parked", in_lots(np.tile(lots, 5)))
+    assert five == pytest.approx(one, rel=0.01)  # 199 / 200 and 999 / 1000
+    alike = in_lots(np.repeat(lots[:, :1], 9, axis=1))
+    assert effective_episodes("parked", alike) == pytest.approx(39 * 360 / 359)
+
+
+def test_two_lots_of_three_episodes_by_hand():
+    # Variance of the sum of six independent ones: 6 / 5 times 6 / 4, 1.8. Of the lots:
+    # deviations 2 - 1.5 and 1 - 1.5, 2 (0.25 + 0.25) = 1, but none counts for more.
+    assert effective_episodes("parked", in_lots([[1, 1, 0], [1, 0, 0]])) == 6
+    # Deviations of 1.5: 2 (2.25 + 2.25) = 9, five times 1.8.
+    apart = in_lots([[1, 1, 1], [0, 0, 0]])
+    assert effective_episodes("parked", apart) == pytest.approx(6 / 5)
+    # One lot in a family says nothing about how its lots vary: 4.5.
+    families = [row | {"family": "ab"[int(row["lot"])]} for row in apart]
+    assert effective_episodes("parked", families) == pytest.approx(6 / 2.5)
+
+
+def test_differences_between_families_leave_no_doubt_about_a_rate():
+    rows = in_lots([[1, 1, 1, 1, 0]] * 10 + [[1, 0, 0, 0, 0]] * 10)
+    apart = [row | {"family": "ab"[row["lot"] >= 10]} for row in rows]
+    assert effective_episodes("parked", apart) == 100
+    assert effective_episodes("parked", rows) < 60
+    narrow, wide = (pool(BY_NAME["parked"], some) for some in (apart, rows))
+    assert narrow["rate"] == wide["rate"] == 0.5
+    pairs = [[1, 1], [0, 0]] * 10  # as two agents that crash together
+    wide = pool(BY_NAME["parked"], in_lots(pairs))
+    low, high = wilson_interval(10, 20)  # of 20 pairs, not 40 episodes
+    assert (wide["low"], wide["high"]) == pytest.approx((low, high), abs=0.01)
+
+
+@pytest.mark.parametrize("outcomes", [[[1, 1]] * 3, [[0, 0]] * 3, [[1, 0, 1, 0]]])
+def test_episodes_count_in_full_where_lots_do_not_differ(outcomes):
+    rows = in_lots(outcomes)
+    assert effective_episodes("parked", rows) == len(rows)
+    without = [{"parked": row["parked"], "crashed": math.nan} for row in rows]
+    assert effective_episodes("parked", without) == pytest.approx(len(rows))
+    assert effective_episodes("crashed", without) == 0
+
+
+def test_intervals_of_lots_that_differ_cover_the_rate():
+    rng = np.random.default_rng(2)
+    covered, as_if_independent, trials = 0, 0, 300
+    for _ in range(trials):
+        rates = rng.beta(18, 2, size=60)  # 0.9 on average
+        lots = rng.uniform(size=(60, 30)) < rates[:, None]
+        rate = pool(BY_NAME["parked"], in_lots(lots))
+        covered += rate["low"] <= 0.9 <= rate["high"]
+        low, high = wilson_interval(rate["count"], 1800)
+        as_if_independent += low <= 0.9 <= high
+    assert 0.92 < covered / trials < 0.98
+    assert as_if_independent / trials < 0.85

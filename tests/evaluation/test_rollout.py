@@ -8,7 +8,11 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig, insert
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.aggregation import OUTCOMES, wilson_interval
+from carpark_mj.evaluation.aggregation import (
+    OUTCOMES,
+    effective_episodes,
+    wilson_interval,
+)
 from carpark_mj.evaluation.rollout import Evaluator, allot, evaluate
 from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
@@ -149,7 +153,8 @@ def test_families_are_summed_up_apart_and_add_up(mixed):
         for outcome in OUTCOMES:
             rate = summary[outcome]
             assert rate["count"] == sum(row[outcome] for row in rows)
-            expected = wilson_interval(rate["count"], len(rows))
+            trials = effective_episodes(outcome, rows)
+            expected = wilson_interval(rate["rate"] * trials, trials)
             assert (rate["low"], rate["high"]) == expected
     for outcome in OUTCOMES:
         total = sum(summary[outcome]["count"] for summary in mixed.families.values())

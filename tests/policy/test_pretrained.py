@@ -171,6 +171,7 @@ def test_nothing_is_written_into_the_package(shipped):
         ({}, "runs/tiny"),
         ({"num_agents": 2, "rule": "strict"}, "runs/tiny"),  # as in its own task
         ({"num_agents": 1}, "runs/tiny/evaluations/num_agents-1"),
+        ({"nominal": True}, "runs/tiny"),  # nothing to turn off
         ({"stochastic": True}, "runs/tiny/evaluations/stochastic-True"),
         ({"stochastic": True, "out": "mine"}, "mine"),
     ],

@@ -32,8 +32,7 @@ from learners.ppo.curriculum_config import CurriculumConfig
 # What all policies that drive real cars share; docs/results.md says what was tried.
 _CURRICULUM = CurriculumConfig(crash_scale=3.0, crash_ratio=0.3, discount_end=0.998)
 # Meant to end within a quarter of an hour, evaluation and video included. On two cores
-# learning takes the time: small networks, and two epochs for more steps. `square`,
-# `dynamic` and `hope` have not been trained with this `min_std`.
+# learning takes the time: small networks, and two epochs for more steps.
 _CPU = PPOConfig(
     preset="cpu",
     num_steps=50_000_000,
@@ -53,17 +52,19 @@ _SQUARE = PPOConfig(
     learning_rate_end=3e-5,
     entropy_cost_end=3e-4,
     curriculum=_CURRICULUM,
-    networks=NetworkConfig((256, 256), (256, 256)),
+    networks=NetworkConfig((256, 256), (256, 256), min_std=0.1),
     # Who parks precisely parks strictly, too, and learns it in the same time.
     env=dataclasses.replace(SQUARE, episode=EpisodeConfig(parked_rule="precise")),
 )
 _GPU = dataclasses.replace(_SQUARE, preset="gpu", minutes=8.0)
-# With chosen goals `crash_ratio` means starts in conflict over a bay: not tried.
+# With chosen goals `crash_ratio` means starts in conflict over a bay: not tried, nor is
+# the `min_std` of the others.
 _DYNAMIC = dataclasses.replace(
     _SQUARE,
     preset="dynamic",
     num_steps=1_000_000_000,
     curriculum=dataclasses.replace(_CURRICULUM, crash_ratio=0.0),
+    networks=NetworkConfig((256, 256), (256, 256)),
     env=DYNAMIC,
 )
 # 2,048 lots fill one GPU; two train with twice as many (docs/policies.md).
