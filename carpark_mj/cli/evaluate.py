@@ -9,11 +9,13 @@ from typing import Annotated
 import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
-from carpark_mj.cli.driver import Driver, adapt, find_driver
+from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import MetricsConfig, ParkedRule, PhysicsName
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.evaluation.report import print_report, write_evaluation
 from carpark_mj.evaluation.rollout import Evaluation, evaluate
+from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.checkpoints import require_writable
 
 # Settings with which an evaluation is still of the run's own task.
@@ -49,8 +51,8 @@ class EvaluateConfig:
         num_parked_cars: number of parked cars; default: that of the run.
         physics: back end; default: that of the run. With `scene`, crashes are contacts
             in one MuJoCo world.
-        nominal: cars as their presets have them, observed without noise and delay,
-            whatever the run's environment randomizes.
+        nominal: without noise and delay of sensors and randomization of the cars,
+            whatever the run's environment has.
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
             for a baseline or a pretrained policy, and in that a folder of
@@ -76,6 +78,7 @@ class EvaluateConfig:
     out: str = ""
 
     def __post_init__(self) -> None:
+        require_seed(self.seed)
         if not 1 <= self.episodes <= MAX_EPISODES:
             raise ValueError(
                 f"episodes must be at least 1 and at most {MAX_EPISODES}, not "
@@ -91,13 +94,13 @@ class Task:
 
     Attributes:
         name: of the policy.
-        driver: the policy.
+        policy: it.
         env: the environment, with what the command line changes.
         folder: of the results.
     """
 
     name: str
-    driver: Driver
+    policy: AnyPolicy
     env: ParkingEnv
     folder: Path
 
@@ -111,8 +114,9 @@ def main(config: EvaluateConfig) -> Evaluation:
         OSError: the output folder cannot be written.
     """
     task = prepare(config)
-    policy = task.driver.policy(task.env)
-    result = evaluate(task.env, policy, config.episodes, config.seed, span=config.span)
+    result = evaluate(
+        task.env, task.policy, config.episodes, config.seed, span=config.span
+    )
     report(config, task, result)
     return result
 
@@ -145,14 +149,15 @@ def prepare(config: EvaluateConfig) -> Task:
         physics=config.physics,
         metrics=MetricsConfig(driving=True, safety=True),
     )
-    env = ParkingEnv(changed)  # what it refuses leaves no folder
+    env = ParkingEnv(changed)
+    policy = driver.policy(env)  # what is refused until here leaves no folder
     same = dataclasses.replace(changed, metrics=driver.env.metrics) == driver.env
     own_task = same and not config.environment and not config.stochastic
     default = driver.folder if own_task else driver.folder / subfolder(config)
     folder = Path(config.out) if config.out else default
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "evaluation.csv")  # refused before the work
-    return Task(name, driver, env, folder)
+    return Task(name, policy, env, folder)
 
 
 def subfolder(config: EvaluateConfig) -> Path:

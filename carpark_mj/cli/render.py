@@ -19,6 +19,7 @@ from carpark_mj.config import (
 )
 from carpark_mj.config.checks import positive
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.policy.checkpoints import require_writable, write_atomically
 from carpark_mj.rendering.gallery import (
     FAMILIES,
@@ -92,6 +93,7 @@ class RenderConfig:
     respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:
+        require_seed(self.seed)
         if bool(self.run) == self.gallery:
             raise ValueError(
                 "give a run folder, zero, random or planner, or --gallery, "

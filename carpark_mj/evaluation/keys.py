@@ -2,6 +2,18 @@
 
 import jax
 
+MAX_SEED = 2**32 - 1  # what a key takes; others would be taken modulo 2**32
+
+
+def require_seed(seed: int) -> None:
+    """Refuses a seed that no key can have.
+
+    Raises:
+        ValueError: it is negative or too large.
+    """
+    if not 0 <= seed <= MAX_SEED:
+        raise ValueError(f"seed must lie in [0, {MAX_SEED}], not {seed}")
+
 
 def training_key(seed: int) -> jax.Array:
     """The key from which a training draws everything."""

@@ -123,7 +123,9 @@ class Evaluator:
         shares, counts = member_shares(env.layout_config), env.config.agent_counts
         mean_count = (counts.start + env.num_agents) / 2
         num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
-        num_lots = max(num_lots, len(shares) * len(counts))
+        # A member gets at least its share, rounded down.
+        rarest = min(shares.values()) / sum(shares.values())
+        num_lots = max(num_lots, math.ceil(round(len(counts) / rarest, 6)))
         num_lots = -(-num_lots // len(counts)) * len(counts)
         lots = Lots(
             member=allot(list(shares.values()), num_lots),

@@ -75,7 +75,7 @@ def load_policy(
     header = checkpoints.read_header(path)
     own, parameters = _read(path, header)
     env = own if env is None else env
-    config = _network_config(header)
+    config = network_config(header)
     _require_fit(run, config, own, env)
     if config is None:
         table = jnp.asarray(parameters["table"][header["best"]])
@@ -120,8 +120,8 @@ def _read(path: Path, header: dict[str, Any]) -> tuple[EnvConfig, Any]:
     return env, checkpoints.load(path, template)
 
 
-def _network_config(header: dict[str, Any]) -> NetworkConfig | None:
-    """Sizes of the networks; None for the tables of Q-learning."""
+def network_config(header: dict[str, Any]) -> NetworkConfig | None:
+    """Networks of a checkpoint with this header; None for the tables of Q-learning."""
     if header.get("algorithm") == Q_LEARNING:
         return None
     return from_dict(NetworkConfig, header["config"]["networks"])
@@ -129,7 +129,7 @@ def _network_config(header: dict[str, Any]) -> NetworkConfig | None:
 
 def _template(header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
     """Shapes of a policy's parameters by kind."""
-    config = _network_config(header)
+    config = network_config(header)
     if config is None:
         states, actions = math.prod(cardinalities(env)), math.prod(env.grid.choices)
         shape = (header["config"]["num_seeds"], states, actions)

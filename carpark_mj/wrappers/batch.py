@@ -22,6 +22,9 @@ from carpark_mj.types import State, TimeStep
 # episodes. A batch restarts as many such groups as it takes.
 _GROUP = 1 / 32
 
+# Of the first lot, each further one has the next; or of each lot. None = drawn.
+Seeds = int | Sequence[int | None] | None
+
 
 class BatchEnv(Protocol):
     """What a batch needs of an environment.
@@ -109,7 +112,7 @@ class Batch:
         """Shape of the actions: lots, agents, size."""
         return self.num_lots, self.env.num_agents, self.env.action_spec.size
 
-    def reset(self, seed: int | Sequence[int] | None = None) -> jax.Array:
+    def reset(self, seed: Seeds = None) -> jax.Array:
         """Begins all lots.
 
         Args:
@@ -192,7 +195,7 @@ class Step(NamedTuple):
 class NumpyBatch(Batch):
     """A batch of NumPy arrays, which are the caller's own to keep and change."""
 
-    def reset_numpy(self, seed: int | Sequence[int] | None = None) -> np.ndarray:
+    def reset_numpy(self, seed: Seeds = None) -> np.ndarray:
         """As `reset`."""
         return np.array(self.reset(seed))
 
@@ -200,14 +203,19 @@ class NumpyBatch(Batch):
         """As `step`.
 
         Raises:
-            ValueError: also if an action is NaN.
+            ValueError: also if an action is NaN, or no integer on the grid.
         """
-        action = np.asarray(action, self.env.action_spec.dtype)
-        if not np.isfinite(action).all():
-            lot, agent, part = np.argwhere(~np.isfinite(action))[0]
+        given = np.asarray(action)
+        require_shape("actions", given, self.action_shape)
+        with np.errstate(invalid="ignore"):  # of NaN as an integer
+            action = given.astype(self.env.action_spec.dtype)
+        whole = np.issubdtype(action.dtype, np.integer)
+        wrong = ~np.isfinite(given) | (whole & (action != given))
+        if wrong.any():
+            lot, agent, part = np.argwhere(wrong)[0]
             raise ValueError(
-                f"actions must be finite numbers, not {action[lot, agent, part]} (lot "
-                f"{lot}, agent {agent})"
+                f"actions must be {'integers' if whole else 'finite numbers'}, not "
+                f"{given[lot, agent, part]} (lot {lot}, agent {agent})"
             )
         return Step.of(self.step(action), np.array)
 
@@ -283,17 +291,20 @@ def _restart(
     return jax.lax.while_loop(lambda carry: carry[1].any(), group, carry)[0]
 
 
-def _seeds(seed: int | Sequence[int] | None, num_lots: int) -> np.ndarray:
-    """A seed (num_lots,) uint32 for each lot."""
+def _seeds(seed: Seeds, num_lots: int) -> np.ndarray:
+    """A seed (num_lots,) uint32 for each lot; one that is None is drawn."""
+    drawn = np.random.SeedSequence().generate_state(num_lots)
     if seed is None:
-        return np.random.SeedSequence().generate_state(num_lots)
+        return drawn
     if isinstance(seed, int | np.integer):
         seeds = [(int(seed) + i) % 2**32 for i in range(num_lots)]
         given = [int(seed)]
     else:
-        seeds = given = [int(s) for s in seed]
+        seeds = list(seed)
+        given = [int(s) for s in seeds if s is not None]
     if len(seeds) != num_lots:
         raise ValueError(f"seeds must be one for each of {num_lots} lots, not {seed}")
-    if min(given) < 0 or max(given) >= 2**32:
+    if not all(0 <= s < 2**32 for s in given):
         raise ValueError(f"a seed must lie in [0, 2**32), not {seed}")
-    return np.array(seeds, np.uint32)
+    pairs = zip(seeds, drawn, strict=True)
+    return np.array([d if s is None else s for s, d in pairs], np.uint32)

@@ -17,7 +17,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import rotate
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import make_fields
-from carpark_mj.observations.ego import GOAL_FIELDS
+from carpark_mj.observations.bay_fields import RIVAL_FIELDS
+from carpark_mj.observations.ego import GOAL_FIELDS, LINE_FIELDS, ROUTE_FIELDS
 from carpark_mj.observations.fields import Field
 from carpark_mj.types import Events, Motion, State, TimeStep
 
@@ -30,7 +31,11 @@ FEATURES = (
     Field("heading", 2, -1.0, 1.0, "cos and sin, world frame"),
 )
 NUM_FEATURES = sum(field.size for field in FEATURES)
-_OWN_GOAL = {field.name for field in GOAL_FIELDS}
+# All that tells where the goal is; relabelled goals would contradict it.
+_OWN_GOAL = {
+    *(field.name for field in (*GOAL_FIELDS, *LINE_FIELDS, *ROUTE_FIELDS)),
+    *(f"goal_{field.name}" for field in RIVAL_FIELDS),
+}
 
 
 @dataclasses.dataclass(frozen=True)

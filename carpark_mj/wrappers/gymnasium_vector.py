@@ -1,14 +1,13 @@
 """Batches of lots as Gymnasium's vector environments: one compiled call a step."""
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any, Unpack
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from carpark_mj.wrappers.batch import LotEnv, NumpyBatch, require_shape
+from carpark_mj.wrappers.batch import LotEnv, NumpyBatch, Seeds, require_shape
 from carpark_mj.wrappers.goal import PoseReward
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, one_agent
 from carpark_mj.wrappers.gymnasium_goal import (
@@ -89,7 +88,7 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     def reset(
         self,
         *,
-        seed: int | Sequence[int] | None = None,
+        seed: Seeds = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Begins an episode in every environment.

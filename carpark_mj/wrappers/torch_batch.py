@@ -3,12 +3,10 @@
 # An extra that the type checker does without.
 # pyright: reportMissingImports=false
 
-from collections.abc import Sequence
-
 import jax
 import torch
 
-from carpark_mj.wrappers.batch import Batch, BatchEnv, Step
+from carpark_mj.wrappers.batch import Batch, BatchEnv, Seeds, Step
 
 
 class TorchBatch:
@@ -27,7 +25,7 @@ class TorchBatch:
         self.batch = Batch(env, num_lots, restart)
         self.device = torch.from_dlpack(jax.numpy.zeros(1)).device
 
-    def reset(self, seed: int | Sequence[int] | None = None) -> torch.Tensor:
+    def reset(self, seed: Seeds = None) -> torch.Tensor:
         """Begins all lots; see `Batch.reset`.
 
         Returns:

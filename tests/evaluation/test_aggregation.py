@@ -188,7 +188,9 @@ def test_wilson_intervals_match_published_values():
     low, high = wilson_interval(0, 20)
     assert low == 0.0
     assert high == pytest.approx(0.1611, abs=1e-4)  # z^2 / (n + z^2)
-    assert wilson_interval(20, 20)[1] == 1.0
+    for trials in (20, 128, 4000):  # not 1 less rounding
+        assert wilson_interval(trials, trials)[1] == 1.0
+        assert wilson_interval(0, trials)[0] == 0.0
     assert wilson_interval(0, 0) == (0.0, 1.0)
 
 

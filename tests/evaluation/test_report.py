@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from carpark_mj.cli.driver import Driver
 from carpark_mj.cli.evaluate import EvaluateConfig, Task, report, subfolder
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
@@ -19,6 +18,7 @@ from carpark_mj.evaluation.report import (
     print_table,
     write_evaluation,
 )
+from carpark_mj.policy.baselines import zero_policy
 
 
 def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys):
@@ -134,8 +134,8 @@ def test_a_fleet_has_a_table_by_kind_of_car(plain, tmp_path):
 @pytest.mark.parametrize("flag", ["run", "policy"])
 def test_the_file_names_the_policy_however_it_was_given(flag, plain, tmp_path):
     config, env = EvaluateConfig(**{flag: "runs/a"}), ParkingEnv(EnvConfig())
-    driver = Driver(env.config, tmp_path, lambda env: pytest.fail("drove"))
-    report(config, Task("runs/a", driver, env, tmp_path), plain)
+    policy = zero_policy(env.action_spec)
+    report(config, Task("runs/a", policy, env, tmp_path), plain)
     stored = json.loads((tmp_path / "evaluation.json").read_text())
     assert stored["settings"]["policy"] == "runs/a"
     assert stored["settings"]["seed"] == 0

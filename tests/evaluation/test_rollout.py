@@ -143,6 +143,21 @@ def test_members_of_a_mixture_get_their_shares_of_the_lots(shares, lots, counts)
     assert np.bincount(allot(shares, lots), minlength=len(shares)).tolist() == counts
 
 
+@pytest.mark.parametrize("episodes", [1, 40])
+def test_rare_members_of_a_mixture_get_a_lot_with_every_number_of_agents(episodes):
+    config = EnvConfig(
+        layout=mixture(["tanner", "compact", "street"], [47, 2, 1]),
+        num_agents=2,
+        min_agents=1,
+        num_parked_cars=1,
+        episode=EpisodeConfig(max_steps=1),
+    )
+    env = ParkingEnv(config, SlidePhysics())
+    found = evaluate(env, random_policy(ActionSpec(2)), episodes, seed=0)
+    driven = {(row["family"], row["agents_present"]) for row in found.episodes}
+    assert len(driven) == 3 * 2
+
+
 def test_families_are_summed_up_apart_and_add_up(mixed):
     of_lot = {row["lot"]: row["family"] for row in mixed.episodes}
     assert of_lot == dict(enumerate(["compact"] * 4 + ["street"] * 2))

@@ -12,6 +12,7 @@ import pytest
 import carpark_mj
 from carpark_mj.cli import evaluate
 from carpark_mj.cli.driver import adapt, command_help, find_driver
+from carpark_mj.cli.render import RenderConfig
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import observation_size
@@ -186,6 +187,18 @@ def test_a_refused_evaluation_leaves_no_folder(shipped):
     with pytest.raises(ValueError, match="num_agents must be at most"):
         evaluate.prepare(evaluate.EvaluateConfig(run="tiny", num_agents=500))
     assert not Path("runs/tiny/evaluations/num_agents-500").exists()
+    with pytest.raises(ValueError, match="the planner"):
+        evaluate.prepare(
+            evaluate.EvaluateConfig(policy="planner", environment="tanner-fixed")
+        )
+    assert not Path("runs/planner").exists()
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_seeds_that_would_be_those_of_others_are_refused(seed):
+    for config in (evaluate.EvaluateConfig, RenderConfig):
+        with pytest.raises(ValueError, match=f"seed must lie in .*, not {seed}"):
+            config(run="tiny", seed=seed)
 
 
 @pytest.mark.parametrize(("agents", "parked"), [(1, 0), (3, 9)])

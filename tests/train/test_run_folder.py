@@ -115,6 +115,7 @@ ERRORS = (
     MemoryError(),
     OSError(28, "No space left on device"),
     JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"),
+    CheckpointError("other networks"),
 )
 
 

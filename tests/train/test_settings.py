@@ -106,6 +106,20 @@ def test_a_resumed_run_keeps_its_preset(tmp_path):
         read(*flags, "tanner-fixed")
 
 
+def test_a_resumed_run_is_given_no_setting_even_if_it_is_the_preset_s(tmp_path):
+    config = dataclasses.replace(PRESETS["square"], seed=4)
+    write_json(tmp_path / "config.json", describe(config))
+    default = read()
+    for flag in (
+        f"--num-steps={default.num_steps}",
+        f"--env.num-agents={default.env.num_agents}",
+    ):
+        name = flag[2:].partition("=")[0].partition(".")[0].replace("-", "_")
+        with pytest.raises(ValueError, match=f"keeps its own settings: drop {name}"):
+            read("--resume", str(tmp_path), flag)
+    assert read("--resume", str(tmp_path), "--time-limit", "3").seed == 4
+
+
 @pytest.mark.parametrize("flags", [["--resume", ""], ["--resume="]])
 def test_an_empty_name_is_no_run_to_resume(flags):
     with pytest.raises(ValueError, match="resume must name the folder of a run"):

@@ -296,8 +296,20 @@ def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
         require_run(dataclasses.replace(TINY, warm_start="nobody"))
     with pytest.raises(ValueError, match="square is a policy without a critic: give"):
         require_run(dataclasses.replace(TINY, warm_start="square"))
-    require_run(dataclasses.replace(TINY, warm_start="square", critic_steps=1))
+    alone = dataclasses.replace(TINY, warm_start="square", critic_steps=1)
+    with pytest.raises(
+        ValueError, match=r"networks.policy_layers \(256, 256\), not \(16,\)"
+    ):
+        require_run(alone)
+    sizes = PRESETS["square"].networks
+    require_run(dataclasses.replace(alone, networks=sizes))
+    other_critic = dataclasses.replace(sizes, value_layers=(8,))  # it is a new one
+    require_run(dataclasses.replace(alone, networks=other_critic))
     require_run(dataclasses.replace(TINY, warm_start=folder))
+    other_critic = dataclasses.replace(TINY.networks, value_layers=(8,))
+    whole = dataclasses.replace(TINY, warm_start=folder, networks=other_critic)
+    with pytest.raises(ValueError, match=r"networks.value_layers \(16,\), not \(8,\)"):
+        require_run(whole)
     refused(tmp_path, CheckpointError, "no checkpoint", warm_start=str(tmp_path))
     refused(
         tmp_path,

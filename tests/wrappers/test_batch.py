@@ -175,6 +175,13 @@ def test_impossible_seeds_are_refused(seed, message):
         batch().reset(seed)
 
 
+def test_seeds_that_are_none_are_drawn():
+    given = [1, None, 3, None]
+    one, two = (batch().reset_numpy(given) for _ in range(2))
+    np.testing.assert_array_equal(one[::2], two[::2])
+    assert (one[1::2] != two[1::2]).any(axis=(1, 2)).all()
+
+
 def test_a_batch_has_at_least_one_lot():
     with pytest.raises(ValueError, match="at least 1, not 0"):
         Batch(sliding()[0], 0)

@@ -146,6 +146,15 @@ def test_impossible_actions_are_refused(action, message):
         env.step(action)
 
 
+@pytest.mark.parametrize("action", [[np.nan, 0.0], [0.9, 0.0]])
+def test_actions_on_the_grid_are_integers(action):
+    env = make(config="tanner-fixed")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=f"integers, not {action[0]} .lot 0, agent 0"):
+        env.step(np.array(action))
+    env.step(np.array([1.0, 0.0]))
+
+
 @pytest.mark.parametrize(
     ("name", "options", "error", "message"),
     [

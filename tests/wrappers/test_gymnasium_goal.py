@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.config import ContinuousObservation, EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.observations import make_fields
 from carpark_mj.wrappers.goal import GoalParking, PoseReward
 
 GOAL = "carpark_mj/ParkGoal-v0"
@@ -90,6 +91,25 @@ def test_the_goal_is_seen_in_the_desired_goal_alone(goal):
     np.testing.assert_array_equal(one["achieved_goal"], two["achieved_goal"])
     assert not np.allclose(one["desired_goal"], two["desired_goal"])
     assert vector.shape == (1, goal.observation_size)
+
+
+def test_nothing_else_that_is_observed_tells_the_goal():
+    everything = ContinuousObservation(
+        lines=True, route=True, global_information=True, own_car=True
+    )
+    config = EnvConfig(
+        num_agents=1,
+        num_parked_cars=2,
+        layout="lot",
+        physics="bicycle",
+        observation=everything,
+        episode=EpisodeConfig(respawn=False),
+    )
+    observed = {field.name for field in make_fields(config)}
+    assert observed >= {"line_room", "route_next", "goal_claim"}
+    test_the_goal_is_seen_in_the_desired_goal_alone(
+        GoalParking(ParkingEnv(config), PoseReward())
+    )
 
 
 def test_a_car_nose_in_in_the_middle_of_its_goal_has_reached_it(goal):

@@ -16,10 +16,11 @@ from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.common import USER_ERRORS
 from carpark_mj.config.checks import at_least, positive
+from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.policy import runs
+from carpark_mj.policy.checkpoints import CheckpointError
 
 LOCK = ".lock"
-MAX_SEED = 2**32 - 1  # what a JAX key takes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,8 +48,7 @@ class RunConfig:
     def __post_init__(self) -> None:
         at_least(self, 0, "time_limit")
         positive(self, "checkpoint_minutes")
-        if not 0 <= self.seed <= MAX_SEED:
-            raise ValueError(f"seed must lie in [0, {MAX_SEED}], not {self.seed}")
+        require_seed(self.seed)
         if self.name and not _is_folder_name(self.name):
             raise ValueError(
                 f"name must be the name of one folder in runs_dir, not {self.name!r}"
@@ -88,7 +88,7 @@ def open_run(config: RunConfig) -> Generator[Path]:
             if not config.resume:
                 runs.write_json(folder / "config.json", describe(config))
             yield folder
-        except (*USER_ERRORS, JaxRuntimeError):
+        except (*USER_ERRORS, CheckpointError, JaxRuntimeError):
             if not config.resume and not runs.checkpoint_files(folder):
                 _remove(folder)
             raise

@@ -49,12 +49,18 @@ def read_settings(
         if any(word.partition("=")[0] == "--resume" for word in arguments):
             raise ValueError("resume must name the folder of a run, not ''")
         return dataclasses.replace(config, preset=preset.preset)
+    given = {
+        word.partition("=")[0].removeprefix("--").partition(".")[0].replace("-", "_")
+        for word in arguments
+        if word.startswith("--")
+    }
     changed = [
         field.name
         for field in dataclasses.fields(config)
         if getattr(config, field.name) != getattr(preset, field.name)
-        and field.name not in RESUME_FLAGS
+        or (field.name in given and field.name != "preset")
     ]
+    changed = [name for name in changed if name not in RESUME_FLAGS]
     _refuse_changes(changed)
     stored = read_config(type(default), Path(config.resume))
     if named(arguments, "preset") not in ("", stored.preset):

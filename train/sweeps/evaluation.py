@@ -36,14 +36,13 @@ class GroupEvaluation:
             out=str(folder),
         )
         task = prepare(settings)
-        policy = task.driver.policy(task.env)
         if self._first is None:
-            self._first = Evaluator(task.env), policy
+            self._first = Evaluator(task.env), task.policy
         evaluator, first = self._first
         own = dict(list_settings(config))
         result = evaluator.evaluate(
             # With the function of the first, or JAX would trace and compile again.
-            jax.tree.unflatten(jax.tree.structure(first), jax.tree.leaves(policy)),
+            jax.tree.unflatten(jax.tree.structure(first), jax.tree.leaves(task.policy)),
             settings.episodes,
             settings.seed,
             values=of_env({path: own[path] for path in self._differing}),

@@ -17,7 +17,8 @@ def compute_advantages(
 ) -> tuple[jax.Array, jax.Array]:
     """Generalised advantage estimation, Brax's.
 
-    Truncated steps are masked, as in Brax: nothing is learned from them.
+    Truncated steps are masked, as in Brax: their advantage is 0 before advantages are
+    normalised, and their target the critic's own value.
 
     Args:
         rollout: of the agents.

@@ -23,19 +23,17 @@ def finish(config: PPOConfig, folder: Path) -> None:
     Every part is made anew from what lies in the folder.
     """
     print(f"wrote {plot_learning_curve(folder)}")
+    # A bare name may be that of a pretrained policy.
+    run = f"./{folder}" if folder.parent == Path() else str(folder)
     if config.eval_episodes:
         from carpark_mj.cli import evaluate
 
-        evaluate.main(
-            evaluate.EvaluateConfig(run=str(folder), episodes=config.eval_episodes)
-        )
+        evaluate.main(evaluate.EvaluateConfig(run=run, episodes=config.eval_episodes))
     if config.video_seconds:
         from carpark_mj.cli import render
 
         try:
-            render.main(
-                render.RenderConfig(run=str(folder), seconds=config.video_seconds)
-            )
+            render.main(render.RenderConfig(run=run, seconds=config.video_seconds))
         except render.RenderingError as error:
             print(f"no video: {error}", file=sys.stderr)
 

@@ -14,7 +14,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields
 from carpark_mj.policy import checkpoints
-from carpark_mj.policy.loading import load_policy
+from carpark_mj.policy.loading import load_policy, network_config
 from carpark_mj.policy.networks import make_networks, network_inputs
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.policy.pretrained import describe_names, find_policy
@@ -28,11 +28,12 @@ ALONE = ("normalizer", "average")  # what a policy without a critic has
 
 
 def require_run(config: PPOConfig) -> None:
-    """Refuses a warm start from what is no run, or has no critic while one is needed.
+    """Refuses a warm start from what is no run, or has other networks.
 
     Raises:
         CheckpointError: the run has no checkpoint.
-        ValueError: there is nothing of that name, or no critic in it.
+        ValueError: there is nothing of that name, or no critic in it while one is
+            needed, or its networks are others.
     """
     if not config.warm_start:
         return
@@ -47,6 +48,19 @@ def require_run(config: PPOConfig) -> None:
             f"{config.warm_start} is a policy without a critic: give critic_steps, in "
             "which only a new critic learns, for example 5000000"
         )
+    names = ["encoder", "policy_layers"]
+    if config.networks.encoder == "set":
+        names += ["own_size", "entity_size"]
+    if _has_critic(path):
+        names.append("value_layers")
+    theirs = network_config(checkpoints.read_header(path))
+    for name in names:
+        own, other = getattr(config.networks, name), getattr(theirs, name, None)
+        if own != other:
+            raise ValueError(
+                f"{config.warm_start} has networks.{name} {other}, not {own}: a warm "
+                "start needs the same"
+            )
 
 
 def _has_critic(path: Path) -> bool:
