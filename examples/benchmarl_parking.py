@@ -24,8 +24,9 @@ from benchmarl.models.mlp import MlpConfig
 from matplotlib.figure import Figure
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from carpark_mj.cli.common import enable_output_fusion
+from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.config import EnvConfig, SpawnConfig
+from carpark_mj.config.checks import whole
 from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
@@ -59,6 +60,9 @@ class Settings:
     evaluations: int = 10
     seed: int = 0
     out: Path = Path("runs/benchmarl")
+
+    def __post_init__(self) -> None:
+        whole(self, 1, "agents", "frames", "evaluations")
 
 
 class Curve(Rates):
@@ -171,4 +175,7 @@ def main(settings: Settings) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings, description=__doc__))
+    command = run_command(
+        "benchmarl_parking", lambda: main(tyro.cli(Settings, description=__doc__))
+    )
+    raise SystemExit(command)

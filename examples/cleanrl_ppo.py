@@ -19,8 +19,9 @@ from matplotlib.figure import Figure
 from torch import nn
 from torch.distributions import Normal
 
-from carpark_mj.cli.common import enable_output_fusion
+from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.config.checks import positive, whole
 from carpark_mj.env import ParkingEnv
 from carpark_mj.wrappers.joint import joint_env
 from carpark_mj.wrappers.torch_batch import TorchBatch
@@ -61,6 +62,10 @@ class Settings:
     clip: float = 0.2
     entropy: float = 1e-3
     out: Path = Path("cleanrl_ppo.png")
+
+    def __post_init__(self) -> None:
+        positive(self, "minutes", "learning_rate", "clip")
+        whole(self, 1, "lots", "agents", "unroll", "epochs", "minibatches")
 
 
 class Agent(nn.Module):
@@ -214,4 +219,7 @@ def draw(settings: Settings, points: list[tuple[int, float]]) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings, description=__doc__))
+    command = run_command(
+        "cleanrl_ppo", lambda: main(tyro.cli(Settings, description=__doc__))
+    )
+    raise SystemExit(command)

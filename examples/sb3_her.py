@@ -11,7 +11,7 @@ from pathlib import Path
 
 import tyro
 
-from carpark_mj.cli.common import enable_output_fusion
+from carpark_mj.cli.common import enable_output_fusion, run_command
 
 enable_output_fusion()  # before JAX computes anything
 
@@ -20,6 +20,7 @@ from sb3_curve import Curve, rates  # noqa: E402
 from stable_baselines3 import SAC, HerReplayBuffer  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
 
+from carpark_mj.config.checks import positive, whole  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
 
 
@@ -44,6 +45,10 @@ class Settings:
     seed: int = 0
     episodes: int = 256
     out: Path = Path("sb3_her.png")
+
+    def __post_init__(self) -> None:
+        positive(self, "minutes")
+        whole(self, 1, "lots", "episodes")
 
 
 def main(settings: Settings) -> None:
@@ -79,4 +84,7 @@ def main(settings: Settings) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings, description=__doc__))
+    command = run_command(
+        "sb3_her", lambda: main(tyro.cli(Settings, description=__doc__))
+    )
+    raise SystemExit(command)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import tyro
 
-from carpark_mj.cli.common import enable_output_fusion
+from carpark_mj.cli.common import enable_output_fusion, run_command
 
 enable_output_fusion()  # before JAX computes anything
 
@@ -21,6 +21,7 @@ from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
 
 from carpark_mj.config import EnvConfig, SpawnConfig  # noqa: E402
+from carpark_mj.config.checks import positive, whole  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
 
 
@@ -43,6 +44,10 @@ class Settings:
     seed: int = 0
     episodes: int = 1024
     out: Path = Path("sb3_ppo.png")
+
+    def __post_init__(self) -> None:
+        positive(self, "minutes")
+        whole(self, 1, "lots", "episodes")
 
 
 def main(settings: Settings) -> None:
@@ -85,4 +90,7 @@ def main(settings: Settings) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings, description=__doc__))
+    command = run_command(
+        "sb3_ppo", lambda: main(tyro.cli(Settings, description=__doc__))
+    )
+    raise SystemExit(command)
