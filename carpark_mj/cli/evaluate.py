@@ -18,8 +18,8 @@ from carpark_mj.evaluation.rollout import Evaluation, evaluate
 from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.checkpoints import require_writable
 
-# Settings with which an evaluation is still of the run's own task.
-SAME_TASK = ("run", "policy", "episodes", "span", "seed", "out")
+# Settings that do not show in the name of an evaluation's folder.
+UNNAMED = ("run", "policy", "episodes", "span", "out")
 MAX_NAME = 150  # characters of a folder's name; file systems allow 255
 
 
@@ -56,7 +56,8 @@ class EvaluateConfig:
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
             for a baseline or a pretrained policy, and in that a folder of
-            `evaluations/` for each other task that flags make.
+            `evaluations/` for each other task or seed that flags make, and for a
+            checkpoint file of a run.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
@@ -152,22 +153,30 @@ def prepare(config: EvaluateConfig) -> Task:
     env = ParkingEnv(changed)
     policy = driver.policy(env)  # what is refused until here leaves no folder
     same = dataclasses.replace(changed, metrics=driver.env.metrics) == driver.env
-    own_task = same and not config.environment and not config.stochastic
-    default = driver.folder if own_task else driver.folder / subfolder(config)
+    changes = config.environment, config.stochastic, config.seed
+    own = same and not any(changes) and not _is_kept_checkpoint(config)
+    default = driver.folder if own else driver.folder / subfolder(config)
     folder = Path(config.out) if config.out else default
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "evaluation.csv")  # refused before the work
     return Task(name, policy, env, folder)
 
 
+def _is_kept_checkpoint(config: EvaluateConfig) -> bool:
+    """Whether a file of a run's `checkpoints/` is named, instead of the run."""
+    return Path(config.run or config.policy).parent.name == "checkpoints"
+
+
 def subfolder(config: EvaluateConfig) -> Path:
-    """Where in a run's folder results of another task go, by the flags that make it."""
+    """Where in a run's folder what is not its own evaluation goes, by its flags."""
     changes = [
         f"{field.name}-{value}"
         for field in dataclasses.fields(config)
         if (value := getattr(config, field.name)) != field.default
-        and field.name not in SAME_TASK
+        and field.name not in UNNAMED
     ]
+    if _is_kept_checkpoint(config):
+        changes.insert(0, Path(config.run or config.policy).stem)
     name = urllib.parse.quote("_".join(changes), safe=",")
     if len(name) > MAX_NAME:
         digest = hashlib.sha256(name.encode()).hexdigest()[:8]

@@ -90,10 +90,12 @@ def pool(metric: Metric, rows: Sequence[Row]) -> float | dict[str, float]:
 def effective_episodes(name: str, rows: Sequence[Row]) -> float:
     """Number of independent episodes that would tell as much about a rate.
 
-    Episodes of a lot are alike: two agents crash together, and a lot may be narrow. It
-    is their number over the design effect (Kish 1965, at least 1): the variance of the
-    rate with lots as clusters, in strata of a family and a number of agents, over that
-    of independent episodes. Episodes without a lot, or all of one lot, count in full.
+    Episodes in the same lot are correlated: two agents crash together, and some lots
+    are harder. It is the number of episodes over the design effect (Kish 1965, at least
+    1): the variance of the rate with lots as clusters, in strata of a family and a
+    number of agents, over that of independent episodes. Episodes without a lot, all of
+    one lot, and those of a rate of 0 or 1 count in full, as nothing is known of how
+    lots differ.
 
     Args:
         name: of a rate.

@@ -144,7 +144,7 @@ def test_the_file_names_the_policy_however_it_was_given(flag, plain, tmp_path):
 @pytest.mark.parametrize(
     ("flags", "name"),
     [
-        ({"num_agents": 1, "seed": 3}, "num_agents-1"),
+        ({"num_agents": 1, "seed": 3}, "seed-3_num_agents-1"),
         (
             {"rule": "strict", "layout": "street,my/yard.json"},
             "rule-strict_layout-street,my%2Fyard.json",

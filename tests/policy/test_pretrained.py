@@ -24,6 +24,7 @@ from carpark_mj.policy.pretrained import find_policy, pretrained_names
 from carpark_mj.registry import environment
 from learners.ppo.config import PPOConfig
 from learners.ppo.learner import Learner
+from learners.ppo.run import finish
 from learners.ppo.train import save
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -173,6 +174,7 @@ def test_nothing_is_written_into_the_package(shipped):
         ({"num_agents": 2, "rule": "strict"}, "runs/tiny"),  # as in its own task
         ({"num_agents": 1}, "runs/tiny/evaluations/num_agents-1"),
         ({"nominal": True}, "runs/tiny"),  # nothing to turn off
+        ({"seed": 1}, "runs/tiny/evaluations/seed-1"),
         ({"stochastic": True}, "runs/tiny/evaluations/stochastic-True"),
         ({"stochastic": True, "out": "mine"}, "mine"),
     ],
@@ -181,6 +183,25 @@ def test_evaluations_of_another_task_do_not_replace_the_own_one(shipped, flags, 
     task = evaluate.prepare(evaluate.EvaluateConfig(run="tiny", **flags))
     assert task.folder == Path(folder)
     assert task.folder.is_dir()
+
+
+def test_a_checkpoint_file_does_not_replace_the_evaluation_of_its_run(run):
+    file = runs.latest_checkpoint(run)
+    task = evaluate.prepare(evaluate.EvaluateConfig(run=str(file)))
+    assert task.folder == run / "evaluations" / file.stem
+    assert evaluate.prepare(evaluate.EvaluateConfig(run=str(run))).folder == run
+
+
+def test_a_run_named_like_a_policy_is_evaluated_at_its_end(run, shipped, monkeypatch):
+    here = Path("tiny")  # in the working directory
+    shutil.copytree(run, here)
+    with pytest.raises(CheckpointError, match="a pretrained policy and a path"):
+        find_driver(str(here))
+    found = []
+    monkeypatch.setattr(evaluate, "main", lambda config: found.append(config.run))
+    monkeypatch.setattr("learners.ppo.run.plot_learning_curve", lambda folder: folder)
+    finish(dataclasses.replace(TINY, video_seconds=0.0), here)
+    assert [find_driver(name).folder for name in found] == [here]
 
 
 def test_a_refused_evaluation_leaves_no_folder(shipped):

@@ -48,14 +48,18 @@ def require_run(config: PPOConfig) -> None:
             f"{config.warm_start} is a policy without a critic: give critic_steps, in "
             "which only a new critic learns, for example 5000000"
         )
+    theirs = network_config(checkpoints.read_header(path))
+    if theirs is None:
+        raise ValueError(
+            f"{config.warm_start} has tables of Q-learning: a warm start needs networks"
+        )
     names = ["encoder", "policy_layers"]
     if config.networks.encoder == "set":
         names += ["own_size", "entity_size"]
     if _has_critic(path):
         names.append("value_layers")
-    theirs = network_config(checkpoints.read_header(path))
     for name in names:
-        own, other = getattr(config.networks, name), getattr(theirs, name, None)
+        own, other = getattr(config.networks, name), getattr(theirs, name)
         if own != other:
             raise ValueError(
                 f"{config.warm_start} has networks.{name} {other}, not {own}: a warm "
