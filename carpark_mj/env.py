@@ -78,7 +78,13 @@ class ParkingEnv:
         Raises:
             ValueError: the lot cannot hold the cars asked for, the randomization
                 could draw an impossible car, or there is no such preset.
+            TypeError: the config is something else.
         """
+        if not isinstance(config, EnvConfig | None):
+            raise TypeError(
+                f"config must be an EnvConfig, not {config!r}; "
+                "`carpark_mj.registry.environment` gives those that have a name"
+            )
         self.config = config = config if config is not None else EnvConfig()
         self.vehicle = vehicle if vehicle is not None else preset(config.vehicle)
         self.fleet = Fleet(config, self.vehicle)

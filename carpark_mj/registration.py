@@ -1,10 +1,12 @@
 """Gymnasium's ids of our environments; imports neither JAX nor MuJoCo."""
 
+from typing import Any, NoReturn
+
 from gymnasium.envs.registration import register, registry
 
 _ROOM = "carpark_mj.wrappers"
 # Entry points of one environment and of many by id.
-ENTRY_POINTS: dict[str, tuple[str | None, str]] = {
+ENTRY_POINTS: dict[str, tuple[str, str]] = {
     "carpark_mj/Park-v0": (
         f"{_ROOM}.gymnasium_env:ParkEnv",
         f"{_ROOM}.gymnasium_vector:ParkVectorEnv",
@@ -17,9 +19,23 @@ ENTRY_POINTS: dict[str, tuple[str | None, str]] = {
         f"{_ROOM}.gymnasium_slots:SlotsEnv",
         f"{_ROOM}.gymnasium_slots:SlotsVectorEnv",
     ),
-    # Its environments are agents that share lots: there is no single one.
-    "carpark_mj/ParkMany-v0": (None, f"{_ROOM}.gymnasium_vector:ParkManyVectorEnv"),
+    "carpark_mj/ParkMany-v0": (
+        "carpark_mj.registration:refuse_single",
+        f"{_ROOM}.gymnasium_vector:ParkManyVectorEnv",
+    ),
 }
+
+
+def refuse_single(**_: Any) -> NoReturn:
+    """There is no single ParkMany: its environments are agents that share lots.
+
+    Raises:
+        ValueError: always.
+    """
+    raise ValueError(
+        "carpark_mj/ParkMany-v0 has no single environment, as its agents share lots: "
+        'use gymnasium.make_vec("carpark_mj/ParkMany-v0", num_envs)'
+    )
 
 
 def register_environments() -> None:

@@ -4,7 +4,7 @@ python eval/benchmark.py                                   # this checkout
 python eval/benchmark.py --what env --batches 512 4096
 python eval/benchmark.py --what ppo --preset tanner-fixed --runs 1 4 16
 python eval/benchmark.py --against main~1 --out benchmark.csv
-python eval/benchmark.py --peer highway-env --batches 1024  # pip install '.[sb3,peers]'
+python eval/benchmark.py --peer highway-env --batches 1024  # pip install ".[sb3,peers]"
 
 `env` counts agent steps of the whole environment under random actions, `ppo` those of
 training end to end, `physics` substeps of cars alone: on brush tyres, on the same by

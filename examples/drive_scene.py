@@ -92,7 +92,8 @@ def main(path: str) -> dict[str, float]:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
-        sys.exit(f"usage: {sys.argv[0]} scene.xml")
+        print(f"usage: {sys.argv[0]} scene.xml", file=sys.stderr)
+        sys.exit(2)
     try:
         print(json.dumps(main(sys.argv[1]), indent=2))
     except (HitError, ValueError) as error:

@@ -12,6 +12,7 @@ from helpers.sliding import APART, HALT, MAX_STEPS, in_goal, placed, slide, star
 from helpers.trees import agent_of, leaves, same
 
 from carpark_mj.config import reward_preset
+from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.fields import FAR
 
 # Reset
@@ -183,6 +184,11 @@ def test_the_reward_is_the_sum_of_its_terms():
         _, _, _, timestep = ending(kind)
         total = np.sum(list(timestep.reward_terms.values()), axis=0)
         np.testing.assert_allclose(timestep.reward, total, atol=1e-6)  # float32
+
+
+def test_a_name_is_no_config():
+    with pytest.raises(TypeError, match="must be an EnvConfig, not 'square'; `carpark"):
+        ParkingEnv("square")  # pyright: ignore[reportArgumentType]
 
 
 def test_parking_pays_and_crashing_costs_what_the_config_says():

@@ -72,9 +72,9 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     for row in rows:
         far = str(row.get("outlier", "")).split()
         cells = [
-            f'<td class="outlier">{_cell(value)}</td>'
+            f'<td class="outlier">{html.escape(cell_text(value))}</td>'
             if name in far
-            else f"<td>{_cell(value)}</td>"
+            else f"<td>{html.escape(cell_text(value))}</td>"
             for name, value in row.items()
         ]
         lines.append(f"<tr>{''.join(cells)}</tr>")
@@ -100,7 +100,8 @@ def _link(path: Path, page: Path) -> str:
     return html.escape(quote(os.path.relpath(path, page.parent), safe="/=,+"))
 
 
-def _cell(value: Any) -> str:
+def cell_text(value: Any) -> str:
+    """A value as tables show it; a dash for NaN, as of the interval of one run."""
     if isinstance(value, float):
         return "–" if math.isnan(value) else f"{value:.4g}"
-    return html.escape(str(value))
+    return str(value)

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from carpark_mj.analysis.page import picture, table, videos, write_page
+from carpark_mj.analysis.page import cell_text, picture, table, videos, write_page
 from carpark_mj.analysis.plots import plot_curves, plot_metric
 from carpark_mj.analysis.points import (
     Point,
@@ -168,8 +168,7 @@ def _print_table(rows: Sequence[dict[str, Any]], title: str) -> None:
     for name in rows[0] if rows else ():
         shown.add_column(name)
     for row in rows:
-        words = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in row.values()]
-        shown.add_row(*map(escape, words))
+        shown.add_row(*(escape(cell_text(value)) for value in row.values()))
     Console().print(shown)
 
 

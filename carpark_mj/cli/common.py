@@ -47,29 +47,35 @@ def run_command(
     Returns:
         The exit code, 2 for such errors.
     """
+    try:
+        code = command()
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except Exception as error:
+        message = _for_the_user(error, errors)
+        if message is None:
+            raise
+        print(f"{program}: {message}", file=sys.stderr)
+        return 2
+    return code if isinstance(code, int) else 0
+
+
+def _for_the_user(error: Exception, errors: tuple[type[Exception], ...]) -> str | None:
+    """What is said of an error that the user can fix; None for a bug."""
+    # Here, so that Ctrl-C while a command starts is handled like any other.
     from jax.errors import JaxRuntimeError
 
     from carpark_mj.policy.checkpoints import CheckpointError
 
-    try:
-        code = command()
-    except (CheckpointError, *USER_ERRORS, *errors) as error:
-        print(f"{program}: {one_line(error)}", file=sys.stderr)
-    except ModuleNotFoundError as error:
+    if isinstance(error, (CheckpointError, *USER_ERRORS, *errors)):
+        return one_line(error)
+    if isinstance(error, ModuleNotFoundError):
         extra = EXTRAS.get((error.name or "").partition(".")[0])
-        if extra is None:
-            raise
-        print(f"{program}: {error}: pip install '.[{extra}]'", file=sys.stderr)
-    except JaxRuntimeError as error:
-        if "RESOURCE_EXHAUSTED" not in str(error):
-            raise
-        print(f"{program}: {one_line(error)}", file=sys.stderr)
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    else:
-        return code if isinstance(code, int) else 0
-    return 2
+        return extra and f'{error}: pip install ".[{extra}]"'
+    if isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
+        return one_line(error)
+    return None
 
 
 def enable_output_fusion() -> None:

@@ -132,8 +132,8 @@ def prepare(config: EvaluateConfig) -> Task:
     """
     if bool(config.run) == bool(config.policy):
         raise ValueError(
-            "give either a run folder or --policy zero|random|planner|RUN, "
-            f"not {'both' if config.run else 'neither'}"
+            "give a run folder or --policy zero|random|planner|RUN"
+            + (", not both" if config.run else "")
         )
     name = config.run or config.policy
     driver = find_driver(name, config.environment, not config.stochastic)
@@ -188,10 +188,11 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
     """Prints the table and writes the files."""
     env = task.env.config
     counts, rule = env.agent_counts, env.episode.parked_rule
-    agents = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[-1]}"
+    fewest, most = counts[0], counts[-1]
+    agents = f"{fewest} to {most}" if fewest < most else f"{most}"
     title = (
-        f"{task.name}: {agents} agents, {rule} rule, {env.layout} lot, "
-        f"{env.physics} physics, seed {config.seed}"
+        f"{task.name}: {agents} agent{'s' if most > 1 else ''}, {rule} rule, "
+        f"{env.layout} lot, {env.physics} physics, seed {config.seed}"
     )
     print_report(result, title)
     settings = {**dataclasses.asdict(config), "policy": task.name}

@@ -166,8 +166,15 @@ def _sentence(box: str) -> str:
     start = 1 if lines[0].startswith("╭") else 2
     message = itertools.takewhile(_is_text, lines[start:])
     sentence = re.sub(r"^Error parsing (\w+: )?", "", " ".join(message))
+    sentence = re.sub(r"(?<=Expected one of )\((.*)\)", _choices, sentence)
     meant = re.search(r"Perhaps you meant:\s*(--\S+)", "\n".join(lines))
     return f"{sentence}; perhaps you meant {meant[1]}" if meant else sentence
+
+
+def _choices(listed: re.Match[str]) -> str:
+    """Choices in a fixed order, without the None of a flag that is not given."""
+    names = {name.strip("'") for name in listed[1].split(", ")} - {"None"}
+    return ", ".join(sorted(names))
 
 
 def _is_text(line: str) -> bool:

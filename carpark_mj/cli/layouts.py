@@ -38,6 +38,7 @@ from carpark_mj.policy.checkpoints import write_atomically
 
 PROGRAM = "python -m carpark_mj.layouts"
 CHUNK = 250  # layouts drawn at once
+PICTURES = (".png", ".pdf", ".svg")
 NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
 
 _LEVELS: tuple[tuple[Orientation, Level], ...] = (
@@ -160,6 +161,10 @@ class LayoutsConfig:
             raise ValueError(
                 "nothing to do: give --plot FILE, --save FILE, --held-out FILE, "
                 "--check N or --run N (N > 0)"
+            )
+        if self.plot and not self.plot.endswith(PICTURES):
+            raise ValueError(
+                f"--plot writes a {', '.join(PICTURES)} file, not {self.plot}"
             )
         if self.held_out and not self.held_out.endswith(".npz"):
             raise ValueError(f"--held-out writes a .npz file, not {self.held_out}")

@@ -59,8 +59,9 @@ class RenderConfig:
         seconds: length of the video [s].
         fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
         frame: write a still at this time [s] instead of a video.
-        gallery: write a contact sheet instead, `width` wide: two lots of every family,
-            from `overview`, with seeds from `seed` on. It needs no run.
+        gallery: write a contact sheet instead, `width` wide: two lots of the square and
+            of six families, from `overview`, with seeds from `seed` on. It needs no
+            run.
         width: width of a frame [pixels], even.
         height: height of a frame [pixels], even.
         seed: seed of the held-out lot.
@@ -96,8 +97,8 @@ class RenderConfig:
         require_seed(self.seed)
         if bool(self.run) == self.gallery:
             raise ValueError(
-                "give a run folder, zero, random or planner, or --gallery, "
-                f"not {'both' if self.run else 'none of them'}"
+                "give a run folder, zero, random or planner, or --gallery"
+                + (", not both" if self.run else "")
             )
         if not 0 < self.seconds <= MAX_SECONDS:
             raise ValueError(
@@ -188,7 +189,10 @@ def _open_output(config: RenderConfig, folder: Path) -> Path:
     out = Path(config.out) if config.out else folder / config.file
     if out.suffix not in config.suffixes:
         raise ValueError(
-            f"out must end in {' or '.join(config.suffixes)}, not {out.name!r}"
+            f"out must end in {' or '.join(config.suffixes)}, or in .png with --frame "
+            f"or --gallery, not {out.name!r}"
+            if ".mp4" in config.suffixes
+            else f"out must end in .png, not {out.name!r}"
         )
     missing_gl = choose_gl()
     if missing_gl:

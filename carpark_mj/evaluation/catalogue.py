@@ -57,7 +57,7 @@ def _per_step(name: str, unit: str, meaning: str, study: str = "") -> Metric:
 
 
 def _clearance(kind: str, what: str) -> Metric:
-    meaning = f"smallest gap of footprints to {what}; {RANGE:g} = never nearer"
+    meaning = f"smallest gap of footprints to {what}; capped at {RANGE:g} m"
     return Metric(f"min_clearance{kind}", "m", meaning, "least")
 
 

@@ -81,8 +81,10 @@ def load_demonstration(path: Path) -> Demonstration:
         config, seed = header["config"], int(header["seed"])
     except OSError:
         raise
-    except Exception as error:  # zip, NumPy and JSON raise many kinds
-        raise ValueError(f"{path} is not a demonstration: {error}") from None
+    except Exception:  # zip, NumPy and JSON raise many kinds, none of them helpful
+        raise ValueError(
+            f"{path} is not a demonstration that carpark_mj.play has saved"
+        ) from None
     version = header.get("config_version")
     if version != CONFIG_VERSION:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""A contact sheet of lots: two of every family, each with its name."""
+"""A contact sheet of lots: two of each of `FAMILIES`, each with its name."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any

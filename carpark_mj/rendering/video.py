@@ -45,6 +45,7 @@ def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
 
     Raises:
         ValueError: another suffix.
+        OSError: the file cannot be written, or FFmpeg refuses the frame rate.
     """
     if path.suffix == ".mp4":
         return _write_mp4(path, pictures, fps)
@@ -77,6 +78,11 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
             for picture in pictures:
                 writer.send(np.ascontiguousarray(picture))
                 count += 1
+        except OSError as error:  # it quotes FFmpeg's whole command line
+            raise OSError(
+                f"FFmpeg stopped while it wrote {path} at {fps:g} frames per second; "
+                "is the disk full, or this rate impossible?"
+            ) from error
         finally:
             writer.close()
 

@@ -17,10 +17,7 @@ from carpark_mj.scene.parts import GROUND, VERGE_GAP
 
 HOST, PORT = "localhost", 8080
 LAST_PORT = 65_535
-MISSING_WEB = (
-    "the browser view needs mjviser: pip install 'carpark_mj[web]' "
-    "(or write a file with --out and open it elsewhere)"
-)
+MISSING_WEB = 'the browser view needs mjviser: pip install ".[web]"'
 DAYLIGHT = 0.5  # of the environment
 GAMMA = 2.2  # of screens
 _SLAB = 0.05  # m, thickness of the asphalt in the browser

@@ -63,7 +63,7 @@ def test_without_its_packages_every_command_says_what_to_install():
         check=True,
     )
     expected = [
-        f"{name}: No module named 'tyro': pip install '.[train,eval]'\n2\n"
+        f"{name}: No module named 'tyro': pip install \".[train,eval]\"\n2\n"
         for name in (*names, *modules)
     ]
     assert done.stderr == "".join(expected)

@@ -10,6 +10,7 @@ from typing import Literal
 import pytest
 
 from carpark_mj.cli.common import run_command
+from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.render import RenderConfig
@@ -138,6 +139,18 @@ def test_what_the_user_can_mend_is_one_line_and_exit_code_2(capsys):
     assert run_command("name", lambda: 1) == 1
     with pytest.raises(KeyError):  # an error of ours keeps its traceback
         run_command("name", lambda: fail(KeyError("x")))
+
+
+def test_choices_are_those_that_can_be_given(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["evaluate", "zero", "--rule", "lax"])
+    with pytest.raises(ValueError, match="one of metadrive, precise, strict, tanner"):
+        read_flags(EvaluateConfig)
+
+
+@pytest.mark.parametrize("name", ["docs", "lots.jpg"])
+def test_a_plot_of_lots_has_a_suffix_that_is_written(name):
+    with pytest.raises(ValueError, match=rf"\.svg file, not {name}$"):
+        LayoutsConfig(plot=name)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

@@ -337,10 +337,10 @@ def test_a_fault_of_a_card_is_found(shipped, wrong, right, fault):
     assert fault in found[0]
 
 
-def test_anywhere_was_trained_in_the_environment_of_its_name():
-    trained = loading.load_policy("anywhere").env
-    assert trained == environment("anywhere")
-    assert len(trained.fleet.agents) == 6
+def test_anywhere_has_the_environment_of_its_name():
+    shipped = loading.load_policy("anywhere").env
+    assert shipped == environment("anywhere")
+    assert len(shipped.fleet.agents) == 6
 
 
 def test_the_page_of_the_policies_shows_all_cards():

@@ -117,19 +117,16 @@ def test_progress_is_the_further_of_steps_and_time_and_ends_at_1():
 def test_a_run_says_before_how_long_it_takes(tmp_path, capsys):
     trained(tmp_path, 0.7)
     out = capsys.readouterr().out
-    assert "trains for at most 1 minutes or 0.0064 M steps" in out
-    assert "at 91 steps/s: 1 minutes, 0.00549 of 0.0064 M steps" in out
+    assert "trains for at most 1 min or 0.0064 M steps" in out
+    assert "at 91 steps/s: 1 min, 0.00549 of 0.0064 M steps" in out
     cpu = PRESETS["cpu"]
     assert announcement(dataclasses.replace(cpu, minutes=0.0), 0, 0.0) == (
         "trains for 50 M steps, then evaluates and renders"
     )
     resumed = announcement(cpu, 1000, 90.0)
     left = cpu.minutes - 1.5
-    assert resumed.startswith(f"trains for at most {left:g} minutes or 41.8 M steps, ")
-    assert (
-        estimate(cpu, 0, 30.0, 80_000.0)
-        == "at 80,000 steps/s: 10.9 minutes, 50 M steps"
-    )
+    assert resumed.startswith(f"trains for at most {left:g} min or 41.8 M steps, ")
+    assert estimate(cpu, 0, 30.0, 80_000.0) == "at 80,000 steps/s: 10.9 min, 50 M steps"
 
 
 @pytest.mark.parametrize("minutes", [-1.0, float("nan")])

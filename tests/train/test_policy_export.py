@@ -128,7 +128,7 @@ def test_without_its_packages_a_model_is_refused_and_a_checkpoint_is_not(
 ):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert export.run([str(trained), "--out", str(tmp_path / "a.onnx")]) == 2
-    assert "pip install '.[export]'" in told(capsys)
+    assert 'pip install ".[export]"' in told(capsys)
     assert export.run([str(trained), "--out", str(tmp_path / "a.npz")]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
     assert loading.load_policy(tmp_path / "a.npz").env == TINY.env

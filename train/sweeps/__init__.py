@@ -4,5 +4,5 @@ import importlib.util
 import sys
 
 if importlib.util.find_spec("submitit") is None:
-    print("sweeps need submitit: pip install '.[sweep]'", file=sys.stderr)
+    print('sweeps need submitit: pip install ".[sweep]"', file=sys.stderr)
     sys.exit(2)

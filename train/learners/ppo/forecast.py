@@ -22,8 +22,8 @@ def announcement(config: PPOConfig, update: int, seconds: float) -> str:
     minutes = max(config.minutes - seconds / 60.0, 0.0)
     words, extra = _afterwards(config)
     return (
-        f"trains for at most {minutes:.3g} minutes or {steps}{words}: at most "
-        f"about {minutes + extra:.0f} minutes in all"
+        f"trains for at most {minutes:.3g} min or {steps}{words}: at most "
+        f"about {minutes + extra:.0f} min in all"
     )
 
 
@@ -41,9 +41,9 @@ def estimate(config: PPOConfig, update: int, seconds: float, rate: float) -> str
     needed = seconds + max(config.num_steps - made, 0) / rate
     if budget and needed > budget:
         reached = _million(made + rate * max(budget - seconds, 0.0))
-        end = f"{config.minutes:.3g} minutes, {reached} of {total} M steps"
+        end = f"{config.minutes:.3g} min, {reached} of {total} M steps"
     else:
-        end = f"{needed / 60.0:.1f} minutes, {total} M steps"
+        end = f"{needed / 60.0:.1f} min, {total} M steps"
     return f"at {rate:,.0f} steps/s: {end}"
 
 

@@ -153,9 +153,10 @@ def train(
             if not told and made and loop.seconds - begun > MEASURED_SECONDS:
                 loop.say(estimate(config, done, seconds, rate))
                 told = True
+            pace = f"{count * rate:>7,.0f} steps/s  " if made else ""
             loop.show(
                 progress,
-                f"{count * steps / 1e6:.2f} M  {count * rate:>7,.0f} steps/s  "
+                f"{count * steps / 1e6:.2f} M  {pace}"
                 f"[green]parked {values['episode/parked'].mean():5.1%}[/]  "
                 f"[red]crashed {values['episode/crashed'].mean():5.1%}[/]",
             )
