@@ -80,7 +80,7 @@ class ParkingEnv:
                 could draw an impossible car, or there is no such preset.
             TypeError: the config is something else.
         """
-        if not isinstance(config, EnvConfig | None):  # pyright: ignore
+        if not isinstance(config, EnvConfig | None):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise TypeError(
                 f"config must be an EnvConfig, not {config!r}; "
                 "`carpark_mj.registry.environment` gives those that have a name"

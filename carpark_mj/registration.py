@@ -3,6 +3,7 @@
 from typing import Any, NoReturn
 
 from gymnasium.envs.registration import register, registry
+from gymnasium.error import Error
 
 _ROOM = "carpark_mj.wrappers"
 # Entry points of one environment and of many by id.
@@ -30,9 +31,9 @@ def refuse_single(**_: Any) -> NoReturn:
     """There is no single ParkMany: its environments are agents that share lots.
 
     Raises:
-        ValueError: always.
+        gymnasium.error.Error: always.
     """
-    raise ValueError(
+    raise Error(
         "carpark_mj/ParkMany-v0 has no single environment, as its agents share lots: "
         'use gymnasium.make_vec("carpark_mj/ParkMany-v0", num_envs)'
     )

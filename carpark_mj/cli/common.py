@@ -63,7 +63,7 @@ def run_command(
 
 def _for_the_user(error: Exception, errors: tuple[type[Exception], ...]) -> str | None:
     """What is said of an error that the user can fix; None for a bug."""
-    # Here, so that Ctrl-C while a command starts is handled like any other.
+    # Only when something failed: a command then starts within its handler.
     from jax.errors import JaxRuntimeError
 
     from carpark_mj.policy.checkpoints import CheckpointError

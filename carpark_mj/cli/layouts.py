@@ -162,9 +162,9 @@ class LayoutsConfig:
                 "nothing to do: give --plot FILE, --save FILE, --held-out FILE, "
                 "--check N or --run N (N > 0)"
             )
-        if self.plot and not self.plot.endswith(PICTURES):
+        if self.plot and Path(self.plot).suffix not in PICTURES:
             raise ValueError(
-                f"--plot writes a {', '.join(PICTURES)} file, not {self.plot}"
+                f"--plot writes a .png, .pdf or .svg file, not {self.plot}"
             )
         if self.held_out and not self.held_out.endswith(".npz"):
             raise ValueError(f"--held-out writes a .npz file, not {self.held_out}")

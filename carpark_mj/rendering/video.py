@@ -60,6 +60,16 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
 
     first = next(pictures)
     count = 1
+    stopped = (
+        f"FFmpeg stopped while it wrote {path} at {fps:g} frames per second; "
+        "is the disk full, or this rate impossible?"
+    )
+
+    def send(writer: Any, picture: np.ndarray) -> None:
+        try:
+            writer.send(np.ascontiguousarray(picture))
+        except OSError as error:  # it quotes FFmpeg's whole command line
+            raise OSError(stopped) from error
 
     def write(temporary: Path) -> None:
         nonlocal count
@@ -74,17 +84,14 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         )
         writer.send(None)
         try:
-            writer.send(np.ascontiguousarray(first))
+            send(writer, first)
             for picture in pictures:
-                writer.send(np.ascontiguousarray(picture))
+                send(writer, picture)
                 count += 1
-        except OSError as error:  # it quotes FFmpeg's whole command line
-            raise OSError(
-                f"FFmpeg stopped while it wrote {path} at {fps:g} frames per second; "
-                "is the disk full, or this rate impossible?"
-            ) from error
         finally:
             writer.close()
+        if not temporary.exists():  # it stopped after the last frame was sent
+            raise OSError(stopped)
 
     with warnings.catch_warnings():
         # JAX warns of forks; the encoder is another program and touches no JAX.

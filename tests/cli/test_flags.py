@@ -147,9 +147,9 @@ def test_choices_are_those_that_can_be_given(monkeypatch):
         read_flags(EvaluateConfig)
 
 
-@pytest.mark.parametrize("name", ["docs", "lots.jpg"])
+@pytest.mark.parametrize("name", ["docs", "lots.jpg", ".png"])
 def test_a_plot_of_lots_has_a_suffix_that_is_written(name):
-    with pytest.raises(ValueError, match=rf"\.svg file, not {name}$"):
+    with pytest.raises(ValueError, match=rf"or \.svg file, not {name}$"):
         LayoutsConfig(plot=name)
 
 

@@ -235,8 +235,9 @@ def test_a_failing_picture_leaves_no_half_video(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_ffmpeg_refuses_is_one_sentence_and_leaves_no_half_video(tmp_path):
-    pictures = iter([np.zeros((480, 640, 3), np.uint8)] * 50)  # more than a pipe holds
+@pytest.mark.parametrize("count", [1, 50])  # less and more than a pipe holds
+def test_what_ffmpeg_refuses_is_one_sentence_and_leaves_no_half_video(tmp_path, count):
+    pictures = iter([np.zeros((480, 640, 3), np.uint8)] * count)
     with pytest.raises(OSError, match=r"^FFmpeg stopped while it wrote .*a\.mp4 at"):
         write_video(tmp_path / "a.mp4", pictures, 1e12)
     assert list(tmp_path.iterdir()) == []

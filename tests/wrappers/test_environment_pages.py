@@ -77,7 +77,8 @@ def described(space):
 
 
 def summary(name, env):
-    make = f'make("{name}")' if ENTRY_POINTS[name][0] else f'make_vec("{name}", ...)'
+    many = ENTRY_POINTS[name][0].endswith(":refuse_single")
+    make = f'make_vec("{name}", ...)' if many else f'make("{name}")'
     rows = [
         ("action space", f"`{env.single_action_space}`"),
         ("observation space", f"`{described(env.single_observation_space)}`"),
