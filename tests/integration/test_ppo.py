@@ -337,7 +337,11 @@ def test_bad_input_is_one_clear_sentence_and_leaves_nothing(
 
 
 EVALUATION_BAD = {
-    "nothing": ((), "give either a run folder or --policy"),
+    "nothing": ((), "give a run folder or --policy zero|random|planner|RUN\n"),
+    "two": (
+        ("square", "--policy", "zero"),
+        "or --policy zero|random|planner|RUN, not both",
+    ),
     "missing run": (("nowhere",), "no run folder or checkpoint at nowhere"),
     "no episodes": (("--policy", "zero", "--episodes", "0"), "episodes must be at"),
     "unwritable": (
