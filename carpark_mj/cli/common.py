@@ -63,7 +63,7 @@ def run_command(
 
 def _for_the_user(error: Exception, errors: tuple[type[Exception], ...]) -> str | None:
     """What is said of an error that the user can fix; None for a bug."""
-    # Only when something failed: a command then starts within its handler.
+    # Not at the head of `run_command`: Ctrl-C during these is not handled there.
     from jax.errors import JaxRuntimeError
 
     from carpark_mj.policy.checkpoints import CheckpointError

@@ -235,9 +235,12 @@ def test_a_failing_picture_leaves_no_half_video(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("count", [1, 50])  # less and more than a pipe holds
-def test_what_ffmpeg_refuses_is_one_sentence_and_leaves_no_half_video(tmp_path, count):
-    pictures = iter([np.zeros((480, 640, 3), np.uint8)] * count)
+# Less than a pipe holds, so that all is sent before FFmpeg stops; and more.
+@pytest.mark.parametrize(("size", "count"), [((64, 64), 1), ((480, 640), 50)])
+def test_what_ffmpeg_refuses_is_one_sentence_and_leaves_no_half_video(
+    tmp_path, size, count
+):
+    pictures = iter([np.zeros((*size, 3), np.uint8)] * count)
     with pytest.raises(OSError, match=r"^FFmpeg stopped while it wrote .*a\.mp4 at"):
         write_video(tmp_path / "a.mp4", pictures, 1e12)
     assert list(tmp_path.iterdir()) == []
