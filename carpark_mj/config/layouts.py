@@ -1,5 +1,6 @@
 """Which lot: names, files, and the base of the families' configs."""
 
+import abc
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 # Layouts given by name alone; `carpark_mj.layouts` defines them.
@@ -45,7 +46,7 @@ def require_layout(name: str) -> None:
         )
 
 
-class LayoutConfig:
+class LayoutConfig(abc.ABC):
     """Base of the configs in `carpark_mj.layouts`, one frozen dataclass per family.
 
     Attributes:
@@ -55,9 +56,9 @@ class LayoutConfig:
     family: str
 
     @property
+    @abc.abstractmethod
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
-        raise NotImplementedError
 
     @property
     def min_goals(self) -> int:

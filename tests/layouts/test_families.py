@@ -31,7 +31,7 @@ from carpark_mj.layouts import (
     pad_layout,
 )
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.tight import TightConfig, draw_tight_bay
+from carpark_mj.layouts.tight import draw_tight_bay
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.poses import spawn_pose, spawn_shapes
 from carpark_mj.vehicle import COMPACT
@@ -274,7 +274,7 @@ HOPE = {
 def test_hard_cases_have_the_room_of_hopes_levels(orientation, level):
     low, high, aisle = HOPE[orientation, level]
     chance = np.linspace(0.0, 1.0, 11)
-    config = TightConfig(level=level, orientation=orientation, car=CAR)
+    config = GarageRowConfig(level=level, orientation=orientation, car=CAR)
     draw = functools.partial(draw_tight_bay, config)
     size = np.array([draw(jnp.array([c, 0.5], jnp.float32))[0] for c in chance])
     room = size[:, 0] - 4.255 if orientation == "parallel" else size[:, 1] - 1.799
