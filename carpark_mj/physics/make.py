@@ -1,14 +1,16 @@
-"""Builds the back end that a configuration names."""
+"""Builds the back end that a configuration names.
+
+`contact` and `scene` are imported when they are asked for: they import MJX and trimesh,
+which together take about half of the time to import the environment.
+"""
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.physics.base import Physics, PhysicsState, erase_state
 from carpark_mj.physics.bicycle import BicyclePhysics
-from carpark_mj.physics.contact import ContactPhysics
 from carpark_mj.physics.grid import GridPhysics
 from carpark_mj.physics.highway import HighwayPhysics
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.vehicle import VehicleParameters
 
 
@@ -33,7 +35,11 @@ def make_physics(
     if config.physics == "highway":
         return erase_state(HighwayPhysics(config.sim))
     if config.physics == "mjx":
-        return erase_state((ContactPhysics if contact else MjxPhysics)(config.sim))
+        if not contact:
+            return erase_state(MjxPhysics(config.sim))
+        from carpark_mj.physics.contact import ContactPhysics
+
+        return erase_state(ContactPhysics(config.sim))
     if contact:
         raise ValueError("scene physics has brush tyres only, not contact")
     if layout is None:
@@ -45,6 +51,8 @@ def make_physics(
             "scene physics has cars of one kind and size only, no fleet and no "
             "jitter.scale: use mjx"
         )
+    from carpark_mj.physics.scene import ScenePhysics
+
     return erase_state(
         ScenePhysics(
             config.sim, layout, vehicle, config.num_agents, config.num_parked_cars

@@ -77,7 +77,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
     def _make_stepper(self, model: mujoco.MjModel, sim: SimConfig) -> Stepper:
         if sim.stepper != "mjx":
             return UnrolledStep(model, sim)
-        from carpark_mj.physics.mjx_step import MjxStep  # MJX is slow to import
+        from carpark_mj.physics.mjx_step import MjxStep  # it imports MJX, which is slow
 
         return MjxStep(model, sim)
 

@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import SimConfig, Surface
-from carpark_mj.physics import MjxPhysics
-from carpark_mj.physics.mjx import CarState
+from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.drive import HOLD_PEDAL, SWITCH_SPEED
 from carpark_mj.vehicle.parameters import GRAVITY

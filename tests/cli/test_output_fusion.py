@@ -9,7 +9,8 @@ import pytest
 
 from carpark_mj.cli.common import OUTPUT_FUSION
 from carpark_mj.config import SimConfig
-from carpark_mj.physics import ContactPhysics, MjxPhysics
+from carpark_mj.physics.contact import ContactPhysics
+from carpark_mj.physics.mjx import MjxPhysics
 
 ROOT = Path(__file__).parents[2]
 # What a script leaves behind: the flags, and a program compiled under them.

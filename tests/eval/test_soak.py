@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import soak as script
 from carpark_mj.config import SimConfig
-from carpark_mj.physics import MjxPhysics
+from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import PRESETS, Vehicle
 from vehicle_suite import soak
 

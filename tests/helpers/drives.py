@@ -11,8 +11,7 @@ import numpy as np
 from helpers.compiling import optimized_jit
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics import MjxPhysics
-from carpark_mj.physics.mjx import CarState
+from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.vehicle import COMPACT, Vehicle, VehicleParameters, make_vehicle
 
 DT = 0.01

@@ -10,7 +10,7 @@ import pytest
 from helpers.oracle import CCar
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics import MjxPhysics
+from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import COMPACT, VehicleParameters, make_vehicle
 
 SIM = SimConfig(sim_dt=0.01, ctrl_dt=0.01, trace_dt=0.01)

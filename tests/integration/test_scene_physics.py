@@ -14,7 +14,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import box_distance
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.physics import MjxPhysics, ScenePhysics
+from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, make_vehicle
 

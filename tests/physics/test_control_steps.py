@@ -7,8 +7,7 @@ import pytest
 from helpers.drives import VAN, Drive, make_recorder, stack
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics import MjxPhysics
-from carpark_mj.physics.mjx import CarState
+from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 

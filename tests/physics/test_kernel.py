@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics import MjxPhysics, kernel, unrolled
+from carpark_mj.physics import kernel, unrolled
 from carpark_mj.physics.kernel import run_in_kernel
+from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import PRESETS, make_vehicle
 
 AGENTS = 7

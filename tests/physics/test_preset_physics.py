@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics import MjxPhysics
+from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.load import with_mass
 from carpark_mj.vehicle.parameters import GRAVITY
