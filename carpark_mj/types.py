@@ -201,7 +201,7 @@ class State:
         tracked_bays: (num_agents, num_tracked_bays) int32 free bays each agent tracks,
             `NO_BAY` in empty slots; None while goals are fixed.
         parked_cars: the cars that stand in bays.
-        ring_history: (num_agents, ring_history, rings) int32 what rings counted before,
+        ring_history: (num_agents, history, rings) int32 what rings counted before,
             oldest first; None if the past is not observed.
         step: (num_agents,) int32 control steps made in the running episodes.
         active: (num_agents,) bool; False once finished when nobody respawns, and of
@@ -233,6 +233,11 @@ class State:
     def exploring(self) -> jax.Array:
         """(num_agents,) bool, has no goal."""
         return self.goal == NO_BAY
+
+
+# How an episode ends; exactly one of these `Events` is true then.
+OUTCOMES = ("parked", "crashed", "timed_out")
+ENDINGS = (*OUTCOMES, "diverged")
 
 
 @struct.dataclass

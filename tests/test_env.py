@@ -14,6 +14,7 @@ from helpers.trees import agent_of, leaves, same
 from carpark_mj.config import reward_preset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.fields import FAR
+from carpark_mj.types import ENDINGS
 
 # Reset
 
@@ -86,9 +87,6 @@ def ending(kind, respawn=True):
         physics = state.physics.replace(speed=jnp.array([0.0, jnp.nan, 0.0]))
         state = state.replace(physics=physics)
     return env, state, *step(state, action)
-
-
-ENDINGS = ("parked", "crashed", "timed_out", "diverged")
 
 
 @pytest.mark.parametrize("kind", ENDINGS)

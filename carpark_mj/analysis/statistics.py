@@ -36,12 +36,11 @@ class Spread:
     high: float
 
 
-def spread(strata: Sequence[Sequence[float]], seed: int = 0) -> Spread:
+def spread(strata: Sequence[Sequence[float]]) -> Spread:
     """Describes numbers by strata, one for each point of a sweep; NaNs are left out.
 
     Args:
         strata: the runs of each point.
-        seed: of the resampling.
     """
     from scipy import stats
 
@@ -67,7 +66,7 @@ def spread(strata: Sequence[Sequence[float]], seed: int = 0) -> Spread:
             n_resamples=RESAMPLES,
             confidence_level=CONFIDENCE,
             method="percentile",
-            rng=np.random.default_rng(seed),
+            rng=np.random.default_rng(0),
         ).confidence_interval
         low, high = float(interval.low), float(interval.high)
     return Spread(len(together), float(np.median(together)), float(iqm), low, high)

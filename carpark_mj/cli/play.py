@@ -155,7 +155,7 @@ def play_in_window(config: PlayConfig) -> None:
     from carpark_mj.play.picture import SIZE, Picture
 
     env, others = make_env(config)
-    window = Window("carpark_mj", SIZE)
+    window = Window(SIZE)
     controls, seed = Controls(), config.seed
 
     def read(lot: DrivenLot) -> np.ndarray:
@@ -261,7 +261,7 @@ def show_replay(config: PlayConfig) -> None:
     else:
         from carpark_mj.play.picture import SIZE, Picture
 
-        window, picture = Window("carpark_mj", SIZE), Picture(lot, config.camera)
+        window, picture = Window(SIZE), Picture(lot, config.camera)
         while _drive(lot, picture.draw, window) == "R":
             lot.reset()
 

@@ -10,7 +10,6 @@ python -m carpark_mj.scene --junction 3av-hd --out junction.xml
 """
 
 import dataclasses
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,15 +39,16 @@ from carpark_mj.rendering.web import (
     make_viewer,
     require_web,
 )
+from carpark_mj.rendering.window import NO_DISPLAY, has_display
 from carpark_mj.scene.export import drivable_scene, scene_xml
 from carpark_mj.vehicle import VehicleParameters, preset
 
 PROGRAM = "python -m carpark_mj.scene"
-NO_DISPLAY = (
-    "no display to open a window on (DISPLAY and WAYLAND_DISPLAY are unset): use a "
-    "desktop session or `ssh -X`, or look at it in a browser with --view web, or write "
-    "a file with --out and open it elsewhere with `python -m mujoco.viewer "
-    "--mjcf=FILE`, or render off-screen with `python eval/render.py zero --frame 0`"
+WITHOUT_DISPLAY = (
+    f"{NO_DISPLAY}: use a desktop session or `ssh -X`, or look at it in a browser with "
+    "--view web, or write a file with --out and open it elsewhere with `python -m "
+    "mujoco.viewer --mjcf=FILE`, or render off-screen with `python eval/render.py zero "
+    "--frame 0`"
 )
 
 
@@ -195,12 +195,9 @@ def main(config: SceneConfig) -> None:
     if config.policy:
         show_policy(config)
         return
-    display = sys.platform != "linux" or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
-    blind = config.view == "window" and not display
+    blind = config.view == "window" and not has_display()
     if blind and not config.out:
-        raise OSError(NO_DISPLAY)
+        raise OSError(WITHOUT_DISPLAY)
     if config.view == "web":
         require_web()
     spec, extent = make_scene(config)
@@ -211,7 +208,7 @@ def main(config: SceneConfig) -> None:
         write_atomically(path, lambda temporary: temporary.write_text(text))
         print(f"wrote {path}; open it: python -m mujoco.viewer --mjcf={path}")
     if blind:
-        raise OSError(NO_DISPLAY)
+        raise OSError(WITHOUT_DISPLAY)
     if config.view == "web":
         model = spec.compile()
         viewer, server = make_viewer(model, mujoco.MjData(model), extent, config.port)

@@ -10,7 +10,7 @@ import numpy as np
 
 from carpark_mj.cli.suite_files import Key, key_of
 from carpark_mj.config import EnvConfig
-from carpark_mj.evaluation.aggregation import OUTCOMES, Row
+from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import Drives, suite_env
 from carpark_mj.evaluation.suite_cases import case_numbers, pick_cases
 from carpark_mj.rendering.gl import choose_gl
@@ -19,6 +19,7 @@ from carpark_mj.rendering.rollout import Recording
 from carpark_mj.rendering.snapshot import frames_per_second, num_frames
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, write_video
+from carpark_mj.types import OUTCOMES
 from carpark_mj.vehicle import preset
 
 SIZE = (640, 400)  # pixels
@@ -82,7 +83,7 @@ def recording_of(row: Row, drive: Drives) -> Recording:
     cases = pick_cases(row["level"], 1, place, agents > 1)
     ends = {
         name: first & (np.arange(steps) == steps - 1)[:, None] & bool(row[name])
-        for name in OUTCOMES[:3]
+        for name in OUTCOMES
     }
     return Recording(
         layout=jax.tree.map(lambda x: np.asarray(x[0]), cases.layouts),

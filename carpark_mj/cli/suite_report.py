@@ -14,12 +14,13 @@ from rich.table import Table
 
 from carpark_mj.analysis.page import film_of, picture, table, write_page
 from carpark_mj.cli.suite_films import Film
-from carpark_mj.evaluation.aggregation import OUTCOMES, Row
+from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import has_moving_car, worst_first
 from carpark_mj.evaluation.suite_cases import LEVELS, TPCAP_LEVEL, fingerprint
 from carpark_mj.layouts.held_out import VERSION
 from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.policy.runs import write_csv
+from carpark_mj.types import ENDINGS
 
 WORST = 10  # cases shown of a policy and level
 # Columns on the screen; files have all.
@@ -170,7 +171,7 @@ def parts_of(episodes: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def _outcome(row: Row) -> str:
-    return next(name for name in OUTCOMES if row[name]).replace("_", " ")
+    return next(name for name in ENDINGS if row[name]).replace("_", " ")
 
 
 def _told(row: Row) -> str:

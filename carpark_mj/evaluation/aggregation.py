@@ -9,8 +9,8 @@ import numpy as np
 
 from carpark_mj.evaluation.catalogue import METRICS, START_STEPS, Metric
 from carpark_mj.mdp.clearance import KINDS
+from carpark_mj.types import ENDINGS
 
-OUTCOMES = ("parked", "crashed", "timed_out", "diverged")
 HITS = tuple(f"hit_{kind}" for kind in KINDS)
 
 Row = dict[str, Any]  # an episode: its metrics, and which it is, by name
@@ -48,7 +48,7 @@ def summarise(rows: Sequence[Row]) -> dict[str, Any]:
         name, in its unit, see `pool`; and `mean_returns`, which add up to
         `episode_return`, by reward term.
     """
-    names = rows[0] if rows else (*OUTCOMES, *HITS)
+    names = rows[0] if rows else (*ENDINGS, *HITS)
     returns = [name for name in names if name.startswith("return_")]
     return {
         "episodes": len(rows),

@@ -16,7 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.geometry import box_corners, boxes_overlap, to_local, to_world
+from carpark_mj.geometry import (
+    box_corners,
+    boxes_overlap,
+    move_forward,
+    to_local,
+    to_world,
+)
 from carpark_mj.layouts import HopeConfig, Layout
 from carpark_mj.layouts.hope import MARGIN
 from carpark_mj.layouts.standards import Level
@@ -90,8 +96,7 @@ def _line(level: Level, parallel: np.ndarray, layouts: Layout) -> jax.Array:
         for along in parallel.tolist()
     ]
     start = layouts.spawn_pose[:, 0]
-    ahead = TPCAP_CAR.length / 2 - TPCAP_CAR.rear_overhang
-    axle = start[:, 1] - ahead * jnp.sin(start[:, 2])  # is in the aisle
+    axle = move_forward(start, -TPCAP_CAR.centre_offset)[:, 1]  # is in the aisle
     corners = box_corners(layouts.wall_pose, layouts.wall_size)[..., 1]
     near = layouts.wall_mask & (corners < axle[:, None, None]).all(axis=-1)
     edge = jnp.where(near, corners.max(axis=-1), -jnp.inf).max(axis=-1) + MARGIN

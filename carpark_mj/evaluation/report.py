@@ -9,10 +9,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from carpark_mj.evaluation.aggregation import HITS, OUTCOMES
+from carpark_mj.evaluation.aggregation import HITS
 from carpark_mj.evaluation.catalogue import DRIVING, GOALS, SAFETY
 from carpark_mj.evaluation.rollout import Evaluation
 from carpark_mj.policy.runs import write_csv, write_json
+from carpark_mj.types import ENDINGS, OUTCOMES
 
 
 def print_report(result: Evaluation, title: str) -> None:
@@ -77,7 +78,7 @@ def _group_rows(column: str, groups: dict[str, dict[str, Any]]) -> list[dict[str
     for group, summary in groups.items():
         row: dict[str, Any] = {column.replace(" ", "_"): group}
         row["episodes"] = summary["episodes"]
-        for outcome in OUTCOMES:
+        for outcome in ENDINGS:
             for name, value in summary[outcome].items():
                 row[f"{outcome}_{name}"] = value
         rows.append(row)
@@ -91,7 +92,7 @@ def print_groups(name: str, groups: dict[str, dict[str, Any]]) -> None:
     for column in ("episodes", "parked", "crashed", "timed out"):
         table.add_column(column, justify="right")
     for group, summary in groups.items():
-        rates = [summary[name] for name in ("parked", "crashed", "timed_out")]
+        rates = [summary[name] for name in OUTCOMES]
         table.add_row(
             escape(group),
             f"{summary['episodes']}",
@@ -109,7 +110,7 @@ def print_table(summary: dict[str, Any], title: str) -> None:
     table = Table(title=f"{escape(title)}: {summary['episodes']} episodes")
     for column in ("outcome", "rate", "95 % interval", "episodes"):
         table.add_column(column, justify="left" if column == "outcome" else "right")
-    for name in OUTCOMES + HITS:
+    for name in ENDINGS + HITS:
         row = summary[name]
         label = name.replace("_", " ")
         table.add_row(

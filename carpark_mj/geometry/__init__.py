@@ -19,6 +19,7 @@ from carpark_mj.geometry.nearest import nearest
 from carpark_mj.geometry.reeds_shepp import reeds_shepp_length
 from carpark_mj.geometry.se2 import (
     axis_angle_error,
+    move_forward,
     norm,
     rotate,
     to_local,
@@ -37,6 +38,7 @@ __all__ = [
     "box_inside",
     "box_room",
     "boxes_overlap",
+    "move_forward",
     "nearest",
     "norm",
     "point_box_distance",

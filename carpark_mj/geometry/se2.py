@@ -30,6 +30,17 @@ def rotate(vector: jax.Array, yaw: jax.Array) -> jax.Array:
     return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
+def move_forward(pose: jax.Array, distance: jax.Array | float) -> jax.Array:
+    """Moves poses (..., 3) along their headings by distances (...) [m].
+
+    Between a car's rear axle and its footprint's centre by `centre_offset`.
+    """
+    yaw = pose[..., 2]
+    x = pose[..., 0] + distance * jnp.cos(yaw)
+    y = pose[..., 1] + distance * jnp.sin(yaw)
+    return jnp.stack([x, y, yaw], axis=-1)
+
+
 def to_local(frame: jax.Array, pose: jax.Array) -> jax.Array:
     """Expresses world poses (..., 3) in the frame of other poses (..., 3)."""
     xy = rotate(pose[..., :2] - frame[..., :2], -frame[..., 2])

@@ -10,7 +10,7 @@ controller of the speed, whose integral stands still while the pedal is at an en
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import norm, rotate
+from carpark_mj.geometry import move_forward, norm, rotate
 from carpark_mj.junction.routes import Routes, point_at, project
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.drive import HOLD_SPEED
@@ -30,8 +30,7 @@ def steer(routes: Routes, motion: Motion, vehicle: Vehicle) -> jax.Array:
         vehicle: parameters (cars,).
     """
     yaw = motion.pose_w[..., 2]
-    back = jnp.stack([-vehicle.centre_offset, jnp.zeros_like(yaw)], axis=-1)
-    rear = motion.xy + rotate(back, yaw)
+    rear = move_forward(motion.pose_w, -vehicle.centre_offset)[..., :2]
     along, _ = project(routes, rear)
     ahead = LOOKAHEAD + LOOKAHEAD_TIME * jnp.maximum(motion.speed, 0.0)
     target = rotate(point_at(routes, along + ahead) - rear, -yaw)

@@ -56,7 +56,7 @@ def _read(path: str) -> Layout:
     return jax.device_get(reader(Path(path)))
 
 
-def from_file(config: FromFileConfig, key: jax.Array | None = None) -> Layout:
+def from_file(config: FromFileConfig, key: jax.Array) -> Layout:
     """The layout of the file; the key is unused."""
     del key
     return jax.tree.map(jnp.asarray, _read(config.path))

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import LayoutConfig
-from carpark_mj.geometry import box_corners, box_distance, boxes_overlap
+from carpark_mj.geometry import box_corners, box_distance, boxes_overlap, move_forward
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import (
     DesignCar,
@@ -166,8 +166,8 @@ def _stand(config: HopeConfig, x: jax.Array, tilt: jax.Array, setback: jax.Array
     yaw = tilt + (0.0 if along else jnp.pi / 2)
     cos, sin = jnp.cos(yaw), jnp.sin(yaw)
     reach = (car.length * jnp.abs(sin) + car.width * jnp.abs(cos)) / 2
-    ahead = car.length / 2 - car.rear_overhang
-    return jnp.stack([x + ahead * cos, reach + MARGIN + setback, yaw], axis=-1)
+    x = x + car.centre_offset * cos
+    return jnp.stack([x, reach + MARGIN + setback, yaw], axis=-1)
 
 
 def _setback(key: jax.Array) -> jax.Array:
@@ -307,5 +307,4 @@ def _draw_start(config: HopeConfig, edge: jax.Array, key: jax.Array) -> jax.Arra
     y = edge + START_ROOM + (config.room.aisle - 2 * START_ROOM) * share[1]
     yaw = _normal(yaw_key, (), START_HEADING, jnp.pi / 2)
     yaw = yaw + jnp.where(jax.random.bernoulli(back_key), jnp.pi, 0.0)
-    ahead = config.car.length / 2 - config.car.rear_overhang
-    return jnp.stack([x + ahead * jnp.cos(yaw), y + ahead * jnp.sin(yaw), yaw])
+    return move_forward(jnp.stack([x, y, yaw]), config.car.centre_offset)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.geometry import move_forward
 from carpark_mj.layouts.build import (
     Group,
     assemble,
@@ -21,7 +22,7 @@ from carpark_mj.layouts.build import (
 )
 from carpark_mj.layouts.lot_config import LotConfig
 from carpark_mj.layouts.ranges import chances, draw, draw_int
-from carpark_mj.layouts.rows import ahead, cell_poses, mirror, row_depth
+from carpark_mj.layouts.rows import cell_poses, mirror, row_depth
 from carpark_mj.layouts.standards import (
     ACCESSIBLE_WIDTH,
     AISLE_ANGLES,
@@ -47,7 +48,6 @@ class _Plan:
     """One lot as drawn: () float32 [m] or int32 unless said, the centre at the origin.
 
     Attributes:
-        per_row: standard bays in a row.
         angle: between aisle and bays [rad].
         bay_width: of standard bays.
         bay_length: of all bays.
@@ -63,7 +63,6 @@ class _Plan:
         entrance_mask: (2,) bool.
     """
 
-    per_row: jax.Array
     angle: jax.Array
     bay_width: jax.Array
     bay_length: jax.Array
@@ -107,7 +106,6 @@ def _draw_plan(config: LotConfig, key: jax.Array) -> _Plan:
     number = jnp.arange(config.num_aisles[1])
     aisle_y = (number + 0.5) * module + below - height / 2
     return _Plan(
-        per_row=per_row,
         angle=angle,
         bay_width=bay_width,
         bay_length=bay_length,
@@ -172,7 +170,7 @@ def _rows(config: LotConfig, plan: _Plan) -> list[Group]:
     if every:
         gap = jnp.full(shape, PILLAR_GAP)
         setback = plan.bay_length / 2 - PILLAR_SETBACK - PILLAR_RADIUS
-        centre = ahead(place(far - width - gap, gap), setback)
+        centre = move_forward(place(far - width - gap, gap), setback)[..., :2]
         groups.append(discs(centre, PILLAR_RADIUS, DiscKind.PILLAR, mask & pillar))
     if config.row_ends != "open":
         # The strip fills what wide bays leave of their row, if it stays within the row.
@@ -190,7 +188,9 @@ def _strips(config: LotConfig, plan: _Plan, pose: jax.Array, width: jax.Array) -
         length = jnp.broadcast_to(plan.bay_length, width.shape)
         return walls(pose, jnp.stack([length, width], axis=-1), WallKind.ISLAND, mask)
     reach = plan.bay_length / 2 - BOLLARD_INSET
-    centre = jnp.stack([ahead(pose, reach), ahead(pose, -reach)], axis=-2)
+    centre = jnp.stack(
+        [move_forward(pose, reach), move_forward(pose, -reach)], axis=-2
+    )[..., :2]
     return discs(centre, BOLLARD_RADIUS, DiscKind.BOLLARD, mask[..., None])
 
 

@@ -63,7 +63,7 @@ class MetaDriveConfig(LayoutConfig):
         return False
 
 
-def metadrive(config: MetaDriveConfig, key: jax.Array | None = None) -> Layout:
+def metadrive(config: MetaDriveConfig, key: jax.Array) -> Layout:
     """Builds the lot; the road comes from -x, and the junction lies at +x."""
     del key
     half = LANE / 2

@@ -8,8 +8,6 @@ give the other side and the other direction.
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import rotate
-
 
 def cell_poses(
     offset: jax.Array, width: jax.Array, length: jax.Array, angle: jax.Array
@@ -41,9 +39,3 @@ def mirror(pose: jax.Array, flip_x: jax.Array, flip_y: jax.Array) -> jax.Array:
     x, y, yaw = pose[..., 0] * flip_x, pose[..., 1] * flip_y, pose[..., 2]
     yaw = jnp.arctan2(jnp.sin(yaw) * flip_y, jnp.cos(yaw) * flip_x)
     return jnp.stack(jnp.broadcast_arrays(x, y, yaw), axis=-1)
-
-
-def ahead(pose: jax.Array, distance: jax.Array) -> jax.Array:
-    """Points (..., 2) so far ahead of the centres of poses (..., 3) [m]."""
-    step = jnp.stack([distance, jnp.zeros_like(distance)], axis=-1)
-    return pose[..., :2] + rotate(step, pose[..., 2])

@@ -157,7 +157,7 @@ SLOTS: dict[str, SlotsConfig] = {
 }
 
 
-def slots(config: SlotsConfig, key: jax.Array | None = None) -> Layout:
+def slots(config: SlotsConfig, key: jax.Array) -> Layout:
     """Builds the lot; only a random goal depends on the key."""
     begin, end = centre_lines(config)
     along = end - begin
@@ -169,7 +169,6 @@ def slots(config: SlotsConfig, key: jax.Array | None = None) -> Layout:
 
     goal = config.goal_slot
     if goal is None:
-        key = jax.random.key(0) if key is None else key
         goal = jax.random.randint(key, (), 0, len(begin))
     is_goal = jnp.arange(len(begin)) == goal
     obstacles = _obstacles(config)

@@ -105,7 +105,7 @@ COMPACT = SquareConfig(
 )
 
 
-def square(config: SquareConfig, key: jax.Array | None = None) -> Layout:
+def square(config: SquareConfig, key: jax.Array) -> Layout:
     """Builds the square lot.
 
     Args:

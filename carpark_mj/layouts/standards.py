@@ -86,6 +86,11 @@ class DesignCar:
         return self.length, self.width
 
     @property
+    def centre_offset(self) -> float:
+        """Rear axle to the footprint's centre [m]."""
+        return self.length / 2 - self.rear_overhang
+
+    @property
     def front_reach(self) -> float:
         """Rear axle to front bumper [m]."""
         return self.length - self.rear_overhang

@@ -48,12 +48,11 @@ FARTHEST_ORIGIN = 1e10  # m; float64 resolves 2e-6 m there
 RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
 
 
-def read_tpcap(path: Path, car: DesignCar = TPCAP_CAR) -> Layout:
-    """Reads a TPCAP case.
+def read_tpcap(path: Path) -> Layout:
+    """Reads a TPCAP case, whose poses are of the rear axle of `TPCAP_CAR`.
 
     Args:
         path: the CSV file.
-        car: whose rear axle the poses are of, and which parks.
 
     Raises:
         ValueError: no such file, or a fault in it; the message names the line.
@@ -91,7 +90,7 @@ def read_tpcap(path: Path, car: DesignCar = TPCAP_CAR) -> Layout:
                 "vertices lie on a line or its edges cross"
             )
     try:
-        return _case(np.array(numbers[:3]), np.array(numbers[3:6]), polygons, car)
+        return _case(np.array(numbers[:3]), np.array(numbers[3:6]), polygons)
     except _BlockedError as error:
         raise ValueError(f"{path}, line {lines[error.first]}: {error}") from None
 
@@ -154,13 +153,11 @@ def _require_near(
             )
 
 
-def _case(
-    start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray], car: DesignCar
-) -> Layout:
-    ahead = car.length / 2 - car.rear_overhang  # rear axle to the footprint's centre
+def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> Layout:
+    car = TPCAP_CAR
 
     def centred(pose: np.ndarray) -> np.ndarray:
-        step = ahead * np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
+        step = car.centre_offset * np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
         return pose + step
 
     start, goal = centred(start), centred(goal)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, RewardConfig
-from carpark_mj.geometry import axis_angle_error, norm, reeds_shepp_length
+from carpark_mj.geometry import axis_angle_error, move_forward, norm, reeds_shepp_length
 from carpark_mj.types import CarParameters as Car
 from carpark_mj.types import Motion
 
@@ -50,21 +50,15 @@ def mix_in_maneuver(
         goal_pose: (..., 3).
     """
     radius = car.wheelbase / jnp.tan(car.max_steering)
-    start = _rear_axle(motion.pose_w, car)
+    back = -car.centre_offset
+    start = move_forward(motion.pose_w, back)
     turned = goal_pose + jnp.array([0.0, 0.0, jnp.pi])
     length = jnp.minimum(
-        reeds_shepp_length(start, _rear_axle(goal_pose, car), radius),
-        reeds_shepp_length(start, _rear_axle(turned, car), radius),
+        reeds_shepp_length(start, move_forward(goal_pose, back), radius),
+        reeds_shepp_length(start, move_forward(turned, back), radius),
     )
     share = jnp.clip((reach - distance) / (0.75 * reach), 0.0, 1.0)
     return distance + share * (length - distance)
-
-
-def _rear_axle(pose: jax.Array, car: Car) -> jax.Array:
-    """Poses (..., 3) of rear axles of cars with centres at poses (..., 3)."""
-    ahead = jnp.stack([jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])], axis=-1)
-    xy = pose[..., :2] - car.centre_offset[..., None] * ahead
-    return jnp.concatenate([xy, pose[..., 2:]], axis=-1)
 
 
 def is_nearer(

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.config import SimConfig
-from carpark_mj.geometry import rotate, wrap_angle
+from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.physics.base import (
     FactoredPhysics,
     contain_non_finite,
@@ -122,7 +122,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
         still = jnp.zeros(pose_w.shape[:-1], pose_w.dtype)
         shape = (*still.shape, self.sim.num_traces, 3)
         return BicycleState(
-            pose_w=_shift(pose, -self.ahead(vehicle)),
+            pose_w=move_forward(pose, -self.ahead(vehicle)),
             speed=still,
             actuators=drive.Actuators(steering=still, drive=still),
             vehicle=vehicle,
@@ -167,7 +167,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
             self.sim,
             lambda carry: self.substep(vehicle, controls, carry),
             (state.pose_w, state.speed, state.actuators),
-            lambda carry: _shift(carry[0], self.ahead(vehicle)),
+            lambda carry: move_forward(carry[0], self.ahead(vehicle)),
         )
         pose, speed, actuators = carry
         stepped = dataclasses.replace(
@@ -202,10 +202,3 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
         faster = accelerate(vehicle, speed, torque, brake, dt)
         pose = advance(pose, (speed + faster) / 2, angle, vehicle.wheelbase, dt)
         return pose, faster, drive.Actuators(steering, torque)
-
-
-def _shift(pose_w: jax.Array, distance: jax.Array) -> jax.Array:
-    """Poses (..., 3) moved forwards by distances (...) [m]."""
-    ahead = jnp.stack([distance, jnp.zeros_like(distance)], axis=-1)
-    xy = pose_w[..., :2] + rotate(ahead, pose_w[..., 2])
-    return jnp.concatenate([xy, pose_w[..., 2:]], axis=-1)

@@ -25,14 +25,14 @@ class CarIndex:
         nv: degrees of freedom of the model.
     """
 
-    def __init__(self, model: mujoco.MjModel, prefix: str = "") -> None:
-        """Looks the joints of the car with a name prefix up."""
+    def __init__(self, model: mujoco.MjModel) -> None:
+        """Looks up the joints of the model's car."""
 
         def addresses(table: str, kind: str, names: tuple[str, ...]) -> np.ndarray:
-            joints = [model.joint(f"{prefix}{kind}_{n}").id for n in names]
+            joints = [model.joint(f"{kind}_{n}").id for n in names]
             return getattr(model, table)[joints]
 
-        root = model.joint(f"{prefix}root").id
+        root = model.joint("root").id
         self.root_qpos = int(model.jnt_qposadr[root])
         self.root_dof = int(model.jnt_dofadr[root])
         self.steer_qpos = addresses("jnt_qposadr", "steer", STEERED)

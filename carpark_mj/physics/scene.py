@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.config import SimConfig
-from carpark_mj.geometry import wrap_angle
+from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import run_substeps
 from carpark_mj.physics.coordinates import (
@@ -122,15 +122,7 @@ class ScenePhysics:
     def set_parked_poses(self, state: SceneState, parked_pose: jax.Array) -> SceneState:
         """Places parked cars whose pose changed; see `Physics.set_parked_poses`."""
         moved = jnp.abs(parked_pose - state.parked_set).max(-1, keepdims=True) > MOVED
-        x, y, yaw = (parked_pose[..., k] for k in range(3))
-        rear = jnp.stack(
-            [
-                x - self._centre_offset * jnp.cos(yaw),
-                y - self._centre_offset * jnp.sin(yaw),
-                yaw,
-            ],
-            axis=-1,
-        )
+        rear = move_forward(parked_pose, -self._centre_offset)
         return dataclasses.replace(
             state,
             parked_set=parked_pose,
@@ -141,15 +133,8 @@ class ScenePhysics:
     def parked_poses(self, state: SceneState, intended: jax.Array) -> jax.Array:
         """Poses (..., num_parked_cars, 3) of the footprints, pushed or not."""
         del intended
-        x, y, yaw = (state.parked_qpos[..., k] for k in range(3))
-        return jnp.stack(
-            [
-                x + self._centre_offset * jnp.cos(yaw),
-                y + self._centre_offset * jnp.sin(yaw),
-                wrap_angle(yaw),
-            ],
-            axis=-1,
-        )
+        centre = move_forward(state.parked_qpos, self._centre_offset)
+        return centre.at[..., 2].set(wrap_angle(centre[..., 2]))
 
     def read(self, state: SceneState) -> Motion:
         """Reads the motion and what was touched; see `Physics.read`."""

@@ -6,12 +6,11 @@ import jax
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.aggregation import OUTCOMES
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.types import State, TimeStep
+from carpark_mj.types import ENDINGS, State, TimeStep
 
 
 class LiveLot:
@@ -64,7 +63,7 @@ class LiveLot:
             "parked_pose": state.parked_cars.pose_w,
             "goal": after.goal[: self._count],
             **self._record(state, observation, action, timestep),
-            **{name: getattr(timestep.events, name).sum() for name in OUTCOMES},
+            **{name: getattr(timestep.events, name).sum() for name in ENDINGS},
         }
         return (after, timestep.observation), seen
 
@@ -88,7 +87,7 @@ class LiveLot:
         state, _ = self._carry = self._start
         self._steps = self._trace = 0
         self._seen = None
-        self._ended = dict.fromkeys(OUTCOMES, 0)
+        self._ended = dict.fromkeys(ENDINGS, 0)
         self.seconds = 0.0
         self._aim(np.asarray(state.goal[: self._count]))
         motion = jax.tree.map(lambda x: x[: self._count], state.motion)
@@ -115,7 +114,7 @@ class LiveLot:
             self._steps, self._trace = self._steps + 1, 0
             self.seconds = self._steps * self._env.config.sim.ctrl_dt
             self._aim(self._seen["goal"])
-            for name in OUTCOMES:
+            for name in ENDINGS:
                 self._ended[name] += int(self._seen[name])
         seen = self._seen
         assert seen is not None

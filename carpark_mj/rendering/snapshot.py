@@ -9,10 +9,9 @@ import numpy as np
 from carpark_mj.geometry import nearest
 from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.rollout import Recording
-from carpark_mj.types import NO_BAY
+from carpark_mj.types import NO_BAY, OUTCOMES
 
 FLASH_SECONDS = 0.8  # how long an ended episode flashes
-OUTCOMES = ("parked", "crashed", "timed_out")
 STANDING = 0.1  # m/s, slower cars stand
 
 

@@ -18,11 +18,10 @@ def has_display() -> bool:
 class Window:
     """A window of GLFW's, in which MuJoCo draws the pixels."""
 
-    def __init__(self, title: str, size: tuple[int, int]) -> None:
+    def __init__(self, size: tuple[int, int]) -> None:
         """Opens it.
 
         Args:
-            title: in its bar.
             size: width and height of the pictures [pixels].
 
         Raises:
@@ -37,7 +36,7 @@ class Window:
             raise OSError(NO_DISPLAY)
         glfw.window_hint(glfw.RESIZABLE, False)
         self._glfw, self._draw = glfw, mujoco.mjr_drawPixels
-        self._window: Any = glfw.create_window(*size, title, None, None)
+        self._window: Any = glfw.create_window(*size, "carpark_mj", None, None)
         glfw.make_context_current(self._window)
         empty = mujoco.MjModel.from_xml_string("<mujoco/>")
         self._context = mujoco.MjrContext(empty, mujoco.mjtFontScale.mjFONTSCALE_100)

@@ -19,7 +19,6 @@ VERGE = 20.0  # reach of the grass, in the lot's larger half width
 VERGE_GAP, VERGE_HEIGHT = 1.0, 0.01  # m, asphalt left around the walls, and grass
 GROUND_CLEARANCE = 0.16  # m, under the hull with which a car touches others
 HULL_GROUP = 3  # hidden by default, like all collision geoms
-# Cars, walls and parked cars touch each other; sheet metal slides on sheet metal.
 _WALL_LOOKS = {  # height [m] and colour
     WallKind.WALL: (WALL_HEIGHT, materials.CONCRETE),
     WallKind.KERB: (0.14, materials.KERB),
@@ -30,6 +29,7 @@ _DISC_LOOKS = {
     DiscKind.PILLAR: (2.4, materials.CONCRETE),
     DiscKind.BOLLARD: (0.9, materials.GATE),
 }
+# Cars, walls and parked cars touch each other; sheet metal slides on sheet metal.
 _COLLIDES = {"contype": 1, "conaffinity": 1, "friction": [0.4, 0.005, 0.0001]}
 
 

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box, Discrete
 
-from carpark_mj.evaluation.aggregation import OUTCOMES
+from carpark_mj.types import ENDINGS
 from carpark_mj.wrappers.action_table import action_table
 from carpark_mj.wrappers.batch import AgentsEnv
 from carpark_mj.wrappers.joint import joint_env
@@ -33,7 +33,7 @@ class JaxMarlAgents(MultiAgentEnv):
     the step in which an episode ends.
     """
 
-    outcomes = OUTCOMES
+    outcomes = ENDINGS
 
     def __init__(self, env: AgentsEnv, box: spaces.Box, *, discrete: bool) -> None:
         """Wraps an environment.

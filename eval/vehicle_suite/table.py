@@ -175,12 +175,11 @@ EXCERPT = (
 )
 
 
-def excerpt(report: Path, preset: str = "compact") -> str:
-    """The rows of `EXCERPT` as a markdown table, from the report's CSV.
+def excerpt(report: Path) -> str:
+    """The rows of `EXCERPT` for `compact` as a markdown table, from the report's CSV.
 
     Args:
         report: `report.csv`.
-        preset: the car it is about.
 
     Raises:
         KeyError: the report lacks one of `EXCERPT` on brush tyres.
@@ -189,7 +188,7 @@ def excerpt(report: Path, preset: str = "compact") -> str:
         found = {
             (row["row"], row["tyres"]): row
             for row in csv.DictReader(file)
-            if row["preset"] == preset
+            if row["preset"] == "compact"
         }
     lines = ["| manoeuvre | expected | brush | contact |", "|---|---|---|---|"]
     for name in EXCERPT:

@@ -8,7 +8,6 @@ import pytest
 
 from carpark_mj.evaluation.aggregation import (
     HITS,
-    OUTCOMES,
     complete_row,
     effective_episodes,
     pool,
@@ -16,6 +15,7 @@ from carpark_mj.evaluation.aggregation import (
     wilson_interval,
 )
 from carpark_mj.evaluation.catalogue import METRICS
+from carpark_mj.types import ENDINGS
 
 BY_NAME = {metric.name: metric for metric in METRICS}
 
@@ -112,7 +112,7 @@ def test_the_least_clearance_is_to_whatever_was_nearest():
 
 def outcome_row(outcome, hit="", **numbers):
     """An episode with its outcome and the numbers given."""
-    flags = {name: float(name in (outcome, hit)) for name in OUTCOMES + HITS}
+    flags = {name: float(name in (outcome, hit)) for name in ENDINGS + HITS}
     return episode(**(flags | numbers))
 
 
@@ -144,8 +144,8 @@ def test_a_summary_has_each_metric_once_and_by_the_catalogue_s_name():
 def test_no_episodes_have_rates_that_could_be_anything():
     summary = summarise([])
     assert summary["episodes"] == 0
-    assert set(summary) == {"episodes", "mean_returns", *OUTCOMES, *HITS}
-    for name in OUTCOMES + HITS:
+    assert set(summary) == {"episodes", "mean_returns", *ENDINGS, *HITS}
+    for name in ENDINGS + HITS:
         rate = summary[name]
         assert math.isnan(rate.pop("rate"))
         assert rate == {"low": 0.0, "high": 1.0, "count": 0.0}

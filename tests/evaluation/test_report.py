@@ -10,7 +10,7 @@ import pytest
 from carpark_mj.cli.evaluate import EvaluateConfig, Task, report, subfolder
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.aggregation import OUTCOMES, summarise
+from carpark_mj.evaluation.aggregation import summarise
 from carpark_mj.evaluation.report import (
     print_groups,
     print_metrics,
@@ -19,6 +19,7 @@ from carpark_mj.evaluation.report import (
     write_evaluation,
 )
 from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.types import ENDINGS
 
 
 def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys):
@@ -44,7 +45,7 @@ def test_the_first_table_tells_outcomes_and_how_parked_episodes_went(
     everything, capsys
 ):
     rates = {
-        name: {"rate": 0.25, "low": 0.1, "high": 0.4, "count": 1} for name in OUTCOMES
+        name: {"rate": 0.25, "low": 0.1, "high": 0.4, "count": 1} for name in ENDINGS
     }
     driven = {
         "time_to_park": 12.34,
@@ -85,7 +86,7 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
     assert [row["family"] for row in rows] == ["compact", "street", "all"]
     assert [int(row["episodes"]) for row in rows] == [4, 2, 6]
     for row in rows:
-        rates = [float(row[f"{outcome}_rate"]) for outcome in OUTCOMES]
+        rates = [float(row[f"{outcome}_rate"]) for outcome in ENDINGS]
         assert sum(rates) == pytest.approx(1.0)
         assert float(row["parked_low"]) <= rates[0] <= float(row["parked_high"])
     stored = json.loads(files[1].read_text())

@@ -9,7 +9,6 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig, insert
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import (
-    OUTCOMES,
     effective_episodes,
     wilson_interval,
 )
@@ -18,6 +17,7 @@ from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.baselines import random_policy, zero_policy
+from carpark_mj.types import ENDINGS
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
 
 def test_every_episode_has_exactly_one_outcome_and_a_length(result):
     for row in result.episodes:
-        assert sum(row[name] for name in OUTCOMES) == 1
+        assert sum(row[name] for name in ENDINGS) == 1
         assert 1 <= row["length"] <= 30
         assert (row["length"] == 30) or not row["timed_out"]
 
@@ -165,13 +165,13 @@ def test_families_are_summed_up_apart_and_add_up(mixed):
     for name, summary in mixed.families.items():
         rows = [row for row in mixed.episodes if row["family"] == name]
         assert summary["episodes"] == len(rows)
-        for outcome in OUTCOMES:
+        for outcome in ENDINGS:
             rate = summary[outcome]
             assert rate["count"] == sum(row[outcome] for row in rows)
             trials = effective_episodes(outcome, rows)
             expected = wilson_interval(rate["rate"] * trials, trials)
             assert (rate["low"], rate["high"]) == expected
-    for outcome in OUTCOMES:
+    for outcome in ENDINGS:
         total = sum(summary[outcome]["count"] for summary in mixed.families.values())
         assert mixed.summary[outcome]["count"] == total
 
@@ -226,7 +226,7 @@ def test_numbers_of_agents_are_summed_up_apart_and_add_up(crowds, plain):
         (2, 20),
         (3, 30),
     ]
-    for outcome in OUTCOMES:
+    for outcome in ENDINGS:
         total = sum(part[outcome]["count"] for part in parts.values())
         assert crowds.summary[outcome]["count"] == total
     assert list(plain.agent_counts) == [3]

@@ -155,6 +155,19 @@ def test_to_local_sees_what_lies_ahead_on_x_and_what_lies_left_on_y():
     np.testing.assert_allclose(left, [0.0, 2.0, jnp.pi / 2], atol=1e-6)
 
 
+def test_moving_forward_is_along_the_heading_and_keeps_it():
+    north = jnp.array([1.0, 2.0, np.pi / 2])
+    there = geometry.move_forward(north, 3.0)
+    np.testing.assert_allclose(there, [1.0, 5.0, np.pi / 2], atol=1e-6)
+    pose, distance = random_boxes(np.random.default_rng(2), 500)
+    ahead = np.stack([distance[:, 0], np.zeros(500), np.zeros(500)], -1)
+    moved = geometry.move_forward(pose, distance[:, 0])
+    np.testing.assert_allclose(
+        moved[:, :2], geometry.to_world(pose, ahead)[:, :2], atol=1e-5
+    )
+    np.testing.assert_array_equal(moved[:, 2], pose[:, 2])
+
+
 def test_wrapped_angles_lie_in_minus_pi_to_below_pi():
     rng = np.random.default_rng(4)
     edges = np.pi * np.arange(-9, 10, dtype=np.float32)

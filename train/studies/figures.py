@@ -6,6 +6,7 @@ The values of the swept settings are those of the published runs, `tanner_2022.c
 import dataclasses
 from collections.abc import Mapping
 
+from carpark_mj.types import OUTCOMES
 from studies.published import published_values
 from sweeps.axes import Axis
 from sweeps.plan import Plan
@@ -46,7 +47,6 @@ class Experiment:
         return f"figure-{self.figures[0]}"
 
 
-_OUTCOMES = ("parked", "crashed", "timed_out")
 EXPERIMENTS = (
     Experiment(
         ("5.4",),
@@ -61,7 +61,7 @@ EXPERIMENTS = (
         "number of agents",
         "tanner-fixed",
         ("env.num_agents",),
-        (*_OUTCOMES, "nearest_car"),
+        (*OUTCOMES, "nearest_car"),
         3,
         {"num_steps": "14_000_000"},
     ),
@@ -70,7 +70,7 @@ EXPERIMENTS = (
         "number of parked cars, one agent",
         "tanner-fixed",
         ("env.num_parked_cars",),
-        _OUTCOMES,
+        OUTCOMES,
         3,
         {"env.num_agents": "1", "num_steps": "6_000_000"},
     ),
@@ -79,7 +79,7 @@ EXPERIMENTS = (
         "number of parked cars, seven agents",
         "tanner-fixed",
         ("env.num_parked_cars",),
-        _OUTCOMES,
+        OUTCOMES,
         3,
     ),
     Experiment(
@@ -87,7 +87,7 @@ EXPERIMENTS = (
         "number of tracked cars",
         "tanner-fixed",
         ("env.observation.tracked_cars",),
-        _OUTCOMES,
+        OUTCOMES,
         3,
     ),
     Experiment(
@@ -95,7 +95,7 @@ EXPERIMENTS = (
         "what agents share",
         "tanner-fixed",
         ("env.observation.share.goals", "env.observation.share.speeds"),
-        _OUTCOMES,
+        OUTCOMES,
         6,
     ),
     Experiment(
@@ -113,7 +113,7 @@ EXPERIMENTS = (
         "larger hitboxes",
         "tanner-fixed",
         ("env.episode.hitbox_scale",),
-        ("nearest_car", *_OUTCOMES),
+        ("nearest_car", *OUTCOMES),
         2,
         {},
         "in training and evaluation, as the published crash rates suggest",
@@ -123,7 +123,7 @@ EXPERIMENTS = (
         "number of agents, chosen goals",
         "tanner-dynamic",
         ("env.num_agents",),
-        (*_OUTCOMES, "length", "lost_untracked"),
+        (*OUTCOMES, "length", "lost_untracked"),
         3,
         {"num_steps": "14_000_000"},
     ),
@@ -132,7 +132,7 @@ EXPERIMENTS = (
         "tracked cars and bays, chosen goals",
         "tanner-dynamic",
         ("env.observation.tracked_cars", "env.goals.num_tracked_bays"),
-        (*_OUTCOMES, "lost_untracked", "change_goal"),
+        (*OUTCOMES, "lost_untracked", "change_goal"),
         3,
     ),
     Experiment(
@@ -141,7 +141,7 @@ EXPERIMENTS = (
         "tanner-dynamic",
         ("env.reward.goals.change_goal",),
         (
-            *_OUTCOMES,
+            *OUTCOMES,
             "explore_share",
             "towards_goal",
             "towards_bay",

@@ -110,13 +110,12 @@ class Comparison:
         return "does not hold: the contrary" if self.high < 0.5 else "not decided"
 
 
-def compare(claim: Claim, runs: Runs, seed: int = 0) -> Comparison:
+def compare(claim: Claim, runs: Runs) -> Comparison:
     """Judges a claim by the runs of its cells, those that are done.
 
     Args:
         claim: which.
         runs: finished ones by cell.
-        seed: of the resampling.
     """
     sign = 1.0 if claim.metric in GREATER else -1.0
     found = {
@@ -129,7 +128,7 @@ def compare(claim: Claim, runs: Runs, seed: int = 0) -> Comparison:
     if not pairs:
         return Comparison(np.nan, np.nan, np.nan, 0, 0)
     used = {key: found[key] for pair in pairs for key in pair}
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     drawn = {
         key: rng.choice(values, (RESAMPLES, len(values)))
         for key, values in used.items()

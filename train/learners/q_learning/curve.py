@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.policy.runs import write_csv
+from carpark_mj.types import OUTCOMES
 from learners.figure import NAME, two_panels
 from learners.q_learning.config import QLearningConfig
 
-OUTCOMES = ("parked", "crashed", "timed_out")
 POINTS = 1500  # of a curve in the picture
 
 
