@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.policy.checkpoints import require_writable
+from carpark_mj.files import require_writable
 from carpark_mj.vehicle import PRESETS, preset
 from vehicle_suite.report import write_report
 from vehicle_suite.suites import Tyres, drive_suites

@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.policy.checkpoints import require_writable
+from carpark_mj.files import require_writable
 from vehicle_suite import referee, referee_report
 
 

@@ -25,7 +25,7 @@ from benchmarking.scaling import (
     write_points,
 )
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.policy.checkpoints import require_writable
+from carpark_mj.files import require_writable
 
 
 @dataclasses.dataclass(frozen=True)

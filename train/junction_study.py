@@ -17,7 +17,7 @@ from pathlib import Path
 
 from carpark_mj.cli.common import run_command
 from carpark_mj.config.checks import at_least, whole
-from carpark_mj.policy.checkpoints import require_writable
+from carpark_mj.files import require_writable
 from learners.junction.config import JunctionPreset
 from studies.jobs import require_minutes, run_jobs
 from studies.junction import CELLS, SCENARIOS, cells_of

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from carpark_mj.cli.common import run_command
 from carpark_mj.config.checks import at_least, positive, whole
-from carpark_mj.policy.checkpoints import require_writable
+from carpark_mj.files import require_writable
 from learners.sac.config import SACPreset
 from studies.jobs import Job, require_minutes, run_jobs
 from studies.slots import EXPERIMENTS, SlotsExperiment, slots_experiment

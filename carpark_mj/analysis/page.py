@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import quote
 
 from carpark_mj.analysis.runs import Record
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 
 SHOWN_ROWS = 40  # of a table; a longer one is folded
 _STYLE = """

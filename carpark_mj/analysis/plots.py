@@ -10,7 +10,7 @@ import numpy as np
 from carpark_mj.analysis.points import Point, marked, show
 from carpark_mj.analysis.runs import read_curve
 from carpark_mj.analysis.statistics import spread
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 
 GRID = 200  # points of a mean curve
 MAX_TICKS = 12  # of the horizontal axis; of more values it has round numbers

@@ -20,8 +20,8 @@ from carpark_mj.analysis.points import (
     spread_rows,
 )
 from carpark_mj.analysis.runs import Record, read_run, run_folders, swept_settings
-from carpark_mj.policy.checkpoints import CheckpointError, require_writable
-from carpark_mj.policy.runs import write_csv
+from carpark_mj.files import require_writable, write_csv
+from carpark_mj.policy.checkpoints import CheckpointError
 
 MAX_ROWS = 50  # of a table on the terminal; the files have all
 METRICS = ("parked", "crashed", "timed_out", "length")

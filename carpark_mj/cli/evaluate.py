@@ -15,8 +15,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.evaluation.report import print_report, write_evaluation
 from carpark_mj.evaluation.rollout import Evaluation, evaluate
+from carpark_mj.files import require_writable
 from carpark_mj.policy.acting import AnyPolicy
-from carpark_mj.policy.checkpoints import require_writable
 
 # Settings that do not show in the name of an evaluation's folder.
 UNNAMED = ("run", "policy", "episodes", "span", "out")

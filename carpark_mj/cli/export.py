@@ -14,8 +14,8 @@ from rich.table import Table
 from carpark_mj.cli.driver import output_folder
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.policy.checkpoints import require_writable, write_atomically
 from carpark_mj.policy.loading import LoadedPolicy, load_policy, save_policy
 from carpark_mj.policy.onnx_export import (
     OUTPUT,

@@ -19,6 +19,7 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import LayoutConfig
 from carpark_mj.config.checks import at_least
+from carpark_mj.files import write_atomically
 from carpark_mj.layouts import (
     AngledConfig,
     DeadEndConfig,
@@ -34,7 +35,6 @@ from carpark_mj.layouts.json_file import layout_text
 from carpark_mj.layouts.plot import contact_sheet
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
-from carpark_mj.policy.checkpoints import write_atomically
 
 PROGRAM = "python -m carpark_mj.layouts"
 CHUNK = 250  # layouts drawn at once

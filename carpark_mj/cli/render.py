@@ -20,7 +20,7 @@ from carpark_mj.config import (
 from carpark_mj.config.checks import positive
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.policy.checkpoints import require_writable, write_atomically
+from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.rendering.gallery import (
     FAMILIES,
     cell_size,

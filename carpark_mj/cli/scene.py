@@ -23,12 +23,12 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.driver import adapt, command_help, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.files import write_atomically
 from carpark_mj.fleet.checks import has_exits
 from carpark_mj.junction import JunctionConfig, JunctionEnv
 from carpark_mj.junction.scene import HALF, drivable_junction
 from carpark_mj.junction.steered_car import road_car
 from carpark_mj.layouts import layout_config
-from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.registry import environment
 from carpark_mj.rendering.live import LiveLot
 from carpark_mj.rendering.web import (

@@ -41,13 +41,13 @@ from carpark_mj.evaluation.suite_cases import (
     pick_cases,
     require_aisle,
 )
+from carpark_mj.files import require_writable
 from carpark_mj.layouts import Layout
 from carpark_mj.layouts.held_out import LEVELS
 from carpark_mj.planning.paths import Path, car_of
 from carpark_mj.planning.plot import plot_paths
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.policy.acting import AnyPolicy
-from carpark_mj.policy.checkpoints import require_writable
 from carpark_mj.vehicle import preset
 
 PLANNER = "planner"

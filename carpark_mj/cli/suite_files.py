@@ -15,8 +15,7 @@ import numpy as np
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import MOVING_CAR, Drives
 from carpark_mj.evaluation.suite_cases import LEVELS, case_numbers, fingerprint
-from carpark_mj.policy.checkpoints import write_atomically
-from carpark_mj.policy.runs import write_csv
+from carpark_mj.files import write_atomically, write_csv
 
 CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
 _TEXT = ("policy", "rule", "held_out", "made_with", "level", "kind")

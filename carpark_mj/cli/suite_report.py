@@ -17,9 +17,8 @@ from carpark_mj.cli.suite_films import Film
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import has_moving_car, worst_first
 from carpark_mj.evaluation.suite_cases import LEVELS, TPCAP_LEVEL, fingerprint
+from carpark_mj.files import write_atomically, write_csv
 from carpark_mj.layouts.held_out import VERSION
-from carpark_mj.policy.checkpoints import write_atomically
-from carpark_mj.policy.runs import write_csv
 from carpark_mj.types import ENDINGS
 
 WORST = 10  # cases shown of a policy and level

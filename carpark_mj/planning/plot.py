@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from carpark_mj.files import write_atomically
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts import Layout
 from carpark_mj.planning.paths import Car, Path
-from carpark_mj.policy.checkpoints import write_atomically
 
 COLUMNS = 4
 CELL = (4.4, 2.6)  # inches

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 from carpark_mj.policy.runs import CONFIG_VERSION, from_dict
 
 # The arrays, a row for each control step.

@@ -1,18 +1,13 @@
 """Checkpoints: one `.npz` file of named arrays and a JSON header, no pickles.
 
-Files are written atomically (to a temporary file, then renamed). Reading
-checks the header, the names, shapes and dtypes; whatever is wrong is one
-`CheckpointError` in one line.
+Files are written atomically. Reading checks the header, the names, shapes and dtypes;
+whatever is wrong is one `CheckpointError` in one line.
 """
 
-import contextlib
-import errno
 import io
 import json
-import os
 import zipfile
 import zlib
-from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -20,54 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.files import write_atomically
+
 FORMAT = "carpark_mj checkpoint 1"
 _HEADER = "header"
 
 
 class CheckpointError(Exception):
     """A checkpoint that is missing, truncated, foreign or does not fit."""
-
-
-@contextlib.contextmanager
-def _temporary(path: Path) -> Generator[Path]:
-    """A path beside `path` with its suffix; what lies there at the end is removed."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        try:
-            yield temporary
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        if error.filename == str(temporary):  # name the file that was asked for
-            error.filename = str(path)
-        raise
-
-
-def require_writable(path: Path) -> None:
-    """Refuses, before the work, what `write_atomically` could not write after it.
-
-    Raises:
-        OSError: `path` cannot be written.
-    """
-    if path.is_dir():
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    with _temporary(path) as temporary:
-        temporary.touch()
-
-
-def write_atomically(path: Path, write: Any) -> None:
-    """Calls `write(temporary_path)` and renames the result to `path`.
-
-    The temporary file keeps the suffix of `path` and is removed on any failure.
-
-    Raises:
-        OSError: `path` cannot be written.
-    """
-    with _temporary(path) as temporary:
-        write(temporary)
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
 
 
 # What NumPy raises of damaged files.

@@ -7,13 +7,10 @@ tensorboard/            the same as event files
 learning_curve.png, evaluation.{csv,json}, video.mp4   at the end
 """
 
-import csv
 import dataclasses
-import io
-import json
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -163,21 +160,3 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     for old in files[: max(0, end - KEPT_CHECKPOINTS)] + files[end:]:
         old.unlink(missing_ok=True)
     return path
-
-
-def write_json(path: Path, data: Any) -> None:
-    """Writes JSON atomically."""
-    text = json.dumps(data, indent=2) + "\n"
-    checkpoints.write_atomically(path, lambda temporary: temporary.write_text(text))
-
-
-def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Writes rows of the same columns atomically; without rows an empty file."""
-    text = io.StringIO(newline="")
-    if rows:
-        writer = csv.DictWriter(text, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    checkpoints.write_atomically(
-        path, lambda temporary: temporary.write_text(text.getvalue())
-    )

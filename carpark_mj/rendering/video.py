@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.rollout import Recording

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmarking.checkouts import Checkout
 from benchmarking.records import Job, Measurement
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 
 # How the rounds of one checkout are summarised. Other work on the machine can only
 # slow a program down, so the best round says most about it.

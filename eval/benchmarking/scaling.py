@@ -12,8 +12,8 @@ import jax
 from benchmarking.timing import best_time
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.files import write_atomically
 from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.policy.checkpoints import write_atomically
 from carpark_mj.types import State
 
 AGENTS = (1, 2, 4, 8, 16, 32, 64)

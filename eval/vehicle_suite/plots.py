@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 from vehicle_suite.table import Curve
 
 # Name: title, x axis, y axis, and whether both are logarithmic.

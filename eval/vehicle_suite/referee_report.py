@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 from vehicle_suite import commonroad
 from vehicle_suite.referee import Trial, between
 

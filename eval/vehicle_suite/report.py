@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 from vehicle_suite import agreed, plots
 from vehicle_suite.table import Study, markdown, write_csv
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 
 COLUMNS = (
     "row",

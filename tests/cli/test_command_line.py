@@ -13,7 +13,7 @@ from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.render import RenderConfig
-from carpark_mj.policy.checkpoints import require_writable, write_atomically
+from carpark_mj.files import require_writable, write_atomically
 
 
 def test_a_file_error_names_the_file_asked_for(tmp_path):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from carpark_mj.files import write_atomically
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 
@@ -64,7 +65,7 @@ def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path):
         raise OSError("disk full")
 
     with pytest.raises(OSError, match="disk full"):
-        checkpoints.write_atomically(path, fail)
+        write_atomically(path, fail)
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
     assert checkpoints.read_header(path)["steps"] == 1
 

@@ -6,7 +6,7 @@ import re
 import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
-from carpark_mj.policy.runs import write_json
+from carpark_mj.files import write_json
 from carpark_mj.registry import TANNER_FIXED
 from learners.ppo.config import RUN_SETTINGS, PPOConfig
 from learners.ppo.presets import PRESETS, SUMMARIES

@@ -5,7 +5,7 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 
 NAME = "learning_curve.png"
 

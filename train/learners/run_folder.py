@@ -17,6 +17,7 @@ from jax.errors import JaxRuntimeError
 from carpark_mj.cli.common import USER_ERRORS
 from carpark_mj.config.checks import at_least, positive
 from carpark_mj.evaluation.keys import require_seed
+from carpark_mj.files import write_json
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
 
@@ -86,7 +87,7 @@ def open_run(config: RunConfig) -> Generator[Path]:
     with _lock(folder):
         try:
             if not config.resume:
-                runs.write_json(folder / "config.json", describe(config))
+                write_json(folder / "config.json", describe(config))
             yield folder
         except (*USER_ERRORS, CheckpointError, JaxRuntimeError):
             if not config.resume and not runs.checkpoint_files(folder):

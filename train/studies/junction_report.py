@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
+from carpark_mj.files import write_atomically
 from carpark_mj.junction.scenarios import scenario
-from carpark_mj.policy.checkpoints import write_atomically
 from studies.junction import SCENARIOS, Cell, Published
 from studies.junction_claims import CLAIMS, Runs, compare
 from studies.junction_curves import published_curve

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 from learners.sac.phases import read_phase
 from learners.sac.pictures import plot_matrix
 from learners.sac.transfer import success_matrix, transfer

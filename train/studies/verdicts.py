@@ -6,7 +6,7 @@ from pathlib import Path
 
 from carpark_mj.analysis.points import Point, show
 from carpark_mj.analysis.statistics import Spread, spread
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 
 ENOUGH = 3  # runs for an interval
 

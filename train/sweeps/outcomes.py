@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from carpark_mj.analysis.runs import read_run
+from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.policy.runs import write_csv, write_json
 from sweeps.plan import Plan, Run
 
 TABLE = "sweep.csv"

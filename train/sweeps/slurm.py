@@ -10,7 +10,7 @@ import submitit
 from submitit.core.utils import FailedJobError
 
 from carpark_mj.config.checks import at_least
-from carpark_mj.policy.runs import write_json
+from carpark_mj.files import write_json
 from sweeps.environment import import_path
 from sweeps.plan import Run
 from sweeps.work import Work

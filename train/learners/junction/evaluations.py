@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from carpark_mj.policy import runs
+from carpark_mj.files import write_csv, write_json
 from learners.figure import NAME, two_panels
 from learners.junction.config import JunctionRunConfig
 
@@ -17,8 +17,8 @@ WINDOW = 5  # evaluations whose mean return tells whether a training has converg
 
 def write_evaluations(folder: Path, config: JunctionRunConfig, rows: Rows) -> None:
     """Writes `evaluations.csv`, `evaluation.json` and `learning_curve.png`."""
-    runs.write_csv(folder / "evaluations.csv", rows)
-    runs.write_json(folder / "evaluation.json", judge(config, rows))
+    write_csv(folder / "evaluations.csv", rows)
+    write_json(folder / "evaluation.json", judge(config, rows))
     _plot(folder, config, rows)
 
 

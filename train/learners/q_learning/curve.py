@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from carpark_mj.policy.runs import write_csv
+from carpark_mj.files import write_csv
 from carpark_mj.types import OUTCOMES
 from learners.figure import NAME, two_panels
 from learners.q_learning.config import QLearningConfig

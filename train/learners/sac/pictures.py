@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from carpark_mj.policy.checkpoints import write_atomically
+from carpark_mj.files import write_atomically
 from learners.curve import plot_learning_curve
 from learners.metrics_log import read_metrics
 

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from carpark_mj.policy import runs
+from carpark_mj.files import write_json
 from learners.run_folder import open_run
 from learners.sac.config import SACConfig
 from learners.sac.pictures import plot_matrix, plot_phases
@@ -28,7 +28,7 @@ def finish(training: Training) -> None:
         for policy, matrix in matrices.items()
     }
     last = [row for row in rows if row["phase"] == len(phases)]
-    runs.write_json(folder / "evaluation.json", {"transfer": found, "kinds": last})
+    write_json(folder / "evaluation.json", {"transfer": found, "kinds": last})
     for row in last:
         print(
             f"{row['kind']}, {row['policy']}: success {row['success']:.1%} "

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 
+from carpark_mj.files import write_csv
 from carpark_mj.policy import checkpoints, runs
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog
@@ -91,7 +92,7 @@ class Training:
             self.deployments += deploy_everywhere(
                 self.config, policy.actor.apply, policy.actor_state.params, phase
             )
-        runs.write_csv(self.folder / "deployments.csv", self.deployments)
+        write_csv(self.folder / "deployments.csv", self.deployments)
 
     def next_phase(self) -> None:
         """Goes on to the next phase, whose lots are others."""
