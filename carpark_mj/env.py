@@ -27,13 +27,7 @@ from carpark_mj.observations import observation_size, observe, rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import full_float32
-from carpark_mj.types import (
-    Motion,
-    PhysicsState,
-    State,
-    TimeStep,
-    Transition,
-)
+from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
 

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from benchmarking.broad_phase import SCENES, make_env, measure
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import require_at_least
 
 COLUMNS = (
     "scene",
@@ -59,7 +59,7 @@ class BroadPhaseConfig:
                 raise ValueError(
                     f"{name} must be at least 1, not {getattr(self, name)}"
                 )
-        at_least(self, 0, "rays")
+        require_at_least(self, 0, "rays")
         if not self.scenes:
             raise ValueError("scenes must name at least one")
         if unknown := set(self.scenes) - set(SCENES):

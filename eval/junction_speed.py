@@ -18,7 +18,7 @@ from rich.table import Table
 
 from benchmarking.timing import best_time
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.config.checks import whole
+from carpark_mj.config.checks import require_whole
 from carpark_mj.junction import JunctionConfig, JunctionEnv
 from carpark_mj.junction.actions import ACTIONS
 from carpark_mj.junction.config import CarModel, Encoding
@@ -45,7 +45,7 @@ class JunctionSpeedConfig:
     repeats: int = 5
 
     def __post_init__(self) -> None:
-        whole(self, 1, "junctions", "steps", "repeats")
+        require_whole(self, 1, "junctions", "steps", "repeats")
         for name in ("cars", "observations"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must name at least one")

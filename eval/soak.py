@@ -20,7 +20,7 @@ from rich.table import Table
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.config import SimConfig
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import require_at_least
 from carpark_mj.vehicle import PRESETS
 from vehicle_suite import soak
 from vehicle_suite.soak import HOLD, PATTERNS, ROUNDS, Soak, Worst
@@ -54,7 +54,7 @@ class SoakConfig:
                 raise ValueError(
                     f"{name} must be at least 1, not {getattr(self, name)}"
                 )
-        at_least(self, 0, "max_hop", "max_energy")
+        require_at_least(self, 0, "max_hop", "max_energy")
         if self.first_case < 0:
             raise ValueError(f"first_case must be at least 0, not {self.first_case}")
 

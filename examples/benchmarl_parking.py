@@ -26,7 +26,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.config import EnvConfig, SpawnConfig
-from carpark_mj.config.checks import whole
+from carpark_mj.config.checks import require_whole
 from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
@@ -62,7 +62,7 @@ class Settings:
     out: Path = Path("runs/benchmarl")
 
     def __post_init__(self) -> None:
-        whole(self, 1, "agents", "frames", "evaluations")
+        require_whole(self, 1, "agents", "frames", "evaluations")
 
 
 class Curve(Rates):

@@ -21,7 +21,7 @@ from torch.distributions import Normal
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.config import EnvConfig, EpisodeConfig
-from carpark_mj.config.checks import positive, whole
+from carpark_mj.config.checks import require_positive, require_whole
 from carpark_mj.env import ParkingEnv
 from carpark_mj.wrappers.joint import joint_env
 from carpark_mj.wrappers.torch_batch import TorchBatch
@@ -64,8 +64,8 @@ class Settings:
     out: Path = Path("cleanrl_ppo.png")
 
     def __post_init__(self) -> None:
-        positive(self, "minutes", "learning_rate", "clip")
-        whole(self, 1, "lots", "agents", "unroll", "epochs", "minibatches")
+        require_positive(self, "minutes", "learning_rate", "clip")
+        require_whole(self, 1, "lots", "agents", "unroll", "epochs", "minibatches")
 
 
 class Agent(nn.Module):

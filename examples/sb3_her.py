@@ -20,7 +20,7 @@ from sb3_curve import Curve, rates  # noqa: E402
 from stable_baselines3 import SAC, HerReplayBuffer  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
 
-from carpark_mj.config.checks import positive, whole  # noqa: E402
+from carpark_mj.config.checks import require_positive, require_whole  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
 
 
@@ -47,8 +47,8 @@ class Settings:
     out: Path = Path("sb3_her.png")
 
     def __post_init__(self) -> None:
-        positive(self, "minutes")
-        whole(self, 1, "lots", "episodes")
+        require_positive(self, "minutes")
+        require_whole(self, 1, "lots", "episodes")
 
 
 def main(settings: Settings) -> None:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.config.checks import at_least, whole
+from carpark_mj.config.checks import require_at_least, require_whole
 from carpark_mj.files import require_writable
 from learners.junction.config import JunctionPreset
 from studies.jobs import require_minutes, run_jobs
@@ -48,9 +48,9 @@ class JunctionStudyConfig:
     runs_dir: str = "runs/junction_study"
 
     def __post_init__(self) -> None:
-        whole(self, 1, "seeds")
-        whole(self, 0, "workers")
-        at_least(self, 0, "minutes")
+        require_whole(self, 1, "seeds")
+        require_whole(self, 0, "workers")
+        require_at_least(self, 0, "minutes")
         require_minutes(self.minutes)
         if bool(self.table) + self.all + self.list != 1:
             raise ValueError("give one of --table NUMBER, --all and --list")

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.config.checks import at_least, positive, whole
+from carpark_mj.config.checks import require_at_least, require_positive, require_whole
 from carpark_mj.files import require_writable
 from learners.sac.config import SACPreset
 from studies.jobs import Job, require_minutes, run_jobs
@@ -51,10 +51,10 @@ class SlotsStudyConfig:
     runs_dir: str = "runs/slots_study"
 
     def __post_init__(self) -> None:
-        whole(self, 1, "seeds")
-        whole(self, 0, "workers")
-        positive(self, "scale")
-        at_least(self, 0, "minutes")
+        require_whole(self, 1, "seeds")
+        require_whole(self, 0, "workers")
+        require_positive(self, "scale")
+        require_at_least(self, 0, "minutes")
         require_minutes(self.minutes)
         if bool(self.experiment) + self.all + self.list != 1:
             raise ValueError("give one of --experiment NAME, --all and --list")

@@ -18,7 +18,7 @@ import tyro
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import LayoutConfig
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import require_at_least
 from carpark_mj.files import write_atomically
 from carpark_mj.layouts import (
     AngledConfig,
@@ -156,7 +156,7 @@ class LayoutsConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        at_least(self, 0, "check", "run")
+        require_at_least(self, 0, "check", "run")
         if not (self.plot or self.check or self.run or self.save or self.held_out):
             raise ValueError(
                 "nothing to do: give --plot FILE, --save FILE, --held-out FILE, "

@@ -17,16 +17,11 @@ from carpark_mj.config import (
     PhysicsName,
     TannerObservation,
 )
-from carpark_mj.config.checks import positive
+from carpark_mj.config.checks import require_positive
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
-from carpark_mj.rendering.gallery import (
-    FAMILIES,
-    cell_size,
-    contact_sheet,
-    draw_lots,
-)
+from carpark_mj.rendering.gallery import FAMILIES, cell_size, contact_sheet, draw_lots
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.renderer import (
     LotRenderer,
@@ -108,7 +103,7 @@ class RenderConfig:
             raise ValueError(
                 f"frame must lie in [0, {MAX_SECONDS}] s, not {self.frame}"
             )
-        positive(self, "fps")
+        require_positive(self, "fps")
         unknown = set(self.extras) - {"tracked", "rings"}
         if unknown:
             raise ValueError(

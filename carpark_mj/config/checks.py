@@ -8,7 +8,7 @@ from typing import Any, get_args
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
 
 
-def choose(name: str, value: str, literal: object) -> None:
+def require_choice(name: str, value: str, literal: object) -> None:
     """Refuses a value that the `Literal` does not list."""
     if value not in get_args(literal):
         raise ValueError(
@@ -16,7 +16,7 @@ def choose(name: str, value: str, literal: object) -> None:
         )
 
 
-def whole(config: object, minimum: int, *names: str) -> None:
+def require_whole(config: object, minimum: int, *names: str) -> None:
     """Refuses attributes that are not whole numbers of at least a minimum."""
     for name in names:
         value = getattr(config, name)
@@ -26,7 +26,7 @@ def whole(config: object, minimum: int, *names: str) -> None:
             raise ValueError(f"{name} must be at least {minimum}, not {value}")
 
 
-def at_least(config: object, minimum: float, *names: str) -> None:
+def require_at_least(config: object, minimum: float, *names: str) -> None:
     """Refuses attributes below a minimum, infinite, NaN or no numbers."""
     for name in names:
         value = getattr(config, name)
@@ -34,7 +34,7 @@ def at_least(config: object, minimum: float, *names: str) -> None:
             raise ValueError(f"{name} must be at least {minimum}, not {value}")
 
 
-def positive(config: object, *names: str) -> None:
+def require_positive(config: object, *names: str) -> None:
     """Refuses attributes that are not positive and finite."""
     for name in names:
         value = getattr(config, name)
@@ -42,7 +42,7 @@ def positive(config: object, *names: str) -> None:
             raise ValueError(f"{name} must be positive, not {value}")
 
 
-def ratio(config: object, *names: str) -> None:
+def require_ratio(config: object, *names: str) -> None:
     """Refuses attributes outside [0, 1]."""
     for name in names:
         value = getattr(config, name)

@@ -5,21 +5,17 @@ from typing import Literal
 
 from carpark_mj.config.checks import (
     Range,
-    choose,
+    require_choice,
     require_kinds,
     require_range,
     require_switches,
-    whole,
+    require_whole,
 )
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.grid import GridConfig
-from carpark_mj.config.layouts import (
-    LayoutChoice,
-    LayoutConfig,
-    require_layout,
-)
+from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observations import (
     ContinuousObservation,
@@ -108,7 +104,7 @@ class EnvConfig:
             raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
         for name in self.layout.split(",") if isinstance(self.layout, str) else ():
             require_layout(name)
-        choose("physics", self.physics, PhysicsName)
+        require_choice("physics", self.physics, PhysicsName)
         require_kinds(
             self,
             fleet=FleetConfig,
@@ -126,15 +122,15 @@ class EnvConfig:
             metrics=MetricsConfig,
         )
         require_switches(self)
-        whole(self, 1, "num_agents")
+        require_whole(self, 1, "num_agents")
         if self.min_agents is not None:
-            whole(self, 1, "min_agents")
+            require_whole(self, 1, "min_agents")
             if self.min_agents > self.num_agents:
                 raise ValueError(
                     f"min_agents must be at most num_agents {self.num_agents}, not "
                     f"{self.min_agents}"
                 )
-        whole(self, 0, "num_parked_cars")
+        require_whole(self, 0, "num_parked_cars")
         if self.occupancy is not None:
             require_range("occupancy", self.occupancy, 0.0, 1.0)
         if self.giving_way.scheme is not None and not self.goals.dynamic:

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal, get_args
 
-from carpark_mj.config.checks import choose
+from carpark_mj.config.checks import require_choice
 
 Scheme = Literal["L,L,S", "L,L,A", "G,L,S", "G,L,A", "G,G,S", "G,G,A"]
 ContextName = Literal[
@@ -49,7 +49,7 @@ class GivingWayConfig:
 
     def __post_init__(self) -> None:
         if self.scheme is not None:
-            choose("scheme", self.scheme, Scheme)
+            require_choice("scheme", self.scheme, Scheme)
         if not (math.isfinite(self.bad_goal) and self.bad_goal <= 0.0):
             raise ValueError(f"bad_goal must be at most 0, not {self.bad_goal}")
         if self.scheme is None and self.bad_goal:

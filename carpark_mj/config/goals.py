@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from carpark_mj.config.checks import require_kinds, whole
+from carpark_mj.config.checks import require_kinds, require_whole
 
 TOLERANCE = 1e-9  # by which (3.5) may fail, for 0.1 + 0.2 is not 0.3
 
@@ -32,7 +32,7 @@ class GoalConfig:
 
     def __post_init__(self) -> None:
         require_kinds(self, slots_by_distance=bool, may_repeat=bool, drive_out=bool)
-        whole(self, 1, "num_tracked_bays")
+        require_whole(self, 1, "num_tracked_bays")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import require_kinds, whole
+from carpark_mj.config.checks import require_kinds, require_whole
 
 WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
 
@@ -36,7 +36,7 @@ class GridConfig:
     def __post_init__(self) -> None:
         require_kinds(self, turn_at_rest=bool)
         numbers = {f.name for f in dataclasses.fields(self)} - {"turn_at_rest"}
-        whole(self, 1, *sorted(numbers))
+        require_whole(self, 1, *sorted(numbers))
         if 2 * self.max_turn >= self.headings:
             raise ValueError(
                 f"max_turn must be less than half of {self.headings} headings, not "

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import choose, positive, whole
+from carpark_mj.config.checks import require_choice, require_positive, require_whole
 from carpark_mj.config.grid import WORLD_UNIT
 
 BayPart = Literal["heading", "distance", "bearing"]
@@ -34,8 +34,8 @@ class RingConfig:
         if len({f"{d:g}" for d in self.diameters}) < len(self.diameters):
             # Fields are named by the diameters.
             raise ValueError(f"ring diameters must be different, not {self.diameters}")
-        whole(self, 1, "cap")
-        whole(self, 0, "history")
+        require_whole(self, 1, "cap")
+        require_whole(self, 0, "history")
         if self.history and not self.diameters:
             raise ValueError(f"ring history {self.history} needs ring diameters")
 
@@ -108,8 +108,8 @@ class RayConfig:
     reach: float = 10.0
 
     def __post_init__(self) -> None:
-        whole(self, 0, "count")
-        positive(self, "reach")
+        require_whole(self, 0, "count")
+        require_positive(self, "reach")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,8 +149,8 @@ class ContinuousObservation:
     encoding: Literal["continuous"] = "continuous"
 
     def __post_init__(self) -> None:
-        choose("encoding", self.encoding, Literal["continuous"])
-        whole(self, 0, "tracked_agents", "tracked_parked_cars")
+        require_choice("encoding", self.encoding, Literal["continuous"])
+        require_whole(self, 0, "tracked_agents", "tracked_parked_cars")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,10 +181,10 @@ class TannerObservation:
     encoding: Literal["tanner"] = "tanner"
 
     def __post_init__(self) -> None:
-        choose("encoding", self.encoding, Literal["tanner"])
-        whole(self, 0, "tracked_cars")
+        require_choice("encoding", self.encoding, Literal["tanner"])
+        require_whole(self, 0, "tracked_cars")
         for part in self.bay_parts:
-            choose("bay part", part, BayPart)
+            require_choice("bay part", part, BayPart)
         if len(set(self.bay_parts)) < len(self.bay_parts):
             raise ValueError(f"bay_parts must be different, not {self.bay_parts}")
         for name in ("steering", "order"):
@@ -207,7 +207,7 @@ class IndexObservation:
     encoding: Literal["indices"] = "indices"
 
     def __post_init__(self) -> None:
-        choose("encoding", self.encoding, Literal["indices"])
+        require_choice("encoding", self.encoding, Literal["indices"])
 
 
 Observation = ContinuousObservation | TannerObservation | IndexObservation

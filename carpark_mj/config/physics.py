@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import choose, positive
+from carpark_mj.config.checks import require_choice, require_positive
 
 Surface = Literal["dry", "wet", "ice"]
 TyresName = Literal["brush", "contact"]
@@ -42,10 +42,10 @@ class SimConfig:
     surface: Surface = "dry"
 
     def __post_init__(self) -> None:
-        choose("tyres", self.tyres, TyresName)
-        choose("surface", self.surface, Surface)
-        choose("stepper", self.stepper, StepperName)
-        positive(self, "sim_dt", "ctrl_dt", "trace_dt")
+        require_choice("tyres", self.tyres, TyresName)
+        require_choice("surface", self.surface, Surface)
+        require_choice("stepper", self.stepper, StepperName)
+        require_positive(self, "sim_dt", "ctrl_dt", "trace_dt")
         ratio = self.ctrl_dt / self.sim_dt
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
             raise ValueError(

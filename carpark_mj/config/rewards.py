@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose, positive
+from carpark_mj.config.checks import require_at_least, require_choice, require_positive
 from carpark_mj.config.goals import GoalRewards
 
 RewardName = Literal["shaped", "tanner"]
@@ -73,8 +73,8 @@ class RewardConfig:
     def __post_init__(self) -> None:
         other = ("goals", "route", "smoothness_by_speed")
         names = [f.name for f in dataclasses.fields(self) if f.name not in other]
-        at_least(self, 0.0, *names)
-        positive(self, "alignment_range", "closeness_range")
+        require_at_least(self, 0.0, *names)
+        require_positive(self, "alignment_range", "closeness_range")
 
 
 REWARDS: dict[str, RewardConfig] = {
@@ -100,5 +100,5 @@ def reward_preset(name: str) -> RewardConfig:
     Raises:
         ValueError: unknown name; the message lists the known ones.
     """
-    choose("reward", name, RewardName)
+    require_choice("reward", name, RewardName)
     return REWARDS[name]

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import at_least, whole
+from carpark_mj.config.checks import require_at_least, require_whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,9 +25,9 @@ class SensorConfig:
     delay_max: int = 0
 
     def __post_init__(self) -> None:
-        at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
-        whole(self, 0, "delay_min")
-        whole(self, self.delay_min, "delay_max")
+        require_at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
+        require_whole(self, 0, "delay_min")
+        require_whole(self, self.delay_min, "delay_max")
 
     @property
     def is_on(self) -> bool:

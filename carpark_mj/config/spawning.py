@@ -4,7 +4,13 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import at_least, choose, ratio, require_kinds, whole
+from carpark_mj.config.checks import (
+    require_at_least,
+    require_choice,
+    require_kinds,
+    require_ratio,
+    require_whole,
+)
 
 RelocationRule = Literal["furthest", "random", "any"]
 
@@ -51,7 +57,7 @@ class SpawnConfig:
     kinds_at_reset: bool = False
 
     def __post_init__(self) -> None:
-        ratio(self, "close_ratio", "crash_ratio", "reverse_ratio")
+        require_ratio(self, "close_ratio", "crash_ratio", "reverse_ratio")
         ratios = (self.close_ratio, self.crash_ratio, self.reverse_ratio)
         if math.fsum(ratios) > 1.0:
             raise ValueError(
@@ -59,8 +65,8 @@ class SpawnConfig:
                 f"{' + '.join(map(str, ratios))}"
             )
         distances = ("close_distance", "crash_distance", "min_distance", "spacing")
-        at_least(self, 0.0, *distances)
-        whole(self, 1, "num_candidates")
-        whole(self, 0, "max_redraws")
+        require_at_least(self, 0.0, *distances)
+        require_whole(self, 1, "num_candidates")
+        require_whole(self, 0, "max_redraws")
         require_kinds(self, kinds_at_reset=bool)
-        choose("relocation", self.relocation, RelocationRule)
+        require_choice("relocation", self.relocation, RelocationRule)

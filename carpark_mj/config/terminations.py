@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import choose, positive, whole
+from carpark_mj.config.checks import require_choice, require_positive, require_whole
 from carpark_mj.config.grid import WORLD_UNIT
 
 ParkedRule = Literal["tanner", "strict", "precise", "metadrive"]
@@ -74,6 +74,6 @@ class EpisodeConfig:
     final_observation: bool = False
 
     def __post_init__(self) -> None:
-        choose("parked_rule", self.parked_rule, ParkedRule)
-        whole(self, 1, "max_steps")
-        positive(self, "hitbox_scale")
+        require_choice("parked_rule", self.parked_rule, ParkedRule)
+        require_whole(self, 1, "max_steps")
+        require_positive(self, "hitbox_scale")

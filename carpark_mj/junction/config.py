@@ -4,7 +4,13 @@ import dataclasses
 from typing import Literal
 
 from carpark_mj.config import SimConfig
-from carpark_mj.config.checks import at_least, choose, positive, require_kinds, whole
+from carpark_mj.config.checks import (
+    require_at_least,
+    require_choice,
+    require_kinds,
+    require_positive,
+    require_whole,
+)
 from carpark_mj.junction.roads import LANES, path_length
 from carpark_mj.junction.scenarios import Scenario, scenario
 
@@ -33,7 +39,7 @@ class RewardRules:
     joint: bool = False
 
     def __post_init__(self) -> None:
-        choose("rewards.events", self.events, EventRule)
+        require_choice("rewards.events", self.events, EventRule)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,8 +57,8 @@ class RasterConfig:
     frames: int = 3
 
     def __post_init__(self) -> None:
-        whole(self, 1, "pixels", "frames")
-        positive(self, "extent")
+        require_whole(self, 1, "pixels", "frames")
+        require_positive(self, "extent")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,12 +108,12 @@ class JunctionConfig:
             sim=SimConfig,
             scenario=str | Scenario,
         )
-        choose("cars", self.cars, CarModel)
-        choose("observation", self.observation, Encoding)
-        choose("action", self.action, ActionKind)
-        choose("end", self.end, EndRule)
-        whole(self, 1, "max_steps")
-        at_least(self, 0.0, "jitter")
+        require_choice("cars", self.cars, CarModel)
+        require_choice("observation", self.observation, Encoding)
+        require_choice("action", self.action, ActionKind)
+        require_choice("end", self.end, EndRule)
+        require_whole(self, 1, "max_steps")
+        require_at_least(self, 0.0, "jitter")
         for mission in self.traffic.missions:
             lane = path_length(LANES[mission.route.start])
             room = min(mission.start, lane - mission.start)

@@ -5,10 +5,11 @@ import dataclasses
 import jax
 
 from carpark_mj.config import LayoutConfig
+from carpark_mj.config.checks import Range
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.lot import lot
 from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.layouts.ranges import IntRange, Range
+from carpark_mj.layouts.ranges import IntRange
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import Layout

@@ -5,16 +5,10 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config.checks import Range
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import assemble, bays, boundary, walls
-from carpark_mj.layouts.ranges import (
-    IntRange,
-    Range,
-    chances,
-    draw,
-    draw_int,
-    require_ranges,
-)
+from carpark_mj.layouts.ranges import IntRange, chances, draw, draw_int, require_ranges
 from carpark_mj.layouts.tight import TightConfig, draw_tight_bay, two_way_aisle
 from carpark_mj.layouts.types import Layout, WallKind
 

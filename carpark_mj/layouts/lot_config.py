@@ -2,19 +2,15 @@
 
 import dataclasses
 import math
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
 from carpark_mj.config import LayoutConfig
+from carpark_mj.config.checks import Range, require_at_least, require_choice
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import least_lane
-from carpark_mj.layouts.ranges import (
-    IntRange,
-    Range,
-    require_at_least,
-    require_ranges,
-)
+from carpark_mj.layouts.ranges import IntRange, require_ranges
 from carpark_mj.layouts.standards import (
     ACCESSIBLE_WIDTH,
     FAMILY_WIDTH,
@@ -85,12 +81,8 @@ class LotConfig(LayoutConfig):
         require_ranges(self, 0.1, "end_width")
         require_at_least(self, 0, "num_accessible", "num_family", "pillar_every")
         require_at_least(self, 0.01, "wall_thickness")
-        for name, names in (("row_ends", RowEnds), ("boundary", Boundary)):
-            if getattr(self, name) not in get_args(names):
-                raise ValueError(
-                    f"unknown {name} {getattr(self, name)!r}; choose from "
-                    f"{sorted(get_args(names))}"
-                )
+        require_choice("row_ends", self.row_ends, RowEnds)
+        require_choice("boundary", self.boundary, Boundary)
         if self.angle[1] > 90.0:
             raise ValueError(f"angle must be at most 90 deg, not {self.angle}")
         if self.two_way and self.angle[0] < 90.0:

@@ -6,7 +6,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-Range = tuple[float, float]  # lowest and highest value; equal = fixed
+from carpark_mj.config.checks import Range
+
 IntRange = tuple[int, int]  # both ends included
 
 
@@ -58,16 +59,3 @@ def require_ranges(config: Any, minimum: float, *names: str) -> None:
 def _is_whole(config: Any, name: str) -> bool:
     """Whether the range is declared as one of whole numbers."""
     return config.__dataclass_fields__[name].type in (IntRange, "IntRange")
-
-
-def require_at_least(config: Any, minimum: float, *names: str) -> None:
-    """Refuses numbers of a config that are not finite or below a minimum.
-
-    Raises:
-        ValueError: naming the first bad number.
-    """
-    for name in names:
-        value = getattr(config, name)
-        good = isinstance(value, int | float) and math.isfinite(value)
-        if not (good and value >= minimum):
-            raise ValueError(f"{name} must be at least {minimum:g}, not {value!r}")

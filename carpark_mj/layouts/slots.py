@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import LayoutConfig
-from carpark_mj.config.checks import positive, whole
+from carpark_mj.config.checks import require_positive, require_whole
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
@@ -68,7 +68,7 @@ class SlotsConfig(LayoutConfig):
     family: str = "slots"
 
     def __post_init__(self) -> None:
-        whole(self, 1, "slots_per_row")
+        require_whole(self, 1, "slots_per_row")
         last = 2 * self.slots_per_row - 1
         if self.goal_slot is not None and not (
             isinstance(self.goal_slot, int) and 0 <= self.goal_slot <= last  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -77,7 +77,7 @@ class SlotsConfig(LayoutConfig):
                 f"goal_slot must be a whole number from 0 to {last}, or random (None), "
                 f"not {self.goal_slot!r}"
             )
-        positive(self, "half_corridor", "slot_width", "slot_length")
+        require_positive(self, "half_corridor", "slot_width", "slot_length")
         if not (isinstance(self.start, tuple) and len(self.start) == 2):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise ValueError(f"start must be a tuple (x, y), not {self.start!r}")
         for name, value in (

@@ -11,7 +11,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.checks import choose
+from carpark_mj.config.checks import require_choice
 
 Split = Literal["train", "test"]
 TRAIN = range(2**31)
@@ -24,7 +24,7 @@ def lot_number(split: Split, key: jax.Array) -> jax.Array:
     Raises:
         ValueError: unknown split.
     """
-    choose("split", split, Split)
+    require_choice("split", split, Split)
     first = TRAIN.start if split == "train" else TEST.start
     return jnp.uint32(first) + (jax.random.bits(key, (), jnp.uint32) >> 1)
 

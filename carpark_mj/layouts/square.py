@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from carpark_mj.config import LayoutConfig
+from carpark_mj.config.checks import require_at_least, require_whole
 from carpark_mj.config.grid import WORLD_UNIT
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
@@ -44,17 +45,9 @@ class SquareConfig(LayoutConfig):
     family: str = "square"
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.bays_per_side, int) and self.bays_per_side >= 1):  # pyright: ignore
-            raise ValueError(
-                f"bays_per_side must be a whole number of at least 1, not "
-                f"{self.bays_per_side!r}"
-            )
-        for field in dataclasses.fields(self)[1:-1]:
-            value = getattr(self, field.name)
-            if not (isinstance(value, int | float) and 0 <= value < math.inf):
-                raise ValueError(
-                    f"{field.name} must be a number and not negative, not {value!r}"
-                )
+        require_whole(self, 1, "bays_per_side")
+        require_at_least(self, 0, "bay_width", "bay_length", "wall_gap", "block_inset")
+        require_at_least(self, 0, "wall_thickness", "spawn_margin")
         car = DesignCar()
         if self.bay_width < car.width or self.bay_length < car.length:
             raise ValueError(

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from carpark_mj.layouts.ranges import Range
+from carpark_mj.config.checks import Range
 
 FOOT = 0.3048  # m
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import LayoutConfig
+from carpark_mj.config.checks import Range, require_at_least
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import (
     Group,
@@ -22,15 +23,7 @@ from carpark_mj.layouts.build import (
     spawns_in,
     two_lanes,
 )
-from carpark_mj.layouts.ranges import (
-    IntRange,
-    Range,
-    chances,
-    draw,
-    draw_int,
-    require_at_least,
-    require_ranges,
-)
+from carpark_mj.layouts.ranges import IntRange, chances, draw, draw_int, require_ranges
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import Layout, WallKind

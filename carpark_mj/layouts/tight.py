@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import LayoutConfig
+from carpark_mj.config.checks import require_at_least
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import Group, lanes, spawns_in
-from carpark_mj.layouts.ranges import draw, require_at_least
+from carpark_mj.layouts.ranges import draw
 from carpark_mj.layouts.standards import (
     DesignCar,
     Level,

@@ -4,12 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import box_disc_distance, box_distance, norm
-from carpark_mj.geometry.broad_phase import (
-    box_gaps,
-    disc_gaps,
-    is_crowded,
-    least_near,
-)
+from carpark_mj.geometry.broad_phase import box_gaps, disc_gaps, is_crowded, least_near
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.collisions import reaches, strays
 from carpark_mj.types import Motion, ParkedCars

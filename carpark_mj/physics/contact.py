@@ -16,11 +16,7 @@ import mujoco
 import numpy as np
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.coordinates import (
-    CarDynamics,
-    CarIndex,
-    unpack_coordinates,
-)
+from carpark_mj.physics.coordinates import CarDynamics, CarIndex, unpack_coordinates
 from carpark_mj.physics.gravity import gravity_vector
 from carpark_mj.physics.mjx import MjxPhysics, Stepper
 from carpark_mj.physics.mjx_step import MjxStep, mjx  # pyright: ignore[reportAttributeAccessIssue]

@@ -15,12 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import wrap_angle
-from carpark_mj.physics.bicycle import (
-    BicyclePhysics,
-    BicycleState,
-    Carry,
-    slip_angle,
-)
+from carpark_mj.physics.bicycle import BicyclePhysics, BicycleState, Carry, slip_angle
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.vehicle import Vehicle

@@ -20,11 +20,7 @@ from carpark_mj.config import SimConfig
 from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import run_substeps
-from carpark_mj.physics.coordinates import (
-    CarDynamics,
-    centre_pose,
-    unpack_coordinates,
-)
+from carpark_mj.physics.coordinates import CarDynamics, centre_pose, unpack_coordinates
 from carpark_mj.physics.forces import substep_forces
 from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars
 from carpark_mj.physics.scene_model import Masses, Moving, SceneModel

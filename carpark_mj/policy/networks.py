@@ -11,7 +11,7 @@ from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
 from jax.tree_util import Partial
 
-from carpark_mj.config.checks import choose, positive, whole
+from carpark_mj.config.checks import require_choice, require_positive, require_whole
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import OWN, ObservationSets, observation_sets
@@ -53,9 +53,9 @@ class NetworkConfig:
                 raise ValueError(
                     f"{name} must be positive sizes, not {getattr(self, name)}"
                 )
-        choose("encoder", self.encoder, EncoderName)
-        whole(self, 1, "own_size", "entity_size")
-        positive(self, "min_std")
+        require_choice("encoder", self.encoder, EncoderName)
+        require_whole(self, 1, "own_size", "entity_size")
+        require_positive(self, "min_std")
 
 
 def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> ObservationSets:

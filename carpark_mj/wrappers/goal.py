@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import ContinuousObservation, EnvConfig
-from carpark_mj.config.checks import at_least, positive
+from carpark_mj.config.checks import require_at_least, require_positive
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import rotate
 from carpark_mj.mdp.actions import ActionSpec
@@ -60,8 +60,8 @@ class PoseReward:
                 f"weights must be {NUM_FEATURES} numbers of at least 0, not "
                 f"{self.weights}"
             )
-        positive(self, "power", "threshold")
-        at_least(self, 0.0, "crash")
+        require_positive(self, "power", "threshold")
+        require_at_least(self, 0.0, "crash")
 
     def norm(self, achieved: Any, desired: Any) -> Any:
         """Weighted p-norm (...) of the difference of features (..., 6), as given."""

@@ -4,15 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 from carpark_mj.vehicle import VehicleParameters, preset
-from vehicle_suite import (
-    braking,
-    energy,
-    handling,
-    numerics,
-    pedals,
-    statics,
-    turning,
-)
+from vehicle_suite import braking, energy, handling, numerics, pedals, statics, turning
 from vehicle_suite.contact import ContactTestbed
 from vehicle_suite.contact_engines import contact_engines
 from vehicle_suite.suspension import suspension

@@ -10,19 +10,9 @@ import pytest
 
 from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.cli.suite_films import Film
-from carpark_mj.cli.suite_report import (
-    header,
-    print_rows,
-    shown_cells,
-    write_results,
-)
+from carpark_mj.cli.suite_report import header, print_rows, shown_cells, write_results
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.suite import (
-    drive_cases,
-    suite_env,
-    table_rows,
-    worst_first,
-)
+from carpark_mj.evaluation.suite import drive_cases, suite_env, table_rows, worst_first
 from carpark_mj.evaluation.suite_cases import pick_cases
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.held_out import load_held_out

@@ -13,12 +13,7 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import (
-    ROWS,
-    FromFileConfig,
-    LotConfig,
-    make_layout,
-)
+from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import layout_text, read_json
 from carpark_mj.layouts.tpcap import EDGE, TPCAP_CAR, read_tpcap

@@ -254,17 +254,17 @@ def test_an_unknown_layout_raises_and_lists_the_known_ones():
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        ({"bays_per_side": 0}, "bays_per_side must be .* of at least 1, not 0"),
-        ({"bays_per_side": 9.5}, "bays_per_side must be a whole number .* not 9.5"),
-        ({"wall_gap": math.inf}, "wall_gap must be .* not negative, not inf"),
+        ({"bays_per_side": 0}, "bays_per_side must be at least 1, not 0"),
+        ({"bays_per_side": 9.5}, "bays_per_side must be a whole number, not 9.5"),
+        ({"wall_gap": math.inf}, "wall_gap must be at least 0, not inf"),
         ({"bay_width": 1.7}, "must hold a car of 1.799 m x 4.255 m, not 1.7 m"),
         ({"bay_length": 4.0}, "must hold a car of 1.799 m x 4.255 m, not 3.375 m x"),
         (
             {"bays_per_side": 1, "bay_width": 2.4},
             r"leave a square of 2.40 m, the car needs \d.\d\d m to turn",
         ),
-        ({"wall_gap": -0.1}, "wall_gap must be .* not negative, not -0.1"),
-        ({"bay_width": math.nan}, "bay_width must be .* not negative, not nan"),
+        ({"wall_gap": -0.1}, "wall_gap must be at least 0, not -0.1"),
+        ({"bay_width": math.nan}, "bay_width must be at least 0, not nan"),
         ({"spawn_margin": 16.0}, "spawn_margin 16.0 m leaves no spawn region"),
     ],
 )

@@ -28,9 +28,7 @@ from carpark_mj.config import (
     TannerObservation,
 )
 from carpark_mj.layouts import make_layout
-from carpark_mj.observations import (
-    make_fields,
-)
+from carpark_mj.observations import make_fields
 from carpark_mj.observations.fields import FAR, NEAR
 from carpark_mj.observations.indices import cardinalities
 from carpark_mj.observations.tanner import DIAGONAL

@@ -20,12 +20,7 @@ from carpark_mj.policy.normalizer import init_normalizer
 from learners.ppo import epochs
 from learners.ppo.epochs import learn, network_params
 from learners.ppo.loss import Minibatch, Weights
-from learners.ppo.ml_agents import (
-    Steps,
-    initial_weights,
-    ml_agents_loss,
-    prepare_steps,
-)
+from learners.ppo.ml_agents import Steps, initial_weights, ml_agents_loss, prepare_steps
 from learners.ppo.presets import PRESETS
 from learners.ppo.rollout import Rollout
 from learners.ppo.state import AXIS

@@ -13,13 +13,7 @@ from carpark_mj.analysis.runs import Record
 from carpark_mj.evaluation.catalogue import METRICS
 from learners.settings import list_settings
 from studies.budget import Cost, choose, cost, measured_rate
-from studies.figures import (
-    ELSEWHERE,
-    EXPERIMENTS,
-    FIGURES,
-    experiment_of,
-    plan_of,
-)
+from studies.figures import ELSEWHERE, EXPERIMENTS, FIGURES, experiment_of, plan_of
 from studies.published import published_runs, published_values
 from studies.verdicts import verdict
 from sweeps import manage

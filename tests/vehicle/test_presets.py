@@ -9,11 +9,7 @@ import pytest
 from carpark_mj.env import ParkingEnv
 from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.mjcf import chassis_inertial
-from carpark_mj.vehicle.parameters import (
-    GRAVITY,
-    kerb_to_kerb,
-    steering_for_circle,
-)
+from carpark_mj.vehicle.parameters import GRAVITY, kerb_to_kerb, steering_for_circle
 
 CARS = [pytest.param(params, id=name) for name, params in PRESETS.items()]
 # Bicycle angles at full lock, from shop manuals' and published circles by hand:

@@ -15,7 +15,7 @@ import jax
 from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.common import USER_ERRORS
-from carpark_mj.config.checks import at_least, positive
+from carpark_mj.config.checks import require_at_least, require_positive
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_json
 from carpark_mj.policy import runs
@@ -47,8 +47,8 @@ class RunConfig:
     checkpoint_minutes: float = 1.0
 
     def __post_init__(self) -> None:
-        at_least(self, 0, "time_limit")
-        positive(self, "checkpoint_minutes")
+        require_at_least(self, 0, "time_limit")
+        require_positive(self, "checkpoint_minutes")
         require_seed(self.seed)
         if self.name and not _is_folder_name(self.name):
             raise ValueError(

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import require_at_least
 from sweeps.executor import Cluster
 from sweeps.manage import Where
 from sweeps.slurm import SlurmConfig
@@ -42,8 +42,8 @@ class StudyConfig:
     slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
 
     def __post_init__(self) -> None:
-        at_least(self, 0, "minutes", "repeats", "seed", "jobs")
-        at_least(self, 1, "side_by_side")
+        require_at_least(self, 0, "minutes", "repeats", "seed", "jobs")
+        require_at_least(self, 1, "side_by_side")
         if bool(self.figure) + self.all + self.list != 1:
             raise ValueError("give one of --figure NUMBER, --all and --list")
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import require_at_least
 from learners.ppo.presets import PRESETS
 from learners.run_folder import RunConfig
 from sweeps.axes import read_axis
@@ -53,8 +53,8 @@ class SweepConfig:
     slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
 
     def __post_init__(self) -> None:
-        at_least(self, 1, "repeats", "side_by_side")
-        at_least(self, 0, "jobs")
+        require_at_least(self, 1, "repeats", "side_by_side")
+        require_at_least(self, 0, "jobs")
         # The rules of a run's name, folder and seeds.
         RunConfig(name=self.name, runs_dir=self.runs_dir, seed=self.seed)
         RunConfig(seed=self.seed + self.repeats - 1)

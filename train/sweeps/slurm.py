@@ -9,7 +9,7 @@ from typing import Any
 import submitit
 from submitit.core.utils import FailedJobError
 
-from carpark_mj.config.checks import at_least
+from carpark_mj.config.checks import require_at_least
 from carpark_mj.files import write_json
 from sweeps.environment import import_path
 from sweeps.plan import Run
@@ -43,8 +43,8 @@ class SlurmConfig:
     mem_gb: float = 0.0
 
     def __post_init__(self) -> None:
-        at_least(self, 1, "time", "cpus_per_task")
-        at_least(self, 0, "requeues", "gpus_per_node", "mem_gb")
+        require_at_least(self, 1, "time", "cpus_per_task")
+        require_at_least(self, 0, "requeues", "gpus_per_node", "mem_gb")
 
     @property
     def parameters(self) -> dict[str, Any]:

@@ -10,12 +10,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.geometry import (
-    box_disc_overlap,
-    box_distance,
-    boxes_overlap,
-    norm,
-)
+from carpark_mj.geometry import box_disc_overlap, box_distance, boxes_overlap, norm
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays

@@ -17,13 +17,7 @@ from benchmarl.models import GruConfig, MlpConfig
 from benchmarl.models.common import ModelConfig, SequenceModelConfig
 from tensordict import TensorDict, TensorDictBase
 from torch import nn
-from torchrl.envs import (
-    Compose,
-    EnvBase,
-    ObservationNorm,
-    RewardScaling,
-    Transform,
-)
+from torchrl.envs import Compose, EnvBase, ObservationNorm, RewardScaling, Transform
 
 from carpark_mj.wrappers.junction_benchmarl import JunctionTaskClass
 from carpark_mj.wrappers.junction_torchrl import TorchRLJunction

@@ -2,7 +2,12 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import at_least, positive, ratio, whole
+from carpark_mj.config.checks import (
+    require_at_least,
+    require_positive,
+    require_ratio,
+    require_whole,
+)
 from carpark_mj.junction.config import EndRule
 from learners.junction.config import Algorithm, JunctionRunConfig
 
@@ -83,29 +88,33 @@ class BenchMARLConfig(JunctionRunConfig):
                 f"{self.algorithm} observes vectors here, no {self.observation}: give "
                 "--observation vector"
             )
-        whole(self, 1, "repeat", "unroll", "updates", "batch_size", "epsilon_steps")
+        require_whole(
+            self, 1, "repeat", "unroll", "updates", "batch_size", "epsilon_steps"
+        )
         if self.max_steps % self.repeat:
             raise ValueError(
                 f"max_steps must be a multiple of repeat, {self.repeat}, or time would "
                 f"run out within a decision, not {self.max_steps}"
             )
-        whole(self, self.batch_size, "buffer_size")
-        whole(self, 0, "random_steps", "recurrent")
+        require_whole(self, self.batch_size, "buffer_size")
+        require_whole(self, 0, "random_steps", "recurrent")
         if self.on_policy and self.batch_size > self.decisions:
             raise ValueError(
                 f"batch_size must be at most {self.decisions}, num_junctions times "
                 f"unroll, not {self.batch_size}"
             )
-        positive(self, "learning_rate", "critic_learning_rate", "max_gradient", "clip")
-        ratio(self, "discount", "gae_lambda", "tau", "epsilon_end")
-        at_least(self, 0.0, "entropy", "epsilon_start")
+        require_positive(
+            self, "learning_rate", "critic_learning_rate", "max_gradient", "clip"
+        )
+        require_ratio(self, "discount", "gae_lambda", "tau", "epsilon_end")
+        require_at_least(self, 0.0, "entropy", "epsilon_start")
         if not self.on_policy and self.epsilon_start < self.epsilon_end:
             raise ValueError(
                 f"epsilon_start must be at least epsilon_end, {self.epsilon_end}, not "
                 f"{self.epsilon_start}"
             )
         if self.algorithm in ("vdn", "qmix"):
-            ratio(self, "epsilon_start")
+            require_ratio(self, "epsilon_start")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(
                 f"hidden must be one width or more, each at least 1, not {self.hidden}"

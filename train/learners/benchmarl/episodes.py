@@ -11,12 +11,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from carpark_mj.junction.evaluation import (
-    Outcomes,
-    advance,
-    begin,
-    evaluation_env,
-)
+from carpark_mj.junction.evaluation import Outcomes, advance, begin, evaluation_env
 from carpark_mj.wrappers.torchrl import GROUP
 from learners.benchmarl.config import BenchMARLConfig
 from learners.junction.config import VECTOR_SCALE

@@ -27,12 +27,7 @@ from learners.benchmarl.build import (
 )
 from learners.benchmarl.config import BenchMARLConfig
 from learners.benchmarl.episodes import Evaluation, GreedyPolicy
-from learners.junction.evaluations import (
-    judge,
-    progress,
-    summary,
-    write_evaluations,
-)
+from learners.junction.evaluations import judge, progress, summary, write_evaluations
 from learners.junction.video import write_video
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog

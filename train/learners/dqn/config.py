@@ -4,7 +4,12 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import choose, positive, ratio, whole
+from carpark_mj.config.checks import (
+    require_choice,
+    require_positive,
+    require_ratio,
+    require_whole,
+)
 from learners.junction.config import JunctionRunConfig
 
 Optimizer = Literal["adam", "rmsprop"]
@@ -57,12 +62,12 @@ class DQNConfig(JunctionRunConfig):
                 f"pixels must be at least {MIN_PIXELS} for the convolutional network, "
                 f"not {self.pixels}"
             )
-        choose("optimizer", self.optimizer, Optimizer)
-        whole(self, 1, "updates", "batch_size", "random_steps")
-        whole(self, 1, "target_period", "epsilon_steps")
-        whole(self, max(self.batch_size, self.added), "buffer_size")
-        positive(self, "learning_rate")
-        ratio(self, "discount", "epsilon_end")
+        require_choice("optimizer", self.optimizer, Optimizer)
+        require_whole(self, 1, "updates", "batch_size", "random_steps")
+        require_whole(self, 1, "target_period", "epsilon_steps")
+        require_whole(self, max(self.batch_size, self.added), "buffer_size")
+        require_positive(self, "learning_rate")
+        require_ratio(self, "discount", "epsilon_end")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(
                 f"hidden must be one width or more, each at least 1, not {self.hidden}"

@@ -13,13 +13,7 @@ from carpark_mj.junction.evaluation import Outcomes, evaluate, evaluation_env
 from learners.dqn.config import DQNConfig
 from learners.dqn.networks import make_network, to_agents, to_learners
 from learners.dqn.state import Report, Training
-from learners.dqn.update import (
-    Learner,
-    Transition,
-    make_buffer,
-    make_optimizer,
-    update,
-)
+from learners.dqn.update import Learner, Transition, make_buffer, make_optimizer, update
 
 
 class DQNLearner:

@@ -12,12 +12,7 @@ from carpark_mj.policy import checkpoints, runs
 from learners.dqn.config import DQNConfig
 from learners.dqn.learner import DQNLearner
 from learners.dqn.state import Report, Training
-from learners.junction.evaluations import (
-    judge,
-    progress,
-    summary,
-    write_evaluations,
-)
+from learners.junction.evaluations import judge, progress, summary, write_evaluations
 from learners.junction.video import write_video
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog

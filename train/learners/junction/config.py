@@ -6,7 +6,7 @@ from typing import Literal
 import jax
 
 from carpark_mj.cli.common import MAX_EPISODES
-from carpark_mj.config.checks import choose, whole
+from carpark_mj.config.checks import require_choice, require_whole
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.junction import JunctionConfig, RasterConfig, RewardRules
 from carpark_mj.junction.config import (
@@ -111,10 +111,12 @@ class JunctionRunConfig(RunConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        choose("algorithm", self.algorithm, Algorithm)
-        choose("scenario", self.scenario, ScenarioName)
-        whole(self, 1, "num_junctions", "total_steps", "eval_period", "eval_episodes")
-        whole(self, 0, "video_episodes")
+        require_choice("algorithm", self.algorithm, Algorithm)
+        require_choice("scenario", self.scenario, ScenarioName)
+        require_whole(
+            self, 1, "num_junctions", "total_steps", "eval_period", "eval_episodes"
+        )
+        require_whole(self, 0, "video_episodes")
         if self.eval_episodes > MAX_EPISODES:
             raise ValueError(
                 f"eval_episodes must be at most {MAX_EPISODES}, not "

@@ -9,7 +9,12 @@ import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import at_least, choose, positive, ratio
+from carpark_mj.config.checks import (
+    require_at_least,
+    require_choice,
+    require_positive,
+    require_ratio,
+)
 from carpark_mj.policy.networks import NetworkConfig
 from learners.ppo.curriculum_config import CurriculumConfig
 from learners.run_folder import RunConfig
@@ -130,7 +135,7 @@ class PPOConfig(RunConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(
+        require_at_least(
             self,
             1,
             "num_steps",
@@ -140,9 +145,9 @@ class PPOConfig(RunConfig):
             "num_epochs",
             "averaged_updates",
         )
-        positive(self, "learning_rate", "max_grad_norm", "clip", "hitbox_scale")
-        ratio(self, "discount", "gae_lambda")
-        at_least(
+        require_positive(self, "learning_rate", "max_grad_norm", "clip", "hitbox_scale")
+        require_ratio(self, "discount", "gae_lambda")
+        require_at_least(
             self,
             0,
             "minutes",
@@ -181,7 +186,7 @@ class PPOConfig(RunConfig):
             )
         if not self.env.episode.respawn:
             raise ValueError("PPO needs env.episode.respawn = True")
-        choose("variant", self.variant, VariantName)
+        require_choice("variant", self.variant, VariantName)
         if self.variant == "ml-agents":
             self._check_ml_agents()
         if self.curriculum.target_rate and not self.lot_life:

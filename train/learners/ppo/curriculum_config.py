@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import at_least, ratio
+from carpark_mj.config.checks import require_at_least, require_ratio
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,9 +37,11 @@ class CurriculumConfig:
     target_rate: float = 0.0
 
     def __post_init__(self) -> None:
-        at_least(self, 0.0, "crash_scale")
-        ratio(self, "crash_until", "discount_from", "discount_until", "crash_ratio")
-        ratio(self, "reverse_ratio", "target_rate")
+        require_at_least(self, 0.0, "crash_scale")
+        require_ratio(
+            self, "crash_until", "discount_from", "discount_until", "crash_ratio"
+        )
+        require_ratio(self, "reverse_ratio", "target_rate")
         if not 0.0 <= self.discount_end < 1.0:
             raise ValueError(
                 f"discount_end must lie in [0, 1), not {self.discount_end}"

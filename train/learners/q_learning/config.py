@@ -4,7 +4,7 @@ import dataclasses
 from typing import Literal
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import at_least, ratio
+from carpark_mj.config.checks import require_at_least, require_ratio
 from carpark_mj.registry import TANNER_QLEARNING
 from learners.run_folder import RunConfig
 
@@ -70,9 +70,9 @@ class QLearningConfig(RunConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(self, 1, "num_seeds", "num_lots", "episodes", "window")
-        at_least(self, 0, "eval_episodes")
-        ratio(self, "alpha", "alpha_min", "gamma", "epsilon", "epsilon_min")
+        require_at_least(self, 1, "num_seeds", "num_lots", "episodes", "window")
+        require_at_least(self, 0, "eval_episodes")
+        require_ratio(self, "alpha", "alpha_min", "gamma", "epsilon", "epsilon_min")
 
     @property
     def total_episodes(self) -> int:

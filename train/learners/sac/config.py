@@ -5,7 +5,13 @@ from typing import Literal
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig, LayoutConfig
-from carpark_mj.config.checks import at_least, choose, positive, ratio, whole
+from carpark_mj.config.checks import (
+    require_at_least,
+    require_choice,
+    require_positive,
+    require_ratio,
+    require_whole,
+)
 from carpark_mj.layouts import SlotsConfig, layout_config
 from carpark_mj.registry import environment
 from carpark_mj.wrappers.gymnasium_slots import slots_config
@@ -97,17 +103,21 @@ class SACConfig(RunConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        choose("environment", self.environment, Environment)
-        choose("replay", self.replay, Replay)
-        choose("at_switch", self.at_switch, AtSwitch)
+        require_choice("environment", self.environment, Environment)
+        require_choice("replay", self.replay, Replay)
+        require_choice("at_switch", self.at_switch, AtSwitch)
         if self.at_switch == "balance" and self.replay != "her":
             raise ValueError(f"at_switch balance needs replay her, not {self.replay}")
-        whole(self, 1, "num_cars", "gradient_steps", "batch_size", "hindsight_goals")
-        whole(self, 1, "eval_episodes", "random_steps")
-        whole(self, self.num_cars, "buffer_size")
-        positive(self, "learning_rate", "learning_rate_end", "tau", "half_corridor")
-        ratio(self, "discount", "tau", "rehearsal")
-        at_least(self, 0, "video_seconds")
+        require_whole(
+            self, 1, "num_cars", "gradient_steps", "batch_size", "hindsight_goals"
+        )
+        require_whole(self, 1, "eval_episodes", "random_steps")
+        require_whole(self, self.num_cars, "buffer_size")
+        require_positive(
+            self, "learning_rate", "learning_rate_end", "tau", "half_corridor"
+        )
+        require_ratio(self, "discount", "tau", "rehearsal")
+        require_at_least(self, 0, "video_seconds")
         if self.eval_episodes > MAX_EPISODES or self.video_seconds > MAX_SECONDS:
             raise ValueError(
                 f"eval_episodes must be at most {MAX_EPISODES} and video_seconds at "
