@@ -184,7 +184,16 @@ class ParkingEnv:
 
         Returns:
             The next state, and what agents get from the step.
+
+        Raises:
+            ValueError: an action of another shape.
         """
+        shape, given = (
+            (self.config.num_agents, self.action_spec.size),
+            jnp.shape(action),
+        )
+        if given != shape:
+            raise ValueError(f"action must be of shape {shape}, not {given}")
         config, before, keys = self.config, state, self._episodes.split_keys(state.key)
         act = actions.parse(config, self._stop_finished(before, action))
         chosen = self.goals.choose(before, act.goal_choice)

@@ -112,6 +112,8 @@ class Episodes:
         placing = place_all(self._goals.place_first, inputs, placing, spawn_key)
         if config.goals.drive_out:
             goal = placing.goal
+            if present is not None:
+                goal = jnp.where(present, goal, NO_BAY)
         # The absent are the last to be placed, so that nobody has made room for them.
         pose_w = place_absent_agents(placing.pose_w, present)
         physics = self._physics.init(pose_w, vehicles)

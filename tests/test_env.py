@@ -3,6 +3,8 @@
 Steps are worked by hand on sliding cars (`helpers.sliding`).
 """
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +13,7 @@ from helpers.scenes import check_occupancy, fields_of
 from helpers.sliding import APART, HALT, MAX_STEPS, in_goal, placed, slide, start
 from helpers.trees import agent_of, leaves, same
 
-from carpark_mj.config import reward_preset
+from carpark_mj.config import EnvConfig, reward_preset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.fields import FAR
 from carpark_mj.types import ENDINGS
@@ -175,6 +177,15 @@ def test_two_agents_may_end_in_one_step_and_get_different_goals():
         )
         gap = np.linalg.norm(np.diff(after.motion.pose_w[:2, :2], axis=0))
         assert gap > 3.0
+
+
+@pytest.mark.parametrize("shape", [(), (2,), (1, 2), (3, 1)])
+def test_an_action_of_another_shape_is_refused(shape):
+    env = ParkingEnv(EnvConfig(num_agents=3, num_parked_cars=0, physics="bicycle"))
+    state, _ = jax.eval_shape(env.reset, jax.random.key(0))
+    message = r"action must be of shape \(3, 2\), not "
+    with pytest.raises(ValueError, match=message + re.escape(str(shape))):
+        jax.eval_shape(env.step, state, jnp.zeros(shape))
 
 
 def test_the_reward_is_the_sum_of_its_terms():

@@ -71,6 +71,11 @@ class LayoutConfig(abc.ABC):
         return True
 
     @property
+    def is_enclosed(self) -> bool:
+        """Whether walls keep cars within the lot, and observations within ranges."""
+        return True
+
+    @property
     def entries(self) -> tuple[Any, ...]:
         """The widest entries into bays, `carpark_mj.layouts.turning.Entry`.
 

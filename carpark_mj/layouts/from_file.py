@@ -34,6 +34,11 @@ class FromFileConfig(LayoutConfig):
         _read(self.path)
 
     @property
+    def is_enclosed(self) -> bool:
+        """Unknown, so taken for False."""
+        return False
+
+    @property
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return int(_read(self.path).bay_mask.sum())

@@ -73,6 +73,11 @@ class HopeConfig(LayoutConfig):
         return tight_bay(self.orientation, self.level, self.car)
 
     @property
+    def is_enclosed(self) -> bool:
+        """Cars can leave; no walls stand around the lot."""
+        return False
+
+    @property
     def min_bays(self) -> int:
         """One, the goal."""
         return 1

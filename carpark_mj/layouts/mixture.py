@@ -56,6 +56,11 @@ class MixtureConfig(LayoutConfig):
             raise ValueError(f"weights must be positive, not {self.weights}")
 
     @property
+    def is_enclosed(self) -> bool:
+        """Whether walls keep cars within all of its lots."""
+        return all(member.is_enclosed for member in self.members)
+
+    @property
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return min(member.min_bays for member in self.members)

@@ -109,6 +109,11 @@ class SlotsConfig(LayoutConfig):
             )
 
     @property
+    def is_enclosed(self) -> bool:
+        """Cars can leave; no walls stand around the lot."""
+        return False
+
+    @property
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return 2 * self.slots_per_row

@@ -42,6 +42,11 @@ class TpcapConfig(LayoutConfig):
             )
 
     @property
+    def is_enclosed(self) -> bool:
+        """Cars can leave; no walls stand around the lot."""
+        return False
+
+    @property
     def min_bays(self) -> int:
         """One, the goal."""
         return 1

@@ -17,7 +17,12 @@ from carpark_mj.layouts.routes import way_to
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.clearance import agent_clearance
 from carpark_mj.mdp.goal_rewards import GOAL_TERMS, goal_terms
-from carpark_mj.mdp.progress import goal_potential, is_nearer, mix_in_maneuver
+from carpark_mj.mdp.progress import (
+    direction_of_travel,
+    goal_potential,
+    is_nearer,
+    mix_in_maneuver,
+)
 from carpark_mj.types import Motion, Transition
 
 TERMS = (
@@ -136,7 +141,7 @@ def _drive_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Arr
         "approach": weights.approach * share * jnp.where(nearer, 1.0, -1.0),
         "smoothness": -weights.smoothness * share * turn,
         "closeness": -weights.closeness * share * jnp.maximum(1.0 - gap, 0.0),
-        "reverse": -weights.reverse * share * (after.speed < 0.0),
+        "reverse": -weights.reverse * share * (direction_of_travel(after) < 0.0),
     }
     if transition.wrong_way is not None:
         terms["wrong_way"] = -weights.wrong_way * share * transition.wrong_way

@@ -5,6 +5,7 @@ poses are six numbers, the reward is a weighted p-norm of their difference.
 """
 
 import dataclasses
+import math
 from typing import Any
 
 import jax
@@ -55,7 +56,8 @@ class PoseReward:
     threshold: float = 0.12
 
     def __post_init__(self) -> None:
-        if len(self.weights) != NUM_FEATURES or min(self.weights) < 0.0:
+        good = len(self.weights) == NUM_FEATURES
+        if not (good and all(0.0 <= x < math.inf for x in self.weights)):
             raise ValueError(
                 f"weights must be {NUM_FEATURES} numbers of at least 0, not "
                 f"{self.weights}"

@@ -191,4 +191,6 @@ class ParkManyVectorEnv(ParkVectorEnv):
         episode = dataclasses.replace(
             config.episode, respawn=True, final_observation=True
         )
-        return shared_env(dataclasses.replace(config, episode=episode))
+        # None and not that number: lots without room for all are refused, not emptier.
+        config = dataclasses.replace(config, episode=episode, min_agents=None)
+        return shared_env(config)

@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.layouts import layout_config
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import Field, make_fields
 
@@ -16,14 +17,17 @@ def observation_space(
 ) -> spaces.Box:
     """The vector (size,) of some fields, float32; of all an agent observes by default.
 
-    Bounded by the ranges of the fields, or unbounded where sensors add noise.
+    Bounded by the ranges of the fields, or unbounded where these do not hold: where
+    sensors add noise, cars can leave the lot, or `highway` physics has no speed limit
+    of a car park.
     """
     if fields is None:
         fields = make_fields(config)
     size = [field.size for field in fields]
     low = np.repeat(np.array([field.low for field in fields], np.float32), size)
     high = np.repeat(np.array([field.high for field in fields], np.float32), size)
-    if config.sensors.is_on:
+    enclosed = layout_config(config.layout).is_enclosed
+    if config.sensors.is_on or not enclosed or config.physics == "highway":
         low, high = np.full_like(low, -np.inf), np.full_like(high, np.inf)
     # Zeros are what absent and finished agents observe.
     return spaces.Box(np.minimum(low, 0.0), np.maximum(high, 0.0), dtype=np.float32)

@@ -55,6 +55,16 @@ def test_cars_leave_again_where_every_bay_is_another_agents_goal():
     assert set(drawn.tolist()) == set(EXITS)
 
 
+def test_absent_agents_keep_no_bay_or_exit_from_others():
+    config = dataclasses.replace(METADRIVE, episode=SHORT, min_agents=1)
+    env = ParkingEnv(config)
+    reset = jax.jit(jax.vmap(lambda key: env.reset(key, num_present=3)))
+    state, _ = reset(jax.random.split(jax.random.key(0), 20))
+    goal = np.asarray(state.goal)
+    assert (goal[:, :3] != NO_BAY).all()
+    assert (goal[:, 3:] == NO_BAY).all()
+
+
 def test_lots_begin_with_cars_at_eleven_places_and_respawn_in_them():
     env = ParkingEnv(dataclasses.replace(METADRIVE, episode=SHORT))
     state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(1), 20))

@@ -14,6 +14,7 @@ from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.layouts import mixture
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.rendering.renderer import RenderingError
 
@@ -40,6 +41,7 @@ def assert_close(one, other):
         np.testing.assert_allclose(a, b, atol=1e-4)
 
 
+@pytest.mark.filterwarnings("ignore:.*value is -?infinity")  # cars leave some lots
 @pytest.mark.parametrize("name", [*SINGLE, SLOTS])
 def test_gymnasium_finds_no_fault(name):
     # It would open a window as well; pictures are looked at below.
@@ -170,6 +172,45 @@ def test_actions_on_the_grid_are_integers(action):
 def test_impossible_options_are_refused(name, options, error, message):
     with pytest.raises(error, match=message):
         gymnasium.make_vec(name, 4, **options)
+
+
+def test_no_environment_of_many_is_an_absent_agent():
+    config = EnvConfig(
+        layout="garage_row",
+        num_agents=4,
+        min_agents=4,
+        occupancy=(0.0, 0.5),
+        num_parked_cars=4,
+        physics="bicycle",
+    )
+    vector = gymnasium.make_vec(MANY, 8, config=config)
+    vector.reset(seed=0)
+    state = vector.unwrapped._batch.state
+    assert state.present is None
+    assert (state.goal >= 0).all()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"config": "hope"},
+        {"config": "pandita"},
+        {"layout": "slots", "parked_cars": 0, "physics": "bicycle"},
+        {
+            "layout": mixture(["tanner", "tpcap"]),
+            "parked_cars": 0,
+            "physics": "bicycle",
+        },
+        {"layout": "compact", "physics": "bicycle"},
+    ],
+)
+@pytest.mark.parametrize("pedal", [-1.0, 1.0])
+def test_a_car_that_drives_straight_on_stays_in_the_observation_space(options, pedal):
+    vector = gymnasium.make_vec(PARK, 8, **options)
+    vector.reset(seed=0)
+    for _ in range(200):
+        observation, *_ = vector.step(np.tile(np.float32([0.0, pedal]), (8, 1)))
+        assert observation in vector.observation_space
 
 
 def test_there_is_no_single_environment_of_many():

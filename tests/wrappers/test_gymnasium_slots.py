@@ -181,6 +181,17 @@ def test_real_cars_have_the_same_task():
     assert environment("slots") == same
 
 
+@pytest.mark.parametrize("pedal", [-1.0, 1.0])
+def test_a_car_that_drives_straight_on_stays_in_the_observation_space(pedal):
+    env = gymnasium.make(SLOTS)
+    env.reset(seed=0)
+    done = False
+    while not done:
+        observation, _, terminated, truncated, _ = env.step(np.float32([0.0, pedal]))
+        assert observation in env.observation_space
+        done = terminated or truncated
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
