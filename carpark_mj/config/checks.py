@@ -80,8 +80,10 @@ def require_kinds(config: object, **kinds: Any) -> None:
             raise ValueError(f"{name} must be of {allowed}, not {value!r}")
 
 
-def require_switches(config: Any, path: str = "") -> None:
-    """Refuses attributes declared `bool` that are something else, in nested ones too.
+def require_plain(config: Any, path: str = "") -> None:
+    """Refuses lists and what is declared `bool` but is none, in nested configs too.
+
+    Configs are hashed, by JAX as static arguments, and lists cannot be.
 
     Raises:
         ValueError: naming the attribute and its value.
@@ -90,8 +92,10 @@ def require_switches(config: Any, path: str = "") -> None:
         value = getattr(config, field.name)
         if field.type is bool and type(value) is not bool:
             raise ValueError(f"{path}{field.name} must be True or False, not {value!r}")
+        if isinstance(value, list):
+            raise ValueError(f"{path}{field.name} must be a tuple, not {value}")
         if dataclasses.is_dataclass(value):
-            require_switches(value, f"{path}{field.name}.")
+            require_plain(value, f"{path}{field.name}.")
 
 
 def _is_finite(value: Any) -> bool:

@@ -7,8 +7,8 @@ from carpark_mj.config.checks import (
     Range,
     require_choice,
     require_kinds,
+    require_plain,
     require_range,
-    require_switches,
     require_whole,
 )
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
@@ -121,7 +121,7 @@ class EnvConfig:
             sensors=SensorConfig,
             metrics=MetricsConfig,
         )
-        require_switches(self)
+        require_plain(self)
         require_whole(self, 1, "num_agents")
         if self.min_agents is not None:
             require_whole(self, 1, "min_agents")

@@ -140,7 +140,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
             actions: an element of `action_space` for each of `agents`.
 
         Raises:
-            AssertionError: before `reset`, a missing agent, a wrong shape or NaN.
+            AssertionError: before `reset`, a missing agent, a wrong shape, not finite.
         """
         if self._observation is None:
             EnvLogger.error_step_before_reset()

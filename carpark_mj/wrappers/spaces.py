@@ -49,7 +49,7 @@ def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
     """An element of `action_space` as the vector (size,) that the environment takes.
 
     Raises:
-        AssertionError: another shape, or NaN.
+        AssertionError: another shape, NaN or infinity.
     """
     parts = action if isinstance(action, tuple) else (action,)
     flat = np.concatenate([np.asarray(part, np.float32) for part in parts], axis=-1)
@@ -57,6 +57,6 @@ def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
         raise AssertionError(
             f"an action must be of shape ({spec.size},), not {flat.shape}"
         )
-    if np.isnan(flat).any():
-        raise AssertionError(f"an action must be free of NaN, not {flat}")
+    if not np.isfinite(flat).all():
+        raise AssertionError(f"an action must be finite, not {flat}")
     return flat.astype(spec.dtype)

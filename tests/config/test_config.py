@@ -37,6 +37,11 @@ IMPOSSIBLE = [
     (EnvConfig, {"num_agents": True}, "num_agents must be a whole number, not True"),
     (
         EnvConfig,
+        {"fleet": FleetConfig(["suv"])},
+        r"fleet.agents must be a tuple, not \['suv'\]",
+    ),
+    (
+        EnvConfig,
         {"goals": GoalConfig(dynamic="no")},
         "goals.dynamic must be True or False, not 'no'",
     ),

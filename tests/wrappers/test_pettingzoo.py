@@ -87,10 +87,11 @@ def test_an_agent_hears_nothing_of_actions_of_those_who_have_left(env):
     [
         (np.zeros(3), r"shape \(2,\), not \(3,\)"),
         (np.zeros((1, 2)), r"shape \(2,\), not \(1, 2\)"),
-        (np.array([np.nan, 0]), "NaN"),
+        (np.array([np.nan, 0]), "finite"),
+        (np.array([0, -np.inf]), "finite"),
     ],
 )
-def test_wrong_shapes_and_nan_are_refused(env, action, message):
+def test_wrong_shapes_nan_and_infinity_are_refused(env, action, message):
     env.reset(seed=0)
     with pytest.raises(AssertionError, match=message):
         env.step(idle(env) | {"agent_1": action})
