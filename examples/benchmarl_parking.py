@@ -63,6 +63,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         require_whole(self, 1, "agents", "frames", "evaluations")
+        if self.lots is not None:
+            require_whole(self, 1, "lots")
 
 
 class Curve(Rates):

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from carpark_mj.cli.driver import output_folder
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.evaluation.keys import evaluation_key, require_seed
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.policy.loading import LoadedPolicy, load_policy, save_policy
@@ -55,6 +55,7 @@ class ExportConfig:
     def __post_init__(self) -> None:
         if self.out and Path(self.out).suffix not in (".onnx", ".npz"):
             raise ValueError(f"out must end in .onnx or .npz, not {self.out!r}")
+        require_seed(self.seed)
 
 
 def main(config: ExportConfig) -> Path:

@@ -19,6 +19,7 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import LayoutConfig
 from carpark_mj.config.checks import require_at_least
+from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_atomically
 from carpark_mj.layouts import (
     AngledConfig,
@@ -157,6 +158,7 @@ class LayoutsConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "check", "run")
+        require_seed(self.seed)
         if not (self.plot or self.check or self.run or self.save or self.held_out):
             raise ValueError(
                 "nothing to do: give --plot FILE, --save FILE, --held-out FILE, "

@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.window import Window, has_display
 
@@ -86,6 +87,7 @@ class PlayConfig:
         if self.video and not self.replay:
             raise ValueError("video needs a drive to show: give --replay FILE.npz")
         check_port(self.port)
+        require_seed(self.seed)
 
     @property
     def shown_in(self) -> str:
@@ -155,7 +157,7 @@ def play_in_window(config: PlayConfig) -> None:
     from carpark_mj.play.picture import SIZE, Picture
 
     env, others = make_env(config)
-    window = Window(SIZE)
+    window, folder = Window(SIZE), Path(config.out)
     controls, seed = Controls(), config.seed
 
     def read(lot: DrivenLot) -> np.ndarray:
@@ -171,16 +173,15 @@ def play_in_window(config: PlayConfig) -> None:
     wanted = "N"
     try:
         while wanted == "N":
-            lot = DrivenLot(env, others, seed, read)
+            lot = DrivenLot(env, others, seed, read, lambda lot: save(lot, folder))
             picture = Picture(lot, config.camera)
             wanted, seed = "R", seed + 1
             try:
                 while wanted == "R":
                     wanted = _drive(lot, picture.draw, window)
-                    save(lot, Path(config.out))
                     lot.reset()
             except BaseException:
-                save(lot, Path(config.out))
+                save(lot, folder)
                 raise
             finally:
                 picture.close()
@@ -214,12 +215,13 @@ def serve_wheel(config: PlayConfig) -> tuple[Any, DrivenLot, dict[str, Any]]:
     require_web()  # before the work
     env, others = make_env(config)
     held: dict[str, Any] = {}
+    folder = Path(config.out)
 
     def read(lot: DrivenLot) -> np.ndarray:
         steer, pedal = (held[k].value if held else 0.0 for k in ("wheel", "pedal"))
         return pad(Controls(-steer, pedal).action, env.action_spec.size)
 
-    lot = DrivenLot(env, others, config.seed, read)
+    lot = DrivenLot(env, others, config.seed, read, lambda lot: save(lot, folder))
     viewer, server = make_live_viewer(lot, config.port)
     with server.gui.add_folder("Drive"):
         held["wheel"] = server.gui.add_slider("Wheel, right > 0", -1.0, 1.0, 0.05, 0.0)
@@ -238,7 +240,7 @@ def serve_wheel(config: PlayConfig) -> tuple[Any, DrivenLot, dict[str, Any]]:
 
     @saving.on_click
     def _(_: Any) -> None:
-        save(lot, Path(config.out))
+        save(lot, folder)
 
     print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
     return viewer, lot, held

@@ -23,6 +23,7 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.driver import adapt, command_help, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_atomically
 from carpark_mj.fleet.checks import has_exits
 from carpark_mj.junction import JunctionConfig, JunctionEnv
@@ -96,6 +97,7 @@ class SceneConfig:
                 "a policy drives in the browser only: give --view web alone"
             )
         self._check_junction()
+        require_seed(self.seed)
         if self.out and Path(self.out).suffix != ".xml":
             raise ValueError(f"out must end in .xml, not {self.out!r}")
         check_port(self.port)

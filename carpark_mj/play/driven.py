@@ -29,6 +29,7 @@ class DrivenLot(LiveLot):
         others: Policy,
         seed: int,
         read: Callable[["DrivenLot"], np.ndarray],
+        keep: Callable[["DrivenLot"], None] = lambda lot: None,
     ) -> None:
         """Compiles and starts a lot.
 
@@ -38,6 +39,7 @@ class DrivenLot(LiveLot):
             seed: of the lot.
             read: the actions (k, size) of the first k agents, asked for at the start of
                 every control step.
+            keep: called before the lot restarts, with what has been recorded.
 
         Raises:
             ValueError: the grid, whose cars do not steer.
@@ -46,12 +48,14 @@ class DrivenLot(LiveLot):
             raise ValueError("physics must be of cars that steer, not 'grid'")
         self._others, self._read, self._seed = as_argument(others), read, seed
         self._recorded: list[dict[str, np.ndarray]] = []
+        self._keep = keep
         self.speed = self.score = 0.0
         one = np.zeros((1, env.action_spec.size), np.float32)
         super().__init__(env, self._driven(one), seed)
 
     def reset(self) -> None:
-        """Restarts the lot; what was recorded is forgotten."""
+        """Restarts the lot; what was recorded is kept by `keep` or forgotten."""
+        self._keep(self)
         super().reset()
         self._recorded = []
         self.speed = self.score = 0.0

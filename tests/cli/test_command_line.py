@@ -11,8 +11,12 @@ import pytest
 from carpark_mj.cli import render
 from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
 from carpark_mj.cli.evaluate import EvaluateConfig
+from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.layouts import LayoutsConfig
+from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
+from carpark_mj.cli.scene import SceneConfig
 from carpark_mj.files import require_writable, write_atomically
 
 
@@ -22,6 +26,21 @@ def test_a_file_error_names_the_file_asked_for(tmp_path):
         write_atomically(wanted, lambda temporary: temporary.write_text("x"))
     line = one_line(caught.value)
     assert line == f"cannot use {wanted}: No such file or directory"
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda seed: ExportConfig("square", seed=seed),
+        lambda seed: LayoutsConfig(("lot",), check=1, seed=seed),
+        lambda seed: PlayConfig(seed=seed),
+        lambda seed: SceneConfig(view="web", seed=seed),
+    ],
+)
+def test_a_seed_that_no_key_can_have_is_refused(make, seed):
+    with pytest.raises(ValueError, match=rf"seed must lie in \[0, .*\], not {seed}"):
+        make(seed)
 
 
 def test_every_error_is_one_line():

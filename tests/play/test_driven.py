@@ -91,11 +91,13 @@ def test_chosen_goals_are_bays_that_the_driver_tracks():
     np.testing.assert_array_equal(pad(np.float32([0.5, -1]), 3), [[0.5, -1, 1]])
 
 
-def test_a_page_has_a_wheel_and_a_pedal_that_drive():
+def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
     pytest.importorskip("mjviser")
     from carpark_mj.cli.play import serve_wheel
 
-    viewer, lot, held = serve_wheel(PlayConfig(num_parked_cars=2, port=8767))
+    viewer, lot, held = serve_wheel(
+        PlayConfig(num_parked_cars=2, port=8767, out=str(tmp_path))
+    )
     try:
         for _ in range(lot.traces):
             lot.step()
@@ -103,6 +105,10 @@ def test_a_page_has_a_wheel_and_a_pedal_that_drive():
         for _ in range(lot.traces):
             lot.step()
         np.testing.assert_allclose(lot.demonstration.actions[:, 0], [[0, 0], [-0.5, 1]])
+        for _ in range(2):  # nobody drives before the second
+            lot.reset()
+        (saved,) = tmp_path.iterdir()
+        assert len(load_demonstration(saved)) == 2
     finally:
         viewer._server.stop()
 

@@ -138,6 +138,7 @@ def test_a_car_nose_in_in_the_middle_of_its_goal_has_reached_it(goal):
     [
         ({"weights": (1.0, 1.0)}, "6 numbers of at least 0"),
         ({"weights": (1.0, 1.0, -1.0, 0.0, 0.0, 0.0)}, "6 numbers of at least 0"),
+        ({"weights": (math.nan, 1.0, 0.0, 0.0, 0.0, 0.0)}, "6 numbers of at least 0"),
         ({"power": 0.0}, "power must be positive"),
         ({"threshold": -1.0}, "threshold must be positive"),
         ({"crash": -1.0}, "crash must be at least 0"),
