@@ -188,10 +188,8 @@ class ParkingEnv:
         Raises:
             ValueError: an action of another shape.
         """
-        shape, given = (
-            (self.config.num_agents, self.action_spec.size),
-            jnp.shape(action),
-        )
+        shape = (self.config.num_agents, self.action_spec.size)
+        given = jnp.shape(action)
         if given != shape:
             raise ValueError(f"action must be of shape {shape}, not {given}")
         config, before, keys = self.config, state, self._episodes.split_keys(state.key)
