@@ -11,8 +11,10 @@ from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 from carpark_mj.config import EnvConfig, LayoutConfig, insert
+from carpark_mj.config.checks import require_kind
 from carpark_mj.episodes import Episodes, StepKeys
 from carpark_mj.fleet.checks import check_cars, check_exits, check_occupancy, check_room
 from carpark_mj.fleet.draw import Fleet
@@ -26,7 +28,7 @@ from carpark_mj.mdp.wrong_way import drives_wrong_way
 from carpark_mj.observations import observation_size, observe, rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
-from carpark_mj.precision import full_float32
+from carpark_mj.precision import full_float32, require_float32
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
@@ -71,14 +73,18 @@ class ParkingEnv:
 
         Raises:
             ValueError: the lot cannot hold the cars asked for, the randomization
-                could draw an impossible car, or there is no such preset.
-            TypeError: the config is something else.
+                could draw an impossible car, there is no such preset, or JAX computes
+                in float64.
+            TypeError: the config, the back end or the car is something else.
         """
+        require_float32()
         if not isinstance(config, EnvConfig | None):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise TypeError(
                 f"config must be an EnvConfig, not {config!r}; "
                 "`carpark_mj.registry.environment` gives those that have a name"
             )
+        require_kind("physics", physics, Physics | None)
+        require_kind("vehicle", vehicle, VehicleParameters | None)
         self.config = config = config if config is not None else EnvConfig()
         self.vehicle = vehicle if vehicle is not None else preset(config.vehicle)
         self.fleet = Fleet(config, self.vehicle)
@@ -146,7 +152,13 @@ class ParkingEnv:
 
         Returns:
             The state and the observations (num_agents, observation_size).
+
+        Raises:
+            TypeError: no key of JAX, as a seed.
+            ValueError: another number of agents, where it is not traced.
         """
+        if not isinstance(key, jax.Array):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise TypeError(f"key must be as jax.random.key(0) gives, not {key!r}")
         if self._layout is not None:
             return self.reset_to_layout(self._layout, key, num_present)
         key, layout_key = jax.random.split(key)
@@ -166,6 +178,11 @@ class ParkingEnv:
         self, layout: Layout, key: jax.Array, num_present: jax.Array | None = None
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have enough bays for cars and goals."""
+        is_known = not isinstance(num_present, Tracer | None)
+        if is_known and not 1 <= int(num_present) <= self.num_agents:
+            raise ValueError(
+                f"num_present must lie in [1, {self.num_agents}], not {num_present}"
+            )
         state = self._episodes.begin_lot(layout, key, num_present)
         return state, observe(self.config, state)
 

@@ -14,6 +14,21 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+def require_float32() -> None:
+    """Refuses to go on where JAX computes in float64 by default.
+
+    Geometry and physics can, on their own; tests compare with float64.
+
+    Raises:
+        ValueError: naming the setting.
+    """
+    if jax.config.read("jax_enable_x64"):
+        raise ValueError(
+            "environments and policies compute in float32: jax_enable_x64 must be "
+            "False, not True"
+        )
+
+
 def full_float32(function: Callable[P, R]) -> Callable[P, R]:
     """Traces the function with matrix products in full float32."""
 

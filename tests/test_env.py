@@ -198,6 +198,28 @@ def test_the_reward_is_the_sum_of_its_terms():
 def test_a_name_is_no_config():
     with pytest.raises(TypeError, match="must be an EnvConfig, not 'square'; `carpark"):
         ParkingEnv("square")  # pyright: ignore[reportArgumentType]
+    for name, value in (("vehicle", "van"), ("physics", "mjx")):
+        kind = {"vehicle": "VehicleParameters", "physics": "Physics"}[name]
+        message = f"{name} must be of {kind} or None, not '{value}'"
+        with pytest.raises(TypeError, match=message):
+            ParkingEnv(**{name: value})
+
+
+def test_float64_is_refused_where_an_environment_is_built():
+    with jax.enable_x64(True), pytest.raises(ValueError, match="must be False, not T"):
+        ParkingEnv()
+
+
+def test_a_seed_is_no_key():
+    with pytest.raises(TypeError, match=r"key must be as jax.random.key\(0\) gives, n"):
+        slide()[0].reset(0)
+
+
+@pytest.mark.parametrize("count", [0, 4, jnp.int32(4)])
+def test_a_lot_has_as_many_agents_as_there_can_be(count):
+    env = slide()[0]
+    with pytest.raises(ValueError, match=r"num_present must lie in \[1, 3\], not "):
+        env.reset(jax.random.key(0), num_present=count)
 
 
 def test_parking_pays_and_crashing_costs_what_the_config_says():

@@ -3,6 +3,8 @@
 import dataclasses
 import math
 import numbers
+import reprlib
+from types import NoneType
 from typing import Any, get_args
 
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
@@ -19,11 +21,15 @@ def require_choice(name: str, value: str, literal: object) -> None:
 def require_whole(config: object, minimum: int, *names: str) -> None:
     """Refuses attributes that are not whole numbers of at least a minimum."""
     for name in names:
-        value = getattr(config, name)
-        if type(value) is bool or not isinstance(value, numbers.Integral):
-            raise ValueError(f"{name} must be a whole number, not {value!r}")
-        if value < minimum:
-            raise ValueError(f"{name} must be at least {minimum}, not {value}")
+        require_count(name, getattr(config, name), minimum)
+
+
+def require_count(name: str, value: Any, minimum: int) -> None:
+    """Refuses what is not a whole number of at least a minimum."""
+    if type(value) is bool or not isinstance(value, numbers.Integral):
+        raise ValueError(f"{name} must be a whole number, not {value!r}")
+    if value < minimum:
+        raise ValueError(f"{name} must be at least {minimum}, not {value}")
 
 
 def require_at_least(config: object, minimum: float, *names: str) -> None:
@@ -75,9 +81,19 @@ def require_kinds(config: object, **kinds: Any) -> None:
     for name, kind in kinds.items():
         value = getattr(config, name)
         if not isinstance(value, kind):
-            known = kind.__args__ if hasattr(kind, "__args__") else (kind,)
-            allowed = " or ".join(cls.__name__ for cls in known)
-            raise ValueError(f"{name} must be of {allowed}, not {value!r}")
+            raise ValueError(f"{name} must be of {_kind_names(kind)}, not {value!r}")
+
+
+def require_kind(name: str, value: object, kind: Any) -> None:
+    """Refuses an argument of a function that is no instance of a type.
+
+    Raises:
+        TypeError: naming the argument, its value and the type.
+    """
+    if not isinstance(value, kind):
+        raise TypeError(
+            f"{name} must be of {_kind_names(kind)}, not {reprlib.repr(value)}"
+        )
 
 
 def require_plain(config: Any, path: str = "") -> None:
@@ -96,6 +112,11 @@ def require_plain(config: Any, path: str = "") -> None:
             raise ValueError(f"{path}{field.name} must be a tuple, not {value}")
         if dataclasses.is_dataclass(value):
             require_plain(value, f"{path}{field.name}.")
+
+
+def _kind_names(kind: Any) -> str:
+    kinds = kind.__args__ if hasattr(kind, "__args__") else (kind,)
+    return " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
 
 
 def _is_finite(value: Any) -> bool:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import LAYOUT_FILES, LayoutConfig, require_layout
+from carpark_mj.config.checks import require_kind
 from carpark_mj.layouts.angled import AngledConfig, angled
 from carpark_mj.layouts.dead_end import DeadEndConfig, dead_end
 from carpark_mj.layouts.from_file import FromFileConfig, from_file
@@ -85,7 +86,9 @@ def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
 
     Raises:
         ValueError: unknown name, the message lists the known ones; or a bad file.
+        TypeError: something else.
     """
+    require_kind("layout", layout, LayoutConfig | str)
     if isinstance(layout, LayoutConfig):
         return layout
     if "," in layout:
@@ -167,6 +170,8 @@ def mixture(
 
     Raises:
         ValueError: unknown names, or weights that do not fit.
+        TypeError: no list.
     """
+    require_kind("members", members, list | tuple)
     configs = tuple(layout_config(member) for member in members)
     return MixtureConfig(members=configs, weights=tuple(weights))

@@ -5,7 +5,7 @@ Every function takes any leading batch shape, but `ScenePhysics.step`: see there
 
 import abc
 from collections.abc import Callable
-from typing import Any, Generic, Protocol, TypeVar, cast
+from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ S = TypeVar("S", bound=PhysicsState)
 Tree = TypeVar("Tree")
 
 
+@runtime_checkable
 class Physics(Protocol[S]):
     """A physics back end.
 

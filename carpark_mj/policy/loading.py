@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import require_kind
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import Field, make_fields, observation_size
 from carpark_mj.observations.fields import ORDERED
@@ -32,6 +33,7 @@ from carpark_mj.policy.runs import (
     from_dict,
     latest_checkpoint,
 )
+from carpark_mj.precision import require_float32
 
 # Settings of a run that say where it lay, which a policy alone does not keep.
 FOLDER_SETTINGS = ("name", "runs_dir", "resume", "warm_start")
@@ -69,11 +71,20 @@ def load_policy(
 
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.
-        ValueError: the policy does not fit `env`.
+        ValueError: the policy does not fit `env`, or JAX computes in float64.
+        TypeError: `run` or `env` is something else.
     """
+    require_float32()
+    require_kind("env", env, EnvConfig | None)
     path = latest_checkpoint(find_policy(run))
     header = checkpoints.read_header(path)
     own, parameters = _read(path, header)
+    steps = header.get("env_steps")
+    if type(steps) is not int:
+        raise CheckpointError(
+            f"{path} has a damaged header: env_steps must be a whole number, not "
+            f"{steps!r}"
+        )
     env = own if env is None else env
     config = network_config(header)
     _require_fit(run, config, own, env)
@@ -84,7 +95,7 @@ def load_policy(
         networks = make_networks(config, make_fields(env), action_spec(env))
         normalizer, actor = parameters["normalizer"], parameters["average"]
         policy = make_policy(networks, normalizer, actor, deterministic)
-    return LoadedPolicy(env, policy, int(header["env_steps"]), path)
+    return LoadedPolicy(env, policy, steps, path)
 
 
 def save_policy(run: str | Path, out: Path) -> None:

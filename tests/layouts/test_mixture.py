@@ -183,3 +183,10 @@ def test_a_stored_layout_of_an_unknown_family_is_refused():
 def test_impossible_mixtures_raise(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_only_lists_of_layouts_are_mixed():
+    with pytest.raises(TypeError, match="members must be of list or tuple, not 'lot'"):
+        mixture("lot")
+    with pytest.raises(TypeError, match="layout must be of LayoutConfig or str, not 3"):
+        mixture([3])  # pyright: ignore[reportArgumentType]

@@ -144,6 +144,8 @@ def test_an_unknown_name_is_told_the_known_ones(shipped):
     with pytest.raises(CheckpointError, match=rf"anyhow.*\(there are: {known}\)"):
         loading.load_policy("anyhow")
     assert command_help("").endswith(f"policies: {known}.")
+    with pytest.raises(TypeError, match="run must be of str or Path, not None"):
+        loading.load_policy(None)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_policy_of_another_version_or_a_damaged_one_is_refused(shipped, monkeypatch):
@@ -152,8 +154,14 @@ def test_a_policy_of_another_version_or_a_damaged_one_is_refused(shipped, monkey
         with pytest.raises(CheckpointError, match=r"tiny\.npz was trained by another"):
             loading.load_policy("tiny")
     path = shipped / "tiny.npz"
-    path.write_bytes(path.read_bytes()[:1000])
+    whole = path.read_bytes()
+    path.write_bytes(whole[:1000])
     with pytest.raises(CheckpointError, match="truncated"):
+        loading.load_policy("tiny")
+    path.write_bytes(whole)
+    header = checkpoints.read_header(path) | {"env_steps": None}
+    monkeypatch.setattr(checkpoints, "read_header", lambda _: header)
+    with pytest.raises(CheckpointError, match="env_steps must be a whole number, not"):
         loading.load_policy("tiny")
 
 
@@ -246,6 +254,8 @@ def test_a_flat_network_drives_with_as_many_cars_only(tmp_path):
 
 
 def test_an_environment_with_other_observations_or_actions_is_refused(shipped):
+    with pytest.raises(TypeError, match="env must be of EnvConfig or None, not 'squa"):
+        loading.load_policy("tiny", env="square")  # pyright: ignore[reportArgumentType]
     seen = TINY.env.observation
 
     def load(**changes):

@@ -6,6 +6,7 @@ docs/policies.md shows them all.
 
 from pathlib import Path
 
+from carpark_mj.config.checks import require_kind
 from carpark_mj.policy.checkpoints import CheckpointError
 
 FOLDER = Path(__file__).resolve().parent
@@ -32,7 +33,9 @@ def find_policy(run: str | Path) -> Path:
 
     Raises:
         CheckpointError: a name that is also a path in the working directory.
+        TypeError: neither.
     """
+    require_kind("run", run, str | Path)
     if isinstance(run, Path) or run not in pretrained_names():
         return Path(run)
     if Path(run).exists():
