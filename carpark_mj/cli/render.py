@@ -141,8 +141,8 @@ def main(config: RenderConfig) -> Path:
 
     Raises:
         CheckpointError: the run cannot be read.
-        RenderingError: no GL or no such camera.
-        ValueError: impossible settings.
+        RenderingError: no GL.
+        ValueError: impossible settings, or no such camera.
         OSError: the file cannot be written.
     """
     if config.gallery:

@@ -25,7 +25,7 @@ FLASH_COLOURS = {
 
 
 class RenderingError(Exception):
-    """OpenGL is not available, or there is no such camera."""
+    """OpenGL is not available, or there is no display."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +72,8 @@ class LotRenderer:
             show: extras to draw.
 
         Raises:
-            RenderingError: no GL, or no such camera.
+            RenderingError: no GL.
+            ValueError: no such camera.
         """
         self._stage = stage
         self._show = show or Show()
@@ -166,9 +167,9 @@ def camera_names(camera: str, num_agents: int) -> tuple[str, ...]:
     (topdown and chase:0) or `split:K`.
 
     Raises:
-        RenderingError: no such camera; the message lists them.
+        ValueError: no such camera; the message lists them.
     """
-    kind, colon, agent = camera.partition(":")
+    kind, colon, agent = str(camera).partition(":")
     known = agent.isdecimal() and int(agent) < num_agents
     if camera in LOT_CAMERAS:
         return (camera,)
@@ -176,7 +177,7 @@ def camera_names(camera: str, num_agents: int) -> tuple[str, ...]:
         return (f"agent{int(agent)}/{kind}",)
     if kind == "split" and (known or not colon):
         return ("topdown", f"agent{int(agent or 0)}/chase")
-    raise RenderingError(
+    raise ValueError(
         f"no camera {camera!r}; choose topdown, overview, chase:K, driver:K, split "
         f"or split:K with K from 0 to {num_agents - 1}"
     )

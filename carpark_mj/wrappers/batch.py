@@ -6,7 +6,7 @@ All adapters build on a batch, or on the same as torch tensors (`torch_batch.py`
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import require_count
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.physics.base import where_cars
 from carpark_mj.types import State, TimeStep
@@ -26,6 +27,7 @@ _GROUP = 1 / 32
 Seeds = int | Sequence[int | None] | None
 
 
+@runtime_checkable
 class BatchEnv(Protocol):
     """What a batch needs of an environment.
 
@@ -87,10 +89,13 @@ class Batch:
             restart: whether lots whose agents all have finished begin anew.
 
         Raises:
-            ValueError: `num_lots` is below 1.
+            ValueError: `num_lots` is no whole number of at least 1.
+            TypeError: the environment is something else.
         """
-        if num_lots < 1:
-            raise ValueError(f"the number of lots must be at least 1, not {num_lots}")
+        if not isinstance(env, BatchEnv):  # pyright: ignore[reportUnnecessaryIsInstance]
+            kind = type(env).__name__
+            raise TypeError(f"env must be an environment, as a ParkingEnv, not {kind}")
+        require_count("num_lots", num_lots, 1)
         self.env: Any = env  # adapters know of which kind
         self.num_lots = num_lots
         self._programs = _programs(env, restart)
@@ -296,15 +301,16 @@ def _seeds(seed: Seeds, num_lots: int) -> np.ndarray:
     drawn = np.random.SeedSequence().generate_state(num_lots)
     if seed is None:
         return drawn
+    given = list(seed) if isinstance(seed, Sequence | np.ndarray) else [seed]
+    for each in given:
+        whole = isinstance(each, int | np.integer) and type(each) is not bool
+        if each is not None and not (whole and 0 <= each < 2**32):
+            raise ValueError(
+                f"a seed must be a whole number in [0, 2**32), not {each!r}"
+            )
     if isinstance(seed, int | np.integer):
-        seeds = [(int(seed) + i) % 2**32 for i in range(num_lots)]
-        given = [int(seed)]
-    else:
-        seeds = list(seed)
-        given = [int(s) for s in seeds if s is not None]
-    if len(seeds) != num_lots:
+        given = [(int(seed) + i) % 2**32 for i in range(num_lots)]
+    if len(given) != num_lots:
         raise ValueError(f"seeds must be one for each of {num_lots} lots, not {seed}")
-    if not all(0 <= s < 2**32 for s in given):
-        raise ValueError(f"a seed must lie in [0, 2**32), not {seed}")
-    pairs = zip(seeds, drawn, strict=True)
+    pairs = zip(given, drawn, strict=True)
     return np.array([d if s is None else s for s, d in pairs], np.uint32)

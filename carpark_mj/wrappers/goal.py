@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import ContinuousObservation, EnvConfig
-from carpark_mj.config.checks import require_at_least, require_positive
+from carpark_mj.config.checks import require_at_least, require_kind, require_positive
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import rotate
 from carpark_mj.mdp.actions import ActionSpec
@@ -94,7 +94,10 @@ class GoalParking:
         Raises:
             ValueError: not one agent that stays where it has finished, a chosen goal,
                 or an encoding other than `continuous`.
+            TypeError: an argument of another type.
         """
+        require_kind("parking", parking, ParkingEnv)
+        require_kind("pose_reward", pose_reward, PoseReward)
         config = parking.config
         if config.num_agents != 1 or config.episode.respawn or config.goals.dynamic:
             raise ValueError(

@@ -7,6 +7,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import require_kind
 from carpark_mj.wrappers.batch import LotEnv
 from carpark_mj.wrappers.goal import GoalParking, PoseReward
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv, one_agent
@@ -22,6 +23,11 @@ class PoseRewardMixin:
 
     default_reward = PoseReward()
     pose_reward: PoseReward
+
+    def _take(self, pose_reward: PoseReward | None) -> None:
+        """Sets the reward; None = the default."""
+        require_kind("pose_reward", pose_reward, PoseReward | None)
+        self.pose_reward = pose_reward or self.default_reward
 
     def compute_reward(
         self,
@@ -71,7 +77,7 @@ class ParkGoalEnv(PoseRewardMixin, ParkEnv):
             pose_reward: reward, and when the goal is reached.
             **options: see `Options`, without `agents` and `reward`.
         """
-        self.pose_reward = pose_reward or self.default_reward
+        self._take(pose_reward)
         super().__init__(render_mode, camera, **options)
 
     def _make(self, options: Options) -> LotEnv:

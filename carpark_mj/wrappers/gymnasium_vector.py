@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from carpark_mj.config.checks import require_count
 from carpark_mj.wrappers.batch import LotEnv, NumpyBatch, Seeds, require_shape
 from carpark_mj.wrappers.goal import PoseReward
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, one_agent
@@ -62,9 +63,10 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
                 f"unknown render_mode {render_mode!r}; choose from {modes}"
             )
         env = self._make(options)
-        if num_envs < 1 or num_envs % env.num_agents:
+        require_count("num_envs", num_envs, 1)
+        if num_envs % env.num_agents:
             raise ValueError(
-                "num_envs must be a positive multiple of the number of agents, "
+                "num_envs must be a multiple of the number of agents, "
                 f"{env.num_agents}, not {num_envs}"
             )
         self._batch = NumpyBatch(env, num_envs // env.num_agents)
@@ -165,7 +167,7 @@ class ParkGoalVectorEnv(PoseRewardMixin, ParkVectorEnv):
         **options: Unpack[Options],
     ) -> None:
         """As of `ParkVectorEnv` and `ParkGoalEnv`."""
-        self.pose_reward = pose_reward or self.default_reward
+        self._take(pose_reward)
         super().__init__(num_envs, render_mode, camera, **options)
 
     def _make(self, options: Options) -> LotEnv:

@@ -53,7 +53,7 @@ class JunctionScreen(Screen):
 
     def __init__(self, env: JunctionEnv, camera: str = "topdown") -> None:
         """Opens nothing yet; see `Screen`."""
-        super().__init__(env, camera)
+        super().__init__(env, camera, env.num_cars)
         self._junction = env
 
     def _place(self, state: State, lot: int) -> tuple[Stage, Snapshot]:

@@ -8,6 +8,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils.env_logger import EnvLogger
 
+from carpark_mj.config.checks import require_kind
 from carpark_mj.wrappers.batch import AgentsEnv, NumpyBatch
 from carpark_mj.wrappers.joint import joint_env
 from carpark_mj.wrappers.options import Options, configure
@@ -141,7 +142,9 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
         Raises:
             AssertionError: before `reset`, a missing agent, a wrong shape, not finite.
+            TypeError: no dictionary.
         """
+        require_kind("actions", actions, dict)
         if self._observation is None:
             EnvLogger.error_step_before_reset()
         if not self.agents:
@@ -149,7 +152,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
             return {}, {}, {}, {}, {}
         if actions.keys() != {*self.agents}:
             raise AssertionError(
-                f"actions must be those of {self.agents}, not of {sorted(actions)}"
+                f"actions must be those of {self.agents}, not of {[*actions]}"
             )
         spec = self._env.action_spec
         action = np.zeros(self._lots.action_shape, spec.dtype)

@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from carpark_mj.rendering.renderer import LotRenderer, RenderingError
+from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_names
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.window import NO_DISPLAY, has_display
@@ -17,13 +17,20 @@ RENDER_MODES = ["human", "rgb_array"]
 class Screen:
     """Shows lots of one environment; scenes are made anew where layouts differ."""
 
-    def __init__(self, env: Any, camera: str = "topdown") -> None:
+    def __init__(
+        self, env: Any, camera: str = "topdown", num_cars: int | None = None
+    ) -> None:
         """Opens nothing yet.
 
         Args:
             env: a `ParkingEnv`; of subclasses what they draw.
             camera: see `carpark_mj.rendering.renderer.camera_names`.
+            num_cars: that cameras can follow; None = the agents.
+
+        Raises:
+            ValueError: no such camera.
         """
+        camera_names(camera, env.num_agents if num_cars is None else num_cars)
         self._env, self._camera = env, camera
         self._shown: list[np.ndarray] = []
         self._stage: Stage | None = None
@@ -34,7 +41,7 @@ class Screen:
         """Draws a lot of a batch, (height, width, 3) uint8.
 
         Raises:
-            RenderingError: no OpenGL, or no such camera.
+            RenderingError: no OpenGL.
         """
         stage, seen = self._place(state, lot)
         if self._renderer is None:

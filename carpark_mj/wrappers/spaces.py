@@ -49,10 +49,15 @@ def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
     """An element of `action_space` as the vector (size,) that the environment takes.
 
     Raises:
-        AssertionError: another shape, NaN or infinity.
+        AssertionError: another shape, NaN or infinity, or no numbers.
     """
     parts = action if isinstance(action, tuple) else (action,)
-    flat = np.concatenate([np.asarray(part, np.float32) for part in parts], axis=-1)
+    try:
+        flat = np.concatenate([np.asarray(part, np.float32) for part in parts], axis=-1)
+    except (TypeError, ValueError):
+        raise AssertionError(
+            f"an action must be of shape ({spec.size},), not {action!r}"
+        ) from None
     if flat.shape != (spec.size,):
         raise AssertionError(
             f"an action must be of shape ({spec.size},), not {flat.shape}"

@@ -12,7 +12,6 @@ from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.renderer import (
     FLASH_COLOURS,
     LotRenderer,
-    RenderingError,
     Show,
     camera_names,
 )
@@ -175,8 +174,10 @@ def test_cameras_are_refused_by_name():
         "",
         "split:",
         "split:2",
+        3,
     ):
-        with pytest.raises(RenderingError, match="choose topdown, overview, chase:K"):
+        message = f"no camera {name!r}; choose topdown, overview, chase:K"
+        with pytest.raises(ValueError, match=message):
             camera_names(name, 2)
 
 

@@ -9,6 +9,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from helpers.sliding import APART, MAX_STEPS, placed, slide
 
+from carpark_mj.config import EnvConfig
 from carpark_mj.wrappers.batch import Batch, NumpyBatch
 
 LOTS = 40  # more than a group of those that begin anew together
@@ -168,6 +169,10 @@ def test_impossible_actions_are_refused(action, message):
         (-1, r"\[0, 2\*\*32\), not -1"),
         (2**32, r"\[0, 2\*\*32\)"),
         ([1, 2], "one for each of 4 lots"),
+        ([1, 2, 3, 4.5], r"a whole number in \[0, 2\*\*32\), not 4.5"),
+        (1.5, "a whole number"),
+        ("1234", "a whole number"),
+        (True, "a whole number"),
     ],
 )
 def test_impossible_seeds_are_refused(seed, message):
@@ -183,5 +188,12 @@ def test_seeds_that_are_none_are_drawn():
 
 
 def test_a_batch_has_at_least_one_lot():
-    with pytest.raises(ValueError, match="at least 1, not 0"):
-        Batch(sliding()[0], 0)
+    for count, message in ((0, "at least 1, not 0"), (2.0, "a whole number, not 2.0")):
+        with pytest.raises(ValueError, match=f"num_lots must be {message}"):
+            Batch(sliding()[0], count)
+
+
+def test_a_config_is_no_environment():
+    message = "must be an environment, as a ParkingEnv, not EnvConfig"
+    with pytest.raises(TypeError, match=message):
+        Batch(EnvConfig(), 2)  # pyright: ignore[reportArgumentType]

@@ -163,6 +163,9 @@ def test_actions_on_the_grid_are_integers(action):
         (PARK, {"agents": 2}, TypeError, "unknown option 'agents'"),
         (GOAL, {"reward": "shaped"}, TypeError, "unknown option 'reward'"),
         (PARK, {"render_mode": "ansi"}, ValueError, "unknown render_mode 'ansi'"),
+        (PARK, {"camera": 3}, ValueError, "no camera 3; choose topdown"),
+        (MANY, {"camera": "chase:2", "agents": 2}, ValueError, "K from 0 to 1"),
+        (GOAL, {"pose_reward": "x"}, TypeError, "PoseReward or None, not 'x'"),
         (PARK, {"config": "dynamic"}, ValueError, "goals.dynamic must be False"),
         (MANY, {"agents": 3}, ValueError, "multiple of the number of agents, 3, not 4"),
         (MANY, {"config": "anywhere"}, ValueError, "min_agents must be None"),
@@ -172,6 +175,12 @@ def test_actions_on_the_grid_are_integers(action):
 def test_impossible_options_are_refused(name, options, error, message):
     with pytest.raises(error, match=message):
         gymnasium.make_vec(name, 4, **options)
+
+
+@pytest.mark.parametrize("count", [0, "4", 4.0])
+def test_an_impossible_number_of_environments_is_refused(count):
+    with pytest.raises(ValueError, match="num_envs must be "):
+        gymnasium.make_vec(PARK, count)
 
 
 def test_no_environment_of_many_is_an_absent_agent():

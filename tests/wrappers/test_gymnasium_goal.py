@@ -23,6 +23,12 @@ def goal():
     return GoalParking(ParkingEnv(ONE), PoseReward())
 
 
+def test_arguments_of_another_type_are_refused(goal):
+    for parking, reward in ((ONE, PoseReward()), (goal.parking, "x")):
+        with pytest.raises(TypeError, match=r"must be of (ParkingEnv|PoseReward), not"):
+            GoalParking(parking, reward)
+
+
 def moved(env, state, pose):
     physics = env.physics.init(jnp.asarray([pose], jnp.float32), state.physics.vehicle)
     return state.replace(physics=physics, motion=env.physics.read(physics))

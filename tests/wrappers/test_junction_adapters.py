@@ -156,3 +156,12 @@ def test_benchmarl_learns_by_index_and_by_scalar(name, tmp_path):
     assert group.shape == ((2,) if name == "qmix" else (2, 1))
     experiment.run()
     assert experiment.n_iters_performed == 2
+
+
+def test_cameras_follow_human_driven_cars_too():
+    pytest.importorskip("pettingzoo")
+    from carpark_mj.wrappers.junction_pettingzoo import junction_parallel_env
+
+    junction_parallel_env(scenario="2av-hd", camera="chase:2")
+    with pytest.raises(ValueError, match=r"no camera 'chase:3'; .* 0 to 2"):
+        junction_parallel_env(scenario="2av-hd", camera="chase:3")

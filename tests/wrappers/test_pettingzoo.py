@@ -89,12 +89,22 @@ def test_an_agent_hears_nothing_of_actions_of_those_who_have_left(env):
         (np.zeros((1, 2)), r"shape \(2,\), not \(1, 2\)"),
         (np.array([np.nan, 0]), "finite"),
         (np.array([0, -np.inf]), "finite"),
+        (None, r"shape \(2,\), not None"),
+        ("left", r"shape \(2,\), not 'left'"),
     ],
 )
 def test_wrong_shapes_nan_and_infinity_are_refused(env, action, message):
     env.reset(seed=0)
     with pytest.raises(AssertionError, match=message):
         env.step(idle(env) | {"agent_1": action})
+
+
+def test_actions_are_those_of_agents_by_name(env):
+    env.reset(seed=0)
+    with pytest.raises(TypeError, match="actions must be of dict, not None"):
+        env.step(None)
+    with pytest.raises(AssertionError, match=r"not of \[0, 'agent_1'\]"):
+        env.step({0: np.zeros(2), "agent_1": np.zeros(2)})
 
 
 def test_nothing_works_before_reset():
@@ -115,6 +125,8 @@ def test_unknown_options_and_values_are_refused_in_one_sentence():
         carpark_mj.parallel_env(cars=3)
     with pytest.raises(ValueError, match="unknown layout 'moon'"):
         carpark_mj.parallel_env(layout="moon")
+    with pytest.raises(ValueError, match=r"no camera 'chase:2'; .* 0 to 1"):
+        carpark_mj.parallel_env(agents=2, camera="chase:2")
     with pytest.raises(ValueError, match="unknown render_mode 'ansi'"):
         carpark_mj.parallel_env(render_mode="ansi")
 
