@@ -32,6 +32,9 @@ from carpark_mj.precision import full_float32, require_float32
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
+# Settings, or beginnings of their paths, that `step` reads from `ParkingEnv.config`.
+ARITHMETIC = ("reward.", "episode.hitbox_scale", "giving_way.bad_goal")
+
 
 class ParkingEnv:
     """N agents park in a lot; see `EnvConfig` for what can be set.
@@ -105,10 +108,19 @@ class ParkingEnv:
         """The environment with other values of some settings, which may be traced.
 
         Args:
-            values: by the path of the setting, as in `reward.park`: weights of rewards
-                and other numbers that only enter into the arithmetic of `step`. They
-                are not checked.
+            values: by the path of the setting, as in `reward.park`: numbers that only
+                enter into the arithmetic of `step`. They are not checked.
+
+        Raises:
+            ValueError: there is no such setting, or another environment must be built
+                for it.
         """
+        for path in values:
+            if path == "reward.route" or not path.startswith(ARITHMETIC):
+                raise ValueError(
+                    f"{path} is not among the settings that can have other values in "
+                    f"an environment: {', '.join(ARITHMETIC)}; build another with it"
+                )
         env = copy.copy(self)
         env.config = insert(self.config, values)
         return env

@@ -205,6 +205,14 @@ def test_a_name_is_no_config():
             ParkingEnv(**{name: value})
 
 
+@pytest.mark.parametrize(
+    "path", ["spawn.close_ratio", "sim.ctrl_dt", "vehicle", "reward.route", "rewards.x"]
+)
+def test_settings_that_would_have_no_effect_are_refused(path):
+    with pytest.raises(ValueError, match=f"{path} is not among the settings that can"):
+        slide()[0].with_values({path: 1.0})
+
+
 def test_float64_is_refused_where_an_environment_is_built():
     with jax.enable_x64(True), pytest.raises(ValueError, match="must be False, not T"):
         ParkingEnv()
