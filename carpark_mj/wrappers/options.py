@@ -5,6 +5,7 @@ import functools
 from typing import TypedDict
 
 from carpark_mj.config import (
+    LAYOUT_FILES,
     EnvConfig,
     LayoutChoice,
     ParkedRule,
@@ -14,6 +15,7 @@ from carpark_mj.config import (
     reward_preset,
 )
 from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
 
 
@@ -72,7 +74,11 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
     if "reward" in options:
         reward = options["reward"]
         changes["reward"] = reward_preset(reward) if isinstance(reward, str) else reward
-    return dataclasses.replace(config, **changes)
+    config = dataclasses.replace(config, **changes)
+    if isinstance(config.layout, str) and any(x in config.layout for x in LAYOUT_FILES):
+        # The content decides, not the name: environments are shared.
+        config = dataclasses.replace(config, layout=layout_config(config.layout))
+    return config
 
 
 @functools.lru_cache(maxsize=32)

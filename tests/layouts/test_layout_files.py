@@ -13,10 +13,11 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout
+from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout, mixture
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import layout_text, read_json
 from carpark_mj.layouts.tpcap import EDGE, TPCAP_CAR, read_tpcap
+from carpark_mj.wrappers.options import Options, configure, shared_env
 
 HAND = {
     "format": "carpark_mj layout 1",
@@ -53,6 +54,22 @@ def test_a_lot_drawn_by_hand_is_read_as_written(tmp_path):
     assert layout.lane_one_way.tolist() == [False]
     np.testing.assert_allclose(layout.spawn_spread, 0.1)
     assert layout.extent.tolist() == [10, 10]
+
+
+def test_a_file_that_has_changed_is_read_again(tmp_path):
+    path = str(written(tmp_path, HAND))
+    before = FromFileConfig(path)
+    options: Options = {"layout": path, "agents": 1, "parked_cars": 0}
+    mixed, env = mixture([path, "compact"]), shared_env(configure(options))
+    assert before == FromFileConfig(path)
+    assert make_layout(path).extent.tolist() == [10, 10]
+    written(tmp_path, HAND | {"extent": [12, 10]})
+    assert make_layout(path).extent.tolist() == [12, 10]
+    assert make_layout(before).extent.tolist() == [10, 10]
+    assert before != FromFileConfig(path)
+    assert mixed != mixture([path, "compact"])
+    key, after = jax.random.key(0), shared_env(configure(options))
+    assert [e.draw_layout(key).extent[0] for e in (env, after)] == [10, 12]
 
 
 @pytest.mark.parametrize(
