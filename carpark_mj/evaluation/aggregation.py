@@ -40,7 +40,7 @@ def complete_row(row: Row, ctrl_dt: float) -> Row:
     return {name: whole[name] for name in order} | whole
 
 
-def summarise(rows: Sequence[Row]) -> dict[str, Any]:
+def summarize(rows: Sequence[Row]) -> dict[str, Any]:
     """Episodes (completed rows) together.
 
     Returns:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.aggregation import Row, complete_row, summarise
+from carpark_mj.evaluation.aggregation import Row, complete_row, summarize
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts import member_shares
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
@@ -33,7 +33,7 @@ class Evaluation:
         episodes: a row per episode: lot, agent, episode, how many agents the lot has,
             its metrics (see `carpark_mj.evaluation.catalogue`), and the lot's family by
             name.
-        summary: all of them together, see `aggregation.summarise`.
+        summary: all of them together, see `aggregation.summarize`.
         families: the same for the lots of each member of a mixture, by name; the lot's
             own if it is no mixture.
         agent_counts: the same for the lots with each number of agents.
@@ -55,7 +55,7 @@ def evaluate(
     num_lots: int = 128,
     span: float | None = None,
 ) -> Evaluation:
-    """Runs at least `num_episodes` whole episodes and summarises them.
+    """Runs at least `num_episodes` whole episodes and summarizes them.
 
     Args:
         env: with respawning agents; `MetricsConfig` says what is measured.
@@ -149,7 +149,7 @@ class Evaluator:
             row = which | complete_row(metrics, env.config.sim.ctrl_dt)
             rows.append(row | {"family": families[lot], "vehicle": kinds[kind]})
         rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
-        return _summarised(rows, list(shares), kinds)
+        return _summarized(rows, list(shares), kinds)
 
     def _episodes(
         self,
@@ -187,7 +187,7 @@ class Evaluator:
             now += CHUNK
 
 
-def _summarised(
+def _summarized(
     rows: list[Row], families: Sequence[str], kinds: Sequence[str]
 ) -> Evaluation:
     """What episodes come to: of all, and by family, number of agents, kind of car."""
@@ -199,10 +199,10 @@ def _summarised(
     driven = {row["vehicle"] for row in rows}
     return Evaluation(
         episodes=rows,
-        summary=summarise(rows),
-        families={name: summarise(those("family", name)) for name in families},
-        agent_counts={n: summarise(those("agents_present", n)) for n in counts},
-        vehicles={n: summarise(those("vehicle", n)) for n in kinds if n in driven},
+        summary=summarize(rows),
+        families={name: summarize(those("family", name)) for name in families},
+        agent_counts={n: summarize(those("agents_present", n)) for n in counts},
+        vehicles={n: summarize(those("vehicle", n)) for n in kinds if n in driven},
     )
 
 

@@ -32,7 +32,7 @@ from carpark_mj.evaluation import moving_car
 from carpark_mj.evaluation.aggregation import (
     Row,
     complete_row,
-    summarise,
+    summarize,
     wilson_interval,
 )
 from carpark_mj.evaluation.keys import evaluation_key
@@ -244,7 +244,7 @@ def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str, Any]:
-    summary, seeds = summarise(rows), sorted({row["seed"] for row in rows})
+    summary, seeds = summarize(rows), sorted({row["seed"] for row in rows})
     cases = len({row["case"] for row in rows})
     ratios = []
     for row in rows:

@@ -10,7 +10,7 @@ from benchmarking.checkouts import Checkout
 from benchmarking.records import Job, Measurement
 from carpark_mj.files import write_atomically
 
-# How the rounds of one checkout are summarised. Other work on the machine can only
+# How the rounds of one checkout are summarized. Other work on the machine can only
 # slow a program down, so the best round says most about it.
 BEST: dict[str, Callable[[Sequence[float]], float]] = {
     "rate": max,

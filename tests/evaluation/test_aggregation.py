@@ -11,7 +11,7 @@ from carpark_mj.evaluation.aggregation import (
     complete_row,
     effective_episodes,
     pool,
-    summarise,
+    summarize,
     wilson_interval,
 )
 from carpark_mj.evaluation.catalogue import METRICS
@@ -49,10 +49,10 @@ def random_episodes(count):
 
 def test_episodes_add_up_to_the_same_bits_whatever_their_order():
     rows = random_episodes(500)
-    together = summarise(rows)
+    together = summarize(rows)
     assert len(together) > 10
-    assert summarise(rows[::-1]) == together
-    assert summarise(sorted(rows, key=lambda row: row["length"])) == together
+    assert summarize(rows[::-1]) == together
+    assert summarize(sorted(rows, key=lambda row: row["length"])) == together
 
 
 def test_parts_of_two_batchings_add_up_to_the_whole():
@@ -123,7 +123,7 @@ def test_a_summary_is_what_a_hand_count_gives():
         outcome_row("crashed", "hit_wall", path=9.0, final_heading=1.0),
         outcome_row("timed_out", length=200.0, path=9.0, final_heading=1.0),
     ]
-    summary = summarise(rows)
+    summary = summarize(rows)
     assert summary["episodes"] == 4
     low, high = wilson_interval(2, 4)
     assert summary["parked"] == {"rate": 0.5, "low": low, "high": high, "count": 2}
@@ -138,11 +138,11 @@ def test_a_summary_is_what_a_hand_count_gives():
 def test_a_summary_has_each_metric_once_and_by_the_catalogue_s_name():
     rows = random_episodes(3)
     names = [metric.name for metric in METRICS if metric.name in rows[0]]
-    assert list(summarise(rows)) == ["episodes", *names, "mean_returns"]
+    assert list(summarize(rows)) == ["episodes", *names, "mean_returns"]
 
 
 def test_no_episodes_have_rates_that_could_be_anything():
-    summary = summarise([])
+    summary = summarize([])
     assert summary["episodes"] == 0
     assert set(summary) == {"episodes", "mean_returns", *ENDINGS, *HITS}
     for name in ENDINGS + HITS:
@@ -153,20 +153,20 @@ def test_no_episodes_have_rates_that_could_be_anything():
 
 def test_the_share_of_the_wrong_way_weighs_episodes_by_the_way_driven():
     rows = [episode(path=path) for path in (30.0, 10.0)]
-    assert "wrong_way_share" not in summarise(rows)
+    assert "wrong_way_share" not in summarize(rows)
     rows = [
         episode(path=path, wrong_way=wrong)
         for path, wrong in ((30.0, 3.0), (10.0, 5.0))
     ]
     assert [row["wrong_way_share"] for row in rows] == [0.1, 0.5]
-    assert summarise(rows)["wrong_way_share"] == pytest.approx(8 / 40)
+    assert summarize(rows)["wrong_way_share"] == pytest.approx(8 / 40)
     still = [episode(path=0.0, wrong_way=0.0)]
-    assert math.isnan(summarise(still)["wrong_way_share"])
+    assert math.isnan(summarize(still)["wrong_way_share"])
 
 
 def test_returns_by_term_are_means_over_episodes():
     rows = [episode(return_park=park, return_time=-1.0) for park in (4.0, 0.0)]
-    assert summarise(rows)["mean_returns"] == {"park": 2.0, "time": -1.0}
+    assert summarize(rows)["mean_returns"] == {"park": 2.0, "time": -1.0}
 
 
 def test_conformity_adds_steps_up_over_episodes_before_it_divides():
@@ -176,10 +176,10 @@ def test_conformity_adds_steps_up_over_episodes_before_it_divides():
         episode(met_global_any=met, gave_way_global_any=gave_way, **none)
         for met, gave_way in counts
     ]
-    summary = summarise(rows)
+    summary = summarize(rows)
     assert summary["conformity_global_any"] == 8 / 9
     assert math.isnan(summary["conformity_local_same"])
-    assert not any(name.startswith("conformity") for name in summarise([episode()]))
+    assert not any(name.startswith("conformity") for name in summarize([episode()]))
 
 
 def test_wilson_intervals_match_published_values():

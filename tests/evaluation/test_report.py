@@ -10,7 +10,7 @@ import pytest
 from carpark_mj.cli.evaluate import EvaluateConfig, Task, report, subfolder
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.aggregation import summarise
+from carpark_mj.evaluation.aggregation import summarize
 from carpark_mj.evaluation.report import (
     print_groups,
     print_metrics,
@@ -34,7 +34,7 @@ def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys
             for row in csv.DictReader(file)
         ]
     stored = json.loads(data.read_text())["summary"]
-    assert json.dumps(summarise(rows)) == json.dumps(stored)  # NaN like NaN
+    assert json.dumps(summarize(rows)) == json.dumps(stored)  # NaN like NaN
     print_metrics(everything.summary)
     printed = capsys.readouterr().out
     for name in ("nearest car", "min collision time agent", "worst 5 %"):
