@@ -252,6 +252,12 @@ def test_pictures_are_collected_and_there_is_one_of_each_lot():
     vector.close()
 
 
+def test_an_unknown_render_mode_is_told_all_that_there_are():
+    allowed = r"\['human', 'rgb_array'\], or 'rgb_array_list' in gymnasium.make$"
+    with pytest.raises(ValueError, match=rf"'rgb'; choose from {allowed}"):
+        make(render_mode="rgb")
+
+
 def test_a_window_without_a_display_is_refused(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
