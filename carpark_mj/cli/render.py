@@ -17,7 +17,7 @@ from carpark_mj.config import (
     PhysicsName,
     TannerObservation,
 )
-from carpark_mj.config.checks import require_positive
+from carpark_mj.config.checks import require_positive, require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
@@ -95,6 +95,13 @@ class RenderConfig:
                 "give a run folder, zero, random or planner, or --gallery"
                 + (", not both" if self.run else "")
             )
+        if self.gallery:
+            shown = ("run", "out", "gallery", "width", "seed")
+            others = [f.name for f in dataclasses.fields(self) if f.name not in shown]
+            require_unset(self, "with --gallery", *others)
+        if self.frame is not None:
+            require_unset(self, "with --frame", "seconds", "fps")
+        camera_names(self.camera)
         if not 0 < self.seconds <= MAX_SECONDS:
             raise ValueError(
                 f"seconds must lie in (0, {MAX_SECONDS}], not {self.seconds}"
@@ -141,7 +148,7 @@ def main(config: RenderConfig) -> Path:
 
     Raises:
         CheckpointError: the run cannot be read.
-        RenderingError: no GL or no such camera.
+        RenderingError: no GL.
         ValueError: impossible settings.
         OSError: the file cannot be written.
     """

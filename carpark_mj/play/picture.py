@@ -20,7 +20,8 @@ class Picture:
         """Opens a GL context.
 
         Raises:
-            RenderingError: no GL, or no such camera.
+            RenderingError: no GL.
+            ValueError: no such camera.
         """
         self._lot = lot
         self._renderer = LotRenderer(lot.stage, camera, SIZE)
@@ -44,8 +45,8 @@ def film(lot: DrivenLot, camera: str, steps: int, path: Path) -> int:
     """Writes `steps` control steps as a video; returns the number of frames.
 
     Raises:
-        RenderingError: no GL, or no such camera.
-        ValueError: another suffix than .mp4 or .gif.
+        RenderingError: no GL.
+        ValueError: no such camera, or another suffix than .mp4 or .gif.
     """
     picture = Picture(lot, camera)
 

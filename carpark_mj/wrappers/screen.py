@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from carpark_mj.rendering.renderer import LotRenderer, RenderingError
+from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_names
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.window import NO_DISPLAY, has_display
@@ -23,7 +23,11 @@ class Screen:
         Args:
             env: a `ParkingEnv`; of subclasses what they draw.
             camera: see `carpark_mj.rendering.renderer.camera_names`.
+
+        Raises:
+            ValueError: no such camera.
         """
+        camera_names(camera)
         self._env, self._camera = env, camera
         self._shown: list[np.ndarray] = []
         self._stage: Stage | None = None
@@ -34,7 +38,7 @@ class Screen:
         """Draws a lot of a batch, (height, width, 3) uint8.
 
         Raises:
-            RenderingError: no OpenGL, or no such camera.
+            RenderingError: no OpenGL.
         """
         stage, seen = self._place(state, lot)
         if self._renderer is None:
