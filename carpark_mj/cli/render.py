@@ -32,7 +32,7 @@ from carpark_mj.rendering.renderer import (
 from carpark_mj.rendering.rollout import Recording, record, recording_stage
 from carpark_mj.rendering.snapshot import Tracked, frames_per_second, num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
-from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
+from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 
 
 @dataclasses.dataclass(frozen=True)

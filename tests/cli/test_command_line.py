@@ -146,6 +146,23 @@ def test_without_its_packages_every_command_says_what_to_install():
     assert done.stderr == "".join(expected)
 
 
+def test_ctrl_c_while_a_command_imports_is_one_line():
+    root = Path(__file__).parents[2]
+    stopped = WITHOUT.replace('("tyro", "matplotlib", "tensorboardX")', '("jax",)')
+    stopped = re.sub("raise ModuleNotFoundError.*", "raise KeyboardInterrupt", stopped)
+    scripts = [str(root / "train/ppo.py"), str(root / "eval/evaluate.py")]
+    modules = ["carpark_mj.scene", "carpark_mj.play"]
+    done = subprocess.run(
+        [sys.executable, "-c", stopped, *scripts, *modules],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    names = ("ppo", "evaluate", "scene", "play")
+    assert done.stderr == "".join(f"{name}: interrupted\n130\n" for name in names)
+
+
 def test_other_missing_modules_are_mistakes_of_ours():
     def command():
         raise ModuleNotFoundError("No module named 'carpark'", name="carpark")

@@ -17,6 +17,7 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.layouts import mixture
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.rendering.renderer import RenderingError
+from carpark_mj.wrappers.gymnasium_env import ParkEnv
 
 PARK, GOAL, SLOTS, MANY = ENTRY_POINTS  # SLOTS has a file of its own, too
 SINGLE = [PARK, GOAL]
@@ -255,7 +256,7 @@ def test_pictures_are_collected_and_there_is_one_of_each_lot():
 def test_an_unknown_render_mode_is_told_all_that_there_are():
     allowed = r"\['human', 'rgb_array'\], or 'rgb_array_list' in gymnasium.make$"
     with pytest.raises(ValueError, match=rf"'rgb'; choose from {allowed}"):
-        make(render_mode="rgb")
+        ParkEnv(render_mode="rgb")
 
 
 def test_a_window_without_a_display_is_refused(monkeypatch):
