@@ -21,6 +21,9 @@ from carpark_mj.cli.common import (
 
 def run() -> None:
     """Evaluates."""
+    dispatch_synchronously()
+    enable_output_fusion()
+    keep_compiled_programs()
     from carpark_mj.cli.driver import command_help
     from carpark_mj.cli.evaluate import EvaluateConfig, main
     from carpark_mj.cli.flags import read_flags
@@ -29,7 +32,4 @@ def run() -> None:
 
 
 if __name__ == "__main__":
-    dispatch_synchronously()
-    enable_output_fusion()
-    keep_compiled_programs()
     sys.exit(run_command("evaluate", run))

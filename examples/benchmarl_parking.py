@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Literal
 
 import torch
-import tyro
 from benchmarl.algorithms import algorithm_config_registry
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
@@ -25,6 +24,7 @@ from matplotlib.figure import Figure
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
+from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.config.checks import require_whole
 from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates
@@ -178,6 +178,6 @@ def main(settings: Settings) -> None:
 
 if __name__ == "__main__":
     command = run_command(
-        "benchmarl_parking", lambda: main(tyro.cli(Settings, description=__doc__))
+        "benchmarl_parking", lambda: main(read_flags(Settings, description=__doc__))
     )
     raise SystemExit(command)

@@ -14,15 +14,21 @@ import time
 from pathlib import Path
 
 import torch
-import tyro
 from matplotlib.figure import Figure
 from torch import nn
 from torch.distributions import Normal
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
+from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import EnvConfig, EpisodeConfig
-from carpark_mj.config.checks import require_positive, require_whole
+from carpark_mj.config.checks import (
+    require_at_least,
+    require_positive,
+    require_ratio,
+    require_whole,
+)
 from carpark_mj.env import ParkingEnv
+from carpark_mj.files import require_writable
 from carpark_mj.wrappers.joint import joint_env
 from carpark_mj.wrappers.torch_batch import TorchBatch
 
@@ -65,6 +71,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         require_positive(self, "minutes", "learning_rate", "clip")
+        require_ratio(self, "discount", "gae_lambda")
+        require_at_least(self, 0, "entropy")
         require_whole(self, 1, "lots", "agents", "unroll", "epochs", "minibatches")
 
 
@@ -97,6 +105,7 @@ class Agent(nn.Module):
 
 def main(settings: Settings) -> None:
     """Trains, draws and evaluates."""
+    require_writable(settings.out)  # before the work
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     enable_output_fusion()  # both before JAX computes anything
     torch.manual_seed(settings.seed)
@@ -184,7 +193,7 @@ def update(
             ratio = (log_prob - part["log_prob"]).exp()
             clipped = ratio.clamp(1.0 - settings.clip, 1.0 + settings.clip)
             gain = part["advantage"]
-            gain = (gain - gain.mean()) / (gain.std() + 1e-8)
+            gain = (gain - gain.mean()) / (gain.std(correction=0) + 1e-8)  # also of one
             actor_loss = -torch.min(ratio * gain, clipped * gain).mean()
             error = agent.value(part["observation"]) - part["target"]
             entropy = policy.entropy().sum(-1).mean()
@@ -220,6 +229,6 @@ def draw(settings: Settings, points: list[tuple[int, float]]) -> None:
 
 if __name__ == "__main__":
     command = run_command(
-        "cleanrl_ppo", lambda: main(tyro.cli(Settings, description=__doc__))
+        "cleanrl_ppo", lambda: main(read_flags(Settings, description=__doc__))
     )
     raise SystemExit(command)

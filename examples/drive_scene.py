@@ -96,6 +96,7 @@ if __name__ == "__main__":
         sys.exit(2)
     try:
         print(json.dumps(main(sys.argv[1]), indent=2))
-    except (HitError, ValueError) as error:
-        print(f"{sys.argv[0]}: {error}", file=sys.stderr)
+    except (HitError, KeyError, ValueError) as error:
+        reason = " ".join(str(error.args[0]).split())
+        print(f"{sys.argv[0]}: {sys.argv[1]}: {reason}", file=sys.stderr)
         sys.exit(2)

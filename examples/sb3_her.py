@@ -9,8 +9,6 @@ success is that of highway-env's parking, see `carpark_mj.wrappers.goal.PoseRewa
 import dataclasses
 from pathlib import Path
 
-import tyro
-
 from carpark_mj.cli.common import enable_output_fusion, run_command
 
 enable_output_fusion()  # before JAX computes anything
@@ -20,7 +18,9 @@ from sb3_curve import Curve, rates  # noqa: E402
 from stable_baselines3 import SAC, HerReplayBuffer  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
 
+from carpark_mj.cli.flags import read_flags  # noqa: E402
 from carpark_mj.config.checks import require_positive, require_whole  # noqa: E402
+from carpark_mj.files import require_writable  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
 
 
@@ -53,6 +53,7 @@ class Settings:
 
 def main(settings: Settings) -> None:
     """Trains, plots and evaluates."""
+    require_writable(settings.out)  # before the work
     torch.set_num_threads(1)  # JAX has the other core, and theirs would fight
     name = "carpark_mj/ParkGoal-v0"
     options = {"layout": settings.layout, "parked_cars": settings.parked_cars}
@@ -85,6 +86,6 @@ def main(settings: Settings) -> None:
 
 if __name__ == "__main__":
     command = run_command(
-        "sb3_her", lambda: main(tyro.cli(Settings, description=__doc__))
+        "sb3_her", lambda: main(read_flags(Settings, description=__doc__))
     )
     raise SystemExit(command)

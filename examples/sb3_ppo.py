@@ -9,8 +9,6 @@ success is `strict`: within the lines, straight and at rest.
 import dataclasses
 from pathlib import Path
 
-import tyro
-
 from carpark_mj.cli.common import enable_output_fusion, run_command
 
 enable_output_fusion()  # before JAX computes anything
@@ -20,8 +18,10 @@ from sb3_curve import Curve, rates  # noqa: E402
 from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
 
+from carpark_mj.cli.flags import read_flags  # noqa: E402
 from carpark_mj.config import EnvConfig, SpawnConfig  # noqa: E402
 from carpark_mj.config.checks import require_positive, require_whole  # noqa: E402
+from carpark_mj.files import require_writable  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
 
 
@@ -52,6 +52,7 @@ class Settings:
 
 def main(settings: Settings) -> None:
     """Trains, plots and evaluates."""
+    require_writable(settings.out)  # before the work
     torch.set_num_threads(1)  # JAX has the other core, and theirs would fight
     name, layout = "carpark_mj/Park-v0", settings.layout
     # Three in ten episodes of training start where a car can get that leaves its bay.
@@ -91,6 +92,6 @@ def main(settings: Settings) -> None:
 
 if __name__ == "__main__":
     command = run_command(
-        "sb3_ppo", lambda: main(tyro.cli(Settings, description=__doc__))
+        "sb3_ppo", lambda: main(read_flags(Settings, description=__doc__))
     )
     raise SystemExit(command)

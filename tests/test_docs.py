@@ -312,6 +312,16 @@ def test_links_files_and_modules_exist(page):
         assert is_importable(name), name
 
 
+def test_rows_that_list_parked_rules_list_all():
+    text = "\n".join(page.read_text() for page in PAGES)
+    rows = re.findall(r"^\| (?:`rule`|parked|parked rule) \|.*`tanner`.*", text, re.M)
+    assert len(rows) > 5
+    for row in rows:
+        assert [n for n in re.findall(r"`(\w+)`", row) if n != "rule"] == [
+            *PARKED_RULES
+        ]
+
+
 def test_settings_named_in_the_docs_exist():
     config = EnvConfig()
     groups = {f.name for f in dataclasses.fields(config)} - {"metrics"}  # .csv

@@ -1,4 +1,4 @@
-"""The example with torch runs from end to end."""
+"""The examples: PPO in one file runs from end to end, bad input is one line."""
 
 import ast
 import re
@@ -26,6 +26,51 @@ def test_ppo_in_one_file_trains_and_evaluates(tmp_path):
     )
     assert ended.returncode == 0, ended.stderr
     assert re.search(r"held out: [\d.]+% of 1024 episodes parked", ended.stdout)
+
+
+@pytest.mark.parametrize(
+    ("flags", "line"),
+    [
+        (("--discount", "2"), "discount must lie in [0, 1], not 2.0"),
+        (("--gae-lambda", "nan"), "gae_lambda must lie in [0, 1], not nan"),
+        (("--entropy", "-1"), "entropy must be at least 0, not -1.0"),
+        (("--lots", "many"), "--lots: invalid literal for int() with base 10: 'many'"),
+        (("--out", "no/a.png"), "cannot use no/a.png: No such file or directory"),
+    ],
+)
+def test_bad_flags_of_an_example_are_one_line(flags, line, tmp_path):
+    pytest.importorskip("torch")
+    ended = subprocess.run(
+        [sys.executable, EXAMPLES / "cleanrl_ppo.py", *flags],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (2, f"cleanrl_ppo: {line}\n")
+
+
+BAD_SCENES = {
+    "text": ("# A readme", r"XML parse error \d+: .*"),
+    "no car": ("<mujoco/>", r"Invalid name 'agent0/car'\. .*"),
+    "no file": (None, r"ParseXML: Error opening file .*"),
+}
+
+
+@pytest.mark.parametrize("case", sorted(BAD_SCENES))
+def test_what_is_no_scene_to_drive_is_one_line(case, tmp_path):
+    text, line = BAD_SCENES[case]
+    path = tmp_path / "a.xml"
+    if text is not None:
+        path.write_text(text)
+    ended = subprocess.run(
+        [sys.executable, "-I", EXAMPLES / "drive_scene.py", path],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert re.fullmatch(rf".*drive_scene\.py: {path}: {line}\n", ended.stderr)
 
 
 def test_examples_read_fields_that_steps_have():

@@ -15,8 +15,6 @@ import os
 import sys
 from collections.abc import Sequence
 
-import jax
-
 from carpark_mj.cli.common import (
     dispatch_synchronously,
     enable_output_fusion,
@@ -28,6 +26,8 @@ from carpark_mj.rendering.gl import choose_gl
 
 def configure_jax() -> None:
     """One CPU device per core, over which the lots are sharded; fused outputs."""
+    import jax
+
     enable_output_fusion()
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
     if cores == 1:
@@ -38,6 +38,9 @@ def configure_jax() -> None:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Trains, with other hosts if asked; returns the exit code."""
+    choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
+    configure_jax()
+    keep_compiled_programs()
     from learners.hosts import joined, read_hosts
 
     hosts, arguments = read_hosts(sys.argv[1:] if arguments is None else arguments)
@@ -47,6 +50,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def run_on_host(arguments: Sequence[str]) -> int:
     """Trains on this host; returns the exit code."""
+    import jax
+
     from learners.ppo.arguments import read_runs
     from learners.ppo.config import RUN_SETTINGS, PPOConfig
     from learners.ppo.presets import PRESETS, SUMMARIES
@@ -81,9 +86,6 @@ def run_on_host(arguments: Sequence[str]) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
-    configure_jax()
-    keep_compiled_programs()
     return run_command("ppo", lambda: run(arguments))
 
 

@@ -64,9 +64,11 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
     Raises:
         CheckpointError: the run cannot be read.
         ValueError: unknown environment, or one in which cars cannot be observed as the
-            policy does.
+            policy does; or a baseline is to be sampled.
     """
     if name in BASELINES:
+        if not deterministic:
+            raise ValueError(f"stochastic has no effect with {name}: leave it out")
         env = environment(named) if named else EnvConfig()
         return Driver(env, Path("runs") / name, BASELINES[name])
     loaded = load_policy(name, deterministic)

@@ -19,7 +19,7 @@ from carpark_mj.files import require_writable
 from carpark_mj.policy.acting import AnyPolicy
 
 # Settings that do not show in the name of an evaluation's folder.
-UNNAMED = ("run", "policy", "episodes", "span", "out")
+UNNAMED = ("run", "policy", "out")
 MAX_NAME = 150  # characters of a folder's name; file systems allow 255
 
 
@@ -56,7 +56,7 @@ class EvaluateConfig:
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
             for a baseline or a pretrained policy, and in that a folder of
-            `evaluations/` for each other task or seed that flags make, and for a
+            `evaluations/` for flags that make another task or other episodes, and for a
             checkpoint file of a run.
     """
 
@@ -153,7 +153,13 @@ def prepare(config: EvaluateConfig) -> Task:
     env = ParkingEnv(changed)
     policy = driver.policy(env)  # what is refused until here leaves no folder
     same = dataclasses.replace(changed, metrics=driver.env.metrics) == driver.env
-    changes = config.environment, config.stochastic, config.seed
+    changes = (
+        config.environment,
+        config.stochastic,
+        config.seed,
+        config.span,
+        config.episodes != EvaluateConfig.episodes,
+    )
     own = same and not any(changes) and not _is_kept_checkpoint(config)
     default = driver.folder if own else driver.folder / subfolder(config)
     folder = Path(config.out) if config.out else default

@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from carpark_mj.cli.driver import output_folder
+from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key, require_seed
 from carpark_mj.files import require_writable, write_atomically
@@ -55,6 +56,8 @@ class ExportConfig:
     def __post_init__(self) -> None:
         if self.out and Path(self.out).suffix not in (".onnx", ".npz"):
             raise ValueError(f"out must end in .onnx or .npz, not {self.out!r}")
+        if self.out.endswith(".npz"):
+            require_unset(self, "on a checkpoint, of which no model is checked", "seed")
         require_seed(self.seed)
 
 

@@ -18,7 +18,7 @@ import tyro
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import LayoutConfig
-from carpark_mj.config.checks import require_at_least
+from carpark_mj.config.checks import require_at_least, require_unset
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_atomically
 from carpark_mj.layouts import (
@@ -159,11 +159,13 @@ class LayoutsConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 0, "check", "run")
         require_seed(self.seed)
-        if not (self.plot or self.check or self.run or self.save or self.held_out):
-            raise ValueError(
-                "nothing to do: give --plot FILE, --save FILE, --held-out FILE, "
-                "--check N or --run N (N > 0)"
-            )
+        if not (self.plot or self.check or self.run or self.save):
+            if not self.held_out:
+                raise ValueError(
+                    "nothing to do: give --plot FILE, --save FILE, --held-out FILE, "
+                    "--check N or --run N (N > 0)"
+                )
+            require_unset(self, "with --held-out alone", "layouts", "seed")
         if self.plot and Path(self.plot).suffix not in PICTURES:
             raise ValueError(
                 f"--plot writes a .png, .pdf or .svg file, not {self.plot}"

@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from carpark_mj.config.checks import require_unset
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.window import Window, has_display
@@ -34,7 +35,7 @@ from carpark_mj.play.driven import DrivenLot
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.networks import Policy
-from carpark_mj.rendering.renderer import RenderingError
+from carpark_mj.rendering.renderer import RenderingError, camera_names
 from carpark_mj.rendering.web import (
     HOST,
     PORT,
@@ -44,6 +45,7 @@ from carpark_mj.rendering.web import (
 )
 
 PROGRAM = "python -m carpark_mj.play"
+LOT = ("layout", "policy", "num_agents", "num_parked_cars", "vehicle", "seed", "out")
 COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
 
 
@@ -63,7 +65,8 @@ class PlayConfig:
         seed: of the lot; the next lot has the next.
         view: `window`, or `web` for a page on this machine; default by whether there is
             a display.
-        camera: of the window: `topdown`, `overview`, `chase:0`, `driver:0` or `split`.
+        camera: of the window or the video: `topdown`, `overview`, `chase:0`, `driver:0`
+            or `split`.
         out: folder in which every drive is saved as drive-K.npz.
         replay: a saved drive to look at instead.
         video: `.mp4` or `.gif` to write the replay to.
@@ -86,6 +89,15 @@ class PlayConfig:
     def __post_init__(self) -> None:
         if self.video and not self.replay:
             raise ValueError("video needs a drive to show: give --replay FILE.npz")
+        if self.replay:
+            require_unset(self, "with --replay", *LOT)
+        if self.video:
+            require_unset(self, "with --video", "view", "port")
+        elif self.shown_in == "web":
+            require_unset(self, "in the browser, which has its own", "camera")
+        else:
+            require_unset(self, "in a window", "port")
+        camera_names(self.camera)
         check_port(self.port)
         require_seed(self.seed)
 

@@ -17,7 +17,7 @@ from carpark_mj.config import (
     PhysicsName,
     TannerObservation,
 )
-from carpark_mj.config.checks import require_positive
+from carpark_mj.config.checks import require_positive, require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
@@ -32,7 +32,7 @@ from carpark_mj.rendering.renderer import (
 from carpark_mj.rendering.rollout import Recording, record, recording_stage
 from carpark_mj.rendering.snapshot import Tracked, frames_per_second, num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
-from carpark_mj.scene import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
+from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,6 +95,13 @@ class RenderConfig:
                 "give a run folder, zero, random or planner, or --gallery"
                 + (", not both" if self.run else "")
             )
+        if self.gallery:
+            shown = ("run", "out", "gallery", "width", "seed")
+            others = [f.name for f in dataclasses.fields(self) if f.name not in shown]
+            require_unset(self, "with --gallery", *others)
+        if self.frame is not None:
+            require_unset(self, "with --frame", "seconds", "fps")
+        camera_names(self.camera)
         if not 0 < self.seconds <= MAX_SECONDS:
             raise ValueError(
                 f"seconds must lie in (0, {MAX_SECONDS}], not {self.seconds}"

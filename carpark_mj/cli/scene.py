@@ -22,6 +22,7 @@ import numpy as np
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.driver import adapt, command_help, find_driver
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_atomically
@@ -45,6 +46,7 @@ from carpark_mj.scene.export import drivable_scene, scene_xml
 from carpark_mj.vehicle import VehicleParameters, preset
 
 PROGRAM = "python -m carpark_mj.scene"
+LOT = ("layout", "policy", "num_agents", "num_parked_cars", "suspension")
 WITHOUT_DISPLAY = (
     f"{NO_DISPLAY}: use a desktop session or `ssh -X`, or look at it in a browser with "
     "--view web, or write a file with --out and open it elsewhere with `python -m "
@@ -96,21 +98,17 @@ class SceneConfig:
             raise ValueError(
                 "a policy drives in the browser only: give --view web alone"
             )
-        self._check_junction()
+        if self.junction:
+            where = "with --junction, which has its own roads and cars"
+            require_unset(self, where, *LOT)
+        if self.policy:
+            require_unset(self, "with --policy", "suspension")
+        if self.view != "web":
+            require_unset(self, "without --view web", "port")
         require_seed(self.seed)
         if self.out and Path(self.out).suffix != ".xml":
             raise ValueError(f"out must end in .xml, not {self.out!r}")
         check_port(self.port)
-
-    def _check_junction(self) -> None:
-        """A junction has its own roads and cars."""
-        own = ("layout", "policy", "num_agents", "num_parked_cars", "suspension")
-        for name in own if self.junction else ():
-            if getattr(self, name):
-                raise ValueError(
-                    f"--junction {self.junction} has its own roads and cars: leave "
-                    f"--{name.replace('_', '-')} {getattr(self, name)} out"
-                )
 
 
 def env_config(config: SceneConfig, base: EnvConfig) -> EnvConfig:

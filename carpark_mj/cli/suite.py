@@ -20,6 +20,7 @@ from carpark_mj.cli.suite_report import (
     write_results,
 )
 from carpark_mj.config import ParkedRule
+from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import (
@@ -51,6 +52,7 @@ from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.vehicle import preset
 
 PLANNER = "planner"
+DRIVING = ("levels", "cases", "first_case", "rule", "moving_car", "seeds")
 DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
 
 
@@ -95,12 +97,12 @@ class SuiteConfig:
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
             )
+        if self.combine:
+            require_unset(self, "with --combine, which drives nothing", *DRIVING)
         for level in self.levels:
             self._check_cases(level)
             if self.moving_car:
                 require_aisle(level)
-        if self.moving_car and self.combine:
-            raise ValueError("moving_car is for driving, combine reads what was driven")
         if not 0 <= self.films <= WORST:
             raise ValueError(f"films must be 0 to {WORST}, not {self.films}")
         for name in ("policies", "levels", "seeds", "combine"):

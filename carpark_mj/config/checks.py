@@ -96,6 +96,20 @@ def require_kind(name: str, value: object, kind: Any) -> None:
         )
 
 
+def require_unset(config: Any, where: str, *names: str) -> None:
+    """Refuses attributes other than their defaults where they have no effect.
+
+    Raises:
+        ValueError: naming the attribute, its value and where that is.
+    """
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if field.name in names and value != field.default:
+            raise ValueError(
+                f"{field.name} {value!r} has no effect {where}: leave it out"
+            )
+
+
 def require_plain(config: Any, path: str = "") -> None:
     """Refuses lists and what is declared `bool` but is none, in nested configs too.
 

@@ -27,7 +27,6 @@ from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 
 FORMAT = "carpark_mj layout 1"
-_LINE = "\n"  # key under which an object keeps its line; no JSON string holds it raw
 
 # Every list with the fields of its rows: how many numbers, a kind, or a truth value.
 _SCHEMA: dict[str, dict[str, Any]] = {
@@ -57,7 +56,9 @@ def read_json(path: Path) -> Layout:
     try:
         layout, lines = _parse(text)
     except json.JSONDecodeError as error:
-        raise ValueError(f"{path}, line {error.lineno}: {error.msg}") from None
+        raise ValueError(
+            f"{path}, line {error.lineno}: not JSON ({error.msg})"
+        ) from None
     except RecursionError:
         raise ValueError(f"{path}: brackets are nested too deeply") from None
     except _RowError as error:
@@ -73,6 +74,12 @@ class _RowError(ValueError):
         self.line = line
 
 
+class _Object(dict[str, Any]):
+    """An object of the file, and the line on which it begins."""
+
+    line = 1
+
+
 class _Decoder(json.JSONDecoder):
     """Records in every object the line on which it begins."""
 
@@ -83,7 +90,9 @@ class _Decoder(json.JSONDecoder):
         def located(text_and_end: tuple[str, int], *args: Any) -> tuple[Any, int]:
             text, end = text_and_end
             value, after = parse(text_and_end, *args)
-            return {**value, _LINE: text.count("\n", 0, end) + 1}, after
+            found = _Object(value)
+            found.line = text.count("\n", 0, end) + 1
+            return found, after
 
         self.parse_object = located
         # The scanner in C ignores `parse_object`; the one in Python calls it.
@@ -125,9 +134,9 @@ def layout_text(layout: Layout) -> str:
 def _parse(text: str) -> tuple[Layout, dict[str, list[int]]]:
     """A layout, and the lines on which its rows begin, by their kinds."""
     data = json.loads(text, cls=_Decoder)
-    if not isinstance(data, dict):
+    if not isinstance(data, _Object):
         raise _RowError(1, f"a layout is an object, not {type(data).__name__}")
-    line = data.pop(_LINE)
+    line = data.line
     if data.get("format") != FORMAT:
         raise _RowError(line, f"format must be {FORMAT!r}, not {data.get('format')!r}")
     if missing := [name for name in _NEEDED if name not in data]:
@@ -162,9 +171,9 @@ def _columns(
     columns: dict[str, list[Any]] = {part: [] for part in schema}
     lines: list[int] = []
     for index, row in enumerate(rows):
-        if not isinstance(row, dict):
+        if not isinstance(row, _Object):
             raise _RowError(line, f"{name}[{index}] must be an object, not {row!r}")
-        place = row.pop(_LINE)
+        place = row.line
         lines.append(place)
         if unknown := sorted(set(row) - set(schema)):
             raise _RowError(

@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from carpark_mj.config import SimConfig
 from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.gravity import gravity_vector
-from carpark_mj.scene import build_scene
+from carpark_mj.scene.build import build_scene
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 CAR_NQ, CAR_NV, CAR_BODIES = 13, 12, 7

@@ -2,6 +2,14 @@
 
 import sys
 
-from carpark_mj.cli.play import run
+from carpark_mj.cli.common import run_command
 
-sys.exit(run())
+
+def run() -> int:
+    """Runs the command; returns the exit code."""
+    from carpark_mj.cli import play
+
+    return play.run()
+
+
+sys.exit(run_command("play", run))

@@ -160,26 +160,31 @@ class LotRenderer:
         self._renderer.close()
 
 
-def camera_names(camera: str, num_agents: int) -> tuple[str, ...]:
+def camera_names(camera: str, num_agents: int | None = None) -> tuple[str, ...]:
     """Names of the scene's cameras for a camera flag, left to right.
 
     `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its wheel, `split`
     (topdown and chase:0) or `split:K`.
 
+    Args:
+        camera: the flag.
+        num_agents: in the scene; None if it is not known yet.
+
     Raises:
         ValueError: no such camera; the message lists them.
     """
     kind, colon, agent = str(camera).partition(":")
-    known = agent.isdecimal() and int(agent) < num_agents
+    known = agent.isdecimal() and (num_agents is None or int(agent) < num_agents)
     if camera in LOT_CAMERAS:
         return (camera,)
     if kind in ("chase", "driver") and known:
         return (f"agent{int(agent)}/{kind}",)
     if kind == "split" and (known or not colon):
         return ("topdown", f"agent{int(agent or 0)}/chase")
+    last = "" if num_agents is None else f" to {num_agents - 1}"
     raise ValueError(
-        f"no camera {camera!r}; choose topdown, overview, chase:K, driver:K, split "
-        f"or split:K with K from 0 to {num_agents - 1}"
+        f"unknown camera {camera!r}; choose topdown, overview, chase:K, driver:K, "
+        f"split or split:K with K from 0{last}"
     )
 
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from carpark_mj.layouts.types import Layout
-from carpark_mj.scene import build_scene
+from carpark_mj.scene.build import build_scene
 from carpark_mj.scene.parts import car_prefix
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS
 from carpark_mj.vehicle.parameters import VehicleParameters

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 
 from carpark_mj.layouts.types import Layout
-from carpark_mj.scene import build_scene, parts
+from carpark_mj.scene import parts
+from carpark_mj.scene.build import build_scene
 from carpark_mj.vehicle.contact_wheels import (
     add_contact_wheels,
     add_controls,

@@ -53,7 +53,8 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
         """
         if render_mode not in (None, *RENDER_MODES):
             raise ValueError(
-                f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}"
+                f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}, or "
+                "'rgb_array_list' in gymnasium.make"
             )
         self._batch = NumpyBatch(self._make(options), 1, restart=False)
         env = self._batch.env

@@ -10,6 +10,7 @@ import pytest
 
 from carpark_mj.cli import render
 from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
+from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
@@ -17,6 +18,7 @@ from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig
+from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.files import require_writable, write_atomically
 
 
@@ -41,6 +43,62 @@ def test_a_file_error_names_the_file_asked_for(tmp_path):
 def test_a_seed_that_no_key_can_have_is_refused(make, seed):
     with pytest.raises(ValueError, match=rf"seed must lie in \[0, .*\], not {seed}"):
         make(seed)
+
+
+IDLE = [
+    (lambda: PlayConfig(replay="a.npz", layout="lot"), "layout 'lot'", "with --replay"),
+    (lambda: PlayConfig(replay="a.npz", seed=1), "seed 1", "with --replay"),
+    (
+        lambda: PlayConfig(replay="a.npz", video="a.gif", view="web"),
+        "view 'web'",
+        "with --video",
+    ),
+    (
+        lambda: PlayConfig(view="web", camera="topdown"),
+        "camera 'topdown'",
+        "in the browser, which has its own",
+    ),
+    (lambda: PlayConfig(view="window", port=9000), "port 9000", "in a window"),
+    (
+        lambda: SceneConfig(view="web", policy="square", suspension=True),
+        "suspension True",
+        "with --policy",
+    ),
+    (lambda: SceneConfig(out="a.xml", port=9000), "port 9000", "without --view web"),
+    (
+        lambda: LayoutsConfig(("lot",), held_out="a.npz"),
+        "layouts ('lot',)",
+        "with --held-out alone",
+    ),
+    (lambda: RenderConfig(gallery=True, height=480), "height 480", "with --gallery"),
+    (lambda: RenderConfig(gallery=True, frame=0.0), "frame 0.0", "with --gallery"),
+    (lambda: RenderConfig("zero", frame=1.0, fps=5.0), "fps 5.0", "with --frame"),
+    (
+        lambda: SuiteConfig(combine=("a",), seeds=(1,)),
+        "seeds (1,)",
+        "with --combine, which drives nothing",
+    ),
+    (
+        lambda: ExportConfig("square", out="a.npz", seed=1),
+        "seed 1",
+        "on a checkpoint, of which no model is checked",
+    ),
+    (lambda: find_driver("zero", deterministic=False), "stochastic", "with zero"),
+]
+
+
+@pytest.mark.parametrize(("make", "flag", "where"), IDLE)
+def test_a_flag_without_effect_is_refused(make, flag, where):
+    line = f"{flag} has no effect {where}: leave it out"
+    with pytest.raises(ValueError, match=f"^{re.escape(line)}$"):
+        make()
+
+
+def test_flags_with_an_effect_are_taken():
+    assert PlayConfig(replay="a.npz", video="a.gif", camera="topdown").camera
+    assert LayoutsConfig(("lot",), held_out="a.npz", check=1).layouts
+    assert RenderConfig(gallery=True, width=800, seed=1).seed
+    assert SuiteConfig(combine=("a",), films=3, out="b").films
 
 
 def test_every_error_is_one_line():
@@ -86,6 +144,23 @@ def test_without_its_packages_every_command_says_what_to_install():
         for name in (*names, *modules)
     ]
     assert done.stderr == "".join(expected)
+
+
+def test_ctrl_c_while_a_command_imports_is_one_line():
+    root = Path(__file__).parents[2]
+    stopped = WITHOUT.replace('("tyro", "matplotlib", "tensorboardX")', '("jax",)')
+    stopped = re.sub("raise ModuleNotFoundError.*", "raise KeyboardInterrupt", stopped)
+    scripts = [str(root / "train/ppo.py"), str(root / "eval/evaluate.py")]
+    modules = ["carpark_mj.scene", "carpark_mj.play"]
+    done = subprocess.run(
+        [sys.executable, "-c", stopped, *scripts, *modules],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    names = ("ppo", "evaluate", "scene", "play")
+    assert done.stderr == "".join(f"{name}: interrupted\n130\n" for name in names)
 
 
 def test_other_missing_modules_are_mistakes_of_ours():

@@ -150,6 +150,7 @@ def test_the_file_names_the_policy_however_it_was_given(flag, plain, tmp_path):
             {"rule": "strict", "layout": "street,my/yard.json"},
             "rule-strict_layout-street,my%2Fyard.json",
         ),
+        ({"episodes": 4096, "span": 100.0}, "episodes-4096_span-100.0"),
         ({"layout": "my-yard.json"}, "layout-my-yard.json"),
     ],
 )

@@ -120,7 +120,7 @@ def test_impossible_scenes_are_one_sentence(tmp_path):
     out = str(tmp_path / "a.xml")
     with pytest.raises(ValueError, match="unknown scenario '5av'; choose from"):
         main(SceneConfig(out=out, junction="5av"))
-    with pytest.raises(ValueError, match="leave --num-agents 3 out"):
+    with pytest.raises(ValueError, match="num_agents 3 has no effect with --junction"):
         SceneConfig(out=out, junction="2av", num_agents=3)
 
 

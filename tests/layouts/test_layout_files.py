@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import re
 
 import jax
 import numpy as np
@@ -102,6 +103,8 @@ BAD_JSON = [
     (changed(format="carpark_mj layout 2"), 1, "format must be 'carpark_mj layout 1'"),
     ({k: v for k, v in HAND.items() if k != "extent"}, 1, "extent missing"),
     (changed(slots=[]), 1, r"unknown \['slots'\]"),
+    (changed(format={}), 1, r"format must be '.*', not \{\}$"),
+    (changed(walls={"a": 1}), 1, r"must be a list of objects, not \{'a': 1\}$"),
     (changed(extent=[10]), 1, r"extent must be 2 numbers, not \[10\]"),
     (changed(bays=[*HAND["bays"], {"pose": [0, 0, 0]}]), 5, r"bays\[1\].size is miss"),
     (changed(bays=[{"pose": [0, 0], "size": [5, 2]}]), 4, r"bays\[0\].pose must be 3"),
@@ -125,13 +128,13 @@ def test_bad_json_layouts_are_told_what_and_where(data, line, message, tmp_path)
     with pytest.raises(ValueError, match=message) as caught:
         FromFileConfig(path=str(path))
     assert f"{path}, line {line}: " in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert not re.search(r"\n|\\n", str(caught.value))
 
 
 def test_text_that_is_no_json_names_the_line(tmp_path):
     path = tmp_path / "broken.json"
     path.write_text('{"format": "carpark_mj layout 1",\n "bays": [\n')
-    with pytest.raises(ValueError, match=r"broken.json, line 3: Expecting value"):
+    with pytest.raises(ValueError, match=r"line 3: not JSON \(Expecting value\)"):
         make_layout(str(path))
     path.write_text("[1, 2]")
     with pytest.raises(ValueError, match="line 1: a layout is an object, not list"):

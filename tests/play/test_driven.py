@@ -96,7 +96,7 @@ def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
     from carpark_mj.cli.play import serve_wheel
 
     viewer, lot, held = serve_wheel(
-        PlayConfig(num_parked_cars=2, port=8767, out=str(tmp_path))
+        PlayConfig(num_parked_cars=2, view="web", port=8767, out=str(tmp_path))
     )
     try:
         for _ in range(lot.traces):

@@ -170,7 +170,7 @@ def test_nothing_is_written_into_the_package(shipped):
     config = evaluate.EvaluateConfig(run="tiny", episodes=2)
     evaluate.main(config)
     assert sorted(shipped.iterdir()) == before
-    assert Path("runs/tiny/evaluation.csv").is_file()
+    assert Path("runs/tiny/evaluations/episodes-2/evaluation.csv").is_file()
     for name in ("tiny", str(shipped / "tiny.npz")):
         assert find_driver(name).folder == Path("runs/tiny")
 
@@ -182,6 +182,8 @@ def test_nothing_is_written_into_the_package(shipped):
         ({"num_agents": 2, "rule": "strict"}, "runs/tiny"),  # as in its own task
         ({"num_agents": 1}, "runs/tiny/evaluations/num_agents-1"),
         ({"nominal": True}, "runs/tiny"),  # nothing to turn off
+        ({"episodes": 8}, "runs/tiny/evaluations/episodes-8"),
+        ({"span": 9.0}, "runs/tiny/evaluations/span-9.0"),
         ({"seed": 1}, "runs/tiny/evaluations/seed-1"),
         ({"stochastic": True}, "runs/tiny/evaluations/stochastic-True"),
         ({"stochastic": True, "out": "mine"}, "mine"),

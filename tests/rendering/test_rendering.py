@@ -6,6 +6,8 @@ import os
 import numpy as np
 import pytest
 
+from carpark_mj.cli.play import PlayConfig
+from carpark_mj.cli.render import RenderConfig
 from carpark_mj.layouts import make_layout
 from carpark_mj.rendering import gl
 from carpark_mj.rendering.overlays import draw_labels, draw_status
@@ -31,6 +33,7 @@ from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene.materials import agent_colour
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT
+from carpark_mj.wrappers.gymnasium_env import ParkEnv
 
 LAYOUT = make_layout("tanner")
 POSE = np.array([[5.0, 3.0, 0.4], [-6.0, -4.0, 2.0]])
@@ -176,9 +179,16 @@ def test_cameras_are_refused_by_name():
         "split:2",
         3,
     ):
-        message = f"no camera {name!r}; choose topdown, overview, chase:K"
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises(ValueError, match=f"unknown camera {name!r}; choose topd"):
             camera_names(name, 2)
+    assert camera_names("chase:9") == ("agent9/chase",)  # of any number of agents
+    for make in (
+        lambda: RenderConfig("zero", camera="top"),
+        lambda: PlayConfig(view="window", camera="top"),
+        lambda: ParkEnv(camera="top"),
+    ):
+        with pytest.raises(ValueError, match=r"'top'; choose .* with K from 0"):
+            make()
 
 
 def test_missing_gl_is_one_sentence_with_the_package_to_install(monkeypatch):

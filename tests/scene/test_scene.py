@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.layouts import make_layout
-from carpark_mj.scene import build_scene
+from carpark_mj.scene.build import build_scene
 from carpark_mj.vehicle import COMPACT
 
 AGENTS, PARKED = 3, 4

@@ -17,6 +17,7 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.layouts import mixture
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.rendering.renderer import RenderingError
+from carpark_mj.wrappers.gymnasium_env import ParkEnv
 
 PARK, GOAL, SLOTS, MANY = ENTRY_POINTS  # SLOTS has a file of its own, too
 SINGLE = [PARK, GOAL]
@@ -163,7 +164,7 @@ def test_actions_on_the_grid_are_integers(action):
         (PARK, {"agents": 2}, TypeError, "unknown option 'agents'"),
         (GOAL, {"reward": "shaped"}, TypeError, "unknown option 'reward'"),
         (PARK, {"render_mode": "ansi"}, ValueError, "unknown render_mode 'ansi'"),
-        (PARK, {"camera": 3}, ValueError, "no camera 3; choose topdown"),
+        (PARK, {"camera": 3}, ValueError, "unknown camera 3; choose topdown"),
         (MANY, {"camera": "chase:2", "agents": 2}, ValueError, "K from 0 to 1"),
         (GOAL, {"pose_reward": "x"}, TypeError, "PoseReward or None, not 'x'"),
         (PARK, {"config": "dynamic"}, ValueError, "goals.dynamic must be False"),
@@ -259,6 +260,12 @@ def test_pictures_are_collected_and_there_is_one_of_each_lot():
     one, other = vector.render()
     assert (one != other).any()
     vector.close()
+
+
+def test_an_unknown_render_mode_is_told_all_that_there_are():
+    allowed = r"\['human', 'rgb_array'\], or 'rgb_array_list' in gymnasium.make$"
+    with pytest.raises(ValueError, match=rf"'rgb'; choose from {allowed}"):
+        ParkEnv(render_mode="rgb")
 
 
 def test_a_window_without_a_display_is_refused(monkeypatch):

@@ -163,5 +163,5 @@ def test_cameras_follow_human_driven_cars_too():
     from carpark_mj.wrappers.junction_pettingzoo import junction_parallel_env
 
     junction_parallel_env(scenario="2av-hd", camera="chase:2")
-    with pytest.raises(ValueError, match=r"no camera 'chase:3'; .* 0 to 2"):
+    with pytest.raises(ValueError, match=r"unknown camera 'chase:3'; .* 0 to 2"):
         junction_parallel_env(scenario="2av-hd", camera="chase:3")

@@ -125,7 +125,7 @@ def test_unknown_options_and_values_are_refused_in_one_sentence():
         carpark_mj.parallel_env(cars=3)
     with pytest.raises(ValueError, match="unknown layout 'moon'"):
         carpark_mj.parallel_env(layout="moon")
-    with pytest.raises(ValueError, match=r"no camera 'chase:2'; .* 0 to 1"):
+    with pytest.raises(ValueError, match=r"unknown camera 'chase:2'; .* 0 to 1"):
         carpark_mj.parallel_env(agents=2, camera="chase:2")
     with pytest.raises(ValueError, match="unknown render_mode 'ansi'"):
         carpark_mj.parallel_env(render_mode="ansi")

@@ -28,7 +28,10 @@ def finish(config: PPOConfig, folder: Path) -> None:
     if config.eval_episodes:
         from carpark_mj.cli import evaluate
 
-        evaluate.main(evaluate.EvaluateConfig(run=run, episodes=config.eval_episodes))
+        settings = evaluate.EvaluateConfig(
+            run=run, episodes=config.eval_episodes, out=run
+        )
+        evaluate.main(settings)
     if config.video_seconds:
         from carpark_mj.cli import render
 
