@@ -209,7 +209,7 @@ class ParkingEnv:
             action: (num_agents, action_spec.size); agents that have finished, or are
                 absent, brake instead. What is NaN or out of range is sanitized and
                 counted in the metric `invalid_actions`.
-            hitbox_scale: see `terminations.judge`; None = 1.
+            hitbox_scale: see `terminations.detect_events`; None = 1.
 
         Returns:
             The next state, and what agents get from the step.
@@ -226,7 +226,7 @@ class ParkingEnv:
         chosen = self.goals.choose(before, act.goal_choice)
         after = self._move(chosen, act.controls, keys)
         with jax.named_scope("terminations"):
-            events = terminations.judge(config.episode, after, hitbox_scale)
+            events = terminations.detect_events(config.episode, after, hitbox_scale)
             ended = self._episodes.end(after, events, keys)
         with jax.named_scope("goals"):
             ended, goal_events = self.goals.update(before, ended, events)

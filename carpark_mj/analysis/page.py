@@ -54,8 +54,8 @@ def picture(path: Path) -> str:
     return f'<img alt="{name}" src="data:image/png;base64,{data}">'
 
 
-def film_of(path: Path, page: Path, caption: str) -> str:
-    """A film that lies beside the page, or below it, as HTML with a caption."""
+def video_figure(path: Path, page: Path, caption: str) -> str:
+    """A video that lies beside the page, or below it, as HTML with a caption."""
     return (
         f'<figure><video src="{_link(path, page)}" controls muted '
         'preload="metadata"></video>'
@@ -88,9 +88,9 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 def videos(path: Path, records: Sequence[Record]) -> str:
     """Links to the videos of runs, as seen from the page at `path`."""
     links = [
-        f'<li><a href="{_link(film, path)}">{html.escape(record.name)}</a></li>'
+        f'<li><a href="{_link(video, path)}">{html.escape(record.name)}</a></li>'
         for record in records
-        if record.folder and (film := record.folder / "video.mp4").exists()
+        if record.folder and (video := record.folder / "video.mp4").exists()
     ]
     return f"<ul>{''.join(links)}</ul>" if links else ""
 

@@ -130,8 +130,8 @@ def analyse(
         parts.append((heading, picture(path)))
     parts += [("Points", table(spreads)), ("Runs", table(each))]
     ours = [record for records in sources.values() for record in records]
-    if films := videos(page, ours):
-        parts.append(("Videos", films))
+    if links := videos(page, ours):
+        parts.append(("Videos", links))
     write_page(page, title, [*notes, METHOD, *_provenance(ours)], parts)
     print(f"wrote {page}, {out / 'spread.csv'}, {out / 'runs.csv'}")
     return page

@@ -205,12 +205,12 @@ def look(config: LayoutsConfig) -> bool:
         print(f"wrote {contact_sheet(pictures, Path(config.plot))}")
     sound = True
     for name, layout in shown.items():
-        for judge, number in ((check, config.check), (run, config.run)):
+        for inspect, number in ((check, config.check), (run, config.run)):
             if not number:
                 continue
-            found = judge(layout, number, config.seed)
+            found = inspect(layout, number, config.seed)
             sound = sound and not found
-            what = "problems" if judge is check else "warnings"
+            what = "problems" if inspect is check else "warnings"
             print(f"{name}: {number} keys, {len(found)} {what}", flush=True)
             print("".join(f"  {problem}\n" for problem in found[:10]), end="")
     return sound

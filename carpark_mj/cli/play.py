@@ -263,9 +263,9 @@ def show_replay(config: PlayConfig) -> None:
     demonstration = load_demonstration(Path(config.replay))
     lot = replay(demonstration)
     if config.video:
-        from carpark_mj.play.picture import film
+        from carpark_mj.play.picture import record_video
 
-        count = film(lot, config.camera, len(demonstration), Path(config.video))
+        count = record_video(lot, config.camera, len(demonstration), Path(config.video))
         print(f"wrote {config.video}: {count} frames")
     elif config.shown_in == "web":
         require_web()

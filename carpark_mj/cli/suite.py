@@ -10,7 +10,6 @@ import tyro
 
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.suite_files import Key, key_of, read_runs, write_run
-from carpark_mj.cli.suite_films import Film, make_films, require_gl
 from carpark_mj.cli.suite_report import (
     WORST,
     header,
@@ -19,6 +18,7 @@ from carpark_mj.cli.suite_report import (
     print_rows,
     write_results,
 )
+from carpark_mj.cli.suite_videos import Video, make_videos, require_gl
 from carpark_mj.config import ParkedRule
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
@@ -70,12 +70,12 @@ class SuiteConfig:
         moving_car: in every case another car drives through the aisle meanwhile.
         seeds: of the planner's searches, and of policies that draw; each drives all
             cases.
-        films: how many of the worst cases of every policy and level are filmed, at most
-            10; needs off-screen OpenGL.
+        videos: of how many of the worst cases of every policy and level, at most 10;
+            needs off-screen OpenGL.
         combine: folders that this command has written; nothing is driven, their
             episodes make one table.
         out: folder for `suite.md`, `suite.csv`, `cases.csv`, `worst.npz`, `suite.html`,
-            `films/` and, of the planner, `paths.png`.
+            `videos/` and, of the planner, `paths.png`.
     """
 
     policies: Annotated[
@@ -87,7 +87,7 @@ class SuiteConfig:
     rule: ParkedRule = "strict"
     moving_car: bool = False
     seeds: tuple[int, ...] = (0,)
-    films: int = 0
+    videos: int = 0
     combine: tuple[str, ...] = ()
     out: str = "runs/suite"
 
@@ -103,8 +103,8 @@ class SuiteConfig:
             self._check_cases(level)
             if self.moving_car:
                 require_aisle(level)
-        if not 0 <= self.films <= WORST:
-            raise ValueError(f"films must be 0 to {WORST}, not {self.films}")
+        if not 0 <= self.videos <= WORST:
+            raise ValueError(f"videos must be 0 to {WORST}, not {self.videos}")
         for name in ("policies", "levels", "seeds", "combine"):
             value = getattr(self, name)
             if len(set(value)) < len(value):
@@ -136,14 +136,14 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
 
     Raises:
         CheckpointError: a run cannot be read.
-        RenderingError: films are asked for, and there is no OpenGL.
+        RenderingError: videos are asked for, and there is no OpenGL.
         ValueError: impossible settings, or malformed results to combine.
         OSError: the output folder cannot be written.
     """
     folder = pathlib.Path(config.out)
     if folder.resolve() in [pathlib.Path(name).resolve() for name in config.combine]:
         raise ValueError(f"out must not be one of the combined folders, {config.out}")
-    if config.films:
+    if config.videos:
         require_gl()
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "suite.csv")  # refused before the work
@@ -161,10 +161,10 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     head = header(episodes)
     print_rows(rows, head[0])
     written = write_run(folder, episodes, drives)
-    films: list[Film] = []
+    videos: list[Video] = []
     for part in parts_of(episodes).values():
-        films += make_films(folder, worst_first(part)[: config.films], drives)
-    written += write_results(folder, head, rows, episodes, pictures, films)
+        videos += make_videos(folder, worst_first(part)[: config.videos], drives)
+    written += write_results(folder, head, rows, episodes, pictures, videos)
     print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
     return rows
 

@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from carpark_mj.analysis.page import film_of, picture, table, write_page
-from carpark_mj.cli.suite_films import Film
+from carpark_mj.analysis.page import picture, table, video_figure, write_page
+from carpark_mj.cli.suite_videos import Video
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import has_moving_car, worst_first
 from carpark_mj.evaluation.suite_cases import LEVELS, TPCAP_LEVEL, fingerprint
@@ -127,7 +127,7 @@ def write_results(
     rows: Sequence[Mapping[str, Any]],
     episodes: Sequence[Row],
     pictures: Sequence[Path],
-    films: Sequence[Film],
+    videos: Sequence[Video],
 ) -> list[Path]:
     """Writes `suite.md`, `suite.csv` and `suite.html`; returns them.
 
@@ -137,7 +137,7 @@ def write_results(
         rows: of the table.
         episodes: all of them.
         pictures: PNG files for the page.
-        films: for the page, in the same folder or below it.
+        videos: for the page, in the same folder or below it.
     """
     cells = [shown_cells(row) for row in rows]
     lines = [f"# {head[0]}", "", *head[1:], "", f"| {' | '.join(cells[0])} |"]
@@ -154,8 +154,10 @@ def write_results(
     parts = [("Results", table(cells))]
     parts += [(path.stem.capitalize(), picture(path)) for path in pictures]
     for which, part in parts_of(episodes).items():
-        own = [film for film in films if film.row in part]
-        shown = "".join(film_of(film.path, files[2], _told(film.row)) for film in own)
+        own = [video for video in videos if video.row in part]
+        shown = "".join(
+            video_figure(video.path, files[2], _told(video.row)) for video in own
+        )
         parts.append((f"Worst cases of {which}", table(_worst(part)) + shown))
     write_page(files[2], head[0], head[1:], parts)
     return files
@@ -174,7 +176,7 @@ def _outcome(row: Row) -> str:
 
 
 def _told(row: Row) -> str:
-    """What a film shows."""
+    """What a video shows."""
     return f"case {row['case']}, seed {row['seed']}: {_outcome(row)}"
 
 

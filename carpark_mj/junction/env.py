@@ -157,7 +157,7 @@ class JunctionEnv:
         """
         config, before, n = self.config, state, self.num_agents
         state = self._move(before, actions.parse(self.action_spec, action))
-        events = terminations.judge(state, config.max_steps)
+        events = terminations.detect_events(state, config.max_steps)
         unpaid = before.unpaid + (state.along - before.along)[:n]
         way, unpaid = rewards.pay_way(jnp.where(before.active, unpaid, 0.0))
         reward = rewards.reward(config.rewards, way, events)

@@ -18,7 +18,7 @@ from carpark_mj.junction.types import Events, State
 GOAL_RADIUS = 2.0  # m, SMARTS's
 
 
-def judge(state: State, max_steps: int) -> Events:
+def detect_events(state: State, max_steps: int) -> Events:
     """The events of a step, all False for agents that are not active.
 
     Args:

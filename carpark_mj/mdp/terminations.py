@@ -48,7 +48,7 @@ def is_parked(
     return parked
 
 
-def judge(
+def detect_events(
     config: EpisodeConfig, state: State, hitbox_scale: jax.Array | None = None
 ) -> Events:
     """Evaluates whether each agent's episode has ended after a step, and how.

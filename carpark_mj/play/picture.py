@@ -41,7 +41,7 @@ class Picture:
         self._renderer.close()
 
 
-def film(lot: DrivenLot, camera: str, steps: int, path: Path) -> int:
+def record_video(lot: DrivenLot, camera: str, steps: int, path: Path) -> int:
     """Writes `steps` control steps as a video; returns the number of frames.
 
     Raises:

@@ -156,7 +156,7 @@ class GoalParking:
         after, timestep = self.parking.step(state, action)
         norm = self.pose_reward.norm(pose_features(timestep.motion), _desired(after))
         near = norm < self.pose_reward.threshold
-        events = self.judge(state.active, after.step, timestep.events, near)
+        events = self.update_events(state.active, after.step, timestep.events, near)
         return dataclasses.replace(after, active=state.active & ~events.done), (
             dataclasses.replace(
                 timestep,
@@ -168,7 +168,7 @@ class GoalParking:
             )
         )
 
-    def judge(
+    def update_events(
         self, active: jax.Array, step: jax.Array, events: Events, near: jax.Array
     ) -> Events:
         """How episodes stand after a step; all (1,).

@@ -32,10 +32,10 @@ class SlotsGoalParking(GoalParking):
         super().__init__(parking, pose_reward)
         self.fields = FEATURES
 
-    def judge(
+    def update_events(
         self, active: jax.Array, step: jax.Array, events: Events, near: jax.Array
     ) -> Events:
-        """How episodes stand after a step; see `GoalParking.judge`."""
+        """How episodes stand after a step; see `GoalParking.update_events`."""
         alive = active & ~events.crashed & ~events.diverged
         timed_out = alive & (step >= self.config.episode.max_steps)
         return dataclasses.replace(

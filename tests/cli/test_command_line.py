@@ -98,7 +98,7 @@ def test_flags_with_an_effect_are_taken():
     assert PlayConfig(replay="a.npz", video="a.gif", camera="topdown").camera
     assert LayoutsConfig(("lot",), held_out="a.npz", check=1).layouts
     assert RenderConfig(gallery=True, width=800, seed=1).seed
-    assert SuiteConfig(combine=("a",), films=3, out="b").films
+    assert SuiteConfig(combine=("a",), videos=3, out="b").videos
 
 
 def test_every_error_is_one_line():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from carpark_mj.cli import suite_films
+from carpark_mj.cli import suite_videos
 from carpark_mj.cli.suite import SuiteConfig, main
 from carpark_mj.cli.suite_files import CASES_FILE, read_runs, write_run
-from carpark_mj.cli.suite_films import FASTER, make_films, recording_of
+from carpark_mj.cli.suite_videos import FASTER, make_videos, recording_of
 from carpark_mj.evaluation.suite import Drives
 from carpark_mj.layouts.held_out import SHA256, load_held_out
 from carpark_mj.layouts.tpcap_cases import load_tpcap
@@ -139,24 +139,26 @@ def test_a_file_of_something_else_is_refused(tmp_path):
         read_runs([folder])
 
 
-def test_a_film_is_faster_than_driving(tmp_path):
+def test_a_video_is_faster_than_driving(tmp_path):
     import imageio_ffmpeg
 
     assert choose_gl() is None, "this machine cannot render"
     row = episode(0, length=40.0)  # 8 s, and then the last picture for 1 s
-    (film,) = make_films(tmp_path, [row], {("x", "extreme", 0, 0): drives(40)})
-    assert film.path == tmp_path / "films" / "x-extreme-0-0.mp4"
-    data = next(imageio_ffmpeg.read_frames(str(film.path)))
+    (video,) = make_videos(tmp_path, [row], {("x", "extreme", 0, 0): drives(40)})
+    assert video.path == tmp_path / "videos" / "x-extreme-0-0.mp4"
+    data = next(imageio_ffmpeg.read_frames(str(video.path)))
     assert data["duration"] == pytest.approx(8.0 / FASTER + 1.0, abs=0.2)
 
 
-def test_runs_whose_folders_have_the_same_name_have_films_of_their_own(
+def test_runs_whose_folders_have_the_same_name_have_videos_of_their_own(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(suite_films, "_film", lambda path, _: path.write_text("film"))
+    monkeypatch.setattr(
+        suite_videos, "_write", lambda path, _: path.write_text("video")
+    )
     names = ("runs/a/best", "runs/b/best", "runs/b-best")
     rows = [episode(0, policy=name, length=4.0) for name in names]
     kept = {(name, "extreme", 0, 0): drives(4) for name in names}
-    films = make_films(tmp_path, rows, kept)
-    assert len({film.path for film in films}) == 3
-    assert all(film.path.read_text() == "film" for film in films)
+    videos = make_videos(tmp_path, rows, kept)
+    assert len({video.path for video in videos}) == 3
+    assert all(video.path.read_text() == "video" for video in videos)

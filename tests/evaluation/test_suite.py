@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from carpark_mj.cli.suite import SuiteConfig
-from carpark_mj.cli.suite_films import Film
 from carpark_mj.cli.suite_report import header, print_rows, shown_cells, write_results
+from carpark_mj.cli.suite_videos import Video
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.suite import drive_cases, suite_env, table_rows, worst_first
 from carpark_mj.evaluation.suite_cases import pick_cases
@@ -163,18 +163,18 @@ def test_policies_are_printed_by_the_names_they_have(capsys):
     assert "x[/red]" in capsys.readouterr().out
 
 
-def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
+def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
     episodes = [episode(0, "parallel", PARKED), episode(7, "parallel", MISSED)]
     (row,) = table_rows("x", episodes)
-    films = [Film(episodes[1], tmp_path / "films" / "x.mp4")]
-    files = write_results(tmp_path, header(episodes), [row], episodes, [], films)
+    videos = [Video(episodes[1], tmp_path / "videos" / "x.mp4")]
+    files = write_results(tmp_path, header(episodes), [row], episodes, [], videos)
     assert [path.name for path in files] == ["suite.md", "suite.csv", "suite.html"]
     page = files[0].read_text()
     assert "2 of normal (0, 7); seed 0; on cpu." in page
     assert "| x | normal | parallel | 2 | 1 | 50.0 (9.5 … 90.5) | – |" in page
     html = files[2].read_text()
     assert html.index("<td>7</td>") < html.index("<td>0</td>")
-    assert '<video src="films/x.mp4"' in html
+    assert '<video src="videos/x.mp4"' in html
     assert "case 7, seed 0: crashed" in html
     assert shown_cells(row)["path found [%]"] == "–"
 
@@ -212,7 +212,7 @@ def test_files_hold_the_table_the_worst_first_and_films_below_them(tmp_path):
         ({"policies": ("zero",), "seeds": (-1,)}, "seeds must not be negative"),
         ({"combine": ("a",), "moving_car": True}, "moving_car True has no effect"),
         ({"combine": ("a",), "rule": "precise"}, "'precise' has no effect with --co"),
-        ({"policies": ("zero",), "films": 11}, "films must be 0 to 10, not 11"),
+        ({"policies": ("zero",), "videos": 11}, "videos must be 0 to 10, not 11"),
         ({"policies": ("zero",), "combine": ("a",)}, "not both"),
     ],
 )

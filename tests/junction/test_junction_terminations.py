@@ -9,12 +9,12 @@ import shapely
 from helpers import junctions
 
 from carpark_mj.geometry import box_corners
-from carpark_mj.junction.terminations import collide, judge
+from carpark_mj.junction.terminations import collide, detect_events
 
 ENV = junctions.env(scenario="2av-hd")
 WEST, EAST, SOUTH = np.pi, 0.0, -np.pi / 2
 APART = [[20.0, 1.65, WEST], [-20.0, -1.65, EAST], [1.65, -20.0, np.pi / 2]]
-judged = jax.jit(judge, static_argnums=1)
+detected = jax.jit(detect_events, static_argnums=1)
 overlap = jax.jit(collide)
 
 
@@ -22,7 +22,7 @@ def events(*poses, step=1):
     """Names of the events of both agents, the rest standing apart."""
     state = junctions.with_poses(junctions.begin(ENV), [*poses, *APART[len(poses) :]])
     state = dataclasses.replace(state, step=jnp.array(step))
-    flags = vars(judged(state, 75))
+    flags = vars(detected(state, 75))
     return [{name for name, flag in flags.items() if flag[k]} for k in range(2)]
 
 
@@ -84,7 +84,7 @@ def test_a_car_that_diverged_is_truncated_even_in_the_last_step():
     state = junctions.begin(ENV)
     motion = dataclasses.replace(state.motion, finite=jnp.array([False, True, True]))
     state = dataclasses.replace(state, motion=motion, step=jnp.array(75))
-    found = judged(state, 75)
+    found = detected(state, 75)
     assert found.diverged.tolist() == [True, False]
     assert found.timed_out.tolist() == [False, True]
     assert not found.terminal.any()
@@ -93,4 +93,4 @@ def test_a_car_that_diverged_is_truncated_even_in_the_last_step():
 def test_who_has_finished_has_no_events():
     state = junctions.with_poses(junctions.begin(ENV), [[20.0, 9.0, 0.0], *APART[1:]])
     state = dataclasses.replace(state, active=jnp.array([False, True]))
-    assert not any(flag[0] for flag in vars(judged(state, 75)).values())
+    assert not any(flag[0] for flag in vars(detected(state, 75)).values())

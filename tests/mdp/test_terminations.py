@@ -11,10 +11,10 @@ from helpers.scenes import cars, lot, moved, moved_cars
 from helpers.states import parked_at, parked_in, state_of
 
 from carpark_mj.config import PARKED_RULES, EpisodeConfig
-from carpark_mj.mdp.terminations import is_parked, judge
+from carpark_mj.mdp.terminations import detect_events, is_parked
 from carpark_mj.types import NO_BAY
 
-judge_jit = jax.jit(judge, static_argnums=0)
+detect_jit = jax.jit(detect_events, static_argnums=0)
 
 WU = 0.5625  # m
 BAY_SIZE = (6.0, 3.0)  # a car of 4 x 2 m has 1 m and 0.5 m to spare on each side
@@ -112,7 +112,7 @@ def test_every_rule_is_probed():
 FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
 
 
-def judged(motion, rule="strict", step=1, active=True, layout=FAR_LOT, goal=None):
+def detected(motion, rule="strict", step=1, active=True, layout=FAR_LOT, goal=None):
     """Events of agents whose goals are bays 0, 1, …, with a parked car in bay 2."""
     count = motion.size.shape[0]
     state = state_of(
@@ -123,7 +123,7 @@ def judged(motion, rule="strict", step=1, active=True, layout=FAR_LOT, goal=None
         step=jnp.full(count, step),
         active=jnp.broadcast_to(jnp.asarray(active), (count,)),
     )
-    return judge_jit(EpisodeConfig(parked_rule=rule, max_steps=10), state)
+    return detect_jit(EpisodeConfig(parked_rule=rule, max_steps=10), state)
 
 
 AWAY = (0.0, 0.0, 0.0)
@@ -141,11 +141,11 @@ def flags(events):
 
 
 def test_a_car_standing_in_its_bay_has_parked_and_one_away_drives_on():
-    assert flags(judged(cars([IN_BAY_0, AWAY]))) == ["parked", "drives on"]
+    assert flags(detected(cars([IN_BAY_0, AWAY]))) == ["parked", "drives on"]
 
 
 def test_parking_in_the_bay_of_another_agent_is_no_parking():
-    events = judged(cars([IN_BAY_0, AWAY]), goal=[1, 0])
+    events = detected(cars([IN_BAY_0, AWAY]), goal=[1, 0])
     assert flags(events) == ["drives on", "drives on"]
 
 
@@ -153,19 +153,19 @@ def test_nobody_parks_without_a_goal():
     # JAX reads a row past the end as the last: no goal must not mean the last bay.
     free = FAR_LOT.replace(bay_pose=FAR_LOT.bay_pose[::-1])
     motion = cars([IN_BAY_0, AWAY])
-    events = judged(motion, "tanner", layout=free, goal=[NO_BAY, NO_BAY])
+    events = detected(motion, "tanner", layout=free, goal=[NO_BAY, NO_BAY])
     assert flags(events) == ["crashed", "drives on"]
-    assert flags(judged(motion, "tanner", layout=free, goal=[2, 2]))[0] == "parked"
+    assert flags(detected(motion, "tanner", layout=free, goal=[2, 2]))[0] == "parked"
 
 
 def test_of_two_agents_in_the_goal_of_both_the_first_parks():
     motion = cars([AWAY, IN_BAY_0, IN_BAY_0])
-    events = judged(motion, rule="tanner", goal=[0, 0, 0])
+    events = detected(motion, rule="tanner", goal=[0, 0, 0])
     assert flags(events) == ["drives on", "parked", "crashed"]
 
 
 def test_both_agents_of_a_collision_crash():
-    events = judged(crossing(True))
+    events = detected(crossing(True))
     assert flags(events) == ["crashed", "crashed"]
     np.testing.assert_array_equal(events.hit_agent, [True, True])
     assert not (events.hit_parked_car | events.hit_wall).any()
@@ -177,7 +177,7 @@ def test_a_crash_says_what_was_hit():
         wall_size=jnp.ones((1, 2)),
         wall_mask=jnp.ones(1, bool),
     )
-    events = judged(cars([ON_THE_PARKED_CAR, (0.0, 10.5, 0.0)]), layout=layout)
+    events = detected(cars([ON_THE_PARKED_CAR, (0.0, 10.5, 0.0)]), layout=layout)
     assert flags(events) == ["crashed", "crashed"]
     np.testing.assert_array_equal(events.hit_parked_car, [True, False])
     np.testing.assert_array_equal(events.hit_wall, [False, True])
@@ -186,12 +186,12 @@ def test_a_crash_says_what_was_hit():
 
 @pytest.mark.parametrize(("step", "outcome"), [(9, "drives on"), (10, "timed_out")])
 def test_an_episode_times_out_at_max_steps_and_no_earlier(step, outcome):
-    assert flags(judged(cars([AWAY]), step=step)) == [outcome]
+    assert flags(detected(cars([AWAY]), step=step)) == [outcome]
 
 
 def test_parking_and_crashing_in_the_last_step_are_no_time_out():
     motion = cars([IN_BAY_0, ON_THE_PARKED_CAR])
-    assert flags(judged(motion, step=10)) == ["parked", "crashed"]
+    assert flags(detected(motion, step=10)) == ["parked", "crashed"]
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_parking_and_crashing_in_the_last_step_are_no_time_out():
 def test_a_car_that_touches_another_on_its_way_into_the_bay(rule, outcome):
     # Agent 0 stands in its bay now; earlier in the step it was on the parked car.
     trace = [[ON_THE_PARKED_CAR, IN_BAY_0], [AWAY, AWAY]]
-    events = judged(cars([IN_BAY_0, AWAY], trace=trace), rule=rule)
+    events = detected(cars([IN_BAY_0, AWAY], trace=trace), rule=rule)
     assert flags(events) == [outcome, "drives on"]
     np.testing.assert_array_equal(events.hit_parked_car, [outcome == "crashed", False])
 
@@ -209,7 +209,7 @@ def test_a_car_that_touches_another_on_its_way_into_the_bay(rule, outcome):
 @pytest.mark.parametrize("rule", ["strict", "precise", "tanner"])
 def test_a_diverged_car_neither_parks_nor_crashes_nor_times_out(rule):
     motion = cars([IN_BAY_0, ON_THE_PARKED_CAR], finite=False)
-    events = judged(motion, rule=rule, step=10)
+    events = detected(motion, rule=rule, step=10)
     assert flags(events) == ["diverged", "diverged"]
     assert not (events.hit_agent | events.hit_parked_car | events.hit_wall).any()
 
@@ -217,13 +217,13 @@ def test_a_diverged_car_neither_parks_nor_crashes_nor_times_out(rule):
 @pytest.mark.parametrize("finite", [True, False])
 def test_finished_agents_have_no_events(finite):
     motion = cars([IN_BAY_0, ON_THE_PARKED_CAR], finite=finite)
-    events = judged(motion, step=10, active=False)
+    events = detected(motion, step=10, active=False)
     assert flags(events) == ["drives on", "drives on"]
     assert not (events.hit_agent | events.hit_parked_car | events.hit_wall).any()
 
 
 def test_an_agent_that_hits_a_finished_one_crashes_and_the_finished_one_does_not():
-    events = judged(crossing(True), active=jnp.array([True, False]))
+    events = detected(crossing(True), active=jnp.array([True, False]))
     assert flags(events) == ["crashed", "drives on"]
 
 
@@ -262,7 +262,7 @@ def random_events(rule, shift=None):
             step=step,
             active=active,
         )
-        return judge(EpisodeConfig(parked_rule=rule, max_steps=10), state)
+        return detect_events(EpisodeConfig(parked_rule=rule, max_steps=10), state)
 
     return jax.device_get(
         jax.jit(jax.vmap(one))(motion, bays, walls, wall_size, step, active)
@@ -302,16 +302,16 @@ def test_the_config_s_hitbox_scale_holds_always_and_training_s_comes_on_top():
     ):
         given = None if aid is None else jnp.float32(aid)
         config = EpisodeConfig(hitbox_scale=scale)
-        assert bool(judge_jit(config, state, hitbox_scale=given).crashed[0]) == crashes
+        assert bool(detect_jit(config, state, hitbox_scale=given).crashed[0]) == crashes
 
 
 def test_scaled_hitboxes_do_not_make_parking_harder():
     layout = lot([(0.0, 0.0, 0.0)], bay_size=(4.2, 2.2))
     state = state_of(layout, cars([(0.0, 0.0, 0.0)]), [0])
-    events = judge_jit(EpisodeConfig(), state, hitbox_scale=jnp.float32(3.0))
+    events = detect_jit(EpisodeConfig(), state, hitbox_scale=jnp.float32(3.0))
     assert events.parked.all()
     beside = parked_at([(0.0, 2.1, 0.0)])
-    events = judge_jit(
+    events = detect_jit(
         EpisodeConfig(), state.replace(parked_cars=beside), hitbox_scale=jnp.float32(3)
     )
     assert events.hit_parked_car.all()

@@ -15,7 +15,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import sanitize_indices
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.terminations import judge
+from carpark_mj.mdp.terminations import detect_events
 from carpark_mj.physics.grid import GridPhysics
 from carpark_mj.registry import ENVIRONMENTS, TANNER_QLEARNING, environment
 from carpark_mj.vehicle import make_vehicle, preset
@@ -226,7 +226,7 @@ def test_parked_is_within_a_point_of_the_bay_and_wins_over_a_crash(
     layout = make_layout("tanner")
     goal = [bay_of(layout, 24, 32)]
     state = state_of(layout, at(x, y, degrees), goal)
-    events = judge(TANNER_QLEARNING.episode, state)
+    events = detect_events(TANNER_QLEARNING.episode, state)
     assert bool(events.parked[0]) is parked
     # Across the bay at its mouth the car's corner is in the block beside it.
     assert find_hits(state_of(layout, at(25, 31, 45), goal)).wall[0]

@@ -75,7 +75,7 @@ def test_nothing_is_saved_of_a_lot_nobody_drove_in(lot, tmp_path):
     assert not [*tmp_path.iterdir()]
 
 
-def test_a_drive_is_filmed(lot, tmp_path):
+def test_a_drive_is_written_as_a_video(lot, tmp_path):
     drive(lot, 2)
     save(lot, tmp_path)
     video = tmp_path / "drive.gif"
@@ -83,8 +83,8 @@ def test_a_drive_is_filmed(lot, tmp_path):
     main(PlayConfig(replay=drive_file, video=str(video), camera="topdown"))
     from PIL import Image
 
-    with Image.open(video) as film:
-        assert film.n_frames == 2 * lot.traces
+    with Image.open(video) as shown:
+        assert shown.n_frames == 2 * lot.traces
 
 
 def test_chosen_goals_are_bays_that_the_driver_tracks():

@@ -43,9 +43,9 @@ def test_absent_agents_are_not_shown_live(env):
         break
 
 
-def test_a_live_lot_begins_as_the_film_with_its_seed(env):
+def test_a_live_lot_begins_as_the_video_with_its_seed(env):
     for seed in range(2):
         lot = LiveLot(env, random_policy(env.action_spec), seed)
-        film = record(env, random_policy(env.action_spec), 2, seed)
-        goals = np.asarray(film.layout.bay_pose)[film.goal[0]]
+        video = record(env, random_policy(env.action_spec), 2, seed)
+        goals = np.asarray(video.layout.bay_pose)[video.goal[0]]
         np.testing.assert_array_equal(lot.goal_pose, goals)

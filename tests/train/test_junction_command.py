@@ -8,7 +8,7 @@ import junction
 from learners.benchmarl.config import BenchMARLConfig
 from learners.dqn.config import DQNConfig
 from learners.junction.config import Algorithm
-from learners.junction.evaluations import WINDOW, judge, summary, write_evaluations
+from learners.junction.evaluations import WINDOW, summary, verdict, write_evaluations
 from learners.junction.families import presets_of, read_junction_settings
 
 
@@ -84,7 +84,7 @@ def rows(*returns):
     ],
 )
 def test_solved_once_is_not_converged(returns, solved_at, converged_at):
-    found = judge(DQNConfig(), rows(*returns))
+    found = verdict(DQNConfig(), rows(*returns))
     assert WINDOW == 5
     assert (found["solved_at"], found["converged_at"]) == (solved_at, converged_at)
 

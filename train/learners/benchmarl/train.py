@@ -27,7 +27,7 @@ from learners.benchmarl.build import (
 )
 from learners.benchmarl.config import BenchMARLConfig
 from learners.benchmarl.episodes import Evaluation, GreedyPolicy
-from learners.junction.evaluations import judge, progress, summary, write_evaluations
+from learners.junction.evaluations import progress, summary, verdict, write_evaluations
 from learners.junction.video import write_video
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog
@@ -96,7 +96,7 @@ class Training(Experiment):
                     self.run()
             else:  # it had come to its end before
                 self._last_policy = self.greedy_policy(config.video_episodes)
-        print(summary(judge(config, self.evaluations)))
+        print(summary(verdict(config, self.evaluations)))
         finished = self.n_iters_performed >= config.iterations
         if finished and self._last_policy:
             write_video(self._folder, config, self._last_policy)

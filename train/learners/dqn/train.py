@@ -12,7 +12,7 @@ from carpark_mj.policy import checkpoints, runs
 from learners.dqn.config import DQNConfig
 from learners.dqn.learner import DQNLearner
 from learners.dqn.state import Report, Training
-from learners.junction.evaluations import judge, progress, summary, write_evaluations
+from learners.junction.evaluations import progress, summary, verdict, write_evaluations
 from learners.junction.video import write_video
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog
@@ -99,7 +99,7 @@ def train(config: DQNConfig, learner: DQNLearner, folder: Path) -> bool:
             run.chunks += 1
             log.write(_row(run.chunks, run.chunks * per_chunk, report))
             loop.show(_steps(config, run), progress(run.evaluations[-1]))
-    print(summary(judge(config, run.evaluations)))
+    print(summary(verdict(config, run.evaluations)))
     if finished:
         params = run.training.learners.params
         act = jax.jit(lambda observation: learner.greedy(params, observation))

@@ -18,11 +18,11 @@ WINDOW = 5  # evaluations whose mean return tells whether a training has converg
 def write_evaluations(folder: Path, config: JunctionRunConfig, rows: Rows) -> None:
     """Writes `evaluations.csv`, `evaluation.json` and `learning_curve.png`."""
     write_csv(folder / "evaluations.csv", rows)
-    write_json(folder / "evaluation.json", judge(config, rows))
+    write_json(folder / "evaluation.json", verdict(config, rows))
     _plot(folder, config, rows)
 
 
-def judge(config: JunctionRunConfig, rows: Rows) -> dict[str, Any]:
+def verdict(config: JunctionRunConfig, rows: Rows) -> dict[str, Any]:
     """The verdict over all evaluations, and the rates of the last.
 
     *Solved*: the mean return of an evaluation reached the scenario's threshold.

@@ -1,4 +1,4 @@
-"""Short films of driven cases of the suite."""
+"""Short videos of driven cases of the suite."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -26,11 +26,11 @@ SIZE = (640, 400)  # pixels
 FASTER = 4  # times: 100 s last 25 s
 FPS = 10.0
 END = 10  # frames that the last one stays
-FOLDER = "films"
+FOLDER = "videos"
 
 
-class Film(NamedTuple):
-    """A film of an episode.
+class Video(NamedTuple):
+    """A video of an episode.
 
     Attributes:
         row: the episode.
@@ -42,7 +42,7 @@ class Film(NamedTuple):
 
 
 def require_gl() -> None:
-    """Refuses to film without OpenGL.
+    """Refuses to draw without OpenGL.
 
     Raises:
         RenderingError: there is none.
@@ -51,28 +51,28 @@ def require_gl() -> None:
         raise RenderingError(missing)
 
 
-def make_films(
+def make_videos(
     folder: Path, rows: Sequence[Row], drives: Mapping[Key, Drives]
-) -> list[Film]:
-    """Films episodes from above, `FASTER` than they were driven.
+) -> list[Video]:
+    """Draws episodes from above, `FASTER` than they were driven.
 
     Args:
-        folder: the films' folder is made in it.
+        folder: the videos' folder is made in it.
         rows: the episodes.
         drives: how they were driven.
 
     Raises:
         RenderingError: there is no OpenGL.
     """
-    films = []
+    videos = []
     for row in rows:
         policy = quote(row["policy"], safe="")  # of runs the whole path
         name = f"{policy}-{row['level']}-{row['seed']}-{row['case']}.mp4"
         path = folder / FOLDER / name
         path.parent.mkdir(exist_ok=True)
-        _film(path, recording_of(row, drives[key_of(row)]))
-        films.append(Film(row, path))
-    return films
+        _write(path, recording_of(row, drives[key_of(row)]))
+        videos.append(Video(row, path))
+    return videos
 
 
 def recording_of(row: Row, drive: Drives) -> Recording:
@@ -99,7 +99,7 @@ def recording_of(row: Row, drive: Drives) -> Recording:
     )
 
 
-def _film(path: Path, recording: Recording) -> None:
+def _write(path: Path, recording: Recording) -> None:
     stage = Stage(recording.layout, preset("tpcap"), recording.speed.shape[1], 0)
     renderer = LotRenderer(stage, "topdown", SIZE)
     stride = max(1, round(FASTER * frames_per_second(recording) / FPS))
