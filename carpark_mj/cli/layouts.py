@@ -33,7 +33,7 @@ from carpark_mj.layouts import (
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.held_out import write
 from carpark_mj.layouts.json_file import layout_text
-from carpark_mj.layouts.plot import contact_sheet
+from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
 
@@ -202,7 +202,7 @@ def look(config: LayoutsConfig) -> bool:
             for name, layout in shown.items()
             for drawn in draw(layout, 2, config.seed)
         ]
-        print(f"wrote {contact_sheet(pictures, Path(config.plot))}")
+        print(f"wrote {plot_layouts(pictures, Path(config.plot))}")
     sound = True
     for name, layout in shown.items():
         for inspect, number in ((check, config.check), (run, config.run)):

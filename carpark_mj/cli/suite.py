@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-import pathlib
+from pathlib import Path
 from typing import Annotated, Any
 
 import jax
@@ -45,7 +45,7 @@ from carpark_mj.evaluation.suite_cases import (
 from carpark_mj.files import require_writable
 from carpark_mj.layouts import Layout
 from carpark_mj.layouts.held_out import LEVELS
-from carpark_mj.planning.paths import Path, car_of
+from carpark_mj.planning.paths import PlannedPath, car_of
 from carpark_mj.planning.plot import plot_paths
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.policy.acting import AnyPolicy
@@ -140,16 +140,16 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
         ValueError: impossible settings, or malformed results to combine.
         OSError: the output folder cannot be written.
     """
-    folder = pathlib.Path(config.out)
-    if folder.resolve() in [pathlib.Path(name).resolve() for name in config.combine]:
+    folder = Path(config.out)
+    if folder.resolve() in [Path(name).resolve() for name in config.combine]:
         raise ValueError(f"out must not be one of the combined folders, {config.out}")
     if config.videos:
         require_gl()
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "suite.csv")  # refused before the work
-    pictures: list[pathlib.Path] = []
+    pictures: list[Path] = []
     if config.combine:
-        episodes, drives = read_runs([pathlib.Path(name) for name in config.combine])
+        episodes, drives = read_runs([Path(name) for name in config.combine])
     else:
         episodes, drives, drawn = _drive_all(config)
         if drawn:
@@ -169,7 +169,7 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     return rows
 
 
-_Drawn = list[tuple[str, Layout, Path | None]]
+_Drawn = list[tuple[str, Layout, PlannedPath | None]]
 
 
 def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Drawn]:

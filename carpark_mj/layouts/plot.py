@@ -82,7 +82,7 @@ def _arrow(axes: Any, x: float, y: float, yaw: float, size: float, colour: str) 
     )
 
 
-def contact_sheet(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
+def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
     """Writes a picture of titled layouts, two a row of the sheet's four columns."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

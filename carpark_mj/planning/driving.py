@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from carpark_mj.planning.obstacles import FreeSpace, Solids
-from carpark_mj.planning.paths import Car, Path
+from carpark_mj.planning.paths import PlannedPath, PlannerCar
 from carpark_mj.planning.search import Search, SearchConfig, search
 from carpark_mj.planning.tracking import (
     STANDING,
@@ -49,7 +49,7 @@ class Sight(NamedTuple):
     speed: float
     steering: float
     goal: np.ndarray
-    car: Car
+    car: PlannerCar
     solids: Solids
     others: tuple[np.ndarray, np.ndarray]
     extent: np.ndarray
@@ -66,7 +66,7 @@ class Agent:
         """An agent without a path; `dt` is the control period [s]."""
         self.searches: list[Search] = []
         self._seed, self._dt, self._config = seed, dt, config
-        self._path: Path | None = None
+        self._path: PlannedPath | None = None
         self._progress = Progress()
         self._stuck = 0
 

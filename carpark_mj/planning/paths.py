@@ -22,7 +22,7 @@ BRAKING = 0.5  # m/s^2, by which a car slows down
 SHIFT_TIME = 0.7  # s that a change of gear takes besides the turning of the wheels
 
 
-class Car(NamedTuple):
+class PlannerCar(NamedTuple):
     """What a planner must know of a car; SI units.
 
     Attributes:
@@ -54,9 +54,9 @@ class Car(NamedTuple):
         return _ahead(pose, -self.centre_offset)
 
 
-def car_of(params: VehicleParameters) -> Car:
+def car_of(params: VehicleParameters) -> PlannerCar:
     """A vehicle as the planner knows it."""
-    return Car(
+    return PlannerCar(
         params.length,
         params.width,
         params.wheelbase,
@@ -97,7 +97,7 @@ class Segment(NamedTuple):
         return float(self.distance[-1])
 
 
-class Path(NamedTuple):
+class PlannedPath(NamedTuple):
     """The way of a car to its goal.
 
     Attributes:
@@ -120,7 +120,7 @@ class Path(NamedTuple):
         return len(self.segments) - 1
 
 
-def make_path(pose: np.ndarray, car: Car) -> Path | None:
+def make_path(pose: np.ndarray, car: PlannerCar) -> PlannedPath | None:
     """Cuts points (n, 3) of the rear axle at changes of gear; None without a segment.
 
     Args:
@@ -147,10 +147,10 @@ def make_path(pose: np.ndarray, car: Car) -> Path | None:
         if segments and segments[-1].way == way:  # what lay between was left out
             points = np.concatenate([segments.pop().pose, points])
         segments.append(_segment(points, way, car))
-    return Path(tuple(segments), _duration(segments, car)) if segments else None
+    return PlannedPath(tuple(segments), _duration(segments, car)) if segments else None
 
 
-def _duration(segments: list[Segment], car: Car) -> float:
+def _duration(segments: list[Segment], car: PlannerCar) -> float:
     # Where the wheels turn far a car all but stands: the speeds of segments are for
     # slow changes. Of 92 drives in extreme cases that took 46 s on average it is off by
     # 2.9 s (root mean square).
@@ -163,7 +163,7 @@ def _duration(segments: list[Segment], car: Car) -> float:
     return driving + turning + SHIFT_TIME * (len(segments) - 1)
 
 
-def _segment(pose: np.ndarray, way: int, car: Car) -> Segment:
+def _segment(pose: np.ndarray, way: int, car: PlannerCar) -> Segment:
     gaps = np.hypot(*np.diff(pose[:, :2], axis=0).T)
     distance = np.concatenate([[0.0], np.cumsum(gaps)])
     curvature = way * np.diff(pose[:, 2]) / np.maximum(gaps, STEP * 1e-3)

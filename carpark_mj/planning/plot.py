@@ -1,6 +1,6 @@
 """Cases with the planner's paths, as a picture."""
 
-from pathlib import Path as File
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from carpark_mj.files import write_atomically
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts import Layout
-from carpark_mj.planning.paths import Car, Path
+from carpark_mj.planning.paths import PlannedPath, PlannerCar
 
 COLUMNS = 4
 CELL = (4.4, 2.6)  # inches
@@ -20,7 +20,7 @@ WAYS = {1: "tab:blue", -1: "tab:red"}
 
 
 def plot_paths(
-    file: File, cases: list[tuple[str, Layout, Path | None]], car: Car
+    file: Path, cases: list[tuple[str, Layout, PlannedPath | None]], car: PlannerCar
 ) -> None:
     """Draws cases: walls grey, the goal green, paths blue forwards and red backwards.
 
@@ -56,7 +56,7 @@ def plot_paths(
     write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=80))
 
 
-def _view(layout: Layout, path: Path | None) -> np.ndarray:
+def _view(layout: Layout, path: PlannedPath | None) -> np.ndarray:
     """(2, 2) corners of the part of a lot around start, goal and path [m]."""
     poses = [layout.spawn_pose[0], layout.bay_pose[0]]
     parts = [part.pose for part in path.segments] if path is not None else []

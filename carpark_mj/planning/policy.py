@@ -12,7 +12,7 @@ from jax.experimental import io_callback
 from carpark_mj.env import ParkingEnv
 from carpark_mj.planning.driving import Agent, Sight
 from carpark_mj.planning.obstacles import Solids
-from carpark_mj.planning.paths import Car
+from carpark_mj.planning.paths import PlannerCar
 from carpark_mj.planning.search import Search, SearchConfig, require_ompl
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.types import State
@@ -117,7 +117,7 @@ def _look(state: State) -> dict[str, jax.Array]:
     goal = jnp.take_along_axis(
         layout.bay_pose, state.goal[..., None], axis=-2, mode="clip"
     )
-    parameters = [getattr(vehicle, name) for name in Car._fields[2:]]
+    parameters = [getattr(vehicle, name) for name in PlannerCar._fields[2:]]
     return {
         "active": state.active,
         "begins": state.step == 0,
@@ -158,7 +158,7 @@ def _sight(seen: dict[str, np.ndarray], lot: int, agent: int, solids: Solids) ->
         speed=float(seen["speed"][lot, agent]),
         steering=float(seen["steering"][lot, agent]),
         goal=seen["goal"][lot, agent].astype(float),
-        car=Car(*seen["car"][lot, agent].astype(float).tolist()),
+        car=PlannerCar(*seen["car"][lot, agent].astype(float).tolist()),
         solids=solids,
         others=(pose[others], seen["size"][lot][others].astype(float)),
         extent=seen["extent"][lot].astype(float),

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carpark_mj.planning.obstacles import FreeSpace, Solids
-from carpark_mj.planning.paths import STEP, Car, Path, make_path
+from carpark_mj.planning.paths import STEP, PlannedPath, PlannerCar, make_path
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Search(NamedTuple):
         clearance: that was kept [m]; NaN without a path.
     """
 
-    path: Path | None
+    path: PlannedPath | None
     seconds: float
     clearance: float
 
@@ -72,7 +72,7 @@ def search(
     start: np.ndarray,
     goal: np.ndarray,
     solids: Solids,
-    car: Car,
+    car: PlannerCar,
     extent: np.ndarray,
     seed: int = 0,
     config: SearchConfig | None = None,
@@ -99,7 +99,7 @@ def search(
         if not (space.is_free(*start) and space.is_free(*goal)):
             continue
         task = _Task(car.rear_axle(start), car.rear_axle(np.stack([goal, turned])))
-        best: Path | None = None
+        best: PlannedPath | None = None
         for number in range(config.most_searches):
             path = _connect(task, space, car, config, seed + number)
             if path and (best is None or path.duration < best.duration):
@@ -155,8 +155,8 @@ class _Counter:
 
 
 def _connect(
-    task: _Task, space: FreeSpace, car: Car, config: SearchConfig, seed: int
-) -> Path | None:
+    task: _Task, space: FreeSpace, car: PlannerCar, config: SearchConfig, seed: int
+) -> PlannedPath | None:
     """One search and its path, shortened; None if it was given up."""
     base, geometric, util = _ompl()
     util.RNG.setSeed(seed + 1)  # 0 is none

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carpark_mj.planning.paths import CREEP, Car, Path, Segment
+from carpark_mj.planning.paths import CREEP, PlannedPath, PlannerCar, Segment
 
 REACH = 0.8  # m, l
 NEAR = 0.02  # m from the end of a segment: it is driven
@@ -73,7 +73,7 @@ class Command(NamedTuple):
 
 
 def track(
-    path: Path, progress: Progress, car: Car, driven: Driven, dt: float
+    path: PlannedPath, progress: Progress, car: PlannerCar, driven: Driven, dt: float
 ) -> Command:
     """The action of a control step of `dt` [s]."""
     number, point = progress
@@ -107,7 +107,7 @@ def _nearest(segment: Segment, point: int, pose: np.ndarray) -> int:
 
 
 def _steer(
-    segment: Segment, point: int, car: Car, driven: Driven, dt: float
+    segment: Segment, point: int, car: PlannerCar, driven: Driven, dt: float
 ) -> tuple[float, float, float]:
     """How far along the segment a car is, its distance from it, and its steering."""
     x, y, yaw = segment.pose[point]
@@ -125,7 +125,9 @@ def _steer(
     return along, math.hypot(dx, dy), min(max(steering, -lock), lock)
 
 
-def _pedal(speed: float, limit: float, left: float, car: Car, dt: float) -> float:
+def _pedal(
+    speed: float, limit: float, left: float, car: PlannerCar, dt: float
+) -> float:
     """The pedal along the way, for a car that is not faster than it should be at most.
 
     Args:
@@ -154,7 +156,7 @@ def _pedal(speed: float, limit: float, left: float, car: Car, dt: float) -> floa
     return min(max(change / car.max_acceleration, least), 1.0)
 
 
-def brake(speed: float, car: Car, dt: float) -> float:
+def brake(speed: float, car: PlannerCar, dt: float) -> float:
     """The pedal that stops a car of a signed speed, in several steps if need be."""
     if abs(speed) < CREEP:
         return 0.0

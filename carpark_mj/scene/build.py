@@ -83,6 +83,3 @@ def build_scene(
     parts.add_lights(spec, extent)
     cameras.add_lot_cameras(spec, extent)
     return spec
-
-
-__all__ = ["build_scene"]

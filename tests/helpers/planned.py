@@ -6,11 +6,11 @@ import numpy as np
 
 from carpark_mj.layouts.held_out import load_held_out
 from carpark_mj.planning.obstacles import Solids
-from carpark_mj.planning.paths import Car
+from carpark_mj.planning.paths import PlannerCar
 from carpark_mj.planning.tracking import Driven, Progress, track
 
 # TPCAP's car.
-CAR = Car(4.689, 1.942, 2.8, 4.689 / 2 - 0.929, 0.75, 0.5, 1.0, 4.0)
+CAR = PlannerCar(4.689, 1.942, 2.8, 4.689 / 2 - 0.929, 0.75, 0.5, 1.0, 4.0)
 
 
 def case(level, number):

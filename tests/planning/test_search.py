@@ -11,7 +11,7 @@ from helpers.scenes import polygons
 
 from carpark_mj.planning import search as module
 from carpark_mj.planning.obstacles import FreeSpace
-from carpark_mj.planning.paths import SHORTEST, STEP, Path
+from carpark_mj.planning.paths import SHORTEST, STEP, PlannedPath
 from carpark_mj.planning.search import SearchConfig, require_ompl, search
 
 CASES = [("normal", 0), ("normal", 1), ("complex", 0), ("complex", 1), ("extreme", 0)]
@@ -102,7 +102,7 @@ def test_slow_paths_are_worth_further_searches(
     def connect(task, space, car, config, seed):
         seeds.append(seed)
         duration = durations[seed - 100]
-        return None if duration is None else Path((), duration)
+        return None if duration is None else PlannedPath((), duration)
 
     monkeypatch.setattr(module, "_connect", connect)
     start, goal, solids, extent = case("normal", 0)
