@@ -149,7 +149,8 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     """Saves a training state and removes all but the last two.
 
     Those of later steps go too: the run went on from an older one, and would be
-    evaluated and resumed with what it gave up.
+    evaluated and resumed with what it gave up. So do unfinished files of processes
+    that were killed while they wrote: only one trains in a folder.
     """
     folder = run / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
@@ -157,6 +158,7 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     checkpoints.save(path, tree, {"config_version": CONFIG_VERSION, **header})
     files = checkpoint_files(run)
     end = files.index(path) + 1
-    for old in files[: max(0, end - KEPT_CHECKPOINTS)] + files[end:]:
+    unfinished = [*folder.glob(".step_*.npz")]
+    for old in files[: max(0, end - KEPT_CHECKPOINTS)] + files[end:] + unfinished:
         old.unlink(missing_ok=True)
     return path

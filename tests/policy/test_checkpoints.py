@@ -1,6 +1,9 @@
 """Checkpoints: exact round trips, whole files only, one clear line when it fails."""
 
+import signal
 import struct
+import subprocess
+import sys
 import zipfile
 
 import jax
@@ -11,6 +14,14 @@ import pytest
 from carpark_mj.files import write_atomically
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
+
+# Writes a checkpoint, and is killed before the file has its name.
+KILLED = """
+import os, pathlib, sys
+from carpark_mj.policy import runs
+os.fsync = lambda file: os.kill(os.getpid(), 9)
+runs.save_checkpoint(pathlib.Path(sys.argv[1]), {}, {}, 10)
+"""
 
 
 def tree():
@@ -147,6 +158,15 @@ def test_what_a_run_gave_up_by_going_on_from_an_older_checkpoint_is_removed(tmp_
     names = [path.name for path in runs.checkpoint_files(tmp_path)]
     assert names == ["step_000000000010.npz", newest.name]
     assert runs.latest_checkpoint(tmp_path) == newest
+
+
+def test_what_a_process_killed_while_it_wrote_has_left_is_removed(tmp_path):
+    killed = subprocess.run([sys.executable, "-c", KILLED, tmp_path], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert len([*(tmp_path / "checkpoints").iterdir()]) == 1
+    assert runs.checkpoint_files(tmp_path) == []
+    path = runs.save_checkpoint(tmp_path, tree(), {}, 20)
+    assert [*path.parent.iterdir()] == [path]
 
 
 def test_the_newest_readable_checkpoint_is_found(tmp_path):

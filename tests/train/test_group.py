@@ -229,6 +229,10 @@ def test_a_group_killed_between_two_checkpoints_goes_on_from_their_last_common_o
         file.rename(file.with_name("step_999999999999.npz"))
     with pytest.raises(CheckpointError, match="resume them one by one"):
         load_or_init(make_learner(configs), folders)
+    for file in runs.checkpoint_files(folders[1]):  # killed before its first
+        file.unlink()
+    with pytest.raises(CheckpointError, match=r"1 has no checkpoint yet.* one by one"):
+        load_or_init(make_learner(configs), folders)
 
 
 class Failing(GroupLearner):

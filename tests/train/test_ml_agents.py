@@ -18,6 +18,7 @@ from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import init_normalizer
 from learners.ppo import epochs
+from learners.ppo.advantages import compute_advantages
 from learners.ppo.epochs import learn, network_params
 from learners.ppo.loss import Minibatch, Weights
 from learners.ppo.ml_agents import Steps, initial_weights, ml_agents_loss, prepare_steps
@@ -70,6 +71,45 @@ def test_advantages_are_normalised_over_the_steps_of_all_devices():
     # A half of them alone is not.
     assert abs(found.advantage[: COUNT // 2].mean()) > 1e-3
     assert found.log_prob.shape == (COUNT, len(CHOICES))
+
+
+def test_advantages_are_those_of_schulman_2016():
+    """By his equation 16, backwards, and not Brax's."""
+    rng, params, discount, lam = np.random.default_rng(4), fresh(0), 0.9, 0.6
+    length, agents = 10, 4
+    observation = jnp.asarray(rng.normal(size=(length, agents, SIZE)), jnp.float32)
+    reward = rng.normal(size=(length, agents))
+    terminated = (rng.random((length, agents)) < 0.2).astype(float)
+    values = NETWORKS.value_network.apply(NORMALIZER, params.value, observation)
+    final = jnp.asarray(rng.normal(size=agents), jnp.float32)
+    zero = jnp.zeros((length, agents))
+    rollout = Rollout(
+        observation=observation,
+        raw_action=jnp.zeros((length, agents, 2), jnp.int32),
+        log_prob=zero,
+        reward=jnp.asarray(reward, jnp.float32),
+        terminated=jnp.asarray(terminated, jnp.float32),
+        truncated=zero,
+        final_observation=observation[-1],
+    )
+    brax, target = compute_advantages(rollout, values, final, discount, lam)
+    batch = Minibatch(observation, rollout.raw_action, zero, brax, target)
+    prepare = jax.vmap(
+        lambda part: prepare_steps(params, NETWORKS, NORMALIZER, part), axis_name=AXIS
+    )
+    found = prepare(jax.tree.map(lambda x: x[None], batch)).advantage[0]
+
+    expected, later = np.zeros((length, agents)), np.zeros(agents)
+    next_value = np.asarray(final)
+    for k in reversed(range(length)):
+        goes_on = discount * (1 - terminated[k])
+        error = reward[k] + goes_on * next_value - np.asarray(values[k])
+        expected[k] = later = error + goes_on * lam * later
+        next_value = np.asarray(values[k])
+    expected = (expected - expected.mean()) / expected.std()
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    brax = (brax - brax.mean()) / brax.std()
+    assert np.abs(brax - expected).max() > 0.1
 
 
 def plain_loss(logits, value, batch: Steps):

@@ -136,6 +136,14 @@ def test_a_policy_alone_lends_its_actor_which_rests_while_a_critic_learns(
     assert now.skipped == 0
 
 
+def test_critic_steps_in_which_the_actor_never_learns_are_refused():
+    update = TINY.steps_per_update
+    changes = {"num_steps": 3 * update, "critic_steps": 2 * update}
+    dataclasses.replace(TINY, **changes)
+    with pytest.raises(ValueError, match="critic_steps must leave the actor an update"):
+        dataclasses.replace(TINY, **changes | {"critic_steps": 2 * update + 1})
+
+
 WIDER = dataclasses.replace(
     TINY,
     env=dataclasses.replace(

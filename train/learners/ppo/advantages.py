@@ -17,6 +17,9 @@ def compute_advantages(
 ) -> tuple[jax.Array, jax.Array]:
     """Generalised advantage estimation, Brax's.
 
+    Targets are those of lambda. Advantages are of the reward and the next step's target
+    above the value, so that lambda only damps what comes after the next step.
+
     Truncated steps are masked, as in Brax: their advantage is 0 before advantages are
     normalised, and their target the critic's own value.
 

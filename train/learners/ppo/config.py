@@ -194,6 +194,11 @@ class PPOConfig(RunConfig):
                 f"curriculum.target_rate {self.curriculum.target_rate} needs lot_life "
                 "of at least 1, not 0"
             )
+        if self.critic_steps and self.critic_updates >= self.num_updates:
+            raise ValueError(
+                f"critic_steps must leave the actor an update of num_steps "
+                f"{self.num_steps}, not be {self.critic_steps}"
+            )
         agents = self.num_lots * self.env.num_agents
         if agents % self.num_minibatches:
             raise ValueError(

@@ -1,9 +1,10 @@
 """The details of PPO as ML-Agents 0.27 has them, which Tanner 2022 used.
 
-They are `PPOConfig.variant = "ml-agents"`: advantages of the whole update, computed and
-normalised once; minibatches of steps from anywhere in it; the ratio of every branch of
-an action clipped by itself; the value's change clipped as well; observations as they
-are; its own initial weights.
+They are `PPOConfig.variant = "ml-agents"`: generalised advantage estimation as it was
+published (Brax applies lambda a step late), computed and normalised once, over the
+whole update; minibatches of steps from anywhere in it; the ratio of every branch of an
+action clipped by itself; the value's change clipped as well; observations as they are;
+its own initial weights.
 """
 
 from typing import Any
@@ -54,7 +55,8 @@ def prepare_steps(
         params: actor and critic before the update.
         networks: that take them.
         normalizer: running statistics, those of the start.
-        steps: (n, ...) with advantages that are not normalised.
+        steps: (n, ...); of their targets, with lambda from the first step on, and of
+            the critic are the advantages.
     """
     distribution: Any = networks.parametric_action_distribution
     actor: Any = networks.policy_network.apply
@@ -62,8 +64,9 @@ def prepare_steps(
     drawn_from = distribution.create_dist(
         actor(normalizer, params.policy, steps.observation)
     )
-    mean = jax.lax.pmean(steps.advantage.mean(), AXIS)
-    centred = steps.advantage - mean
+    value = critic(normalizer, params.value, steps.observation)
+    advantage = steps.target - value
+    centred = advantage - jax.lax.pmean(advantage.mean(), AXIS)
     spread = jnp.sqrt(jax.lax.pmean(jnp.square(centred).mean(), AXIS))
     return Steps(
         observation=steps.observation,
@@ -71,7 +74,7 @@ def prepare_steps(
         log_prob=drawn_from.log_prob(steps.raw_action),
         advantage=centred / (spread + 1e-10),
         target=steps.target,
-        value=critic(normalizer, params.value, steps.observation),
+        value=value,
     )
 
 

@@ -65,6 +65,12 @@ def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
 
 def _checkpoints_of_one_step(folders: Sequence[Path]) -> list[Path]:
     """The newest ones that all runs have: a kill may come between two of a step."""
+    for folder in folders:
+        if not runs.checkpoint_files(folder):
+            raise CheckpointError(
+                f"{folder} has no checkpoint yet, where another run has one: resume "
+                "them one by one"
+            )
     newest = [runs.latest_checkpoint(folder) for folder in folders]
     name = min(path.name for path in newest)
     paths = [path.with_name(name) for path in newest]
