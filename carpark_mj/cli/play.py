@@ -1,7 +1,7 @@
 """Drive a car yourself: keyboard or gamepad in a window, or a page for a browser.
 
 python -m carpark_mj.play --layout street
-python -m carpark_mj.play --policy square --camera chase:0
+python -m carpark_mj.play --policy square --view window --camera chase:0
 python -m carpark_mj.play --replay runs/play/drive-0.npz --video drive.mp4
 
 Keys: arrows or WASD steer and drive, space brakes, R restarts the lot, N takes the next

@@ -6,8 +6,6 @@ import os
 import numpy as np
 import pytest
 
-from carpark_mj.cli.play import PlayConfig
-from carpark_mj.cli.render import RenderConfig
 from carpark_mj.layouts import make_layout
 from carpark_mj.rendering import gl
 from carpark_mj.rendering.overlays import draw_labels, draw_status
@@ -15,7 +13,6 @@ from carpark_mj.rendering.renderer import (
     FLASH_COLOURS,
     LotRenderer,
     Show,
-    camera_names,
 )
 from carpark_mj.rendering.rollout import Recording
 from carpark_mj.rendering.snapshot import (
@@ -33,7 +30,6 @@ from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene.materials import agent_colour
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT
-from carpark_mj.wrappers.gymnasium_env import ParkEnv
 
 LAYOUT = make_layout("tanner")
 POSE = np.array([[5.0, 3.0, 0.4], [-6.0, -4.0, 2.0]])
@@ -161,34 +157,6 @@ def test_the_status_is_written_in_the_top_left_corner_only(renderer):
     assert rows.max() < 80
     assert columns.max() < 200
     assert changed.sum() > 500
-
-
-def test_cameras_are_refused_by_name():
-    assert camera_names("chase:1", 2) == ("agent1/chase",)
-    assert camera_names("driver:0", 2) == ("agent0/driver",)
-    assert camera_names("split", 2) == ("topdown", "agent0/chase")
-    assert camera_names("split:1", 2) == ("topdown", "agent1/chase")
-    for name in (
-        "chase:2",
-        "driver:2",
-        "chase:",
-        "chase:-1",
-        "top",
-        "",
-        "split:",
-        "split:2",
-        3,
-    ):
-        with pytest.raises(ValueError, match=f"unknown camera {name!r}; choose topd"):
-            camera_names(name, 2)
-    assert camera_names("chase:9") == ("agent9/chase",)  # of any number of agents
-    for make in (
-        lambda: RenderConfig("zero", camera="top"),
-        lambda: PlayConfig(view="window", camera="top"),
-        lambda: ParkEnv(camera="top"),
-    ):
-        with pytest.raises(ValueError, match=r"'top'; choose .* with K from 0"):
-            make()
 
 
 def test_missing_gl_is_one_sentence_with_the_package_to_install(monkeypatch):
