@@ -16,11 +16,23 @@ CHUNK = 2  # pairs per agent computed at a time: the nearest is among the first
 
 def agent_clearance(motion: Motion) -> jax.Array:
     """Gap (num_agents,) [m] to the nearest other agent, as they stand; inf if alone."""
-    pose, size = motion.pose_w, motion.size
+    num_agents = motion.size.shape[0]
+    crowded = is_crowded(num_agents, num_agents)
+    find = _nearest_agent_in_crowd if crowded else _nearest_agent
+    return find(motion.pose_w, motion.size)
+
+
+def _nearest_agent(pose: jax.Array, size: jax.Array) -> jax.Array:
+    """`agent_clearance` from all pairs."""
     own = jnp.eye(pose.shape[0], dtype=bool)
-    if not is_crowded(*own.shape):
-        gap = box_distance(pose[:, None], size[:, None], pose, size)
-        return jnp.min(jnp.where(own, jnp.inf, gap), axis=0)
+    gap = box_distance(pose[:, None], size[:, None], pose, size)
+    return jnp.min(jnp.where(own, jnp.inf, gap), axis=0)
+
+
+@jax.custom_jvp
+def _nearest_agent_in_crowd(pose: jax.Array, size: jax.Array) -> jax.Array:
+    """`agent_clearance` from near pairs; its loop has no gradient in reverse mode."""
+    own = jnp.eye(pose.shape[0], dtype=bool)
 
     def find(index: jax.Array) -> jax.Array:
         return box_distance(pose[:, None], size[:, None], pose[index], size[index])
@@ -28,6 +40,11 @@ def agent_clearance(motion: Motion) -> jax.Array:
     reach = norm(size) / 2
     bound = box_gaps(pose[:, :2], pose, size) - reach[:, None]
     return least_near(jnp.where(own, jnp.inf, bound), find, jnp.inf, CHUNK)
+
+
+_nearest_agent_in_crowd.defjvp(
+    lambda boxes, tangents: jax.jvp(_nearest_agent, boxes, tangents)
+)
 
 
 def clearances(

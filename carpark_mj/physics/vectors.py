@@ -94,7 +94,9 @@ def rotate_by(q: Quaternion, angular: Vector, dt: float | jax.Array) -> Quaterni
     turning = square > 0.0
     rate = jnp.sqrt(jnp.where(turning, square, 1.0))
     half = jnp.where(turning, 0.5 * dt * rate, 0.0)
-    c, (x, y, z) = jnp.cos(half), scale(jnp.sin(half) / rate, angular)
+    # At rest its limit, or the gradient would say that a car at rest cannot turn.
+    share = jnp.where(turning, jnp.sin(half) / rate, 0.5 * dt)
+    c, (x, y, z) = jnp.cos(half), scale(share, angular)
     w0, x0, y0, z0 = q
     turned = (
         w0 * c - x0 * x - y0 * y - z0 * z,
