@@ -8,7 +8,7 @@ from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
-from carpark_mj.config.insertion import insert
+from carpark_mj.config.insertion import insert, is_data, setting
 from carpark_mj.config.layouts import (
     LAYOUT_FILES,
     TPCAP_NAMES,
@@ -84,6 +84,8 @@ __all__ = [
     "TyresName",
     "ViewConfig",
     "insert",
+    "is_data",
     "require_layout",
     "reward_preset",
+    "setting",
 ]

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.geometry.gradients import finite_slope, sqrt
 from carpark_mj.geometry.se2 import norm, rotate, to_local
-from carpark_mj.geometry.slopes import finite_slope, sqrt
 
 # Signs of the four corners in the box frame, counter-clockwise from front left.
 _CORNER_SIGNS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))

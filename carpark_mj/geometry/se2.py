@@ -7,7 +7,7 @@ broadcasts over leading dimensions.
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry.slopes import sqrt
+from carpark_mj.geometry.gradients import sqrt
 
 
 def wrap_angle(angle: jax.Array) -> jax.Array:

@@ -1,10 +1,13 @@
 """Clearance: the gap from each agent's footprint to what it could hit."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import box_disc_distance, box_distance, norm
 from carpark_mj.geometry.broad_phase import box_gaps, disc_gaps, is_crowded, least_near
+from carpark_mj.geometry.gradients import with_gradient
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.collisions import reaches, strays
 from carpark_mj.types import Motion, ParkedCars
@@ -18,20 +21,20 @@ def agent_clearance(motion: Motion) -> jax.Array:
     """Gap (num_agents,) [m] to the nearest other agent, as they stand; inf if alone."""
     num_agents = motion.size.shape[0]
     crowded = is_crowded(num_agents, num_agents)
-    find = _nearest_agent_in_crowd if crowded else _nearest_agent
+    find = _near_agent_gap if crowded else _agent_gap
     return find(motion.pose_w, motion.size)
 
 
-def _nearest_agent(pose: jax.Array, size: jax.Array) -> jax.Array:
+def _agent_gap(pose: jax.Array, size: jax.Array) -> jax.Array:
     """`agent_clearance` from all pairs."""
     own = jnp.eye(pose.shape[0], dtype=bool)
     gap = box_distance(pose[:, None], size[:, None], pose, size)
     return jnp.min(jnp.where(own, jnp.inf, gap), axis=0)
 
 
-@jax.custom_jvp
-def _nearest_agent_in_crowd(pose: jax.Array, size: jax.Array) -> jax.Array:
-    """`agent_clearance` from near pairs; its loop has no gradient in reverse mode."""
+@functools.partial(with_gradient, like=_agent_gap)
+def _near_agent_gap(pose: jax.Array, size: jax.Array) -> jax.Array:
+    """`agent_clearance` from near pairs."""
     own = jnp.eye(pose.shape[0], dtype=bool)
 
     def find(index: jax.Array) -> jax.Array:
@@ -40,11 +43,6 @@ def _nearest_agent_in_crowd(pose: jax.Array, size: jax.Array) -> jax.Array:
     reach = norm(size) / 2
     bound = box_gaps(pose[:, :2], pose, size) - reach[:, None]
     return least_near(jnp.where(own, jnp.inf, bound), find, jnp.inf, CHUNK)
-
-
-_nearest_agent_in_crowd.defjvp(
-    lambda boxes, tangents: jax.jvp(_nearest_agent, boxes, tangents)
-)
 
 
 def clearances(
