@@ -37,8 +37,9 @@ from carpark_mj.config.spawning import RelocationRule, SpawnConfig
 from carpark_mj.config.terminations import (
     PARKED_RULES,
     EpisodeConfig,
-    ParkedLimits,
     ParkedRule,
+    register_rule,
+    require_rule,
 )
 
 __all__ = [
@@ -65,7 +66,6 @@ __all__ = [
     "LayoutName",
     "MetricsConfig",
     "Observation",
-    "ParkedLimits",
     "ParkedRule",
     "PhysicsName",
     "RandomizationConfig",
@@ -85,7 +85,9 @@ __all__ = [
     "ViewConfig",
     "insert",
     "is_data",
+    "register_rule",
     "require_layout",
+    "require_rule",
     "reward_preset",
     "setting",
 ]
