@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import Any
 
 from carpark_mj.config.checks import (
     require_at_least,
@@ -15,11 +15,6 @@ from carpark_mj.config.checks import (
     require_whole,
 )
 from carpark_mj.config.grid import WORLD_UNIT
-
-if TYPE_CHECKING:
-    import jax
-
-    from carpark_mj.types import Motion
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +44,7 @@ class ParkedRule:
     inside_lines: bool = False
     heading: float | None = None
     speed: float | None = None
-    test: "Callable[[Motion, jax.Array, jax.Array], jax.Array] | None" = None
+    test: Callable[..., Any] | None = None
     before_crash: bool = False
     slack: float = 0.0
 

@@ -17,14 +17,15 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.geometry.gradients import finite_slope
 from carpark_mj.vehicle.vehicle import Vehicle
 
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
 HOLD_PEDAL = 0.05  # pedals smaller than this mean "no pedal"
 HOLD_SPEED = 0.3  # m/s, of car or wheels; below it the brake holds what is not driven
 SPINNING = 0.5  # m/s of the driven wheels above the car's speed: they spin
-# Of a divisor, s or m/s: at 0 quotients are infinite, and gradients 0 inf = NaN.
-_TINY = 1e-6
+
+_quotient = finite_slope(jnp.divide)  # by a speed or lag of 0 it is infinite
 
 
 @struct.dataclass
@@ -62,7 +63,7 @@ def approach(
     value: jax.Array, target: jax.Array, lag: jax.Array, dt: float | jax.Array
 ) -> jax.Array:
     """First-order lag over `dt` [s], exact for a constant target; lag 0 is no lag."""
-    kept = jnp.exp(-dt / jnp.maximum(lag, _TINY))
+    kept = jnp.exp(_quotient(jnp.asarray(-dt, lag.dtype), lag))
     return kept * value + (1.0 - kept) * target
 
 
@@ -136,9 +137,7 @@ def demanded_torques(
     acceleration = jnp.clip(wanted, reverse_headroom, headroom)
     acceleration = jnp.where(slow & (braking | idle), 0.0, acceleration)
     force_to_torque = vehicle.rated_mass * vehicle.wheel_radius
-    by_power = (
-        vehicle.max_power * vehicle.wheel_radius / jnp.maximum(jnp.abs(speed), _TINY)
-    )
+    by_power = _quotient(vehicle.max_power * vehicle.wheel_radius, jnp.abs(speed))
     most = jnp.minimum(vehicle.max_drive_torque, by_power)
     drive = jnp.clip(acceleration * force_to_torque, -most, most)
     return drive, deceleration * force_to_torque
