@@ -148,7 +148,7 @@ def test_retarding_hardly_jumps_where_the_drive_takes_over(torques, hold: float)
 def test_a_closed_hold_bears_what_a_weak_drive_does_not(torques):
     pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-0.099, -0.05, -1e-6]))
     for sign in (1, -1):
-        drive, brake = torques(sign * pedal, sign * speed, COMPACT.hold_deceleration)
+        _, brake = torques(sign * pedal, sign * speed, COMPACT.hold_deceleration)
         fading = -speed / SWITCH_SPEED * COMPACT.hold_deceleration
         least = fading - pedal * COMPACT.max_acceleration
         assert (brake >= least * FORCE_TO_TORQUE - TORQUE_TOLERANCE).all()
