@@ -29,7 +29,7 @@ from carpark_mj.vehicle.suspension import SOLIMP as SUSPENDED_SOLIMP
 
 # Solver settings for locked wheels; with fewer iterations the car jumps.
 TIMESTEP = 0.002  # s
-IMPRATIO = 10.0
+IMPRATIO = 100.0  # what tyres and brake pads hold creeps by as much less
 ITERATIONS, LS_ITERATIONS = 100, 50
 SOLREF = (0.02, 1.0)
 SOLIMP = (0.95, 0.95, 0.001)
