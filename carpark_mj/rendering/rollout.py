@@ -86,7 +86,8 @@ def parked_trace(before: State, after: State, motion: Motion) -> jax.Array:
         motion: of the agents in it.
     """
     start, end = before.parked_cars, after.parked_cars
-    push = (end.pose_w - start.pose_w).at[:, 2].apply(wrap_angle)
+    push = end.pose_w - start.pose_w
+    push = push.at[:, 2].set(wrap_angle(push[:, 2]))
     push = jnp.where((end.bay == start.bay)[:, None], push, 0.0)
     num_traces = motion.trace_w.shape[-2]
     share = jnp.arange(1, num_traces + 1) / num_traces
