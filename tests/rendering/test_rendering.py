@@ -179,7 +179,7 @@ def recording(steps=3, traces=4, **events):
         steering=np.zeros((steps, 2)),
         speed=np.tile([1.0, -1.0], (steps, 1)),
         goal=np.tile(GOAL, (steps, 1)),
-        parked_pose=np.tile(PARKED, (steps, 1, 1)),
+        parked_pose=np.tile(PARKED, (steps, traces, 1, 1)),
         **{"active": ~no, "parked": no, "crashed": no, "timed_out": no} | events,
         step=np.ones((steps, 2), int),
     )
