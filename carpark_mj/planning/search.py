@@ -3,8 +3,9 @@
 RRT-Connect (Kuffner and LaValle, ICRA 2000) grows a tree from the start and one from
 the goal; Sucan, Moll and Kavraki, *The Open Motion Planning Library*, 2012. Its steps
 are short, for in a tight bay only short moves are free, and it starts afresh when it
-takes long. The quickest to drive of a few paths is taken, of more if all are slow.
-A search is cut off by the number of its collision tests, not by time.
+takes long. It mostly ends in the first of its goals, so the two ways round in the bay
+take turns. The quickest to drive of a few paths is taken, of more if all are slow. A
+search is cut off by the number of its collision tests, not by time.
 """
 
 import dataclasses
@@ -92,16 +93,17 @@ def search(
         ValueError: OMPL is not installed.
     """
     config, begun = config or SearchConfig(), time.thread_time()
-    turned = goal + np.array([0.0, 0.0, math.pi])
+    ways = _ways(goal)
     for clearance in config.clearances:
         size = car.length + 2 * clearance, car.width + 2 * clearance
         space = FreeSpace(solids, size, extent)
         if not (space.is_free(*start) and space.is_free(*goal)):
             continue
-        task = _Task(car.rear_axle(start), car.rear_axle(np.stack([goal, turned])))
+        here = car.rear_axle(start)
+        tasks = [_Task(here, car.rear_axle(goals)) for goals in (ways, ways[::-1])]
         best: PlannedPath | None = None
         for number in range(config.most_searches):
-            path = _connect(task, space, car, config, seed + number)
+            path = _connect(tasks[number % 2], space, car, config, seed + number)
             if path and (best is None or path.duration < best.duration):
                 best = path
             is_slow = best is not None and best.duration > config.slow
@@ -112,8 +114,21 @@ def search(
     return Search(None, time.thread_time() - begun, math.nan)
 
 
+def _ways(goal: np.ndarray) -> np.ndarray:
+    """Both ways round in a bay (2, 3), the same two whichever is given as the goal."""
+    return np.array(
+        sorted([*goal[:2], _wrap(goal[2] + turn)] for turn in (0.0, math.pi))
+    )
+
+
+def _wrap(yaw: float) -> float:
+    """The same direction in [-pi, pi): OMPL leaves out states beyond its bounds."""
+    yaw = math.remainder(yaw, 2 * math.pi)
+    return -math.pi if yaw == math.pi else yaw
+
+
 class _Task(NamedTuple):
-    """Poses of the rear axle: the start (3,), the goals (n, 3)."""
+    """Poses of the rear axle: the start (3,), the goals (n, 3), the first preferred."""
 
     start: np.ndarray
     goals: np.ndarray
@@ -207,7 +222,7 @@ def _connect(
 def _state(curves: Any, pose: np.ndarray) -> Any:
     state = curves.allocState()
     state.setXY(float(pose[0]), float(pose[1]))
-    state.setYaw(math.remainder(float(pose[2]), 2 * math.pi))
+    state.setYaw(_wrap(float(pose[2])))
     return state
 
 
