@@ -13,7 +13,7 @@ import functools
 import itertools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,7 +75,7 @@ def search(
     solids: Solids,
     car: PlannerCar,
     extent: np.ndarray,
-    seed: int = 0,
+    seed: int | Sequence[int] = 0,
     config: SearchConfig | None = None,
 ) -> Search:
     """Searches a path to a bay, nose in or nose out.
@@ -86,13 +86,14 @@ def search(
         solids: what to keep clear of.
         car: that drives.
         extent: (2,) half widths of the lot [m].
-        seed: of the random numbers.
+        seed: of the random numbers; several numbers are one seed.
         config: how; the defaults if None.
 
     Raises:
         ValueError: OMPL is not installed.
     """
     config, begun = config or SearchConfig(), time.thread_time()
+    seeds = np.random.SeedSequence(seed).generate_state(config.most_searches).tolist()
     ways = _ways(goal)
     for clearance in config.clearances:
         size = car.length + 2 * clearance, car.width + 2 * clearance
@@ -103,7 +104,7 @@ def search(
         tasks = [_Task(here, car.rear_axle(goals)) for goals in (ways, ways[::-1])]
         best: PlannedPath | None = None
         for number in range(config.most_searches):
-            path = _connect(tasks[number % 2], space, car, config, seed + number)
+            path = _connect(tasks[number % 2], space, car, config, seeds[number])
             if path and (best is None or path.duration < best.duration):
                 best = path
             is_slow = best is not None and best.duration > config.slow
@@ -174,7 +175,7 @@ def _connect(
 ) -> PlannedPath | None:
     """One search and its path, shortened; None if it was given up."""
     base, geometric, util = _ompl()
-    util.RNG.setSeed(seed + 1)  # 0 is none
+    util.RNG.setSeed(max(seed, 1))  # 0 is none
     lock = car.max_steering * (1.0 - config.spare_steering)
     curves = base.ReedsSheppStateSpace(car.wheelbase / math.tan(lock))
     bounds = base.RealVectorBounds(2)

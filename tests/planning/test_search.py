@@ -137,15 +137,15 @@ def test_slow_paths_are_worth_further_searches(
     seeds = []
 
     def connect(task, space, car, config, seed):
+        duration = durations[len(seeds)]
         seeds.append(seed)
-        duration = durations[seed - 100]
         return None if duration is None else PlannedPath((), duration)
 
     monkeypatch.setattr(module, "_connect", connect)
     start, goal, solids, extent = case("normal", 0)
-    found = search(start, goal, solids, CAR, extent, seed=100)
+    found = search(start, goal, solids, CAR, extent)
     assert found.path.duration == quickest
-    assert seeds == list(range(100, 100 + searches))
+    assert len(seeds) == len({*seeds}) == searches
 
 
 def test_a_walled_in_bay_has_no_path():
