@@ -19,7 +19,7 @@ from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.wrappers.brax import BraxParking
 from learners.ppo import learner as learner_module
 from learners.ppo.config import PPOConfig
-from learners.ppo.learner import Learner
+from learners.ppo.learner import Learner, num_devices
 from learners.ppo.state import AXIS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,6 +61,15 @@ def test_devices_learn_together_what_one_learns_from_all_their_steps(
             atol=2e-6,
             err_msg=name,
         )
+
+
+def test_lots_and_minibatches_divide_over_the_devices_used(monkeypatch):
+    monkeypatch.setattr(jax, "device_count", lambda: 6)
+    config = PPOConfig(num_lots=8, num_minibatches=4, env=EnvConfig(num_agents=2))
+    # 8 lots x 2 agents: 4 devices hold 4 agents each, one per minibatch; 5 and 6 do
+    # not divide the lots.
+    assert num_devices(config) == 4
+    assert num_devices(dataclasses.replace(config, num_minibatches=16)) == 1
 
 
 def test_devices_with_the_same_lots_act_learn_and_draw_lots_differently(monkeypatch):

@@ -19,6 +19,7 @@ from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import init_normalizer
 from learners.ppo import epochs
 from learners.ppo.config import PPOConfig
+from learners.ppo.curriculum import schedule
 from learners.ppo.curriculum_config import CurriculumConfig
 from learners.ppo.epochs import learn, network_params
 from learners.ppo.rollout import Rollout
@@ -46,6 +47,13 @@ CONFIG = PPOConfig(
 NETWORKS = make_networks(
     CONFIG.networks, [Field("x", SIZE, -1.0, 1.0, "")], ActionSpec(2)
 )
+
+
+def test_schedules_are_linear_and_stay_at_their_ends():
+    progress = jnp.array([-1.0, 0.0, 0.25, 1.0, 3.0])
+    np.testing.assert_allclose(
+        schedule(1e-3, 2e-4, progress), [1e-3, 1e-3, 8e-4, 2e-4, 2e-4], rtol=1e-6
+    )
 
 
 def rollout():

@@ -1,4 +1,4 @@
-"""The learner: the same update as Brax's own PPO, schedules, and the NaN guard."""
+"""The learner: the same update as Brax's own PPO, and the NaN guard."""
 
 import dataclasses
 import re
@@ -24,9 +24,8 @@ from carpark_mj.observations.sets import OWN
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import MIN_STD
 from learners.ppo.advantages import compute_advantages
-from learners.ppo.curriculum import schedule
 from learners.ppo.epochs import learn, network_params
-from learners.ppo.learner import Learner, num_devices
+from learners.ppo.learner import Learner
 from learners.ppo.loss import Minibatch, Weights, ppo_loss
 from learners.ppo.presets import PRESETS
 from learners.ppo.rollout import Rollout
@@ -310,13 +309,6 @@ def test_what_was_done_in_a_truncated_step_changes_nothing(learner, state):
     assert max(jax.tree.leaves(moved)) > 1e-3  # which it does if they are not
 
 
-def test_schedules_are_linear_and_stay_at_their_ends():
-    progress = jnp.array([-1.0, 0.0, 0.25, 1.0, 3.0])
-    np.testing.assert_allclose(
-        schedule(1e-3, 2e-4, progress), [1e-3, 1e-3, 8e-4, 2e-4, 2e-4], rtol=1e-6
-    )
-
-
 def test_rates_follow_the_time_used_without_another_compilation(learner, state):
     config = dataclasses.replace(TINY, minutes=1.0, learning_rate_end=0.0)
     rollout = as_rollout(canned_data(learner, state, seed=2))
@@ -346,15 +338,6 @@ def test_rates_follow_the_time_used_without_another_compilation(learner, state):
     assert steps[0] > steps[1] > steps[2] > 0.0
     assert steps[3] == steps[4] == 0.0
     assert moved._cache_size() == 1
-
-
-def test_lots_and_minibatches_divide_over_the_devices_used(monkeypatch):
-    monkeypatch.setattr(jax, "device_count", lambda: 6)
-    config = dataclasses.replace(TINY, num_lots=8, num_minibatches=4)
-    # 8 lots x 2 agents: 4 devices hold 4 agents each, one per minibatch; 5 and 6 do
-    # not divide the lots.
-    assert num_devices(config) == 4
-    assert num_devices(dataclasses.replace(config, num_minibatches=16)) == 1
 
 
 def learned_leaves(state) -> list[np.ndarray]:
