@@ -127,7 +127,7 @@ class Layout:
         yaw = self.bay_pose[..., 2]
         turned = wrap_angle(yaw + jnp.pi)
         yaw = jnp.where(self.bay_end == BayEnd.NOSE_FIRST, turned, yaw)
-        return self.bay_pose.at[..., 2].set(yaw)
+        return jnp.asarray(self.bay_pose).at[..., 2].set(yaw)
 
     @property
     def one_way(self) -> jax.Array | None:

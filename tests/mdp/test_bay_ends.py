@@ -34,6 +34,7 @@ from carpark_mj.layouts import (
     pad_layout,
 )
 from carpark_mj.layouts.json_file import layout_text, read_json
+from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.spawning.draws import draw_uniform
@@ -90,6 +91,11 @@ def test_a_lot_without_ends_has_no_array_of_them():
     assert plain.bay_end is None
     assert '"end"' not in layout_text(plain)
     assert plain.parked_pose is plain.bay_pose
+
+
+def test_plans_of_such_lots_can_be_drawn(layout, tmp_path):
+    lots = [("ends", jax.device_get(layout))]
+    assert plot_layouts(lots, tmp_path / "ends.png").stat().st_size > 1000
 
 
 def test_an_unknown_end_is_refused(path, tmp_path):
