@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-from carpark_mj.config import EnvConfig, LayoutConfig, insert
+from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
 from carpark_mj.config.checks import require_kind
 from carpark_mj.episodes import Episodes, StepKeys
 from carpark_mj.fleet.checks import check_cars, check_exits, check_occupancy, check_room
@@ -31,9 +31,6 @@ from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import full_float32, require_float32
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
-
-# Settings, or beginnings of their paths, that `step` reads from `ParkingEnv.config`.
-ARITHMETIC = ("reward.", "episode.hitbox_scale", "giving_way.bad_goal")
 
 
 class ParkingEnv:
@@ -116,10 +113,11 @@ class ParkingEnv:
                 for it.
         """
         for path in values:
-            if path == "reward.route" or not path.startswith(ARITHMETIC):
+            if not is_data(path, value := setting(self.config, path)):
                 raise ValueError(
-                    f"{path} is not among the settings that can have other values in "
-                    f"an environment: {', '.join(ARITHMETIC)}; build another with it"
+                    f"{path} = {value!r} cannot have another value in an environment, "
+                    "as numbers of reward, episode.hitbox_scale and "
+                    "giving_way.bad_goal can: build another with it"
                 )
         env = copy.copy(self)
         env.config = insert(self.config, values)

@@ -158,6 +158,8 @@ class Episodes:
         placing = start_placing(
             state.goal, state.parked_cars.bay, state.motion.pose_w, begun
         )
+        # Starts are drawn: where the others stand decides about them, without a slope.
+        inputs, placing = jax.lax.stop_gradient((inputs, placing))
         placing = place_waiting(self._goals.place, inputs, placing, keys.spawn)
         if self._fleet.mixed:  # without a bay for the new car, goal and car are kept
             vehicles = where_cars(placing.found, vehicles, old)

@@ -20,7 +20,7 @@ from carpark_mj.cli.suite_report import (
     write_results,
 )
 from carpark_mj.cli.suite_videos import Video, make_videos, require_gl
-from carpark_mj.config import EnvConfig, ParkedRule
+from carpark_mj.config import EnvConfig, require_rule
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
@@ -66,7 +66,8 @@ class SuiteConfig:
         levels: which levels, `tpcap` being TPCAP's 20 published cases.
         cases: how many of each level; all from `first_case` on if None.
         first_case: of each level, from 0 (of TPCAP's, numbered from 1, 0 is the first).
-        rule: when a car counts as parked.
+        rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
+            rule that is registered.
         moving_car: in every case another car drives through the aisle meanwhile.
         seeds: of the planner's searches, and of policies that draw; each drives all
             cases.
@@ -84,7 +85,7 @@ class SuiteConfig:
     levels: tuple[SuiteLevel, ...] = LEVELS
     cases: int | None = None
     first_case: int = 0
-    rule: ParkedRule = "strict"
+    rule: str = "strict"
     moving_car: bool = False
     seeds: tuple[int, ...] = (0,)
     videos: int = 0
@@ -97,6 +98,7 @@ class SuiteConfig:
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
             )
+        require_rule(self.rule)
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
         for level in self.levels:

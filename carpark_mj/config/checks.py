@@ -4,6 +4,7 @@ import dataclasses
 import math
 import numbers
 import reprlib
+from collections.abc import Iterable
 from types import NoneType
 from typing import Any, get_args
 
@@ -12,10 +13,13 @@ Range = tuple[float, float]  # lowest and highest value; equal = fixed
 
 def require_choice(name: str, value: str, literal: object) -> None:
     """Refuses a value that the `Literal` does not list."""
-    if value not in get_args(literal):
-        raise ValueError(
-            f"unknown {name} {value!r}; choose from {sorted(get_args(literal))}"
-        )
+    require_name(name, value, get_args(literal))
+
+
+def require_name(name: str, value: str, known: Iterable[str]) -> None:
+    """Refuses a value that is not among the known names."""
+    if value not in (names := sorted(known)):
+        raise ValueError(f"unknown {name} {value!r}; choose from {names}")
 
 
 def require_whole(config: object, minimum: int, *names: str) -> None:

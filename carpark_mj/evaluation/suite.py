@@ -22,7 +22,6 @@ from carpark_mj.config import (
     FleetConfig,
     JitterConfig,
     MetricsConfig,
-    ParkedRule,
     RandomizationConfig,
     SensorConfig,
     SpawnConfig,
@@ -48,9 +47,7 @@ MOVING_CAR = "moving_car"  # column of episodes with one
 TIMED = 20  # calls of a policy whose shortest counts
 
 
-def suite_env(
-    env: EnvConfig, rule: ParkedRule, with_moving_car: bool = False
-) -> EnvConfig:
+def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvConfig:
     """The environment of a policy with the suite's lots, car and rules.
 
     Args:

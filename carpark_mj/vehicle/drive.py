@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.geometry.gradients import finite_slope
 from carpark_mj.vehicle.vehicle import Vehicle
 
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
@@ -33,6 +34,8 @@ HOLD_RAMP = 14.0  # times `Actuators.hold` is what brakes a car that still rolls
 HOLD_EASE = 4.0  # m/s^3, the jerk with which the hold brings a car to rest
 SPINNING = 0.5  # m/s of the driven wheels above the car's speed: they spin
 _TINY = 1e-12  # m^2/s^4, keeps the slope of a square root at rest finite
+
+_quotient = finite_slope(jnp.divide)  # by a speed or lag of 0 it is infinite
 
 
 @struct.dataclass
@@ -80,7 +83,7 @@ def approach(
     value: jax.Array, target: jax.Array, lag: jax.Array, dt: float | jax.Array
 ) -> jax.Array:
     """First-order lag over `dt` [s], exact for a constant target; lag 0 is no lag."""
-    kept = jnp.exp(-dt / lag)
+    kept = jnp.exp(_quotient(jnp.asarray(-dt, lag.dtype), lag))
     return kept * value + (1.0 - kept) * target
 
 
@@ -196,7 +199,7 @@ def demanded_torques(
         headroom / vehicle.speed_limit_time,
     )
     force_to_torque = vehicle.rated_mass * vehicle.wheel_radius
-    by_power = vehicle.max_power * vehicle.wheel_radius / jnp.abs(speed)
+    by_power = _quotient(vehicle.max_power * vehicle.wheel_radius, jnp.abs(speed))
     most = jnp.minimum(vehicle.max_drive_torque, by_power)
     drive = jnp.clip(acceleration * force_to_torque, -most, most)
     return drive, deceleration * force_to_torque

@@ -8,7 +8,6 @@ from carpark_mj.config import (
     LAYOUT_FILES,
     EnvConfig,
     LayoutChoice,
-    ParkedRule,
     PhysicsName,
     RewardConfig,
     RewardName,
@@ -37,7 +36,7 @@ class Options(TypedDict, total=False):
     layout: LayoutChoice
     agents: int
     parked_cars: int
-    rule: ParkedRule
+    rule: str
     reward: RewardConfig | RewardName
     physics: PhysicsName
 

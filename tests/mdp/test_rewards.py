@@ -14,6 +14,7 @@ from helpers.transitions import no_events, transition
 from carpark_mj.config import EnvConfig, RewardConfig, reward_preset
 from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
+from carpark_mj.mdp import rewards
 from carpark_mj.mdp.progress import goal_potential
 from carpark_mj.mdp.rewards import TERMS, reward_terms, term_names
 
@@ -104,6 +105,18 @@ def test_every_term_of_a_hand_worked_step():
     for name, value in expected.items():
         # float32 sums of numbers up to 4.
         np.testing.assert_allclose(got[name], value, atol=1e-6, err_msg=name)
+
+
+def test_what_weighs_nothing_is_not_computed(monkeypatch):
+    def fail(_):
+        raise AssertionError("a test of all pairs for a weight of 0")
+
+    monkeypatch.setattr(rewards, "agent_clearance", fail)
+    standing = cars([(0.0, 0.0, 0.0), (0.0, 2.0, 0.0)])
+    free = RewardConfig(closeness=0.0)
+    np.testing.assert_array_equal(terms(free, standing, standing, GOAL)["closeness"], 0)
+    with pytest.raises(AssertionError, match="all pairs"):
+        terms(SHAPED, standing, standing, GOAL)
 
 
 def test_closeness_looks_at_the_nearest_other_agent_and_begins_at_its_range():
