@@ -102,7 +102,9 @@ class ParkingEnv:
         check_cars(config, self.fleet, self.layout_config, self._layout)
         self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
-        self._episodes = Episodes(config, self.fleet, self.goals, self.physics)
+        self._episodes = Episodes(
+            config, self.fleet, self.goals, self.physics, self._layout
+        )
 
     def with_values(self, values: Mapping[str, jax.Array | float]) -> "ParkingEnv":
         """The environment with other values of some settings, which may be traced.
