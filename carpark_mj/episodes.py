@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig, LayoutConfig
+from carpark_mj.fleet.checks import is_made_for
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
-from carpark_mj.layouts import DesignCar, Layout, MixtureConfig, layout_config
+from carpark_mj.layouts import Layout, MixtureConfig, layout_config
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.bays import bay_fits
@@ -279,10 +280,8 @@ def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
     if isinstance(lot, MixtureConfig):
         return all(_starts_are_free(member, car) for member in lot.members)
     # Spawn regions have room for the car they are made for; in a square for any turn.
-    made_for = getattr(lot, "car", DesignCar())
     margin = getattr(lot, "spawn_margin", 0.0)
-    fits = car.length <= made_for.length and car.width <= made_for.width
-    return fits or math.hypot(car.length, car.width) / 2 <= margin
+    return is_made_for(lot, car) or math.hypot(car.length, car.width) / 2 <= margin
 
 
 def _most_agents(layout: Layout) -> jax.Array:

@@ -19,6 +19,8 @@ from carpark_mj.geometry import (
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import ROWS, BayKind, Layout
 
+ANY_CAR = (0.0, 0.0)  # length and width [m] that all cars have room for
+
 # Neighbours share an edge: sizes shrink by rounding errors before they are compared.
 ROUNDING = 1e-3  # m
 
@@ -105,7 +107,8 @@ def describe_faults(
 
     Args:
         layout: no batch dimension.
-        car_size: length and width of the largest car [m]; the design car's if None.
+        car_size: length and width of the largest car [m]; the design car's if None,
+            `ANY_CAR` for what does not depend on cars.
         lines: of the layout's file, on which rows `bay`, `lane` and `spawn` begin.
 
     Returns:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.layouts import build
-from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 
 FORMAT = "carpark_mj layout 1"
@@ -63,7 +63,8 @@ def read_json(path: Path) -> Layout:
         raise ValueError(f"{path}: brackets are nested too deeply") from None
     except _RowError as error:
         raise ValueError(f"{path}, line {error.line}: {error}") from None
-    if faults := describe_faults(layout, lines=lines):
+    # Which cars there will be only an environment knows.
+    if faults := describe_faults(layout, ANY_CAR, lines):
         raise ValueError(f"{path} is not a valid layout: {'; '.join(faults)}")
     return layout
 
