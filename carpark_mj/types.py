@@ -38,7 +38,8 @@ class Motion:
         trace_w: (..., k, 3) poses at k equally spaced instants of the last control
             step, at most `SimConfig.trace_dt` apart; the last equals `pose_w`.
         finite: (...) bool; False where the physics produced a non-finite number in
-            the last step and the car was put back to its last finite state.
+            the last step, or the car came to lie on its side, and was put back to its
+            last state before.
         touched: (..., 3) bool, whether the car touched another agent, a parked car, a
             wall at any substep of the last step; None where the physics has no
             contacts and the task finds them by box tests.

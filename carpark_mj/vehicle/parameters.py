@@ -255,6 +255,11 @@ class VehicleParameters:
         )
 
     @property
+    def turning_radius(self) -> float:
+        """Radius of the rear axle's centre on full lock [m]."""
+        return self.wheelbase / math.tan(self.max_steering)
+
+    @property
     def front_overhang(self) -> float:
         """Front axle to front bumper [m]."""
         return self.length - self.wheelbase - self.rear_overhang
