@@ -16,6 +16,7 @@ Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessi
 """
 
 import json
+import math
 from json import scanner
 from pathlib import Path
 from typing import Any
@@ -216,6 +217,12 @@ def _number(line: int, what: str, value: Any, count: int) -> Any:
         raise _RowError(line, f"{what} must be {wanted}, not {value!r}")
     if max(map(abs, values)) > FARTHEST:
         raise _RowError(line, f"{what} must be at most {FARTHEST:g}, not {value!r}")
+    if what.endswith(".pose") and abs(values[2]) > 2 * math.pi + 1e-3:
+        raise _RowError(
+            line,
+            f"{what} must have a heading within [-2 pi, 2 pi] rad, not {values[2]}: "
+            "headings are in radians",
+        )
     if what.rsplit(".", 1)[-1] in _POSITIVE and min(values) <= 0:
         raise _RowError(line, f"{what} must be positive, not {value!r}")
     return value

@@ -31,6 +31,9 @@ HAND = {
 }
 
 
+ROW_LISTS = ("bays", "walls", "discs", "lanes", "spawns")
+
+
 def written(tmp_path, data):
     """A file with one list element a line, as drawn by hand."""
     lines = ["{"]
@@ -118,6 +121,11 @@ BAD_JSON = [
     (changed(discs=[{"centre": [0, 0], "radius": 1, "r": 2}]), 10, r"unknown \['r'\]"),
     (changed(walls=[{**HAND["walls"][0], "kind": "hedge"}]), 7, "'hedge'; choose"),
     (changed(lanes=[{**HAND["lanes"][0], "one_way": 1}]), 13, "true or false, not 1"),
+    (
+        changed(bays=[{"pose": [0, 6, -90], "size": [5, 2]}]),
+        4,
+        r"bays\[0\].pose .* rad, not -90: headings are in radians",
+    ),
     (changed(spawns=[3]), 1, r"spawns\[0\] must be an object, not 3"),
 ]
 
@@ -161,6 +169,34 @@ def test_an_invalid_layout_is_refused(tmp_path):
         make_layout(str(path))
     line = int(str(caught.value).split()[-1])
     assert "pose" in path.read_text().splitlines()[line - 1]
+
+
+@pytest.mark.parametrize(
+    ("unit", "word"), [(0.01, "bays are not 1 to 30 m"), (1, None)]
+)
+def test_a_lot_in_centimetres_is_refused(unit, word, tmp_path):
+    """All its lengths; whatever car is to park there."""
+
+    def scaled(row):
+        pose = row.get("pose")
+        lengths = {
+            k: np.array(v) / unit for k, v in row.items() if k in ("size", "centre")
+        }
+        lengths |= {"radius": row["radius"] / unit} if "radius" in row else {}
+        lengths = {k: np.array(v).tolist() for k, v in lengths.items()}
+        if pose is not None:
+            lengths["pose"] = [pose[0] / unit, pose[1] / unit, pose[2]]
+        return row | lengths
+
+    data = {k: [scaled(r) for r in v] for k, v in HAND.items() if k in ROW_LISTS}
+    data |= {"format": HAND["format"], "extent": [x / unit for x in HAND["extent"]]}
+    path = str(written(tmp_path, data))
+    if word is None:
+        make_layout(path)
+        return
+    with pytest.raises(ValueError, match=f"{word}.* on line 2") as caught:
+        make_layout(path)
+    assert "\n" not in str(caught.value)
 
 
 def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):
