@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.fleet.checks import is_made_for
@@ -80,11 +79,13 @@ class Episodes:
         self._may_touch = physics.contacts or not all(
             _starts_are_free(lot, car) for car in fleet.agents
         )
-        sizes = np.array([(car.length, car.width) for car in fleet.agents]).max(axis=0)
-        room = not self._may_touch and layout is not None
-        room = room and has_room(
-            layout, (sizes[0], sizes[1]), config.num_agents, config.spawn.spacing
-        )
+        room = False
+        if layout is not None and not self._may_touch:
+            length = max(car.length for car in fleet.agents)
+            width = max(car.width for car in fleet.agents)
+            room = has_room(
+                layout, (length, width), config.num_agents, config.spawn.spacing
+            )
         # One agent alone has nobody to wait for.
         self._may_wait = config.num_agents > 1 and not room
         self._limits_agents = (
@@ -224,10 +225,11 @@ class Episodes:
         )
         if state.waited is not None:
             waits, begun = placing.waiting, begun & ~placing.waiting
+            active = (state.active | begun) & ~waits
             state = dataclasses.replace(
                 state,
-                active=(state.active | begun) & ~waits,
-                present=(state.present | begun) & ~waits,
+                active=active,
+                present=active,  # where agents respawn nobody else stands in the lot
                 waited=jnp.where(waits, state.waited + 1, 0),
             )
         return self._goals.begin(state, placing, begun, keys.first_goals)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import PARKED_RULES, EnvConfig, LayoutConfig
@@ -214,15 +215,13 @@ def _require_start(
     """Refuses a car that touches something wherever it could start."""
     if is_made_for(lot, params):
         return
-    pose, spread = np.asarray(layout.spawn_pose), np.asarray(layout.spawn_spread)
-    mask, shares = np.asarray(layout.spawn_mask), np.linspace(-1.0, 1.0, 9)
-    x, y, turn = (grid.ravel() for grid in np.meshgrid(shares, shares, shares))
-    local = np.stack([x, y], axis=-1) * np.asarray(layout.spawn_size)[:, None] / 2
-    starts = np.concatenate(
-        [local, (turn * spread[:, None])[..., None]], axis=-1, dtype=np.float32
-    )
-    starts = np.asarray(to_world(pose[:, None], starts))[mask].reshape(-1, 1, 3)
-    size = _size(params).astype(np.float32)
+    # Along, across and in heading, out to the bounds of every region.
+    shares = jnp.linspace(-1.0, 1.0, 9)
+    shares = jnp.stack(jnp.meshgrid(shares, shares, shares), axis=-1).reshape(-1, 3)
+    bounds = jnp.column_stack([layout.spawn_size / 2, layout.spawn_spread])
+    starts = to_world(layout.spawn_pose[:, None], shares * bounds[:, None])
+    starts = starts[layout.spawn_mask].reshape(-1, 1, 3)
+    size = jnp.array([params.length, params.width])
     walls = boxes_overlap(starts, size, layout.wall_pose, layout.wall_size)
     discs = box_disc_overlap(starts, size, layout.disc_centre, layout.disc_radius)
     touches = (walls & layout.wall_mask).any(1) | (discs & layout.disc_mask).any(1)

@@ -31,9 +31,6 @@ HAND = {
 }
 
 
-ROW_LISTS = ("bays", "walls", "discs", "lanes", "spawns")
-
-
 def written(tmp_path, data):
     """A file with one list element a line, as drawn by hand."""
     lines = ["{"]
@@ -171,32 +168,24 @@ def test_an_invalid_layout_is_refused(tmp_path):
     assert "pose" in path.read_text().splitlines()[line - 1]
 
 
-@pytest.mark.parametrize(
-    ("unit", "word"), [(0.01, "bays are not 1 to 30 m"), (1, None)]
-)
-def test_a_lot_in_centimetres_is_refused(unit, word, tmp_path):
-    """All its lengths; whatever car is to park there."""
-
-    def scaled(row):
-        pose = row.get("pose")
-        lengths = {
-            k: np.array(v) / unit for k, v in row.items() if k in ("size", "centre")
-        }
-        lengths |= {"radius": row["radius"] / unit} if "radius" in row else {}
-        lengths = {k: np.array(v).tolist() for k, v in lengths.items()}
-        if pose is not None:
-            lengths["pose"] = [pose[0] / unit, pose[1] / unit, pose[2]]
+def test_a_lot_in_centimetres_is_refused(tmp_path):
+    def enlarged(row):
+        lengths = {k: [100 * x for x in row[k]] for k in ("size", "centre") if k in row}
+        if "radius" in row:
+            lengths["radius"] = 100 * row["radius"]
+        if "pose" in row:
+            x, y, yaw = row["pose"]
+            lengths["pose"] = [100 * x, 100 * y, yaw]
         return row | lengths
 
-    data = {k: [scaled(r) for r in v] for k, v in HAND.items() if k in ROW_LISTS}
-    data |= {"format": HAND["format"], "extent": [x / unit for x in HAND["extent"]]}
-    path = str(written(tmp_path, data))
-    if word is None:
-        make_layout(path)
-        return
-    with pytest.raises(ValueError, match=f"{word}.* on line 2") as caught:
-        make_layout(path)
-    assert "\n" not in str(caught.value)
+    rows = ("bays", "walls", "discs", "lanes", "spawns")
+    data = {name: [enlarged(row) for row in HAND[name]] for name in rows}
+    path = written(tmp_path, changed(**data, extent=[1000, 1000]))
+    with pytest.raises(
+        ValueError, match=r"bays are not 1 to 30 m .* on line \d"
+    ) as told:
+        make_layout(str(path))
+    assert "\n" not in str(told.value)
 
 
 def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):

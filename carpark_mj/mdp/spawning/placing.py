@@ -131,7 +131,11 @@ class Surroundings:
 
     def free(self, pose: jax.Array) -> jax.Array:
         """(n,) bool, whether the car at poses (n, 3) would overlap nothing at all."""
-        return (self.room(pose) > 0.0) & ~self.touches(pose)
+        if self.outlines is None:
+            return (self.distance(pose[:, :2]) > 0.0) & ~self.touches(pose)
+        own = self.outlines[self.agent]
+        meets = boxes_overlap(pose[:, None], own, self.pose_w, self.outlines)
+        return ~(meets & self.others).any(axis=-1) & ~self.touches(pose)
 
     def touches(self, pose: jax.Array) -> jax.Array:
         """(n,) bool, whether the car at poses (n, 3) would touch what does not move."""
