@@ -76,6 +76,23 @@ def require_range(name: str, value: Any, least: float, most: float) -> None:
         )
 
 
+def require_within(
+    config: object, least: float, most: float, unit: str, *names: str
+) -> None:
+    """Refuses attributes that are not plausible, as if they were of another unit.
+
+    Raises:
+        ValueError: naming the attribute, its value, the bounds and the unit.
+    """
+    for name in names:
+        value = getattr(config, name)
+        if not (_is_finite(value) and least <= value <= most):
+            raise ValueError(
+                f"{name} must lie within [{least:g}, {most:g}] {unit}, not {value}: "
+                f"it is in {unit}"
+            )
+
+
 def require_kinds(config: object, **kinds: Any) -> None:
     """Refuses attributes that are no instances of the named types.
 

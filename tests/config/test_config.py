@@ -31,6 +31,7 @@ from carpark_mj.config import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import FAMILIES, NAMED, StreetConfig, layout_config
+from carpark_mj.physics.mjx import MjxPhysics
 
 IMPOSSIBLE = [
     (SimConfig, {"sim_dt": 1e-12}, "sim_dt must be at least ctrl_dt / 10000, 2e-05 s"),
@@ -299,6 +300,20 @@ def test_num_traces_is_the_fewest_that_respect_trace_dt(
     assert sim.num_substeps % sim.num_traces == 0
     # 1e-9: decimal fractions are not exact in binary.
     assert sim.ctrl_dt / sim.num_traces <= sim.trace_dt + 1e-9
+
+
+def test_tyres_need_fine_substeps_and_physics_without_tyres_take_any():
+    coarse = SimConfig(sim_dt=0.04, trace_dt=0.05)
+    for physics in ("mjx", "scene"):
+        with pytest.raises(
+            ValueError, match=r"brush tyres .* at most 0.02 s, not 0.04"
+        ):
+            EnvConfig(sim=coarse, physics=physics)
+        assert EnvConfig(sim=SimConfig(sim_dt=0.02), physics=physics)
+    with pytest.raises(ValueError, match=r"at most 0\.02 s"):
+        MjxPhysics(coarse)
+    for physics in ("bicycle", "highway"):
+        assert EnvConfig(sim=coarse, physics=physics).sim == coarse
 
 
 def test_num_substeps_is_the_whole_number_of_substeps():
