@@ -35,7 +35,7 @@ from carpark_mj.play.driven import DrivenLot
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.networks import Policy
-from carpark_mj.rendering.renderer import RenderingError, camera_names
+from carpark_mj.rendering.renderer import camera_names
 from carpark_mj.rendering.web import (
     HOST,
     PORT,
@@ -303,7 +303,7 @@ def main(config: PlayConfig) -> None:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    return run_command("play", lambda: _run(arguments), (RenderingError,))
+    return run_command("play", lambda: _run(arguments))
 
 
 def _run(arguments: Sequence[str] | None) -> None:
