@@ -99,9 +99,9 @@ def run(config: ScalingConfig) -> None:
             if config.out:
                 write_points(Path(config.out), points)
         table.add_section()
-    Console().print(table)
     if config.plot:
         draw(Path(config.plot), {device: points})
+    Console().print(table)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.disks import largest_file
 
 from carpark_mj.cli import render
 from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
@@ -30,6 +31,14 @@ def test_a_file_error_names_the_file_asked_for(tmp_path):
         write_atomically(wanted, lambda temporary: temporary.write_text("x"))
     line = one_line(caught.value)
     assert line == f"cannot use {wanted}: No such file or directory"
+
+
+def test_an_error_of_a_full_disk_names_the_file(tmp_path):
+    path = tmp_path / "a.csv"
+    with largest_file(1000), pytest.raises(OSError, match=r"a\.csv") as caught:
+        write_atomically(path, lambda temporary: temporary.write_bytes(bytes(2000)))
+    assert one_line(caught.value) == f"cannot use {path}: File too large"
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32])

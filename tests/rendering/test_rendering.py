@@ -2,9 +2,11 @@
 
 import dataclasses
 import os
+import re
 
 import numpy as np
 import pytest
+from helpers.disks import largest_file
 
 from carpark_mj.layouts import make_layout
 from carpark_mj.rendering import gl
@@ -223,6 +225,17 @@ def test_what_ffmpeg_refuses_is_one_sentence_and_leaves_no_half_video(
     with pytest.raises(OSError, match=r"^FFmpeg stopped while it wrote .*a\.mp4 at"):
         write_video(tmp_path / "a.mp4", pictures, 1e12)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_a_video_that_does_not_fit_leaves_the_old_one(suffix, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    path.write_text("old")
+    noise = np.random.default_rng(0).integers(0, 255, (20, 64, 64, 3), np.uint8)
+    with largest_file(10_000), pytest.raises(OSError, match=re.escape(str(path))):
+        write_video(path, iter(noise), 10.0)
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["old"]
+    assert write_video(path, iter(noise), 10.0) == len(noise)  # it is the room
 
 
 def test_a_gif_plays_in_real_time_and_loops(renderer, tmp_path):
