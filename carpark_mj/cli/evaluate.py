@@ -110,7 +110,7 @@ class Task:
 
 
 def main(config: EvaluateConfig) -> Evaluation:
-    """Evaluates, prints the table and writes the files.
+    """Evaluates, writes the files and prints the table.
 
     Raises:
         CheckpointError: the run cannot be read.
@@ -194,7 +194,7 @@ def subfolder(config: EvaluateConfig) -> Path:
 
 
 def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
-    """Prints the table and writes the files."""
+    """Writes the files and prints the table."""
     env = task.env.config
     counts, rule = env.agent_counts, env.episode.parked_rule
     fewest, most = counts[0], counts[-1]
@@ -203,7 +203,7 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
         f"{task.name}: {agents} agent{'s' if most > 1 else ''}, {rule} rule, "
         f"{env.layout} lot, {env.physics} physics, seed {config.seed}"
     )
-    print_report(result, title)
     settings = {**dataclasses.asdict(config), "policy": task.name}
     written = write_evaluation(task.folder, result, settings)
+    print_report(result, title)
     print(f"wrote {', '.join(map(str, written))}")

@@ -134,7 +134,7 @@ class SuiteConfig:
 
 
 def main(config: SuiteConfig) -> list[dict[str, Any]]:
-    """Drives, prints the table and writes the files; returns the table's rows.
+    """Drives, writes the files and prints the table; returns the table's rows.
 
     Raises:
         CheckpointError: a run cannot be read.
@@ -161,12 +161,14 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
     rows = [row for name in names for row in table_rows(name, episodes)]
     head = header(episodes)
-    print_rows(rows, head[0])
     written = write_run(folder, episodes, drives)
+    written += write_results(folder, head, rows, episodes, pictures, ())
+    print_rows(rows, head[0])
     videos: list[Video] = []
     for part in parts_of(episodes).values():
         videos += make_videos(folder, worst_first(part)[: config.videos], drives)
-    written += write_results(folder, head, rows, episodes, pictures, videos)
+    if videos:  # once more, with them
+        write_results(folder, head, rows, episodes, pictures, videos)
     print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
     return rows
 
