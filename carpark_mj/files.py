@@ -6,6 +6,7 @@ import errno
 import io
 import json
 import os
+import secrets
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,15 @@ from typing import Any
 
 @contextlib.contextmanager
 def _temporary(path: Path) -> Generator[Path]:
-    """A path beside `path` with its suffix; what lies there at the end is removed."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    """A new file beside `path` with its suffix; what is left at the end is removed.
+
+    Nobody can have laid a link in its place: its name is random, and it is created only
+    where nothing has that name.
+    """
+    name = f".{path.stem}.{secrets.token_hex(8)}{path.suffix}"
+    temporary = path.with_name(name)
     try:
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         try:
             yield temporary
         finally:
@@ -34,8 +41,8 @@ def require_writable(path: Path) -> None:
     """
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    with _temporary(path) as temporary:
-        temporary.touch()
+    with _temporary(path):
+        pass
 
 
 def write_atomically(path: Path, write: Any) -> None:

@@ -16,6 +16,7 @@ Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessi
 """
 
 import json
+import math
 from json import scanner
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ import numpy as np
 from carpark_mj.layouts import build
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
+from carpark_mj.reading import read_text
 
 FORMAT = "carpark_mj layout 1"
 
@@ -38,6 +40,7 @@ _SCHEMA: dict[str, dict[str, Any]] = {
 }
 _DEFAULTS: dict[str, Any] = {"one_way": True, "spread": build.LANE_SPREAD}
 _POSITIVE = ("size", "radius", "extent")
+_ANGLES = ("spread",)  # deviations either way [rad]
 FARTHEST = 1e4  # m; float32 resolves a millimetre there
 _NEEDED = ("format", "bays", "spawns", "extent")
 
@@ -49,10 +52,9 @@ def read_json(path: Path) -> Layout:
         ValueError: no such file, or a fault in it; the message names the line.
     """
     try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "it is no text"
-        raise ValueError(f"cannot read the layout {path}: {why}") from None
+        text = read_text(path)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
     try:
         layout, lines = _parse(text)
     except json.JSONDecodeError as error:
@@ -215,6 +217,9 @@ def _number(line: int, what: str, value: Any, count: int) -> Any:
         raise _RowError(line, f"{what} must be {wanted}, not {value!r}")
     if max(map(abs, values)) > FARTHEST:
         raise _RowError(line, f"{what} must be at most {FARTHEST:g}, not {value!r}")
-    if what.rsplit(".", 1)[-1] in _POSITIVE and min(values) <= 0:
+    part = what.rsplit(".", 1)[-1]
+    if part in _POSITIVE and min(values) <= 0:
         raise _RowError(line, f"{what} must be positive, not {value!r}")
+    if part in _ANGLES and not 0 <= value <= math.pi:
+        raise _RowError(line, f"{what} must lie in [0, {math.pi:.4g}], not {value!r}")
     return value

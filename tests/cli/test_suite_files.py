@@ -5,7 +5,7 @@ import pytest
 
 from carpark_mj.cli import suite_videos
 from carpark_mj.cli.suite import SuiteConfig, main
-from carpark_mj.cli.suite_files import CASES_FILE, read_runs, write_run
+from carpark_mj.cli.suite_files import CASES_FILE, key_of, read_runs, write_run
 from carpark_mj.cli.suite_videos import FASTER, make_videos, recording_of
 from carpark_mj.evaluation.suite import Drives
 from carpark_mj.layouts.held_out import SHA256, load_held_out
@@ -17,7 +17,9 @@ def episode(case, seed=0, rule="strict", **more):
     which = {"policy": "x", "rule": rule, "held_out": SHA256[:16], "made_with": "cpu"}
     which |= {"seed": seed, "level": "extreme", "case": case, "kind": "parallel"}
     ends = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
-    return {**which, **ends, "length": 4.0 + case, "ms / decision": 2.0, **more}
+    drive = {"hit_agent": 0.0, "length": 4.0 + case, "path": 9.0, "gear_changes": 1.0}
+    drive |= {"time_to_park": 30.0, "final_distance": 0.1, "final_heading": 0.1}
+    return {**which, **ends, **drive, "ms / decision": 2.0, **more}
 
 
 def drives(length, agents=1):
@@ -84,13 +86,6 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys):
         write(tmp_path / "a", episode(0), episode(1)),
         write(tmp_path / "b", episode(0, 1, parked=1.0, timed_out=0.0), episode(1, 1)),
     ]
-    numbers = ("gear_changes", "path", "final_distance", "final_heading")
-    for folder in folders:  # as an episode that was driven has them
-        lines = (folder / CASES_FILE).read_text().splitlines()
-        more = ["," + ",".join(numbers) + ",time_to_park,hit_agent"]
-        more += [",1.0,9.0,0.1,0.1,30.0,0.0"] * (len(lines) - 1)
-        rows = [line + own for line, own in zip(lines, more, strict=True)]
-        (folder / CASES_FILE).write_text("\n".join(rows))
     # Another device is no other version.
     second = folders[1] / CASES_FILE
     second.write_text(second.read_text().replace("cpu", "gpu"))
@@ -124,7 +119,7 @@ def test_results_that_do_not_fit_are_refused(rows, message, tmp_path):
     rows, last = [*rows[:-1]], rows[-1]
     good = write(tmp_path / "good", episode(0))
     bad = write(tmp_path / "bad", *rows, episode(9))
-    write_run(bad, [*rows, last], {("x", "extreme", 0, 9): drives(3)})
+    write_run(bad, [*rows, last], {key_of(last): drives(1004)})
     with pytest.raises(ValueError, match=message):
         read_runs([good, bad])
 

@@ -140,5 +140,5 @@ def test_other_files_are_no_drives(tmp_path):
     with pytest.raises(ValueError, match="is not a demonstration"):
         load_demonstration(path)
     path.write_text("hello")
-    with pytest.raises(ValueError, match="is not a demonstration"):
+    with pytest.raises(ValueError, match="another kind of file"):
         load_demonstration(path)

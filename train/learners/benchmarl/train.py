@@ -151,7 +151,7 @@ class Training(Experiment):
         runs.save_checkpoint(self._folder, tree, header, self.env_steps)
 
     def _load(self, path: Path) -> None:
-        header = checkpoints.read_header(path)
+        header = checkpoints.read_header(path, bytes=int, evaluations=list)
         template = {"torch": np.zeros(header["bytes"], np.uint8)}
         stored = checkpoints.load(path, template)["torch"]
         state = torch.load(io.BytesIO(stored.tobytes()), weights_only=True)

@@ -40,7 +40,7 @@ def load_or_init(learner: DQNLearner, folder: Path) -> Run:
     if not runs.checkpoint_files(folder):
         return Run(learner.init(), [], 0)
     path = runs.latest_checkpoint(folder)
-    header = checkpoints.read_header(path)
+    header = checkpoints.read_header(path, evaluations=list, chunks=int)
     tree = checkpoints.load(path, jax.eval_shape(learner.init))
     return Run(jax.device_put(tree), header["evaluations"], header["chunks"])
 

@@ -60,7 +60,7 @@ def load_or_init(learner: QLearner, folder: Path) -> Run:
     tree = checkpoints.load(path, template)
     episodes = {name: np.array(record) for name, record in tree.pop("history").items()}
     training = Training(**jax.device_put(tree))
-    return Run(training, episodes, checkpoints.read_header(path)["chunks"])
+    return Run(training, episodes, checkpoints.read_header(path, chunks=int)["chunks"])
 
 
 def save(folder: Path, config: QLearningConfig, run: Run) -> None:

@@ -46,8 +46,8 @@ class Training:
         resumed = bool(runs.checkpoint_files(folder))
         path = runs.latest_checkpoint(folder) if resumed else None
         if path:
-            header = checkpoints.read_header(path)
-            self.progress = Progress(**header["progress"])
+            header = checkpoints.read_header(path, progress=dict, deployments=list)
+            self.progress = runs.from_dict(Progress, header["progress"])
             self.deployments = header["deployments"]
         self.agent = self._make_agent()
         if path:
