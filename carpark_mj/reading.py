@@ -101,12 +101,10 @@ def require_entries(found: Mapping[str, Any], what: str, **kinds: type) -> None:
         ValueError: one is missing, or of another type.
     """
     for name, kind in kinds.items():
-        if name not in found:
-            raise ValueError(f"{what} has no {name!r}")
-        if type(found[name]) is not kind:
+        if type(found.get(name)) is not kind:
             raise ValueError(
-                f"{name} in {what} must be of {kind.__name__}, not "
-                f"{reprlib.repr(found[name])}"
+                f"{what} has no {name!r} of {kind.__name__}, but "
+                f"{reprlib.repr(found.get(name))}"
             )
 
 

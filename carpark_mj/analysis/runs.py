@@ -43,7 +43,8 @@ def read_run(folder: Path) -> Record:
         CheckpointError: there is no run, or it has no evaluation.
     """
     config, evaluation = folder / "config.json", folder / "evaluation.json"
-    described = {"device": "", "versions": {}} | _read_json(config, config=dict)
+    described: dict[str, Any] = {"device": "", "versions": {}}
+    described |= _read_json(config, config=dict)
     settings = {"seed": 0} | dict(_flatten(described["config"]))
     summary = _read_json(evaluation, summary=dict)["summary"]
     try:

@@ -40,7 +40,8 @@ _SCHEMA: dict[str, dict[str, Any]] = {
 }
 _DEFAULTS: dict[str, Any] = {"one_way": True, "spread": build.LANE_SPREAD}
 _POSITIVE = ("size", "radius", "extent")
-_ANGLES = ("spread",)  # deviations either way [rad]
+_DEVIATIONS = ("spread",)  # either way [rad]
+_HALF_TURN = float(np.float32(math.pi))  # as a layout has it
 FARTHEST = 1e4  # m; float32 resolves a millimetre there
 _NEEDED = ("format", "bays", "spawns", "extent")
 
@@ -220,6 +221,6 @@ def _number(line: int, what: str, value: Any, count: int) -> Any:
     part = what.rsplit(".", 1)[-1]
     if part in _POSITIVE and min(values) <= 0:
         raise _RowError(line, f"{what} must be positive, not {value!r}")
-    if part in _ANGLES and not 0 <= value <= math.pi:
+    if part in _DEVIATIONS and not 0 <= value <= _HALF_TURN:
         raise _RowError(line, f"{what} must lie in [0, {math.pi:.4g}], not {value!r}")
     return value

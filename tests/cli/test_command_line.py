@@ -218,3 +218,24 @@ def test_a_check_for_writability_leaves_the_old_file_and_nothing_else(tmp_path):
     require_writable(path)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
     assert path.read_text() == "old"
+
+
+def test_a_link_laid_in_the_place_of_a_temporary_file_is_not_followed(
+    tmp_path, monkeypatch
+):
+    path, theirs = tmp_path / "a.csv", tmp_path / "theirs"
+    theirs.write_text("old")
+    # Even if the name were known.
+    monkeypatch.setattr("secrets.token_hex", lambda _: "known")
+    for name in (f".a.{os.getpid()}.csv", ".a.known.csv"):
+        (tmp_path / name).symlink_to(theirs)
+    with pytest.raises(FileExistsError) as caught:
+        write_atomically(path, lambda temporary: temporary.write_text("new"))
+    assert one_line(caught.value).startswith(f"cannot use {path}")
+    assert theirs.read_text() == "old"
+    monkeypatch.undo()
+    write_atomically(path, lambda temporary: temporary.write_text("new"))
+    assert (path.read_text(), theirs.read_text()) == ("new", "old")
+    before = os.umask(0)
+    os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o666 & ~before

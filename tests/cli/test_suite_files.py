@@ -1,11 +1,20 @@
 """Results of the suite that several processes have written, read together."""
 
+import contextlib
+
 import numpy as np
 import pytest
+from helpers.mutating import damaged
 
 from carpark_mj.cli import suite_videos
 from carpark_mj.cli.suite import SuiteConfig, main
-from carpark_mj.cli.suite_files import CASES_FILE, key_of, read_runs, write_run
+from carpark_mj.cli.suite_files import (
+    CASES_FILE,
+    WORST_FILE,
+    key_of,
+    read_runs,
+    write_run,
+)
 from carpark_mj.cli.suite_videos import FASTER, make_videos, recording_of
 from carpark_mj.evaluation.suite import Drives
 from carpark_mj.layouts.held_out import SHA256, load_held_out
@@ -131,6 +140,39 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     folder = write(tmp_path / "a", episode(0))
     (folder / "worst.npz").write_bytes(b"PK")
     with pytest.raises(ValueError, match=r"worst\.npz has no drives of the suite"):
+        read_runs([folder])
+
+
+def test_damaged_results_are_results_or_refused(tmp_path, capsys):
+    folder = write(tmp_path / "a", episode(0), episode(1, parked=1.0, timed_out=0.0))
+    out = str(tmp_path / "out")
+    for name in (CASES_FILE, WORST_FILE):
+        data = (folder / name).read_bytes()
+        for seed in range(150):
+            (folder / name).write_bytes(damaged(data, seed))
+            with contextlib.suppress(ValueError):
+                (row,) = main(SuiteConfig(combine=(str(folder),), out=out))
+                assert row["cases"] in (1, 2)
+        (folder / name).write_bytes(data)
+    assert capsys.readouterr().out  # some were harmless
+
+
+def test_a_column_that_the_table_needs_may_not_be_missing(tmp_path):
+    folder = write(tmp_path / "a", episode(0))
+    lines = (folder / CASES_FILE).read_text().splitlines()
+    lines = [line.split(",") for line in lines]  # no cell has a comma here
+    for column, name in enumerate(lines[0]):
+        rows = [",".join(row[:column] + row[column + 1 :]) for row in lines]
+        (folder / CASES_FILE).write_text("\n".join(rows) + "\n")
+        with pytest.raises(ValueError, match=f"lacks the columns {name}"):
+            read_runs([folder])
+
+
+def test_results_without_an_episode_are_refused(tmp_path):
+    folder = write(tmp_path / "a", episode(0))
+    header = (folder / CASES_FILE).read_text().splitlines()[0]
+    (folder / CASES_FILE).write_text(header + "\n")
+    with pytest.raises(ValueError, match=r"cases\.csv holds no episode"):
         read_runs([folder])
 
 
