@@ -48,6 +48,20 @@ def test_no_setting_of_a_trainer_is_infinite_or_nan(cls, name, value):
         cls(**{name: value})
 
 
+def test_no_setting_is_larger_than_jax_can_hold():
+    for cls, name in FLOATS:
+        with pytest.raises(ValueError, match=rf"{name} must .*, not 1e\+39$"):
+            cls(**{name: 1e39})
+        with pytest.raises(ValueError, match=f"{name} must "):
+            cls(**{name: 10**400})
+    for name in ("num_steps", "critic_steps", "num_epochs", "num_lots", "lot_life"):
+        with pytest.raises(ValueError, match=rf"^{name} must .*, not 1{'0' * 30}$"):
+            PPOConfig(**{name: 10**30})
+    with pytest.raises(ValueError, match=r"learning_rate must be at least 1\.18e-38"):
+        PPOConfig(learning_rate=1e-50)
+    assert PPOConfig(num_steps=10**11).num_updates < 2**31
+
+
 @pytest.mark.parametrize("cls", TRAINERS)
 def test_a_seed_is_one_that_a_key_can_have(cls):
     assert cls(seed=2**32 - 1).seed
