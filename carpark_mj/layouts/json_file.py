@@ -11,7 +11,7 @@
 Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessible`,
 `family`, `reserved`, `exit`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`.
 `bays`, `spawns` and `extent` are needed; `kind` is by default the first of its list,
-`one_way` true and `spread` 0.1. Files of another version and invalid layouts
+`one_way` true and `spread`, 0 to π, 0.1. Files of another version and invalid layouts
 (`layouts.checks`) are refused; messages about a row name its line.
 """
 
