@@ -29,6 +29,10 @@ IMPOSSIBLE = [
     (["--coordinator", "a:99999999"], "a port of 1 to 65535, .* not 'a:99999999'"),
     (["--coordinator", "a:1"], "num_hosts must be at least 1, not 0"),
     (
+        ["--coordinator", "a:1", "--num-hosts", "1000000000000", "--host", "0"],
+        "num_hosts must be at most 2147483647, not 1000000000000",
+    ),
+    (
         ["--coordinator", "a:1", "--num-hosts", "2", "--host", "2"],
         r"host must lie in \[0, 1\], not 2",
     ),

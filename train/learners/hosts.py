@@ -17,6 +17,8 @@ import jax
 import numpy as np
 from jax.experimental import multihost_utils
 
+from carpark_mj.config.checks import require_count
+
 AUTO = "auto"
 MAX_PORT = 65535
 
@@ -53,8 +55,7 @@ class Hosts:
                 f"coordinator must be HOST:PORT, a port of 1 to {MAX_PORT}, or {AUTO}, "
                 f"not {self.coordinator!r}"
             )
-        if self.num_hosts < 1:
-            raise ValueError(f"num_hosts must be at least 1, not {self.num_hosts}")
+        require_count("num_hosts", self.num_hosts, 1)
         if not 0 <= self.host < self.num_hosts:
             raise ValueError(
                 f"host must lie in [0, {self.num_hosts - 1}], not {self.host}"
