@@ -8,9 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.layouts import FAMILIES, DesignCar, generate
+from carpark_mj.layouts import FAMILIES, DesignCar, generate, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import read_json
+from carpark_mj.rendering.stage import Stage
+from carpark_mj.scene.car_look import shape_name
+from carpark_mj.scene.car_mesh import car_meshes
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 
 PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
@@ -78,6 +81,19 @@ def test_the_new_vehicle_drives_alone_and_in_a_fleet():
     state, _ = jax.jit(names["env"].reset)(jax.random.key(0))
     assert state.physics.vehicle.wheelbase == pytest.approx(2.7)
     assert names["mixed"].fleet.agents == (names["taxi"], PRESETS["city"])
+
+
+def test_the_new_vehicle_is_drawn_in_its_own_measures():
+    names = run("A vehicle")
+    taxi, mixed = names["taxi"], names["mixed"]
+    stage = Stage(make_layout("square"), mixed.vehicle, 2, 1, mixed.fleet.agents)
+    drawn = [
+        stage.model.mesh(k).name.partition("/")[0] for k in range(stage.model.nmesh)
+    ]
+    assert shape_name(taxi) in drawn
+    length, width, _ = np.ptp(car_meshes(taxi)["body"].bounds, axis=0)
+    assert length == pytest.approx(taxi.length, abs=0.05)
+    assert width == pytest.approx(taxi.width, abs=0.01)
 
 
 def test_the_new_back_end_drives_a_circle_about_the_rear_axle():

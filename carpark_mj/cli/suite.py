@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +20,7 @@ from carpark_mj.cli.suite_report import (
     write_results,
 )
 from carpark_mj.cli.suite_videos import Video, make_videos, require_gl
-from carpark_mj.config import ParkedRule
+from carpark_mj.config import EnvConfig, ParkedRule
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
@@ -27,9 +28,8 @@ from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.evaluation.suite import (
     MOVING_CAR,
     VEHICLE,
+    CaseEvaluator,
     Drives,
-    decision_time,
-    drive_cases,
     suite_env,
     table_rows,
     worst_first,
@@ -190,19 +190,27 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
     episodes: list[Row] = []
     drives: dict[Key, Drives] = {}
     drawn: _Drawn = []
+    evaluators: dict[EnvConfig, CaseEvaluator] = {}
     for name, driver in drivers.items():
-        env = ParkingEnv(suite_env(driver.env, config.rule, moving))
+        env_config = suite_env(driver.env, config.rule, moving)
+        if env_config not in evaluators:
+            evaluators[env_config] = CaseEvaluator(ParkingEnv(env_config))
+        evaluator = evaluators[env_config]
+        policy, planner = _policy(name, driver.policy, evaluator.env)
         for seed in config.seeds:
             for part in cases:
-                policy, planner = _policy(name, driver.policy, env, seed, first)
-                rows, driven = drive_cases(env, policy, part, seed)
+                if planner is not None:
+                    planner.restart(seed, first)
+                rows, driven = evaluator.drive(policy, part, seed)
                 if planner is not None:
                     plans = _plans(planner, len(rows))
                     rows = [row | own for row, own in zip(rows, plans, strict=True)]
                     if seed == config.seeds[0]:
                         drawn += _drawn(planner, part)
-                own = {"ms / decision": 1e3 * _seconds(env, policy, planner, part)}
-                own |= tail
+                    seconds = planner.seconds / planner.decisions
+                else:
+                    seconds = evaluator.decision_time(policy, part)
+                own = {"ms / decision": 1e3 * seconds} | tail
                 which = {"policy": name, "seed": seed, "rule": config.rule}
                 which |= {"held_out": fingerprint(part.level)}
                 which |= {MOVING_CAR: 1} if moving else {}
@@ -213,11 +221,9 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
 
 
 def _policy(
-    name: str, make: Any, env: ParkingEnv, seed: int, first: int
+    name: str, make: Callable[[ParkingEnv], AnyPolicy], env: ParkingEnv
 ) -> tuple[AnyPolicy, Planner | None]:
-    if name != PLANNER:
-        return make(env), None
-    return planner_policy(env, seed, first_lot=first)
+    return planner_policy(env) if name == PLANNER else (make(env), None)
 
 
 def _worst_drives(rows: list[Row], driven: Drives) -> dict[Key, Drives]:
@@ -251,11 +257,3 @@ def _drawn(planner: Planner, cases: Cases) -> _Drawn:
         layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)
         found.append((f"{cases.level} {number}: {told}", layout, path))
     return found
-
-
-def _seconds(
-    env: ParkingEnv, policy: AnyPolicy, planner: Planner | None, cases: Cases
-) -> float:
-    if planner is not None:
-        return planner.seconds / planner.decisions
-    return decision_time(env, policy, cases)

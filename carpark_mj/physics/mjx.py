@@ -99,7 +99,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
             tyres=jax.tree.map(
                 lambda leaf: jnp.broadcast_to(leaf, (*lead, 4)), init_tyres(dtype)
             ),
-            actuators=drive.Actuators(steering=zero, drive=zero),
+            actuators=drive.init_actuators(vehicle),
             vehicle=vehicle,
             trace_w=jnp.broadcast_to(pose[..., None, :], shape),
             finite=jnp.ones(lead, bool),
@@ -114,7 +114,8 @@ class MjxPhysics(FactoredPhysics[CarState]):
         qvel = qvel.at[..., dof + 1].set(speed * jnp.sin(yaw))
         spin = (speed / state.vehicle.wheel_radius)[..., None]
         qvel = qvel.at[..., self.index.spin_dof].set(spin)
-        return dataclasses.replace(state, qvel=qvel)
+        actuators = drive.roll_freely(state.actuators, speed)
+        return dataclasses.replace(state, qvel=qvel, actuators=actuators)
 
     @full_float32
     def step(self, state: CarState, controls: jax.Array) -> CarState:

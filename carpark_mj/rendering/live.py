@@ -8,6 +8,7 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
+from carpark_mj.rendering.rollout import parked_trace
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.types import ENDINGS, State, TimeStep
@@ -60,7 +61,7 @@ class LiveLot:
             "pose_w": timestep.motion.trace_w[: self._count].swapaxes(0, 1),
             "steering": timestep.motion.steering[: self._count],
             "size": timestep.motion.size[: self._count],
-            "parked_pose": state.parked_cars.pose_w,
+            "parked_pose": parked_trace(state, after, timestep.motion),
             "goal": after.goal[: self._count],
             **self._record(state, observation, action, timestep),
             **{name: getattr(timestep.events, name).sum() for name in ENDINGS},
@@ -118,8 +119,10 @@ class LiveLot:
                 self._ended[name] += int(self._seen[name])
         seen = self._seen
         assert seen is not None
-        pose = seen["pose_w"][self._trace]
-        self._place(pose, seen["steering"], seen["parked_pose"], seen["size"])
+        pose, parked_pose = (
+            seen[name][self._trace] for name in ("pose_w", "parked_pose")
+        )
+        self._place(pose, seen["steering"], parked_pose, seen["size"])
         self._trace += 1
         return begins
 

@@ -102,7 +102,7 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
         steering=recording.steering[step],
         goal_pose=goal_pose,
         goal_size=goal_size,
-        parked_pose=recording.parked_pose[step],
+        parked_pose=recording.parked_pose[step, trace],
         active=recording.active[step],
         state=tuple(_state(recording, step, agent) for agent in range(len(goal_pose))),
         tally={name: int(events[:over].sum()) for name, events in ended.items()},

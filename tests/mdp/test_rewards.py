@@ -119,6 +119,16 @@ def test_closeness_looks_at_the_nearest_other_agent_and_begins_at_its_range():
     assert terms(config, alone, alone, GOAL)["closeness"] == 0.0
 
 
+def test_closeness_is_paid_for_where_a_step_ends():
+    config = RewardConfig(closeness=10.0, closeness_range=3.0)
+    apart, near = (cars([(0.0, 0.0, 0.0), (x, 0.0, 0.0)]) for x in (60.0, 5.5))
+    paid = -10 / 200 * 0.5  # for a gap of 1.5 m
+    approaching = terms(config, apart, near, GOAL)["closeness"]
+    leaving = terms(config, near, apart, GOAL)["closeness"]
+    np.testing.assert_allclose(approaching, [paid, paid], atol=1e-6)
+    np.testing.assert_array_equal(leaving, [0.0, 0.0])
+
+
 def test_the_potential_is_minus_the_weighted_way_and_misalignment_left():
     config = RewardConfig(progress=0.2, alignment=0.5, alignment_range=4.0)
     pose = jnp.array([[10.0, 0.0, 0.0], [6.0, 3.0, 0.0], [10.0, 4.0, -math.pi / 2]])

@@ -3,10 +3,11 @@
 import dataclasses
 import os
 
+import jax
 import numpy as np
 import pytest
 
-from carpark_mj.layouts import make_layout
+from carpark_mj.layouts import generate, layout_config, make_layout
 from carpark_mj.rendering import gl
 from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.renderer import (
@@ -179,7 +180,7 @@ def recording(steps=3, traces=4, **events):
         steering=np.zeros((steps, 2)),
         speed=np.tile([1.0, -1.0], (steps, 1)),
         goal=np.tile(GOAL, (steps, 1)),
-        parked_pose=np.tile(PARKED, (steps, 1, 1)),
+        parked_pose=np.tile(PARKED, (steps, traces, 1, 1)),
         **{"active": ~no, "parked": no, "crashed": no, "timed_out": no} | events,
         step=np.ones((steps, 2), int),
     )
@@ -261,6 +262,47 @@ def test_a_split_frame_is_two_views_side_by_side(renderer):
             assert 0 <= py <= 360
         right = frame[:, 320:].astype(int)
         assert np.abs(right - frame[:, :320]).mean() > 20
+    finally:
+        made.close()
+
+
+@pytest.mark.parametrize("camera", ["topdown", "overview"])
+def test_it_does_not_matter_whether_cars_or_cameras_are_placed_first(camera):
+    what, frames = seen(), []
+    for renderer_first in (True, False):
+        stage = Stage(LAYOUT, COMPACT, 2, 2)
+        if not renderer_first:
+            stage.place(what.pose_w, what.steering, what.parked_pose)
+        made = LotRenderer(stage, camera, (640, 360))
+        try:
+            if renderer_first:
+                made.place(what)
+            frames.append(made.draw(what, camera))
+        finally:
+            made.close()
+    np.testing.assert_array_equal(*frames)
+
+
+def test_a_renderer_that_goes_on_with_another_lot_draws_it_as_a_new_one():
+    # With arrows on its lanes the second has one mesh more, and it is longer.
+    lots = [
+        LAYOUT,
+        jax.device_get(generate(layout_config("street"), jax.random.key(0))),
+    ]
+    what = seen(goal=GOAL[:1].repeat(2))
+    stages = [Stage(layout, COMPACT, 2, 2) for layout in lots]
+    new = []
+    for stage in stages:
+        made = LotRenderer(stage, "topdown", (640, 360))
+        made.place(what)
+        new.append(made.draw(what, "topdown"))
+        made.close()
+    assert (new[0] != new[1]).any(axis=-1).mean() > 0.1
+    made = LotRenderer(stages[0], "topdown", (640, 360))
+    try:
+        for lot in (0, 1, 0):
+            made.show_lot(stages[lot])
+            np.testing.assert_array_equal(made.draw(what, "topdown"), new[lot])
     finally:
         made.close()
 

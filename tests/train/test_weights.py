@@ -10,6 +10,7 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.observations.sets import OWN
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
@@ -18,6 +19,7 @@ from learners.ppo.learner import Learner
 from learners.ppo.loss import Minibatch, Weights, ppo_loss
 from learners.ppo.presets import PRESETS
 from learners.ppo.rollout import Rollout, drop_absent
+from learners.ppo.state import AXIS, count_steps
 
 TINY = dataclasses.replace(
     PRESETS["cpu"],
@@ -50,7 +52,7 @@ def made_up(learner, normalizer, policy) -> Minibatch:
     distribution = networks.parametric_action_distribution
     raw = distribution.sample_no_postprocessing(logits, jax.random.key(0))
     log_prob = distribution.log_prob(logits, raw) + 0.1 * normal()
-    return Minibatch(observation, raw, log_prob, normal(), normal())
+    return Minibatch(observation, raw, log_prob, normal(), normal(), jnp.ones(rows))
 
 
 def test_nothing_is_learned_from_steps_without_weight(learner):
@@ -70,8 +72,12 @@ def test_nothing_is_learned_from_steps_without_weight(learner):
     @jax.jit
     def learn_from(batch):
         grad = jax.grad(ppo_loss, has_aux=True)
-        key = jax.random.key(0)
-        return grad(params, networks, normalizer, batch, weights, key)
+
+        def one(batch):
+            key = jax.random.key(0)
+            return grad(params, networks, normalizer, batch, weights, key)
+
+        return jax.vmap(one, axis_name=AXIS)(jax.tree.map(lambda x: x[None], batch))
 
     expected, found = learn_from(without), learn_from(spoilt)
     for name in ("total_loss", "policy_loss", "v_loss", "kl_mean"):
@@ -87,9 +93,18 @@ def test_an_update_counts_the_steps_of_agents_that_are_present_only(learner):
     steps = int(present.sum()) * TINY.unroll_length
     assert steps < present.size * TINY.unroll_length
     after, metrics = learner.compile()(start)
+    assert count_steps(after).tolist() == [steps]
+    # Of the cars in their slots those that are there: all others, all that are parked.
+    agents, others = present.sum(axis=1), present.sum(axis=1) - 1
     slots = {part.group: part.count for part in learner.inputs.sets}
+    cars = {
+        OWN: agents.sum(),
+        "agent": (agents * np.minimum(others, slots["agent"])).sum(),
+        "parked_car": agents.sum() * slots["parked_car"],
+    }
+    assert (others < slots["agent"]).any()
     for name, statistics in after.normalizer.items():
-        assert int(statistics.count.lo) == steps * slots.get(name, 1)
+        assert int(statistics.count.lo) == cars[name] * TINY.unroll_length
     # Paid for every step of an agent that is present, and for no other.
     paid = -TINY.env.reward.time / TINY.env.episode.max_steps
     np.testing.assert_allclose(metrics["reward/time"], paid, rtol=1e-5)
