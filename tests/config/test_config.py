@@ -53,6 +53,9 @@ IMPOSSIBLE = [
         "observation.share.steering must be True or False, not 1",
     ),
     (EpisodeConfig, {"max_steps": "9"}, "max_steps must be a whole number, not '9'"),
+    (EpisodeConfig, {"max_steps": 10**10}, "max_steps must be at most 2147483647"),
+    (EpisodeConfig, {"hitbox_scale": 1e-40}, "hitbox_scale must be at least 1.18e-38"),
+    (RewardConfig, {"park": 1e39}, r"park must be at most 3.4.*e\+38, not 1e\+39"),
     (RewardConfig, {"park": "much"}, "park must be at least 0.0, not much"),
     (EnvConfig, {"reward": "tanner"}, "reward must be of RewardConfig, not 'tanner'"),
     (
