@@ -7,6 +7,7 @@ The object holds constants only; everything that changes is in `State`.
 
 import copy
 import dataclasses
+import math
 from collections.abc import Mapping
 
 import jax
@@ -91,15 +92,18 @@ class ParkingEnv:
         self.layout_config: LayoutConfig = layout_config(config.layout)
         fixed = not self.layout_config.is_random
         self._layout = make_layout(self.layout_config) if fixed else None
+        grade = math.hypot(config.sim.grade_x, config.sim.grade_y)
         for params in self.fleet.agents:
-            check_randomization(config.randomization, params)
+            check_randomization(config.randomization, params, grade)
         check_room(config, self.layout_config)
         check_occupancy(config, self.layout_config)
         check_exits(config, self.layout_config)
         check_cars(config, self.fleet, self.layout_config, self._layout)
         self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
-        self._episodes = Episodes(config, self.fleet, self.goals, self.physics)
+        self._episodes = Episodes(
+            config, self.fleet, self.goals, self.physics, self._layout
+        )
 
     def with_values(self, values: Mapping[str, jax.Array | float]) -> "ParkingEnv":
         """The environment with other values of some settings, which may be traced.

@@ -6,8 +6,12 @@ python eval/referee.py --out runs/referee
 Needs the package `commonroad-vehicle-models` (in the extra `test`).
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("referee", "referee:main")
+
 import dataclasses
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -32,8 +36,7 @@ class RefereeConfig:
 def run(config: RefereeConfig) -> None:
     """Drives the trials, writes the page and the plot, prints the table."""
     out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
-    require_writable(out / "referee.md")  # refused before the work
+    require_writable(out / "referee.md", new_folders=True)  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # one car: no work for a GPU
     found = referee.trials()
     referee_report.write_report(out, found)
@@ -51,7 +54,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(read_flags(RefereeConfig, arguments, description=__doc__))
 
     return run_command("referee", command)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

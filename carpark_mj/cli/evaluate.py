@@ -110,7 +110,7 @@ class Task:
 
 
 def main(config: EvaluateConfig) -> Evaluation:
-    """Evaluates, prints the table and writes the files.
+    """Evaluates, writes the files and prints the table.
 
     Raises:
         CheckpointError: the run cannot be read.
@@ -126,7 +126,7 @@ def main(config: EvaluateConfig) -> Evaluation:
 
 
 def prepare(config: EvaluateConfig) -> Task:
-    """Finds policy and environment, and makes the folder.
+    """Finds policy and environment, and checks the folder.
 
     Raises:
         CheckpointError: the run cannot be read.
@@ -166,8 +166,9 @@ def prepare(config: EvaluateConfig) -> Task:
     own = same and not any(changes) and not _is_kept_checkpoint(config)
     default = driver.folder if own else driver.folder / subfolder(config)
     folder = Path(config.out) if config.out else default
-    folder.mkdir(parents=True, exist_ok=True)
-    require_writable(folder / "evaluation.csv")  # refused before the work
+    require_writable(
+        folder / "evaluation.csv", new_folders=True
+    )  # refused before the work
     return Task(name, policy, env, folder)
 
 
@@ -194,7 +195,7 @@ def subfolder(config: EvaluateConfig) -> Path:
 
 
 def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
-    """Prints the table and writes the files."""
+    """Writes the files and prints the table."""
     env = task.env.config
     counts, rule = env.agent_counts, env.episode.parked_rule
     fewest, most = counts[0], counts[-1]
@@ -203,7 +204,8 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
         f"{task.name}: {agents} agent{'s' if most > 1 else ''}, {rule} rule, "
         f"{env.layout} lot, {env.physics} physics, seed {config.seed}"
     )
-    print_report(result, title)
     settings = {**dataclasses.asdict(config), "policy": task.name}
+    task.folder.mkdir(parents=True, exist_ok=True)
     written = write_evaluation(task.folder, result, settings)
+    print_report(result, title)
     print(f"wrote {', '.join(map(str, written))}")

@@ -75,9 +75,9 @@ def main(config: ExportConfig) -> Path:
     loaded = load_policy(config.run)
     if not config.out:
         out = output_folder(loaded.path) / "policy.onnx"
-    out.parent.mkdir(parents=True, exist_ok=True)
-    require_writable(out)  # before the work
+    require_writable(out, new_folders=True)  # before the work
     if out.suffix == ".npz":
+        out.parent.mkdir(parents=True, exist_ok=True)
         save_policy(config.run, out)
     else:
         _write_model(out, loaded, config.seed)
@@ -94,11 +94,12 @@ def _write_model(out: Path, loaded: LoadedPolicy, seed: int) -> None:
     model = make_model(loaded)
     seen = rollout_observations(loaded, CHECKED, seed)
     random = random_observations(loaded.env, seen, seed)
+    found: list[str] = []
     for kind, observation in (("of a roll-out", seen), ("drawn at random", random)):
         difference = largest_difference(model, loaded, observation)
         rounding = rounding_error(loaded, observation)
         most = max(TOLERANCE, ROUNDING * rounding)
-        print(
+        found.append(
             f"largest difference to the policy on {len(observation):,} observations "
             f"{kind}: {difference:.2g}; of float32 to float64: {rounding:.2g}"
         )
@@ -107,10 +108,12 @@ def _write_model(out: Path, loaded: LoadedPolicy, seed: int) -> None:
                 f"the model differs from the policy by {difference:.2g} on "
                 f"observations {kind}, at most {most:.2g} is allowed: not written"
             )
-    Console().print(_table(loaded))
+    out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(
         out, lambda temporary: temporary.write_bytes(model.SerializeToString())
     )
+    print("\n".join(found))
+    Console().print(_table(loaded))
 
 
 def rollout_observations(loaded: LoadedPolicy, count: int, seed: int) -> np.ndarray:

@@ -8,6 +8,7 @@ python -m carpark_mj.layouts lot --seed 3 --save lot.json
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -18,9 +19,9 @@ import tyro
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import LayoutConfig
-from carpark_mj.config.checks import require_at_least, require_unset
+from carpark_mj.config.checks import require_unset
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.files import write_atomically
+from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import (
     AngledConfig,
     DeadEndConfig,
@@ -39,6 +40,7 @@ from carpark_mj.layouts.types import Layout
 
 PROGRAM = "python -m carpark_mj.layouts"
 CHUNK = 250  # layouts drawn at once
+MAX_KEYS = 10_000_000  # of each layout; they take an hour or more
 PICTURES = (".png", ".pdf", ".svg")
 NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
 
@@ -95,13 +97,26 @@ def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layou
             yield jax.tree.map(lambda leaf, row=row: leaf[row], batch)
 
 
-def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """Problems of the lots of `num_keys` keys, a sentence each."""
+def check(
+    layout: LayoutConfig | str, num_keys: int, seed: int, vehicle: str = ""
+) -> list[str]:
+    """Problems of the lots of `num_keys` keys with a car, a sentence each.
+
+    Args:
+        layout: a name, a file or a config.
+        num_keys: how many.
+        seed: of the keys.
+        vehicle: a preset; by default the car that the lots are drawn for.
+    """
     config = layout_config(layout)
-    car: DesignCar = getattr(config, "car", DesignCar())
+    size = getattr(config, "car", DesignCar()).size
+    if vehicle:
+        from carpark_mj.vehicle import preset
+
+        size = preset(vehicle).length, preset(vehicle).width
     found = []
     for number, drawn in enumerate(draw(config, num_keys, seed)):
-        problems = describe_faults(drawn, car.size)
+        problems = describe_faults(drawn, size)
         bays = int(drawn.bay_mask.sum())
         if bays < config.min_bays:
             problems.append(f"{bays} bays, {config.min_bays} were promised")
@@ -139,6 +154,8 @@ class LayoutsConfig:
         layouts: names or layout files; all families if none.
         plot: picture to write, with two lots of each layout.
         check: number of keys of each layout to check.
+        vehicle: preset of the car that must fit into bays and spawn regions of the
+            lots to check; by default the car that they are drawn for.
         run: number of scenes of each layout to run.
         save: layout file to write, with the first lot of one layout.
         held_out: `.npz` file to which the held-out cases of HOPE's levels are drawn
@@ -151,13 +168,18 @@ class LayoutsConfig:
     ] = ()
     plot: str = ""
     check: int = 0
+    vehicle: str = ""
     run: int = 0
     save: str = ""
     held_out: str = ""
     seed: int = 0
 
     def __post_init__(self) -> None:
-        require_at_least(self, 0, "check", "run")
+        for name in ("check", "run"):
+            if not 0 <= getattr(self, name) <= MAX_KEYS:
+                raise ValueError(
+                    f"--{name} takes 0 to {MAX_KEYS} keys, not {getattr(self, name)}"
+                )
         require_seed(self.seed)
         if not (self.plot or self.check or self.run or self.save):
             if not self.held_out:
@@ -166,6 +188,8 @@ class LayoutsConfig:
                     "--check N or --run N (N > 0)"
                 )
             require_unset(self, "with --held-out alone", "layouts", "seed")
+        if not self.check:
+            require_unset(self, "without --check", "vehicle")
         if self.plot and Path(self.plot).suffix not in PICTURES:
             raise ValueError(
                 f"--plot writes a .png, .pdf or .svg file, not {self.plot}"
@@ -186,7 +210,9 @@ def look(config: LayoutsConfig) -> bool:
         ValueError: unknown layouts, or files that are none.
         OSError: the picture or the layout file cannot be written.
     """
-    shown = {name: name for name in config.layouts} or SHOWN
+    shown = {name: layout_config(name) for name in config.layouts} or SHOWN
+    for file in filter(None, (config.save, config.held_out, config.plot)):
+        require_writable(Path(file))  # refused before the work
     if config.save:
         [drawn] = draw(config.layouts[0], 1, config.seed)
         write_atomically(
@@ -205,12 +231,16 @@ def look(config: LayoutsConfig) -> bool:
         print(f"wrote {plot_layouts(pictures, Path(config.plot))}")
     sound = True
     for name, layout in shown.items():
-        for inspect, number in ((check, config.check), (run, config.run)):
+        checked = partial(check, vehicle=config.vehicle)
+        inspections = (
+            (checked, config.check, "problems"),
+            (run, config.run, "warnings"),
+        )
+        for inspect, number, what in inspections:
             if not number:
                 continue
             found = inspect(layout, number, config.seed)
             sound = sound and not found
-            what = "problems" if inspect is check else "warnings"
             print(f"{name}: {number} keys, {len(found)} {what}", flush=True)
             print("".join(f"  {problem}\n" for problem in found[:10]), end="")
     return sound

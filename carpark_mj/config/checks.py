@@ -9,6 +9,9 @@ from types import NoneType
 from typing import Any, get_args
 
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
+# JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
+LARGEST_WHOLE = 2**31 - 1
+LARGEST, SMALLEST = 3.4028235e38, 1.1754944e-38
 
 
 def require_choice(name: str, value: str, literal: object) -> None:
@@ -34,22 +37,35 @@ def require_count(name: str, value: Any, minimum: int) -> None:
         raise ValueError(f"{name} must be a whole number, not {value!r}")
     if value < minimum:
         raise ValueError(f"{name} must be at least {minimum}, not {value}")
+    _require_representable(name, value)
 
 
 def require_at_least(config: object, minimum: float, *names: str) -> None:
-    """Refuses attributes below a minimum, infinite, NaN or no numbers."""
+    """Refuses attributes below a minimum, too large for JAX, or no numbers."""
     for name in names:
         value = getattr(config, name)
         if not (_is_finite(value) and value >= minimum):
             raise ValueError(f"{name} must be at least {minimum}, not {value}")
+        _require_representable(name, value)
 
 
 def require_positive(config: object, *names: str) -> None:
-    """Refuses attributes that are not positive and finite."""
+    """Refuses attributes that are not positive, or too large or small for JAX."""
     for name in names:
         value = getattr(config, name)
         if not (_is_finite(value) and value > 0):
             raise ValueError(f"{name} must be positive, not {value}")
+        if value < SMALLEST:
+            raise ValueError(f"{name} must be at least {SMALLEST:.3g}, not {value}")
+        _require_representable(name, value)
+
+
+def _require_representable(name: str, value: Any) -> None:
+    """Refuses a number that is too large for int32 or float32."""
+    whole = isinstance(value, numbers.Integral)
+    most: float = LARGEST_WHOLE if whole else LARGEST
+    if value > most:
+        raise ValueError(f"{name} must be at most {most:.10g}, not {value}")
 
 
 def require_ratio(config: object, *names: str) -> None:
@@ -74,6 +90,23 @@ def require_range(name: str, value: Any, least: float, most: float) -> None:
         raise ValueError(
             f"{name} must be a lowest and a highest number{within}, not {value!r}"
         )
+
+
+def require_within(
+    config: object, least: float, most: float, unit: str, *names: str
+) -> None:
+    """Refuses attributes that are not plausible, as if they were of another unit.
+
+    Raises:
+        ValueError: naming the attribute, its value, the bounds and the unit.
+    """
+    for name in names:
+        value = getattr(config, name)
+        if not (_is_finite(value) and least <= value <= most):
+            raise ValueError(
+                f"{name} must lie within [{least:g}, {most:g}] {unit}, not {value}: "
+                f"it is in {unit}"
+            )
 
 
 def require_kinds(config: object, **kinds: Any) -> None:
@@ -141,4 +174,4 @@ def _is_finite(value: Any) -> bool:
     """Whether a value is a finite number."""
     if type(value) is bool or not isinstance(value, numbers.Real):
         return False
-    return math.isfinite(value)
+    return isinstance(value, numbers.Integral) or math.isfinite(value)

@@ -13,11 +13,12 @@ Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessi
 `family`, `reserved`, `exit`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`.
 The end of a car that goes into a bay first is `either`, `nose_first` or `tail_first`.
 `bays`, `spawns` and `extent` are needed; `kind` and `end` are by default the first of
-their lists, `one_way` true and `spread` 0.1. Files of another version and invalid
-layouts (`layouts.checks`) are refused; messages about a row name its line.
+their lists, `one_way` true and `spread`, 0 to π, 0.1. Files of another version and
+invalid layouts (`layouts.checks`) are refused; messages about a row name its line.
 """
 
 import json
+import math
 from json import scanner
 from pathlib import Path
 from typing import Any
@@ -25,8 +26,9 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.layouts import build
-from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
+from carpark_mj.reading import read_text
 
 FORMAT = "carpark_mj layout 1"
 
@@ -40,6 +42,8 @@ _SCHEMA: dict[str, dict[str, Any]] = {
 }
 _DEFAULTS: dict[str, Any] = {"one_way": True, "spread": build.LANE_SPREAD}
 _POSITIVE = ("size", "radius", "extent")
+_DEVIATIONS = ("spread",)  # either way [rad]
+_HALF_TURN = float(np.float32(math.pi))  # as a layout has it
 FARTHEST = 1e4  # m; float32 resolves a millimetre there
 _NEEDED = ("format", "bays", "spawns", "extent")
 
@@ -51,10 +55,9 @@ def read_json(path: Path) -> Layout:
         ValueError: no such file, or a fault in it; the message names the line.
     """
     try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "it is no text"
-        raise ValueError(f"cannot read the layout {path}: {why}") from None
+        text = read_text(path)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
     try:
         layout, lines = _parse(text)
     except json.JSONDecodeError as error:
@@ -65,7 +68,8 @@ def read_json(path: Path) -> Layout:
         raise ValueError(f"{path}: brackets are nested too deeply") from None
     except _RowError as error:
         raise ValueError(f"{path}, line {error.line}: {error}") from None
-    if faults := describe_faults(layout, lines=lines):
+    # Which cars there will be only an environment knows.
+    if faults := describe_faults(layout, ANY_CAR, lines):
         raise ValueError(f"{path} is not a valid layout: {'; '.join(faults)}")
     return layout
 
@@ -219,6 +223,15 @@ def _number(line: int, what: str, value: Any, count: int) -> Any:
         raise _RowError(line, f"{what} must be {wanted}, not {value!r}")
     if max(map(abs, values)) > FARTHEST:
         raise _RowError(line, f"{what} must be at most {FARTHEST:g}, not {value!r}")
-    if what.rsplit(".", 1)[-1] in _POSITIVE and min(values) <= 0:
+    if what.endswith(".pose") and abs(values[2]) > 2 * math.pi + 1e-3:
+        raise _RowError(
+            line,
+            f"{what} must have a heading within [-2 pi, 2 pi] rad, not {values[2]}: "
+            "headings are in radians",
+        )
+    part = what.rsplit(".", 1)[-1]
+    if part in _POSITIVE and min(values) <= 0:
         raise _RowError(line, f"{what} must be positive, not {value!r}")
+    if part in _DEVIATIONS and not 0 <= value <= _HALF_TURN:
+        raise _RowError(line, f"{what} must lie in [0, {math.pi:.4g}], not {value!r}")
     return value

@@ -2,13 +2,13 @@
 
 import dataclasses
 import math
-import os
+import warnings
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from carpark_mj.rendering.gl import MISSING_GL
+from carpark_mj.rendering.gl import why_nothing_is_drawn
 from carpark_mj.rendering.markers import Markers
 from carpark_mj.rendering.snapshot import Snapshot, Tracked, tracked_points
 from carpark_mj.rendering.stage import Stage
@@ -62,13 +62,11 @@ class _Renderer(mujoco.Renderer):
 
 def _mujoco_renderer(model: mujoco.MjModel, width: int, height: int) -> _Renderer:
     try:
-        return _Renderer(model, height=height, width=width)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # GLFW says in several what fails
+            return _Renderer(model, height=height, width=width)
     except Exception as error:  # PyOpenGL and MuJoCo raise many kinds
-        backend = os.environ.get("MUJOCO_GL", "unset")
-        raise RenderingError(
-            f"{MISSING_GL}; if it is there, set MUJOCO_GL=egl before anything imports "
-            f"MuJoCo. MUJOCO_GL is {backend}; the error was: {error}"
-        ) from None
+        raise RenderingError(why_nothing_is_drawn(error)) from None
 
 
 class LotRenderer:

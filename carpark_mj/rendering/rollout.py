@@ -137,11 +137,10 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     # A lot keeps its parked cars: who is absent at the start never comes.
     here = np.asarray(state.parked_cars.present)
     frames["parked_pose"] = frames["parked_pose"][:, :, here]
-    # The same of the agents.
-    if state.present is not None:
-        count = int(state.present.sum())
-        own = {"pose_w": np.s_[:, :, :count], "parked_pose": np.s_[:]}
-        frames = {n: x[own.get(n, np.s_[:, :count])] for n, x in frames.items()}
+    # The same of the agents, but for those that wait.
+    mine = np.flatnonzero(state.takes_part)
+    own = {"pose_w": np.s_[:, :, mine], "parked_pose": np.s_[:]}
+    frames = {n: x[own.get(n, np.s_[:, mine])] for n, x in frames.items()}
     return Recording(
         layout=state.layout,
         ctrl_dt=env.config.sim.ctrl_dt,

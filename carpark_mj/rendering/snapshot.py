@@ -122,6 +122,8 @@ def aimed_at(layout: Layout, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _state(recording: Recording, step: int, agent: int) -> str:
     if not recording.active[step, agent]:
+        if recording.step[step, agent] == 1:  # this one, and none before it
+            return "waits"
         for name in OUTCOMES:
             if getattr(recording, name)[:step, agent].any():
                 return name.replace("_", " ")

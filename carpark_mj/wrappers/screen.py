@@ -9,7 +9,7 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_names
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.rendering.window import NO_DISPLAY, has_display
+from carpark_mj.rendering.window import missing_display
 
 SIZE = 960, 540  # pixels
 RENDER_MODES = ["human", "rgb_array"]
@@ -57,9 +57,9 @@ class Screen:
         Raises:
             RenderingError: there is no display.
         """
-        if not has_display():  # MuJoCo's viewer would end the program
+        if missing := missing_display():  # MuJoCo's viewer would end the program
             raise RenderingError(
-                f"render_mode 'human': {NO_DISPLAY}; 'rgb_array' needs none"
+                f"render_mode 'human': {missing}; 'rgb_array' needs none"
             )
         stage, _ = self._place(state, lot)
         if stage is not self._in_window:

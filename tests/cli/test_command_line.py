@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.disks import largest_file
 
-from carpark_mj.cli import render
+from carpark_mj.cli import evaluate, layouts, render, suite
 from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -21,6 +22,8 @@ from carpark_mj.cli.scene import SceneConfig
 from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.files import require_writable, write_atomically
 
+ROOT = Path(__file__).parents[2]
+
 
 def test_a_file_error_names_the_file_asked_for(tmp_path):
     wanted = tmp_path / "missing" / "a.csv"
@@ -28,6 +31,14 @@ def test_a_file_error_names_the_file_asked_for(tmp_path):
         write_atomically(wanted, lambda temporary: temporary.write_text("x"))
     line = one_line(caught.value)
     assert line == f"cannot use {wanted}: No such file or directory"
+
+
+def test_an_error_of_a_full_disk_names_the_file(tmp_path):
+    path = tmp_path / "a.csv"
+    with largest_file(1000), pytest.raises(OSError, match=r"a\.csv") as caught:
+        write_atomically(path, lambda temporary: temporary.write_bytes(bytes(2000)))
+    assert one_line(caught.value) == f"cannot use {path}: File too large"
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32])
@@ -38,6 +49,7 @@ def test_a_file_error_names_the_file_asked_for(tmp_path):
         lambda seed: LayoutsConfig(("lot",), check=1, seed=seed),
         lambda seed: PlayConfig(seed=seed),
         lambda seed: SceneConfig(view="web", seed=seed),
+        lambda seed: SuiteConfig(("zero",), seeds=(0, seed)),
     ],
 )
 def test_a_seed_that_no_key_can_have_is_refused(make, seed):
@@ -103,9 +115,11 @@ def test_flags_with_an_effect_are_taken():
 
 def test_every_error_is_one_line():
     assert one_line(ValueError("a\n  b")) == "a b"
-    assert "seed" in one_line(OverflowError("too large"))
+    assert one_line(OverflowError("of 9")) == "a number is too large: of 9"
 
 
+PROGRAMS = [*ROOT.glob("eval/*.py"), *ROOT.glob("train/*.py")]
+MODULES = ["layouts", "play", "scene"]
 # Commands run without the packages of the extras; each prints its line and its code.
 WITHOUT = """
 import os, runpy, sys
@@ -127,40 +141,51 @@ for command in sys.argv[1:]:
 
 
 def test_without_its_packages_every_command_says_what_to_install():
-    root = Path(__file__).parents[2]
-    scripts = [*root.glob("eval/*.py"), *root.glob("train/*.py")]
-    names = [path.stem for path in scripts]
-    paths = [str(path) for path in scripts]
-    modules = ["layouts", "play", "scene"]
+    names = [*(path.stem for path in PROGRAMS), *MODULES]
+    modules = [f"carpark_mj.{name}" for name in MODULES]
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, *paths, *(f"carpark_mj.{m}" for m in modules)],
-        env={**os.environ, "PYTHONPATH": str(root)},
+        [sys.executable, "-c", WITHOUT, *map(str, PROGRAMS), *modules],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         check=True,
     )
     expected = [
         f"{name}: No module named 'tyro': pip install \".[train,eval]\"\n2\n"
-        for name in (*names, *modules)
+        for name in names
     ]
     assert done.stderr == "".join(expected)
 
 
-def test_ctrl_c_while_a_command_imports_is_one_line():
-    root = Path(__file__).parents[2]
-    stopped = WITHOUT.replace('("tyro", "matplotlib", "tensorboardX")', '("jax",)')
-    stopped = re.sub("raise ModuleNotFoundError.*", "raise KeyboardInterrupt", stopped)
-    scripts = [str(root / "train/ppo.py"), str(root / "eval/evaluate.py")]
-    modules = ["carpark_mj.scene", "carpark_mj.play"]
-    done = subprocess.run(
-        [sys.executable, "-c", stopped, *scripts, *modules],
-        env={**os.environ, "PYTHONPATH": str(root)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    names = ("ppo", "evaluate", "scene", "play")
-    assert done.stderr == "".join(f"{name}: interrupted\n130\n" for name in names)
+# A `sitecustomize.py`: Ctrl-C where a process imports JAX.
+INTERRUPT = """
+import signal, sys
+
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == "jax":
+            signal.raise_signal(signal.SIGINT)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells may ignore it
+sys.meta_path.insert(0, Interrupt())
+"""
+
+
+def test_ctrl_c_while_a_command_imports_is_one_line(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(INTERRUPT)
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    commands = {program.stem: [str(program)] for program in PROGRAMS}
+    commands |= {name: ["-m", f"carpark_mj.{name}"] for name in MODULES}
+    for name, command in commands.items():
+        done = subprocess.run(
+            [sys.executable, *command],
+            env={**os.environ, "PYTHONPATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        ended = done.returncode, done.stdout, done.stderr
+        assert ended == (130, "", f"{name}: interrupted\n")
 
 
 def test_other_missing_modules_are_mistakes_of_ours():
@@ -210,6 +235,55 @@ def test_an_unwritable_picture_is_refused_before_the_work(
     assert [path.name for path in tmp_path.iterdir()] == ["folder.png"]
 
 
+def test_a_new_folder_is_made_only_when_there_is_something_to_write(
+    tmp_path, monkeypatch
+):
+    new = tmp_path / "new"
+    require_writable(new / "deep" / "a.png", new_folders=True)
+    assert not new.exists()
+    with pytest.raises(OSError, match=re.escape(str(new))):
+        require_writable(new / "a.png")
+    (tmp_path / "file").touch()
+    with pytest.raises(NotADirectoryError):
+        require_writable(tmp_path / "file" / "deep" / "a.png", new_folders=True)
+
+    def refuse(*_, **__):
+        raise ValueError("refused in the middle of the work")
+
+    monkeypatch.setattr(render, "choose_gl", lambda: "")
+    monkeypatch.setattr(render, "record", refuse)
+    monkeypatch.setattr(suite, "_drive_all", refuse)
+    monkeypatch.setattr(evaluate, "evaluate", refuse)
+    works = (
+        lambda: render.main(RenderConfig("zero", out=str(new / "a.mp4"))),
+        lambda: suite.main(SuiteConfig(("zero",), cases=1, out=str(new))),
+        lambda: evaluate.main(EvaluateConfig("", "zero", out=str(new))),
+    )
+    for work in works:
+        with pytest.raises(ValueError, match="refused in the middle"):
+            work()
+        assert not new.exists()
+
+
+@pytest.mark.parametrize("flag", ["--held-out", "--plot", "--save"])
+def test_a_file_that_cannot_be_written_is_refused_before_lots_are_drawn(
+    flag, tmp_path, monkeypatch, capsys
+):
+    for work in ("draw", "write", "plot_layouts"):
+        monkeypatch.setattr(layouts, work, lambda *_: pytest.fail("the work has begun"))
+    suffix = {"--held-out": "npz", "--plot": "png", "--save": "json"}[flag]
+    path = tmp_path / "no" / f"a.{suffix}"
+    names = [] if flag == "--held-out" else ["tanner"]
+    assert layouts.main([*names, flag, str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f"layouts: cannot use {path}: ")
+
+
+@pytest.mark.parametrize("flag", ["--check", "--run"])
+def test_more_lots_than_anybody_can_wait_for_are_refused(flag, capsys):
+    assert layouts.main(["tanner", flag, f"1{'0' * 30}"]) == 2
+    assert f"{flag} takes 0 to 10000000 keys" in capsys.readouterr().err
+
+
 def test_a_check_for_writability_leaves_the_old_file_and_nothing_else(tmp_path):
     path = tmp_path / "a.png"
     require_writable(path)
@@ -218,3 +292,24 @@ def test_a_check_for_writability_leaves_the_old_file_and_nothing_else(tmp_path):
     require_writable(path)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
     assert path.read_text() == "old"
+
+
+def test_a_link_laid_in_the_place_of_a_temporary_file_is_not_followed(
+    tmp_path, monkeypatch
+):
+    path, theirs = tmp_path / "a.csv", tmp_path / "theirs"
+    theirs.write_text("old")
+    # Even if the name were known.
+    monkeypatch.setattr("secrets.token_hex", lambda _: "known")
+    for name in (f".a.{os.getpid()}.csv", ".a.known.csv"):
+        (tmp_path / name).symlink_to(theirs)
+    with pytest.raises(FileExistsError) as caught:
+        write_atomically(path, lambda temporary: temporary.write_text("new"))
+    assert one_line(caught.value).startswith(f"cannot use {path}")
+    assert theirs.read_text() == "old"
+    monkeypatch.undo()
+    write_atomically(path, lambda temporary: temporary.write_text("new"))
+    assert (path.read_text(), theirs.read_text()) == ("new", "old")
+    before = os.umask(0)
+    os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o666 & ~before

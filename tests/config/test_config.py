@@ -31,6 +31,7 @@ from carpark_mj.config import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import FAMILIES, NAMED, StreetConfig, layout_config
+from carpark_mj.physics.mjx import MjxPhysics
 
 IMPOSSIBLE = [
     (SimConfig, {"sim_dt": 1e-12}, "sim_dt must be at least ctrl_dt / 10000, 2e-05 s"),
@@ -52,6 +53,9 @@ IMPOSSIBLE = [
         "observation.share.steering must be True or False, not 1",
     ),
     (EpisodeConfig, {"max_steps": "9"}, "max_steps must be a whole number, not '9'"),
+    (EpisodeConfig, {"max_steps": 10**10}, "max_steps must be at most 2147483647"),
+    (EpisodeConfig, {"hitbox_scale": 1e-40}, "hitbox_scale must be at least 1.18e-38"),
+    (RewardConfig, {"park": 1e39}, r"park must be at most 3.4.*e\+38, not 1e\+39"),
     (RewardConfig, {"park": "much"}, "park must be at least 0.0, not much"),
     (EnvConfig, {"reward": "tanner"}, "reward must be of RewardConfig, not 'tanner'"),
     (
@@ -299,6 +303,20 @@ def test_num_traces_is_the_fewest_that_respect_trace_dt(
     assert sim.num_substeps % sim.num_traces == 0
     # 1e-9: decimal fractions are not exact in binary.
     assert sim.ctrl_dt / sim.num_traces <= sim.trace_dt + 1e-9
+
+
+def test_tyres_need_fine_substeps_and_physics_without_tyres_take_any():
+    coarse = SimConfig(sim_dt=0.04, trace_dt=0.05)
+    for physics in ("mjx", "scene"):
+        with pytest.raises(
+            ValueError, match=r"brush tyres .* at most 0.02 s, not 0.04"
+        ):
+            EnvConfig(sim=coarse, physics=physics)
+        assert EnvConfig(sim=SimConfig(sim_dt=0.02), physics=physics)
+    with pytest.raises(ValueError, match=r"at most 0\.02 s"):
+        MjxPhysics(coarse)
+    for physics in ("bicycle", "highway"):
+        assert EnvConfig(sim=coarse, physics=physics).sim == coarse
 
 
 def test_num_substeps_is_the_whole_number_of_substeps():

@@ -1,21 +1,24 @@
 """Layouts from files: JSON, TPCAP cases, and the messages about bad files."""
 
+import contextlib
 import dataclasses
 import json
 import math
+import os
 import re
 
 import jax
 import numpy as np
 import pytest
 import shapely
+from helpers.mutating import damaged, with_junk
 from helpers.scenes import polygons
 from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout, mixture
-from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.json_file import layout_text, read_json
 from carpark_mj.layouts.tpcap import EDGE, TPCAP_CAR, read_tpcap
 from carpark_mj.wrappers.options import Options, configure, shared_env
@@ -118,6 +121,17 @@ BAD_JSON = [
     (changed(discs=[{"centre": [0, 0], "radius": 1, "r": 2}]), 10, r"unknown \['r'\]"),
     (changed(walls=[{**HAND["walls"][0], "kind": "hedge"}]), 7, "'hedge'; choose"),
     (changed(lanes=[{**HAND["lanes"][0], "one_way": 1}]), 13, "true or false, not 1"),
+    (
+        changed(bays=[{"pose": [0, 6, -90], "size": [5, 2]}]),
+        4,
+        r"bays\[0\].pose .* rad, not -90: headings are in radians",
+    ),
+    (
+        changed(spawns=[{**HAND["spawns"][0], "spread": -3}]),
+        16,
+        r"\[0, 3.142\], not -3",
+    ),
+    (changed(spawns=[{**HAND["spawns"][0], "spread": 4}]), 16, "spread must lie in"),
     (changed(spawns=[3]), 1, r"spawns\[0\] must be an object, not 3"),
 ]
 
@@ -151,6 +165,40 @@ def test_text_that_is_no_json_names_the_line(tmp_path):
         FromFileConfig(path="lot.txt")
 
 
+@pytest.mark.parametrize("suffix", [".json", ".csv"])
+def test_a_file_that_never_ends_is_refused(suffix, tmp_path):
+    pipe = tmp_path / f"pipe{suffix}"
+    os.mkfifo(pipe)
+    with pytest.raises(ValueError, match=f"{suffix}: it is no regular"):
+        make_layout(str(pipe))
+
+
+def test_a_damaged_json_layout_is_a_layout_or_refused(tmp_path):
+    text = written(tmp_path, HAND).read_bytes()
+    path = tmp_path / "damaged.json"
+    junk = (json.dumps(with_junk(HAND, seed)).encode() for seed in range(100))
+    flips = (damaged(text, seed) for seed in range(100))
+    for data in (*junk, *flips):
+        path.write_bytes(data)
+        with contextlib.suppress(ValueError):
+            assert describe_faults(read_json(path), ANY_CAR) == []
+
+
+def test_a_damaged_tpcap_case_is_a_layout_or_refused(tmp_path):
+    path = case(tmp_path, [SQUARE, SHARP])
+    text = path.read_bytes()
+    for seed in range(100):
+        path.write_bytes(damaged(text, seed))
+        with contextlib.suppress(ValueError):
+            assert describe_faults(read_tpcap(path), TPCAP_CAR.size) == []
+
+
+def test_a_start_whose_headings_turn_backwards_is_no_layout(tmp_path):
+    layout = read_json(written(tmp_path, HAND))
+    wrong = dataclasses.replace(layout, spawn_spread=-layout.spawn_spread)
+    assert describe_faults(wrong) == ["spawn_spread must not be negative"]
+
+
 def test_an_invalid_layout_is_refused(tmp_path):
     bay = HAND["bays"][0]
     path = written(tmp_path, changed(bays=[bay, bay]))
@@ -161,6 +209,26 @@ def test_an_invalid_layout_is_refused(tmp_path):
         make_layout(str(path))
     line = int(str(caught.value).split()[-1])
     assert "pose" in path.read_text().splitlines()[line - 1]
+
+
+def test_a_lot_in_centimetres_is_refused(tmp_path):
+    def enlarged(row):
+        lengths = {k: [100 * x for x in row[k]] for k in ("size", "centre") if k in row}
+        if "radius" in row:
+            lengths["radius"] = 100 * row["radius"]
+        if "pose" in row:
+            x, y, yaw = row["pose"]
+            lengths["pose"] = [100 * x, 100 * y, yaw]
+        return row | lengths
+
+    rows = ("bays", "walls", "discs", "lanes", "spawns")
+    data = {name: [enlarged(row) for row in HAND[name]] for name in rows}
+    path = written(tmp_path, changed(**data, extent=[1000, 1000]))
+    with pytest.raises(
+        ValueError, match=r"bays are not 1 to 30 m .* on line \d"
+    ) as told:
+        make_layout(str(path))
+    assert "\n" not in str(told.value)
 
 
 def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):
@@ -262,6 +330,8 @@ BAD_CSV = [
     ("0,0,0,5,12,0\n3,4\n", 2, "3 obstacles need 3 vertex counts, there are 1"),
     ("0,0,0,5,12,0\n1\n2\n", 3, "vertex count of obstacle 0 .* at least 3, not 2"),
     ("0,0,0,5,12,0,1,3\n1,1,2,2,3\n", 2, "make 14 numbers, not 13"),
+    ("0,0,1e300\n5,12,0\n0\n", 1, r"heading must be at most 12.57 rad .*, not 1e\+300"),
+    ("0,0,0\n5,12,90\n0\n", 2, "heading must be at most 12.57 rad either way, not 90"),
     ("0,0,0,5,12,0,0,inf\n", 1, "'inf' is no number"),
     ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", 2, "at the goal would stand in an"),
     ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", 1, "at the start would stand in an"),
@@ -290,5 +360,5 @@ def test_a_byte_order_mark_is_no_fault(tmp_path):
 def test_a_case_without_obstacles_and_a_missing_one(tmp_path):
     layout = make_layout(str(case(tmp_path, [])))
     assert layout.wall_mask.shape == (0,)
-    with pytest.raises(ValueError, match=r"cannot read the case .*nowhere.csv"):
+    with pytest.raises(ValueError, match=r"cannot read nowhere.csv"):
         make_layout("nowhere.csv")

@@ -2,13 +2,15 @@
 
 import dataclasses
 import os
+import re
 
 import jax
 import numpy as np
 import pytest
+from helpers.disks import largest_file
 
 from carpark_mj.layouts import generate, layout_config, make_layout
-from carpark_mj.rendering import gl
+from carpark_mj.rendering import gl, window
 from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.renderer import (
     FLASH_COLOURS,
@@ -170,6 +172,43 @@ def test_missing_gl_is_one_sentence_with_the_package_to_install(monkeypatch):
         assert "MUJOCO_GL" not in os.environ
 
 
+GL = {
+    "junk": "must be egl, osmesa or glfw",
+    "osmesa": "libosmesa6",
+    "glfw": "no display",
+    "GLX": "no display",
+    "off": "turns pictures off",
+}
+
+
+@pytest.mark.parametrize("wanted", GL)
+def test_an_opengl_that_cannot_work_is_told_what_it_lacks(wanted, monkeypatch):
+    monkeypatch.setattr(gl, "_LIBRARIES", {"egl": "libnone.so", "osmesa": "libno.so"})
+    monkeypatch.setattr(gl.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("MUJOCO_GL", wanted)
+    told = []
+    for find in (gl.check_gl, gl.choose_gl):
+        try:
+            told.append(find())
+        except ValueError as error:
+            told.append(str(error))
+    importable = wanted not in ("junk", "osmesa")  # a command can do without pictures
+    assert (told[0] is None) == importable
+    assert GL[wanted] in told[1]
+    assert "libegl1" not in told[1]
+
+
+def test_a_display_that_does_not_answer_is_named(monkeypatch):
+    monkeypatch.setattr(window.sys, "platform", "linux")
+    monkeypatch.setenv("DISPLAY", ":987")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert "DISPLAY=:987" in window.missing_display()
+    monkeypatch.delenv("DISPLAY")
+    assert "are unset" in window.missing_display()
+
+
 def recording(steps=3, traces=4, **events):
     pose = np.tile(POSE, (steps, traces, 1, 1))
     no = np.zeros((steps, 2), bool)
@@ -224,6 +263,17 @@ def test_what_ffmpeg_refuses_is_one_sentence_and_leaves_no_half_video(
     with pytest.raises(OSError, match=r"^FFmpeg stopped while it wrote .*a\.mp4 at"):
         write_video(tmp_path / "a.mp4", pictures, 1e12)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_a_video_that_does_not_fit_leaves_the_old_one(suffix, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    path.write_text("old")
+    noise = np.random.default_rng(0).integers(0, 255, (20, 64, 64, 3), np.uint8)
+    with largest_file(10_000), pytest.raises(OSError, match=re.escape(str(path))):
+        write_video(path, iter(noise), 10.0)
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["old"]
+    assert write_video(path, iter(noise), 10.0) == len(noise)  # it is the room
 
 
 def test_a_gif_plays_in_real_time_and_loops(renderer, tmp_path):

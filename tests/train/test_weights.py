@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.envs.base import State as BraxState
 from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
@@ -18,7 +19,7 @@ from learners.ppo.epochs import network_params, num_learned
 from learners.ppo.learner import Learner
 from learners.ppo.loss import Minibatch, Weights, ppo_loss
 from learners.ppo.presets import PRESETS
-from learners.ppo.rollout import Rollout, drop_absent
+from learners.ppo.rollout import Rollout, collect, drop_absent
 from learners.ppo.state import AXIS, count_steps
 
 TINY = dataclasses.replace(
@@ -109,6 +110,32 @@ def test_an_update_counts_the_steps_of_agents_that_are_present_only(learner):
     paid = -TINY.env.reward.time / TINY.env.episode.max_steps
     np.testing.assert_allclose(metrics["reward/time"], paid, rtol=1e-5)
     assert int(after.skipped) == 0
+
+
+def test_the_step_that_ends_an_episode_counts_even_if_its_agent_then_waits_for_room():
+    """One agent, alone in an environment by hand, absent before the third step."""
+
+    class Waits:
+        def step(self, state, action):
+            del action
+            ended = state.pipeline_state == 1
+            info = state.info | {
+                "episode_done": jnp.float32([ended]),
+                "present": jnp.float32([~ended]),
+            }
+            return state.replace(pipeline_state=state.pipeline_state + 1, info=info)
+
+    zero, none = jnp.zeros(1), {"episode_metrics": {}, "reward_terms": {}}
+    flags = {"truncation": zero, "episode_done": zero, "present": jnp.ones(1)}
+    start = BraxState(jnp.int32(0), jnp.zeros((1, 1)), zero, zero, {}, flags | none)
+
+    def act(observation, key):
+        del key
+        return observation, {"raw_action": observation, "log_prob": zero}
+
+    _, rollout, _ = collect(Waits(), start, act, jax.random.key(0), 4, {})
+    assert rollout.terminated[:, 0].tolist() == [0.0, 1.0, 0.0, 0.0]
+    assert rollout.weight[:, 0].tolist() == [1.0, 1.0, 0.0, 1.0]
 
 
 def numbered(present, steps=3):

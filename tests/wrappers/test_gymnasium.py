@@ -325,7 +325,7 @@ def test_a_window_shows_every_step(monkeypatch):
             self.closed += 1
 
     window = Window()
-    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("carpark_mj.wrappers.screen.missing_display", lambda: None)
     monkeypatch.setattr("mujoco.viewer.launch_passive", lambda *_: window)
     env = make(render_mode="human", config=SHORT)
     env.reset(seed=0)
@@ -335,9 +335,10 @@ def test_a_window_shows_every_step(monkeypatch):
     assert (window.synced, window.closed) == (2, 1)
 
 
-def test_importing_the_package_registers_the_ids_and_loads_no_simulator():
+@pytest.mark.parametrize("order", ["gymnasium, carpark_mj", "carpark_mj, gymnasium"])
+def test_importing_the_package_registers_the_ids_and_loads_no_simulator(order):
     code = (
-        "import sys, gymnasium, carpark_mj\n"
+        f"import sys, {order}\n"
         "print(*sorted(n for n in gymnasium.registry if n[:7] == 'carpark'))\n"
         "print({'jax', 'mujoco', 'torch'} & {*sys.modules})"
     )
