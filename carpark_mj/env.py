@@ -8,6 +8,7 @@ The object holds constants only; everything that changes is in `State`.
 import copy
 import dataclasses
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +25,11 @@ from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.mdp import actions, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.mdp.goals import make_goals
+from carpark_mj.mdp.reset_options import (
+    ResetOptions,
+    check_starts,
+    read_reset_options,
+)
 from carpark_mj.mdp.wrong_way import drives_wrong_way
 from carpark_mj.observations import observation_size, observe, rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
@@ -151,6 +157,7 @@ class ParkingEnv:
         split: Split = "train",
         member: jax.Array | None = None,
         num_present: jax.Array | None = None,
+        options: ResetOptions | None = None,
     ) -> tuple[State, jax.Array]:
         """Starts a lot: its layout if it is random, parked cars, goals and agents.
 
@@ -161,21 +168,25 @@ class ParkingEnv:
             member: () int32 which member of a mixture the lot is of; drawn if None.
             num_present: () int32 how many agents the lot has, from 1 to `num_agents`;
                 drawn if None, see `EnvConfig.min_agents`.
+            options: start poses, speeds and goals that are given, not drawn. Traced
+                ones that cannot be are not refused: a car that begins in another has
+                crashed after the first step.
 
         Returns:
             The state and the observations (num_agents, observation_size).
 
         Raises:
-            TypeError: no key of JAX, as a seed.
-            ValueError: another number of agents, where it is not traced.
+            TypeError: no key of JAX, as a seed, or other options.
+            ValueError: where they are not traced another number of agents, or options
+                with which the lot cannot begin.
         """
         if not isinstance(key, jax.Array):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise TypeError(f"key must be as jax.random.key(0) gives, not {key!r}")
         if self._layout is not None:
-            return self.reset_to_layout(self._layout, key, num_present)
+            return self.reset_to_layout(self._layout, key, num_present, options)
         key, layout_key = jax.random.split(key)
         layout = self.draw_layout(layout_key, split, member)
-        return self.reset_to_layout(layout, key, num_present)
+        return self.reset_to_layout(layout, key, num_present, options)
 
     @full_float32
     def draw_layout(
@@ -187,7 +198,11 @@ class ParkingEnv:
 
     @full_float32
     def reset_to_layout(
-        self, layout: Layout, key: jax.Array, num_present: jax.Array | None = None
+        self,
+        layout: Layout,
+        key: jax.Array,
+        num_present: jax.Array | None = None,
+        options: ResetOptions | None = None,
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have enough bays for cars and goals."""
         is_known = not isinstance(num_present, Tracer | None)
@@ -195,7 +210,10 @@ class ParkingEnv:
             raise ValueError(
                 f"num_present must lie in [1, {self.num_agents}], not {num_present}"
             )
-        state = self._episodes.begin_lot(layout, key, num_present)
+        given = read_reset_options(self.config, options)
+        state = self._episodes.begin_lot(layout, key, num_present, given)
+        if given and not _is_traced((state, given)):
+            check_starts(self.config, given, state)
         return state, observe(self.config, state)
 
     @full_float32
@@ -291,6 +309,10 @@ class ParkingEnv:
         stop = drive.stopping_action(state.motion.speed)
         stop = jnp.pad(stop, ((0, 0), (0, len(spec.choices))))
         return jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
+
+
+def _is_traced(tree: Any) -> bool:
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def _freeze(

@@ -17,6 +17,7 @@ from carpark_mj.config.checks import require_at_least, require_kind, require_pos
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import rotate
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.bay_fields import RIVAL_FIELDS
 from carpark_mj.observations.ego import GOAL_FIELDS, LINE_FIELDS, ROUTE_FIELDS
@@ -146,9 +147,11 @@ class GoalParking:
         names = "observation", "achieved_goal", "desired_goal"
         return dict(zip(names, parts, strict=True))
 
-    def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
+    def reset(
+        self, key: jax.Array, options: ResetOptions | None = None
+    ) -> tuple[State, jax.Array]:
         """Starts a lot; see `ParkingEnv.reset`."""
-        state, observation = self.parking.reset(key)
+        state, observation = self.parking.reset(key, options=options)
         return state, self._vector(state, observation)
 
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:

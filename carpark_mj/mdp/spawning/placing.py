@@ -14,6 +14,7 @@ from carpark_mj.geometry import box_disc_overlap, box_distance, boxes_overlap, n
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
+from carpark_mj.mdp.reset_options import ResetOptions, has_pose
 from carpark_mj.types import NO_BAY, CarParameters, ParkedCars
 
 
@@ -191,7 +192,11 @@ Place = Callable[[SpawnInputs, Placing, jax.Array, jax.Array], Placing]
 
 
 def place_all(
-    place_first: Place, inputs: SpawnInputs, placing: Placing, key: jax.Array
+    place_first: Place,
+    inputs: SpawnInputs,
+    placing: Placing,
+    key: jax.Array,
+    options: ResetOptions | None = None,
 ) -> Placing:
     """Places all agents of a lot that begins, in the order of their numbers.
 
@@ -200,14 +205,25 @@ def place_all(
         inputs: the lot.
         placing: all are waiting, with the goals they begin with.
         key: consumed.
+        options: starts that are given; drawn ones keep away from them.
     """
+    given = None
+    if options is not None and options.pose is not None:
+        given = has_pose(options)
+        pose_w = jnp.where(given[:, None], options.pose, placing.pose_w)
+        placing = dataclasses.replace(placing, pose_w=pose_w, waiting=~given)
 
     def one(
         placing: Placing, draw: tuple[jax.Array, jax.Array]
     ) -> tuple[Placing, None]:
         agent, key = draw
-        placing = place_first(inputs, placing, agent, key)
-        return placing.set(agent, waiting=False), None
+        placed = place_first(inputs, placing, agent, key)
+        if given is not None:
+            stays = given[agent]
+            placed = jax.tree.map(
+                lambda new, old: jnp.where(stays, old, new), placed, placing
+            )
+        return placed.set(agent, waiting=False), None
 
     num_agents = placing.goal.shape[0]
     draws = jnp.arange(num_agents), jax.random.split(key, num_agents)
