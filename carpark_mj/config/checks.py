@@ -36,7 +36,7 @@ def require_at_least(config: object, minimum: float, *names: str) -> None:
     """Refuses attributes below a minimum, infinite, NaN or no numbers."""
     for name in names:
         value = getattr(config, name)
-        if not (_is_finite(value) and value >= minimum):
+        if not (is_finite(value) and value >= minimum):
             raise ValueError(f"{name} must be at least {minimum}, not {value}")
 
 
@@ -44,7 +44,7 @@ def require_positive(config: object, *names: str) -> None:
     """Refuses attributes that are not positive and finite."""
     for name in names:
         value = getattr(config, name)
-        if not (_is_finite(value) and value > 0):
+        if not (is_finite(value) and value > 0):
             raise ValueError(f"{name} must be positive, not {value}")
 
 
@@ -52,7 +52,7 @@ def require_ratio(config: object, *names: str) -> None:
     """Refuses attributes outside [0, 1]."""
     for name in names:
         value = getattr(config, name)
-        if not (_is_finite(value) and 0.0 <= value <= 1.0):
+        if not (is_finite(value) and 0.0 <= value <= 1.0):
             raise ValueError(f"{name} must lie in [0, 1], not {value}")
 
 
@@ -133,7 +133,7 @@ def _kind_names(kind: Any) -> str:
     return " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
 
 
-def _is_finite(value: Any) -> bool:
+def is_finite(value: Any) -> bool:
     """Whether a value is a finite number."""
     if type(value) is bool or not isinstance(value, numbers.Real):
         return False

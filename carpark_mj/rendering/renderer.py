@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import os
+import sys
 from typing import Any
 
 import mujoco
@@ -42,9 +43,29 @@ class Show:
     rings: tuple[float, ...] = ()
 
 
+class _Renderer(mujoco.Renderer):
+    """MuJoCo's, which any thread may use: none keeps the EGL context."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        super().__init__(model, height=height, width=width)
+        self._release()
+
+    def render(self, *, out: np.ndarray | None = None) -> np.ndarray:
+        try:
+            return super().render(out=out)
+        finally:
+            self._release()
+
+    @staticmethod
+    def _release() -> None:
+        backend = sys.modules.get("mujoco.egl")  # if that is what MuJoCo draws with
+        if backend is not None:
+            backend.EGL.eglReleaseThread()
+
+
 def _mujoco_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:
     try:
-        return mujoco.Renderer(model, height=height, width=width)
+        return _Renderer(model, width, height)
     except Exception as error:  # PyOpenGL and MuJoCo raise many kinds
         backend = os.environ.get("MUJOCO_GL", "unset")
         raise RenderingError(

@@ -19,6 +19,7 @@ from carpark_mj.config.checks import require_count
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.mdp.reset_options import ResetOptions, check_starts
 from carpark_mj.physics.base import where_cars
+from carpark_mj.precision import is_real
 from carpark_mj.types import State, TimeStep
 
 # Lots that are restarted together: the share of a batch that ends in a step of long
@@ -224,9 +225,12 @@ class NumpyBatch(Batch):
         """As `step`.
 
         Raises:
-            ValueError: also if an action is NaN, or no integer on the grid.
+            ValueError: also if an action is NaN, no real number, or no integer on the
+                grid.
         """
         given = np.asarray(action)
+        if not is_real(given):
+            raise ValueError(f"actions must be real numbers, not {given.dtype}")
         require_shape("actions", given, self.action_shape)
         with np.errstate(invalid="ignore"):  # of NaN as an integer
             action = given.astype(self.env.action_spec.dtype)

@@ -48,6 +48,7 @@ class ParkVecEnv(VecEnv):
         super().__init__(
             env.num_envs, env.single_observation_space, env.single_action_space
         )
+        self.metadata = env.metadata  # with the frames per second of videos
 
     def reset(self) -> VecEnvObs:
         """Begins an episode in every environment.

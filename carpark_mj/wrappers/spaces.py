@@ -10,6 +10,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import layout_config
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import Field, make_fields
+from carpark_mj.precision import is_real
 
 
 def observation_space(
@@ -53,7 +54,10 @@ def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
     """
     parts = action if isinstance(action, tuple) else (action,)
     try:
-        flat = np.concatenate([np.asarray(part, np.float32) for part in parts], axis=-1)
+        arrays = [np.asarray(part) for part in parts]
+        if not all(map(is_real, arrays)):
+            raise TypeError
+        flat = np.concatenate(arrays, axis=-1, dtype=np.float32)
     except (TypeError, ValueError):
         raise AssertionError(
             f"an action must be of shape ({spec.size},), not {action!r}"

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import gymnasium
@@ -247,6 +248,18 @@ def test_pictures_show_the_lot_and_what_has_moved():
     assert np.abs(env.render().astype(int) - before).mean() > 1
     env_render_passive_checker(env)
     env.close()
+    env.close()
+
+
+def test_pictures_are_drawn_and_closed_in_any_thread():
+    env = make(render_mode="rgb_array", config=SHORT)
+    env.reset(seed=0)
+    first = env.render()
+    with ThreadPoolExecutor(1) as other:
+        np.testing.assert_array_equal(other.submit(env.render).result(), first)
+        np.testing.assert_array_equal(env.render(), first)
+        other.submit(env.close).result()
+    np.testing.assert_array_equal(env.render(), first)
     env.close()
 
 

@@ -92,9 +92,8 @@ def test_torchrls_own_wrapper_drives_to_the_end_of_the_lot():
     pytest.importorskip("torchrl")
     from torchrl.envs import PettingZooWrapper
 
-    env = PettingZooWrapper(
-        carpark_mj.parallel_env(**SMALL), use_mask=True, categorical_actions=False
-    )
+    lot = carpark_mj.parallel_env(**SMALL)
+    env = PettingZooWrapper(lot, use_mask=True, done_on_any=False)
     env.set_seed(1)
     rollout = env.rollout(250)
     assert rollout["next", "agent", "done"].any(dim=0).all()
