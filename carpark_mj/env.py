@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-from carpark_mj.buffers import own_buffers
 from carpark_mj.config import EnvConfig, LayoutConfig, insert
 from carpark_mj.config.checks import require_choice, require_kind
 from carpark_mj.episodes import Episodes, StepKeys
@@ -43,6 +42,7 @@ from carpark_mj.observations import observation_size, observe, rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
 from carpark_mj.precision import float32_only, is_real, require_float32
+from carpark_mj.pytrees import own_buffers
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.buffers import own_buffers
 from carpark_mj.junction import actions, observations, rasteriser, rewards, terminations
 from carpark_mj.junction.config import JunctionConfig
 from carpark_mj.junction.path_car import Cars, PathCars
@@ -23,6 +22,7 @@ from carpark_mj.physics.base import where_cars
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.precision import float32_only
+from carpark_mj.pytrees import own_buffers
 from carpark_mj.vehicle import preset
 
 

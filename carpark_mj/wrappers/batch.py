@@ -3,11 +3,12 @@
 All adapters build on a batch, or on the same as torch tensors (`torch_batch.py`).
 """
 
+import copy
 import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.mdp.reset_options import ResetOptions, check_starts
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
+from carpark_mj.pytrees import own_buffers
 from carpark_mj.types import State, TimeStep
 
 # Lots that are restarted together: the share of a batch that ends in a step of long
@@ -100,9 +102,21 @@ class Batch:
             raise TypeError(f"env must be an environment, as a ParkingEnv, not {kind}")
         require_count("num_lots", num_lots, 1)
         self.env: Any = env  # adapters know of which kind
-        self.num_lots = num_lots
+        self.num_lots, self._restart = num_lots, restart
         self._programs = _programs(env, restart)
         self._state: State | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if k != "_programs"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._programs = _programs(self.env, self._restart)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        other = copy.copy(self)  # environments hold constants only
+        other._state = own_buffers(self._state)
+        return other
 
     @property
     def state(self) -> State:

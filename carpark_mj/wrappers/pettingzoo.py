@@ -95,12 +95,12 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
             raise ValueError(
                 f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}"
             )
-        self._env, self._screen = env, screen
+        self._screen = screen
         self._lots = NumpyBatch(env, 1, restart=False)
         self._observation: np.ndarray | None = None
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": fps}
-        self.possible_agents = self._env.agents
+        self.possible_agents = env.agents
         self.agents: list[str] = []
         # Of each agent its own, so that they can be seeded apart.
         self._spaces = {
@@ -163,7 +163,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
             raise AssertionError(
                 f"actions must be those of {self.agents}, not of {[*actions]}"
             )
-        spec = self._env.action_spec
+        spec = self._lots.env.action_spec
         action = np.zeros(self._lots.action_shape, spec.dtype)
         for agent in self.agents:
             row = self.possible_agents.index(agent)

@@ -108,6 +108,7 @@ def test_torchrls_own_wrapper_drives_to_the_end_of_the_lot():
         (np.array([0, -np.inf]), "finite"),
         (None, r"shape \(2,\), not None"),
         ("left", r"shape \(2,\), not 'left'"),
+        (np.zeros(2, complex), "not array"),
     ],
 )
 def test_wrong_shapes_nan_and_infinity_are_refused(env, action, message):
