@@ -4,14 +4,18 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import require_choice, require_positive, require_whole
+from carpark_mj.config.checks import (
+    CheckedConfig,
+    require_positive,
+    require_whole,
+)
 from carpark_mj.config.grid import WORLD_UNIT
 
 ParkedRule = Literal["tanner", "strict", "precise", "metadrive"]
 
 
 @dataclasses.dataclass(frozen=True)
-class ParkedLimits:
+class ParkedLimits(CheckedConfig):
     """When a car counts as parked in its goal; all limits must hold, None = any.
 
     Attributes:
@@ -52,7 +56,7 @@ PARKED_RULES: dict[ParkedRule, ParkedLimits] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class EpisodeConfig:
+class EpisodeConfig(CheckedConfig):
     """When an agent's episode ends.
 
     Attributes:
@@ -74,6 +78,6 @@ class EpisodeConfig:
     final_observation: bool = False
 
     def __post_init__(self) -> None:
-        require_choice("parked_rule", self.parked_rule, ParkedRule)
+        super().__post_init__()
         require_whole(self, 1, "max_steps")
         require_positive(self, "hitbox_scale")

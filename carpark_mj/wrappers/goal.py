@@ -13,7 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import ContinuousObservation, EnvConfig
-from carpark_mj.config.checks import require_at_least, require_kind, require_positive
+from carpark_mj.config.checks import (
+    CheckedConfig,
+    require_at_least,
+    require_kind,
+    require_positive,
+)
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import rotate
 from carpark_mj.mdp.actions import ActionSpec
@@ -41,7 +46,7 @@ _OWN_GOAL = {
 
 
 @dataclasses.dataclass(frozen=True)
-class PoseReward:
+class PoseReward(CheckedConfig):
     """Pays for being near a pose: - (weights · |achieved - desired|) ^ power.
 
     Attributes:
@@ -57,6 +62,7 @@ class PoseReward:
     threshold: float = 0.12
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         good = len(self.weights) == NUM_FEATURES
         if not (good and all(0.0 <= x < math.inf for x in self.weights)):
             raise ValueError(
