@@ -22,8 +22,10 @@ BAY_FIELDS = (
         is_mask=True,
     ),
     *POSE_FIELDS,
-    Field("size", 2, 0.0, 2.0, f"length and width less own [{LENGTH:g} m]"),
-    Field("distance", 1, 0.0, 4.0, f"to its centre [{FAR:g} m]"),
+    Field(
+        "size", 2, 0.0, 2.0, f"length and width less own [{LENGTH:g} m]", metres=LENGTH
+    ),
+    Field("distance", 1, 0.0, 4.0, f"to its centre [{FAR:g} m]", metres=FAR),
 )
 RIVAL_FIELDS = (
     Field(
@@ -32,9 +34,15 @@ RIVAL_FIELDS = (
         0.0,
         4.0,
         f"from it to the nearest of all agents [{FAR:g} m]",
+        metres=FAR,
     ),
     Field(
-        "claim", 2, 0.0, 4.0, f"1 and that of the nearest with this goal [{FAR:g} m]; 0"
+        "claim",
+        2,
+        0.0,
+        4.0,
+        f"1 and that of the nearest with this goal [{FAR:g} m]; 0",
+        metres=FAR,
     ),
 )
 

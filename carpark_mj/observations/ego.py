@@ -1,5 +1,7 @@
 """What an agent observes of itself and its goal."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 
@@ -10,15 +12,22 @@ from carpark_mj.observations.fields import CLOSE, FAR, LENGTH, NEAR, Field
 from carpark_mj.types import CarParameters, Motion
 
 MOTION_FIELDS = (
-    Field("speed", 1, -1.5, 1.5, "own signed speed [forward limit]"),
+    Field("speed", 1, -1.5, 1.5, "own signed speed [forward limit]", speed=math.inf),
     Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
-    Field("yaw_rate", 1, -2.0, 2.0, "own yaw rate [rad/s], left > 0"),
+    Field("yaw_rate", 1, -2.0, 2.0, "own yaw rate [rad/s], left > 0", speed=1.0),
 )
 GOAL_FIELDS = (
-    Field("goal_position", 2, -4.0, 4.0, f"goal centre, body frame [{FAR:g} m]"),
+    Field(
+        "goal_position",
+        2,
+        -4.0,
+        4.0,
+        f"goal centre, body frame [{FAR:g} m]",
+        metres=FAR,
+    ),
     Field("goal_near", 2, -1.0, 1.0, f"goal centre, body frame [{NEAR:g} m], clipped"),
     Field("goal_heading", 2, -1.0, 1.0, "cos and sin of goal heading minus own"),
-    Field("goal_distance", 1, 0.0, 4.0, f"to the goal centre [{FAR:g} m]"),
+    Field("goal_distance", 1, 0.0, 4.0, f"to the goal centre [{FAR:g} m]", metres=FAR),
     Field("in_bay", 2, -1.0, 1.0, f"own centre, goal frame [{NEAR:g} m], clipped"),
     Field(
         "goal_size",
@@ -26,6 +35,7 @@ GOAL_FIELDS = (
         0.0,
         2.0,
         f"length and width of the goal bay less own [{LENGTH:g} m]",
+        metres=LENGTH,
     ),
 )
 LINE_FIELDS = (
@@ -45,8 +55,16 @@ ROUTE_FIELDS = (
         -4.0,
         4.0,
         f"where the way along the lanes turns next, body frame [{FAR:g} m]",
+        metres=FAR,
     ),
-    Field("route_length", 1, 0.0, 8.0, f"way along the lanes to the goal [{FAR:g} m]"),
+    Field(
+        "route_length",
+        1,
+        0.0,
+        8.0,
+        f"way along the lanes to the goal [{FAR:g} m]",
+        metres=FAR,
+    ),
 )
 CAR_FIELDS = (
     Field("own_size", 2, 0.0, 2.0, f"own length and width [{LENGTH:g} m]"),

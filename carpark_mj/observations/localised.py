@@ -7,7 +7,14 @@ from carpark_mj.geometry import to_local
 from carpark_mj.observations.fields import FAR, LENGTH, NEAR, Field
 
 POSE_FIELDS = (
-    Field("position", 2, -4.0, 4.0, f"its centre, x and y, body frame [{FAR:g} m]"),
+    Field(
+        "position",
+        2,
+        -4.0,
+        4.0,
+        f"its centre, x and y, body frame [{FAR:g} m]",
+        metres=FAR,
+    ),
     Field("near_position", 2, -1.0, 1.0, f"the same [{NEAR * 2:g} m], clipped"),
     Field("heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
 )

@@ -33,8 +33,15 @@ POSITION = 100.0  # m, scale of x and y
 SPEED = 5.0  # m/s, scale of velocities
 
 FEATURES = (
-    Field("position", 2, -4.0, 4.0, f"centre, world frame [{POSITION:g} m]"),
-    Field("velocity", 2, -4.0, 4.0, f"world frame [{SPEED:g} m/s]"),
+    Field(
+        "position",
+        2,
+        -4.0,
+        4.0,
+        f"centre, world frame [{POSITION:g} m]",
+        metres=POSITION,
+    ),
+    Field("velocity", 2, -4.0, 4.0, f"world frame [{SPEED:g} m/s]", speed=SPEED),
     Field("heading", 2, -1.0, 1.0, "cos and sin, world frame"),
 )
 NUM_FEATURES = sum(field.size for field in FEATURES)

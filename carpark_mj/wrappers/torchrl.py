@@ -111,9 +111,9 @@ class TorchRLAgents(EnvBase):
         def grouped(specs: dict[str, Any]) -> Composite:
             return Composite({GROUP: Composite(specs, shape=agents)}).to(self.device)
 
-        # Samples of `Bounded` between infinite bounds are not finite.
+        # Samples of `Bounded` are not finite where a bound is infinite.
         seen = Bounded(low, high, dtype=low.dtype)
-        if not (low.isfinite() | high.isfinite()).any():
+        if not (low.isfinite() & high.isfinite()).all():
             seen = Unbounded(low.shape, dtype=low.dtype)
         info = Composite(flags((self.success, "crashed"), *agents), shape=agents)
         self.full_action_spec_unbatched = grouped({"action": action})
