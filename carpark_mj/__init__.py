@@ -1,16 +1,26 @@
 """carpark_mj: a physics-accurate MuJoCo parking gym with Ackermann cars.
 
-Importing the package registers the Gymnasium ids and imports nothing heavy: the names
-below load on first use, so that MuJoCo's OpenGL can still be chosen
+Importing the package registers the Gymnasium ids and imports nothing heavy, Gymnasium
+neither: the names below load on first use, so that MuJoCo's OpenGL can still be chosen
 (`carpark_mj.rendering.gl`).
 """
 
 import importlib
+import re
+import sys
 from typing import Any
 
 from carpark_mj.registration import register_environments
 
-register_environments()  # Gymnasium 1 has no entry points for it
+register_environments()
+
+# Python is about to run `python -m carpark_mj.NAME`, and imports the package first.
+if sys.argv[:1] == ["-m"]:
+    command = re.search(r" -m carpark_mj\.(\w+)( |$)", " ".join(sys.orig_argv))
+    if command is not None:
+        from carpark_mj.cli.process import prepare
+
+        prepare(command[1])
 
 __version__ = "0.1.0"
 

@@ -7,6 +7,7 @@ The object holds constants only; everything that changes is in `State`.
 
 import copy
 import dataclasses
+import math
 import reprlib
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-from carpark_mj.config import EnvConfig, LayoutConfig, insert
+from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
 from carpark_mj.config.checks import require_choice, require_kind
 from carpark_mj.episodes import Episodes, StepKeys
 from carpark_mj.fleet.checks import check_cars, check_exits, check_occupancy, check_room
@@ -45,9 +46,6 @@ from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
-
-# Settings, or beginnings of their paths, that `step` reads from `ParkingEnv.config`.
-ARITHMETIC = ("reward.", "episode.hitbox_scale", "giving_way.bad_goal")
 
 
 class ParkingEnv:
@@ -108,15 +106,18 @@ class ParkingEnv:
         self.layout_config: LayoutConfig = layout_config(config.layout)
         fixed = not self.layout_config.is_random
         self._layout = make_layout(self.layout_config) if fixed else None
+        grade = math.hypot(config.sim.grade_x, config.sim.grade_y)
         for params in self.fleet.agents:
-            check_randomization(config.randomization, params)
+            check_randomization(config.randomization, params, grade)
         check_room(config, self.layout_config)
         check_occupancy(config, self.layout_config)
         check_exits(config, self.layout_config)
         check_cars(config, self.fleet, self.layout_config, self._layout)
         self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
-        self._episodes = Episodes(config, self.fleet, self.goals, self.physics)
+        self._episodes = Episodes(
+            config, self.fleet, self.goals, self.physics, self._layout
+        )
 
     def with_values(self, values: Mapping[str, jax.Array | float]) -> "ParkingEnv":
         """The environment with other values of some settings, which may be traced.
@@ -130,10 +131,11 @@ class ParkingEnv:
                 for it.
         """
         for path in values:
-            if path == "reward.route" or not path.startswith(ARITHMETIC):
+            if not is_data(path, value := setting(self.config, path)):
                 raise ValueError(
-                    f"{path} is not among the settings that can have other values in "
-                    f"an environment: {', '.join(ARITHMETIC)}; build another with it"
+                    f"{path} = {value!r} cannot have another value in an environment, "
+                    "as numbers of reward, episode.hitbox_scale and "
+                    "giving_way.bad_goal can: build another with it"
                 )
         env = copy.copy(self)
         env.config = insert(self.config, values)

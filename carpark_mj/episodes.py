@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, LayoutConfig
+from carpark_mj.fleet.checks import is_made_for
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
-from carpark_mj.layouts import DesignCar, Layout, MixtureConfig, layout_config
+from carpark_mj.layouts import Layout, MixtureConfig, layout_config
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.bays import bay_fits
@@ -24,17 +25,24 @@ from carpark_mj.mdp.parked_cars import (
     poses_in_bays,
     relocate_parked_cars,
 )
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.mdp.reset_options import ResetOptions, given_goals, has_pose
 from carpark_mj.mdp.spawning.placing import (
+    SURE,
+    Patience,
     SpawnInputs,
-    place_all,
     place_waiting,
     start_placing,
 )
+from carpark_mj.mdp.spawning.room import has_room
 from carpark_mj.observations import rings, sensors
 from carpark_mj.physics.base import Physics, RollingStarts, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
 from carpark_mj.vehicle import Vehicle, VehicleParameters
+
+# Where there may be no room. Agents that respawn try again at every step, the others
+# are absent until the lot is reset.
+FIRST_TRIES = Patience(16, True)
+STEP_TRIES = Patience(1, True)
 
 
 class StepKeys(NamedTuple):
@@ -58,8 +66,9 @@ class Episodes:
         fleet: Fleet,
         goals: Goals,
         physics: Physics[PhysicsState],
+        layout: Layout | None,
     ) -> None:
-        """Takes the parts of an environment."""
+        """Takes the parts of an environment; `layout` is None where it is random."""
         self._config = config
         self._fleet = fleet
         self._goals = goals
@@ -67,7 +76,19 @@ class Episodes:
         may_be_fewer = config.occupancy is not None and config.min_agents is not None
         lot = layout_config(config.layout)
         most = min(lot.min_bays // 2, lot.min_goals)
-        self._may_touch = not all(_starts_are_free(lot, car) for car in fleet.agents)
+        # Contacts push parked cars into the spawn regions.
+        self._may_touch = physics.contacts or not all(
+            _starts_are_free(lot, car) for car in fleet.agents
+        )
+        room = False
+        if layout is not None and not self._may_touch:
+            length = max(car.length for car in fleet.agents)
+            width = max(car.width for car in fleet.agents)
+            room = has_room(
+                layout, (length, width), config.num_agents, config.spawn.spacing
+            )
+        # One agent alone has nobody to wait for.
+        self._may_wait = config.num_agents > 1 and not room
         self._limits_agents = (
             may_be_fewer and not config.goals.dynamic and config.num_agents > most
         )
@@ -104,26 +125,39 @@ class Episodes:
         start = self._fleet.start(layout, start_key, present, options)
         vehicles = randomize_all(config.randomization, start.vehicles, vehicle_key)
         inputs = self._spawn_inputs(layout, start.parked_cars, vehicles, vehicles)
-        nowhere = jnp.zeros((num_agents, 3), jnp.float32)
         bay = start.parked_cars.bay
         goal = start.goal
         if present is not None:
             goal = jnp.where(present, goal, NO_BAY)
             if not config.goals.dynamic:  # nor an agent for whose car there is no bay
                 present = present & (goal != NO_BAY)
-        placing = start_placing(goal, bay, nowhere, everybody)
+        nowhere = jnp.zeros((num_agents, 3), jnp.float32)
+        nowhere = place_absent_agents(nowhere, jnp.zeros(num_agents, bool))
+        begun = everybody if present is None else present
+        waiting = begun
+        if options is not None and options.pose is not None:
+            given = begun & has_pose(options)
+            nowhere = jnp.where(given[:, None], options.pose, nowhere)
+            waiting = begun & ~given
+        placing = start_placing(goal, bay, nowhere, waiting)
         first_key = None
         if config.spawn.kinds_at_reset:
             spawn_key, first_key = jax.random.split(spawn_key)
-        placing = place_all(
-            self._goals.place_first, inputs, placing, spawn_key, options
+        patience = FIRST_TRIES if self._may_wait else SURE
+        placing = place_waiting(
+            self._goals.place_first, inputs, placing, spawn_key, patience
         )
-        if config.goals.drive_out:
-            goal = placing.goal
-            if present is not None:
+        goal, waited = placing.goal, None
+        if config.goals.drive_out:  # goals given come before those of drawn starts
+            given = given_goals(options, num_agents)
+            goal = jnp.where(begun & (given != NO_BAY), given, goal)
+        if self._may_wait:
+            present = begun & ~placing.waiting
+            if config.episode.respawn:
+                waited = placing.waiting.astype(jnp.int32)
+            else:
                 goal = jnp.where(present, goal, NO_BAY)
-        # The absent are the last to be placed, so that nobody has made room for them.
-        pose_w = place_absent_agents(placing.pose_w, present)
+        pose_w = placing.pose_w
         physics = self._physics.init(pose_w, vehicles)
         if options is not None and options.speed is not None:
             physics = self._roll(physics, options.speed)
@@ -143,6 +177,7 @@ class Episodes:
             sensors=sensors.init_sensors(config.sensors, motion, sensor_key),
             key=key,
             present=present,
+            waited=waited,
             routes=make_routes(layout) if config.follows_routes else None,
         )
         return self._goals.begin(state, placing, state.active, first_key)
@@ -166,19 +201,34 @@ class Episodes:
         return dataclasses.replace(state, parked_cars=parked_cars)
 
     def begin(self, state: State, events: Events, keys: StepKeys) -> State:
-        """New goals, cars and start poses of agents that are done."""
+        """New goals, cars and start poses of agents that are done, or have waited.
+
+        Those that find no room wait, absent: see `State.waited`.
+        """
         config, begun, layout = self._config, events.done, state.layout
         if not config.episode.respawn:
             return state
+        if state.waited is not None:
+            begun = begun | (state.waited > 0)
         old, vehicles = state.physics.vehicle, self._draw_vehicles(state, keys.vehicles)
         inputs = self._spawn_inputs(layout, state.parked_cars, vehicles, old)
-        placing = start_placing(
-            state.goal, state.parked_cars.bay, state.motion.pose_w, begun
+        bay, pose_w = state.parked_cars.bay, state.motion.pose_w
+        placing = start_placing(state.goal, bay, pose_w, begun, state.waited)
+        # Starts are drawn: where the others stand decides about them, without a slope.
+        inputs, placing = jax.lax.stop_gradient((inputs, placing))
+        placing = place_waiting(
+            self._goals.place,
+            inputs,
+            placing,
+            keys.spawn,
+            STEP_TRIES if self._may_wait else SURE,
         )
-        placing = place_waiting(self._goals.place, inputs, placing, keys.spawn)
         if self._fleet.mixed:  # without a bay for the new car, goal and car are kept
-            vehicles = where_cars(placing.found, vehicles, old)
-        physics = self._physics.place(state.physics, begun, placing.pose_w, vehicles)
+            vehicles = where_cars(placing.found & ~placing.waiting, vehicles, old)
+        pose_w = placing.pose_w
+        if self._may_wait:
+            pose_w = place_absent_agents(pose_w, ~placing.waiting)
+        physics = self._physics.place(state.physics, begun, pose_w, vehicles)
         parked_cars = in_bays(layout, state.parked_cars, placing.parked_bay)
         physics = self._physics.set_parked_poses(
             physics, poses_in_bays(layout, parked_cars)
@@ -198,6 +248,15 @@ class Episodes:
                 config.sensors, state.sensors, motion, begun, keys.sensors
             ),
         )
+        if state.waited is not None:
+            waits, begun = placing.waiting, begun & ~placing.waiting
+            active = (state.active | begun) & ~waits
+            state = dataclasses.replace(
+                state,
+                active=active,
+                present=active,  # where agents respawn nobody else stands in the lot
+                waited=jnp.where(waits, state.waited + 1, 0),
+            )
         return self._goals.begin(state, placing, begun, keys.first_goals)
 
     def _draw_vehicles(self, state: State, key: jax.Array) -> Vehicle:
@@ -248,10 +307,8 @@ def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
     if isinstance(lot, MixtureConfig):
         return all(_starts_are_free(member, car) for member in lot.members)
     # Spawn regions have room for the car they are made for; in a square for any turn.
-    made_for = getattr(lot, "car", DesignCar())
     margin = getattr(lot, "spawn_margin", 0.0)
-    fits = car.length <= made_for.length and car.width <= made_for.width
-    return fits or math.hypot(car.length, car.width) / 2 <= margin
+    return is_made_for(lot, car) or math.hypot(car.length, car.width) / 2 <= margin
 
 
 def _most_agents(layout: Layout) -> jax.Array:

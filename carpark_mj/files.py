@@ -15,13 +15,25 @@ from typing import Any
 def _temporary(path: Path) -> Generator[Path]:
     """A path beside `path` with its suffix; what lies there at the end is removed."""
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
+    with naming(path, temporary):
         try:
             yield temporary
         finally:
             temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def naming(path: Path, temporary: Path | None = None) -> Generator[None]:
+    """Errors of the system in it name a file: those of writing into one name none.
+
+    Args:
+        path: its name.
+        temporary: another name, which stands for `path`.
+    """
+    try:
+        yield
     except OSError as error:
-        if error.filename == str(temporary):  # name the file that was asked for
+        if error.errno and error.filename in (None, str(temporary)):
             error.filename = str(path)
         raise
 

@@ -1,9 +1,14 @@
-"""Gymnasium's ids of our environments; imports neither JAX nor MuJoCo."""
+"""Gymnasium's ids of our environments, registered once Gymnasium is imported.
 
+Gymnasium 1 has no entry points for ids, and takes ten times as long to import as this.
+"""
+
+import importlib.util
+import sys
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 from typing import Any, NoReturn
-
-from gymnasium.envs.registration import register, registry
-from gymnasium.error import Error
 
 _ROOM = "carpark_mj.wrappers"
 # Entry points of one environment and of many by id.
@@ -33,6 +38,8 @@ def refuse_single(**_: Any) -> NoReturn:
     Raises:
         gymnasium.error.Error: always.
     """
+    from gymnasium.error import Error
+
     raise Error(
         "carpark_mj/ParkMany-v0 has no single environment, as its agents share lots: "
         'use gymnasium.make_vec("carpark_mj/ParkMany-v0", num_envs)'
@@ -40,7 +47,43 @@ def refuse_single(**_: Any) -> NoReturn:
 
 
 def register_environments() -> None:
-    """Registers the ids, if that has not been done."""
+    """Registers the ids that are not registered: now, or when Gymnasium is imported."""
+    if "gymnasium" not in sys.modules:
+        sys.meta_path.insert(0, _BesideGymnasium())
+        return
+    from gymnasium.envs.registration import register, registry
+
     for name, (single, vector) in ENTRY_POINTS.items():
         if name not in registry:
             register(name, single, vector_entry_point=vector)
+
+
+class _BesideGymnasium:
+    """Finds Gymnasium as the others do; once it is loaded the ids are registered."""
+
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None,
+        target: ModuleType | None = None,
+    ) -> ModuleSpec | None:
+        """The spec of Gymnasium, with what follows its loading."""
+        del path, target
+        if fullname != "gymnasium":
+            return None
+        sys.meta_path.remove(self)
+        try:
+            spec = importlib.util.find_spec(fullname)
+        finally:
+            sys.meta_path.insert(0, self)
+        if spec is None or spec.loader is None:
+            return spec
+        load = spec.loader.exec_module
+
+        def load_and_register(module: ModuleType) -> None:
+            load(module)
+            sys.meta_path.remove(self)
+            register_environments()
+
+        spec.loader.exec_module = load_and_register
+        return spec

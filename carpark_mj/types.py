@@ -8,6 +8,7 @@ Floats are float32.
 from typing import TYPE_CHECKING, Protocol
 
 import jax
+import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.config import ContextName
@@ -37,7 +38,8 @@ class Motion:
         trace_w: (..., k, 3) poses at k equally spaced instants of the last control
             step, at most `SimConfig.trace_dt` apart; the last equals `pose_w`.
         finite: (...) bool; False where the physics produced a non-finite number in
-            the last step and the car was put back to its last finite state.
+            the last step, or the car came to lie on its side, and was put back to its
+            last state before.
         touched: (..., 3) bool, whether the car touched another agent, a parked car, a
             wall at any substep of the last step; None where the physics has no
             contacts and the task finds them by box tests.
@@ -197,7 +199,7 @@ class State:
         motion: the agents' motion, read from it.
         layout: the lot's plan.
         goal: (num_agents,) int32 the bay each agent heads for; `NO_BAY` while it is
-            exploring, or absent. Fixed goals are distinct.
+            exploring, or if the lot has no such agent. Fixed goals are distinct.
         tracked_bays: (num_agents, num_tracked_bays) int32 free bays each agent tracks,
             `NO_BAY` in empty slots; None while goals are fixed.
         parked_cars: the cars that stand in bays.
@@ -209,8 +211,10 @@ class State:
         stats: of the running episodes.
         sensors: the agents' sensors; None while they observe the true motion.
         key: randomness of this lot.
-        present: (num_agents,) bool, the agents that the lot has, the first few; None =
-            all. Absent agents are never active, have no goal and stand far away.
+        present: (num_agents,) bool, the agents that are in the lot; None = always all.
+            Absent agents are not active and stand far away.
+        waited: (num_agents,) int32 control steps for which an absent agent has waited
+            for room to start; 0 = it does not wait. None where nobody ever does.
         routes: ways along the lanes to the bays; None where nothing reads them.
     """
 
@@ -227,12 +231,20 @@ class State:
     sensors: Sensors | None
     key: jax.Array
     present: jax.Array | None = None
+    waited: jax.Array | None = None
     routes: Routes | None = None
 
     @property
     def exploring(self) -> jax.Array:
         """(num_agents,) bool, has no goal."""
         return self.goal == NO_BAY
+
+    @property
+    def takes_part(self) -> jax.Array:
+        """(num_agents,) bool, the agents that the lot has: present ones and waiting."""
+        if self.present is None:
+            return jnp.ones(self.goal.shape, bool)
+        return self.present if self.waited is None else self.present | (self.waited > 0)
 
 
 # How an episode ends; exactly one of these `Events` is true then.

@@ -5,10 +5,10 @@ python eval/analysis.py runs/cpu-num_agents
 python eval/analysis.py runs/cpu-num_agents --metrics parked length --by env.num_agents
 """
 
-import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import run_command
+from carpark_mj.cli.process import enter
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -24,4 +24,4 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run())
+    enter("analysis", "analysis:run")

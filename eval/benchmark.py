@@ -16,6 +16,11 @@ rounds, and the range over the rounds. Compare only figures of one run. With `--
 the adapters to other libraries take turns with the core they wrap, or with another gym.
 """
 
+from carpark_mj.cli.process import enter, patient_interrupts
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("benchmark", "benchmark:program")
+
 import contextlib
 import dataclasses
 import signal
@@ -122,6 +127,7 @@ def run(config: BenchmarkConfig) -> int:
     with contextlib.ExitStack() as stack:
         measured = [here()]
         if config.against:
+            stack.enter_context(patient_interrupts())  # to remove the checkout
             measured.append(stack.enter_context(other_checkout(config.against)))
         try:
             rows = measure(config.jobs(), measured, config.repeats, config.out)
@@ -143,8 +149,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_command("benchmark", command)
 
 
-if __name__ == "__main__":
+def program() -> int:
+    """The command as a program; ended by SIGTERM it removes the checkout it made."""
     enable_output_fusion()
-    # Stopped or interrupted, it removes the checkout it made.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    sys.exit(main())
+    return main()

@@ -10,8 +10,12 @@ parked cars in a car park of 400 bays. Times are of the machine it runs on; comp
 figures of one run.
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("broad_phase", "broad_phase:main")
+
 import dataclasses
-import sys
 from collections.abc import Sequence
 
 import jax
@@ -98,7 +102,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(read_flags(BroadPhaseConfig, arguments, description=__doc__))
 
     return run_command("broad_phase", command)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

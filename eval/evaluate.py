@@ -9,14 +9,12 @@ python eval/evaluate.py --policy random --episodes 500
 python eval/evaluate.py --policy zero --environment tanner-fixed
 """
 
-import sys
-
 from carpark_mj.cli.common import (
     dispatch_synchronously,
     enable_output_fusion,
     keep_compiled_programs,
-    run_command,
 )
+from carpark_mj.cli.process import enter
 
 
 def run() -> None:
@@ -32,4 +30,4 @@ def run() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_command("evaluate", run))
+    enter("evaluate", "evaluate:run")

@@ -6,8 +6,12 @@ python eval/junction_speed.py --cars mjx --observations image --junctions 1024
 Actions are random. Times are of the machine it runs on.
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("junction_speed", "junction_speed:main")
+
 import dataclasses
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -92,7 +96,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(read_flags(JunctionSpeedConfig, arguments, description=__doc__))
 
     return run_command("junction_speed", command)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

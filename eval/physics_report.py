@@ -6,8 +6,12 @@ python eval/physics_report.py --presets compact --tyres brush --quick --out runs
 Writes `report.md`, `report.csv` and plots. Exit code 1: a row misses its tolerance.
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("physics_report", "physics_report:main")
+
 import dataclasses
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -89,7 +93,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(read_flags(ReportConfig, arguments, description=__doc__))
 
     return run_command("physics_report", command)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,8 +6,12 @@ python eval/referee.py --out runs/referee
 Needs the package `commonroad-vehicle-models` (in the extra `test`).
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("referee", "referee:main")
+
 import dataclasses
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -51,7 +55,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(read_flags(RefereeConfig, arguments, description=__doc__))
 
     return run_command("referee", command)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,27 +9,21 @@ python eval/render.py runs/cpu-0 --frame 12 --out frame.png
 python eval/render.py --gallery --out gallery.png
 """
 
-import sys
-
 from carpark_mj.cli.common import (
     dispatch_synchronously,
     enable_output_fusion,
     keep_compiled_programs,
-    run_command,
 )
+from carpark_mj.cli.process import enter
 from carpark_mj.rendering.gl import choose_gl
 
 
-def run() -> int:
-    """Runs the command; returns the exit code."""
-    choose_gl()  # before MuJoCo is imported
-    from carpark_mj.rendering.renderer import RenderingError
-
-    return run_command("render", command, (RenderingError,))
-
-
-def command() -> None:
+def run() -> None:
     """Renders."""
+    choose_gl()  # before MuJoCo is imported
+    dispatch_synchronously()
+    enable_output_fusion()
+    keep_compiled_programs()
     from carpark_mj.cli.driver import command_help
     from carpark_mj.cli.flags import read_flags
     from carpark_mj.cli.render import RenderConfig, main
@@ -38,7 +32,4 @@ def command() -> None:
 
 
 if __name__ == "__main__":
-    dispatch_synchronously()
-    enable_output_fusion()
-    keep_compiled_programs()
-    sys.exit(run())
+    enter("render", "render:run")

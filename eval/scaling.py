@@ -7,6 +7,11 @@ The batch has the same number of agents in all, in fewer lots where a lot has mo
 Compare only figures of one run.
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("scaling", "scaling:main")
+
 import dataclasses
 import sys
 from collections.abc import Sequence
@@ -94,9 +99,9 @@ def run(config: ScalingConfig) -> None:
             if config.out:
                 write_points(Path(config.out), points)
         table.add_section()
-    Console().print(table)
     if config.plot:
         draw(Path(config.plot), {device: points})
+    Console().print(table)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -109,7 +114,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(read_flags(ScalingConfig, arguments, description=__doc__))
 
     return run_command("scaling", command)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

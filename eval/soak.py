@@ -9,8 +9,12 @@ alternating, saturated and invalid inputs. Prints a table of the worst cases; ex
 car for one episode, and its number determines everything about it.
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("soak", "soak:main")
+
 import dataclasses
-import sys
 import time
 from collections.abc import Sequence
 
@@ -113,7 +117,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(read_flags(SoakConfig, arguments, description=__doc__))
 
     return run_command("soak", command)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,35 +9,29 @@ python eval/suite.py planner --levels normal --seeds 1 --out runs/normal-1
 python eval/suite.py --combine runs/normal-0 runs/normal-1 --videos 3
 """
 
-import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import (
     dispatch_synchronously,
     enable_output_fusion,
     keep_compiled_programs,
-    run_command,
 )
+from carpark_mj.cli.process import enter
 from carpark_mj.rendering.gl import choose_gl
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Drives and reports."""
     choose_gl()  # before MuJoCo is imported
-    from carpark_mj.rendering.renderer import RenderingError
-
-    def command() -> None:
-        from carpark_mj.cli.driver import command_help
-        from carpark_mj.cli.flags import read_flags
-        from carpark_mj.cli.suite import SuiteConfig, main
-
-        main(read_flags(SuiteConfig, arguments, description=command_help(__doc__)))
-
-    return run_command("suite", command, (RenderingError,))
-
-
-if __name__ == "__main__":
     dispatch_synchronously()
     enable_output_fusion()
     keep_compiled_programs()
-    sys.exit(run())
+    from carpark_mj.cli.driver import command_help
+    from carpark_mj.cli.flags import read_flags
+    from carpark_mj.cli.suite import SuiteConfig, main
+
+    main(read_flags(SuiteConfig, arguments, description=command_help(__doc__)))
+
+
+if __name__ == "__main__":
+    enter("suite", "suite:run")

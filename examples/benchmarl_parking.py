@@ -23,8 +23,9 @@ from benchmarl.models.mlp import MlpConfig
 from matplotlib.figure import Figure
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from carpark_mj.cli.common import enable_output_fusion, run_command
+from carpark_mj.cli.common import enable_output_fusion
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import enter, patient_interrupts
 from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.config.checks import require_whole
 from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates
@@ -176,8 +177,11 @@ def main(settings: Settings) -> None:
     (folder / "rates.json").write_text(json.dumps(results, indent=2))
 
 
+def run() -> None:
+    """Trains with the settings on the command line."""
+    with patient_interrupts():  # stopped, it evaluates what has been learnt
+        main(read_flags(Settings, description=__doc__))
+
+
 if __name__ == "__main__":
-    command = run_command(
-        "benchmarl_parking", lambda: main(read_flags(Settings, description=__doc__))
-    )
-    raise SystemExit(command)
+    enter("benchmarl_parking", "benchmarl_parking:run")

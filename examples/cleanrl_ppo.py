@@ -18,8 +18,9 @@ from matplotlib.figure import Figure
 from torch import nn
 from torch.distributions import Normal
 
-from carpark_mj.cli.common import enable_output_fusion, run_command
+from carpark_mj.cli.common import enable_output_fusion
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import enter
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.config.checks import (
     require_at_least,
@@ -227,8 +228,10 @@ def draw(settings: Settings, points: list[tuple[int, float]]) -> None:
     figure.savefig(settings.out, dpi=120, bbox_inches="tight")
 
 
+def run() -> None:
+    """Trains with the settings on the command line."""
+    main(read_flags(Settings, description=__doc__))
+
+
 if __name__ == "__main__":
-    command = run_command(
-        "cleanrl_ppo", lambda: main(read_flags(Settings, description=__doc__))
-    )
-    raise SystemExit(command)
+    enter("cleanrl_ppo", "cleanrl_ppo:run")

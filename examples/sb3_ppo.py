@@ -9,7 +9,7 @@ success is `strict`: within the lines, straight and at rest.
 import dataclasses
 from pathlib import Path
 
-from carpark_mj.cli.common import enable_output_fusion, run_command
+from carpark_mj.cli.common import enable_output_fusion
 
 enable_output_fusion()  # before JAX computes anything
 
@@ -19,6 +19,7 @@ from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
 
 from carpark_mj.cli.flags import read_flags  # noqa: E402
+from carpark_mj.cli.process import enter  # noqa: E402
 from carpark_mj.config import EnvConfig, SpawnConfig  # noqa: E402
 from carpark_mj.config.checks import require_positive, require_whole  # noqa: E402
 from carpark_mj.files import require_writable  # noqa: E402
@@ -90,8 +91,10 @@ def main(settings: Settings) -> None:
     print(", ".join(f"{end} {rate:.1%}" for end, rate in found.items()))
 
 
+def run() -> None:
+    """Trains with the settings on the command line."""
+    main(read_flags(Settings, description=__doc__))
+
+
 if __name__ == "__main__":
-    command = run_command(
-        "sb3_ppo", lambda: main(read_flags(Settings, description=__doc__))
-    )
-    raise SystemExit(command)
+    enter("sb3_ppo", "sb3_ppo:run")

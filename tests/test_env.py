@@ -3,6 +3,7 @@
 Steps are worked by hand on sliding cars (`helpers.sliding`).
 """
 
+import dataclasses
 import re
 
 import jax
@@ -10,10 +11,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import check_occupancy, fields_of
-from helpers.sliding import APART, HALT, MAX_STEPS, in_goal, placed, slide, start
+from helpers.sliding import (
+    APART,
+    HALT,
+    MAX_STEPS,
+    SlidePhysics,
+    in_goal,
+    placed,
+    slide,
+    start,
+)
 from helpers.trees import agent_of, leaves, same
 
-from carpark_mj.config import EnvConfig, reward_preset
+from carpark_mj.config import (
+    EnvConfig,
+    GivingWayConfig,
+    GoalConfig,
+    GoalRewards,
+    is_data,
+    reward_preset,
+)
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.fields import FAR
 from carpark_mj.types import ENDINGS
@@ -206,11 +223,65 @@ def test_a_name_is_no_config():
 
 
 @pytest.mark.parametrize(
-    "path", ["spawn.close_ratio", "sim.ctrl_dt", "vehicle", "reward.route", "rewards.x"]
+    "path",
+    [
+        "spawn.close_ratio",
+        "sim.ctrl_dt",
+        "vehicle",
+        "reward.route",
+        "reward.smoothness_by_speed",
+        "reward.goals.stop_goal",
+        "rewards",
+    ],
 )
 def test_settings_that_would_have_no_effect_are_refused(path):
-    with pytest.raises(ValueError, match=f"{path} is not among the settings that can"):
+    with pytest.raises(ValueError, match=path):
         slide()[0].with_values({path: 1.0})
+
+
+def settings(config, prefix=""):
+    """The values of all settings by their paths."""
+    found = {}
+    for field in dataclasses.fields(config):
+        path, value = prefix + field.name, getattr(config, field.name)
+        nested = dataclasses.is_dataclass(value)
+        found |= settings(value, f"{path}.") if nested else {path: value}
+    return found
+
+
+@pytest.mark.parametrize("dynamic", [False, True])
+def test_every_setting_that_is_data_can_be_traced(dynamic):
+    config = slide()[0].config
+    if dynamic:
+        rewards = GoalRewards(stop_goal=-0.05, lost_goal=-0.05)
+        config = dataclasses.replace(
+            config,
+            goals=GoalConfig(dynamic=True),
+            giving_way=GivingWayConfig("L,L,A"),
+            reward=dataclasses.replace(config.reward, goals=rewards),
+        )
+    env = ParkingEnv(config, SlidePhysics())
+    data = {p: v for p, v in settings(config).items() if is_data(p, v)}
+    assert {"reward.reeds_shepp", "reward.closeness", "episode.hitbox_scale"} < {*data}
+
+    def step(values):
+        state, _ = env.reset(jax.random.key(0))
+        action = jnp.zeros((3, env.action_spec.size))
+        return env.with_values(values).step(state, action)[1].reward
+
+    values = {path: jnp.float32(value) for path, value in data.items()}
+    assert jax.eval_shape(step, values).shape == (3,)
+
+
+def test_a_traced_reach_of_0_is_no_reach():
+    env, reset, step = slide()
+    state, _ = reset(jax.random.key(0))
+    at_goal = in_goal(env, state, 0)  # where the way to go is 0, too
+    pay = jax.jit(
+        lambda r: env.with_values({"reward.reeds_shepp": r}).step(at_goal, HALT)
+    )
+    expected = step(at_goal, HALT)[1].reward
+    np.testing.assert_allclose(pay(jnp.float32(0.0))[1].reward, expected, atol=1e-6)
 
 
 def test_float64_is_refused_where_an_environment_is_built_or_used():

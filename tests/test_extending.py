@@ -7,10 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.scenes import cars
 
-from carpark_mj.layouts import FAMILIES, DesignCar, generate
+from carpark_mj.cli.evaluate import EvaluateConfig
+from carpark_mj.config import PARKED_RULES, ParkedRule, register_rule, terminations
+from carpark_mj.layouts import FAMILIES, DesignCar, generate, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import read_json
+from carpark_mj.mdp.terminations import is_parked
+from carpark_mj.rendering.stage import Stage
+from carpark_mj.scene.car_look import shape_name
+from carpark_mj.scene.car_mesh import car_meshes
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 
 PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
@@ -36,8 +43,8 @@ def run(name):
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
     """What examples register is gone after each test."""
-    for registry in (FAMILIES, PRESETS):
-        for name in ("court", "taxi"):
+    for registry in (FAMILIES, PRESETS, terminations._RULES):
+        for name in ("court", "taxi", "straight"):
             monkeypatch.setitem(registry, name, None)
             monkeypatch.delitem(registry, name)
 
@@ -80,6 +87,19 @@ def test_the_new_vehicle_drives_alone_and_in_a_fleet():
     assert names["mixed"].fleet.agents == (names["taxi"], PRESETS["city"])
 
 
+def test_the_new_vehicle_is_drawn_in_its_own_measures():
+    names = run("A vehicle")
+    taxi, mixed = names["taxi"], names["mixed"]
+    stage = Stage(make_layout("square"), mixed.vehicle, 2, 1, mixed.fleet.agents)
+    drawn = [
+        stage.model.mesh(k).name.partition("/")[0] for k in range(stage.model.nmesh)
+    ]
+    assert shape_name(taxi) in drawn
+    length, width, _ = np.ptp(car_meshes(taxi)["body"].bounds, axis=0)
+    assert length == pytest.approx(taxi.length, abs=0.05)
+    assert width == pytest.approx(taxi.width, abs=0.01)
+
+
 def test_the_new_back_end_drives_a_circle_about_the_rear_axle():
     names = run("A physics back end")
     physics = names["env"].physics
@@ -98,3 +118,24 @@ def test_the_new_back_end_drives_a_circle_about_the_rear_axle():
     speed = names["timestep"].motion.speed
     assert speed[0] == pytest.approx(0.5 * vehicle.max_speed)
     assert speed[1] == pytest.approx(-vehicle.max_reverse_speed)
+
+
+def test_the_new_parked_rule_holds_with_straight_wheels_only():
+    env = run("A parked rule")["env"]
+    rule, bay, size = (
+        env.config.episode.parked_rule,
+        jnp.zeros(3),
+        jnp.array([5.0, 2.5]),
+    )
+    motion = cars(np.zeros((2, 3)), steering=[0.0, 0.1])
+    assert is_parked(rule, motion, bay, size).tolist() == [True, False]
+    assert EvaluateConfig(run="square", rule=rule).rule == "straight"
+
+
+def test_a_registered_name_stays_what_it_is():
+    run("A parked rule")
+    for name in ("straight", "strict"):
+        with pytest.raises(ValueError, match=name):
+            register_rule(name, ParkedRule(speed=1.0))
+    with pytest.raises(TypeError):
+        PARKED_RULES["strict"] = ParkedRule(speed=1.0)

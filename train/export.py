@@ -7,10 +7,10 @@ An ONNX model has an input for every observation field, with the normalisation i
 and is written only if onnxruntime computes the policy's actions with it.
 """
 
-import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.cli.process import enter
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -26,7 +26,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return run_command("export", command)
 
 
-if __name__ == "__main__":
+def main() -> int:
+    """Runs the command with the program's arguments; returns the exit code."""
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
     keep_compiled_programs()
-    sys.exit(run())
+    return run()
+
+
+if __name__ == "__main__":
+    enter("export", "export:main")

@@ -18,6 +18,7 @@ import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.cli.process import enter
 from carpark_mj.rendering.gl import choose_gl
 
 
@@ -42,4 +43,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    enter("junction", "junction:main")

@@ -10,8 +10,12 @@ its own; `report.md` there has tables and conclusions of all runs done,
 `curves-SCENARIO.png` the learning curves over the published ones.
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("junction_study", "junction_study:main")
+
 import dataclasses
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -123,7 +127,3 @@ def run(arguments: Sequence[str] | None = None) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     return run_command("junction_study", lambda: run(arguments))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -21,6 +21,7 @@ from carpark_mj.cli.common import (
     keep_compiled_programs,
     run_command,
 )
+from carpark_mj.cli.process import enter
 from carpark_mj.rendering.gl import choose_gl
 
 
@@ -90,4 +91,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    enter("ppo", "ppo:main")

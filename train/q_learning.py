@@ -11,7 +11,6 @@ Independent Q-learning with one table for all agents, several seeds side by side
 Ctrl-C saves a checkpoint and stops.
 """
 
-import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import (
@@ -19,6 +18,7 @@ from carpark_mj.cli.common import (
     keep_compiled_programs,
     run_command,
 )
+from carpark_mj.cli.process import enter
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
@@ -53,4 +53,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    enter("q_learning", "q_learning:main")

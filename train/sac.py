@@ -12,7 +12,6 @@ It needs `pip install ".[train,sb3]"`. After every phase the policy is deployed 
 kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at once.
 """
 
-import sys
 from collections.abc import Sequence
 
 from carpark_mj.cli.common import (
@@ -20,6 +19,7 @@ from carpark_mj.cli.common import (
     keep_compiled_programs,
     run_command,
 )
+from carpark_mj.cli.process import enter
 from carpark_mj.rendering.gl import choose_gl
 
 
@@ -59,4 +59,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    enter("sac", "sac:main")

@@ -10,8 +10,12 @@ Every training is a run of `train/sac.py` in `runs/slots_study`, on a core of it
 `curves.png` success in training.
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("slots_study", "slots_study:main")
+
 import dataclasses
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -129,7 +133,3 @@ def run(arguments: Sequence[str] | None = None) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     return run_command("slots_study", lambda: run(arguments))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,11 @@ Every figure has a folder below `runs/study`: a sweep (`train/sweep.py`), `repor
 with the published runs drawn in, and `verdicts.md`. The same command continues.
 """
 
-import sys
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("study", "study:main")
+
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -122,7 +126,3 @@ def run(arguments: Sequence[str] | None = None) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     return run_command("study", lambda: run(arguments))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,11 @@ The same command continues a sweep that was stopped: what is done is not run aga
 was begun goes on from its checkpoint. `sweep.csv` in its folder has a row per run.
 """
 
-import sys
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("sweep", "sweep:main")
+
 from collections.abc import Sequence
 
 import jax
@@ -45,7 +49,3 @@ def run(arguments: Sequence[str] | None = None) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     return run_command("sweep", lambda: run(arguments))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -121,10 +121,6 @@ def analyse(
     each = run_rows(points, by, metrics)
     write_csv(out / "spread.csv", spreads)
     write_csv(out / "runs.csv", each)
-    if len(spreads) <= MAX_ROWS:
-        _print_table(spreads, title)
-    for note in notes:
-        print(note)
     parts: list[tuple[str, str]] = []
     for path, heading in _plots(out, points, by, metrics, title):
         parts.append((heading, picture(path)))
@@ -133,6 +129,10 @@ def analyse(
     if links := videos(page, ours):
         parts.append(("Videos", links))
     write_page(page, title, [*notes, METHOD, *_provenance(ours)], parts)
+    if len(spreads) <= MAX_ROWS:
+        _print_table(spreads, title)
+    for note in notes:
+        print(note)
     print(f"wrote {page}, {out / 'spread.csv'}, {out / 'runs.csv'}")
     return page
 

@@ -14,7 +14,6 @@ EXTRAS = dict.fromkeys(
     ("tyro", "rich", "matplotlib", "tensorboardX", "imageio_ffmpeg", "scipy"),
     "train,eval",
 ) | {"vehiclemodels": "test"}
-INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
 
 
 def one_line(error: BaseException) -> str:
@@ -29,11 +28,7 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def run_command(
-    program: str,
-    command: Callable[[], object],
-    errors: tuple[type[Exception], ...] = (),
-) -> int:
+def run_command(program: str, command: Callable[[], object]) -> int:
     """Runs a command; errors that the user can fix end it with one line on stderr.
 
     Args:
@@ -41,19 +36,14 @@ def run_command(
         command: what it returns is the exit code if it is an int; else that is 0. It
             imports what needs the packages of `EXTRAS`, so that one that is missing is
             such an error.
-        errors: what else, beside `USER_ERRORS` and unreadable checkpoints, is the
-            user's to mend.
 
     Returns:
         The exit code, 2 for such errors.
     """
     try:
         code = command()
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return INTERRUPTED
     except Exception as error:
-        message = _for_the_user(error, errors)
+        message = _for_the_user(error)
         if message is None:
             raise
         print(f"{program}: {message}", file=sys.stderr)
@@ -61,20 +51,46 @@ def run_command(
     return code if isinstance(code, int) else 0
 
 
-def _for_the_user(error: Exception, errors: tuple[type[Exception], ...]) -> str | None:
+def _for_the_user(error: Exception) -> str | None:
     """What is said of an error that the user can fix; None for a bug."""
-    # Not at the head of `run_command`: Ctrl-C during these is not handled there.
-    from jax.errors import JaxRuntimeError
-
-    from carpark_mj.policy.checkpoints import CheckpointError
-
-    if isinstance(error, (CheckpointError, *USER_ERRORS, *errors)):
+    if isinstance(error, (*USER_ERRORS, *_loaded_errors())):
         return one_line(error)
     if isinstance(error, ModuleNotFoundError):
         extra = EXTRAS.get((error.name or "").partition(".")[0])
         return extra and f'{error}: pip install ".[{extra}]"'
-    if isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
+    if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
         return one_line(error)
+    return _missing_device()
+
+
+def _loaded_errors() -> tuple[type[Exception], ...]:
+    """The library's own errors of the user's making.
+
+    Not imported here: where JAX or MuJoCo cannot be, that is the error.
+    """
+    homes = {
+        "carpark_mj.policy.checkpoints": "CheckpointError",
+        "carpark_mj.rendering.renderer": "RenderingError",
+    }
+    found = [getattr(sys.modules.get(h), name, None) for h, name in homes.items()]
+    return tuple(error for error in found if error is not None)
+
+
+def _missing_device() -> str | None:
+    """What is said where JAX has no device of those that the user asks for.
+
+    It fails of that in many ways; in some of them it says nothing.
+    """
+    names = ("JAX_PLATFORMS", "JAX_NUM_CPU_DEVICES")
+    asked = [f"{name}={os.environ[name]}" for name in names if os.environ.get(name)]
+    jax = sys.modules.get("jax")
+    if not asked or jax is None:
+        return None
+    try:
+        jax.devices()
+    except Exception as error:
+        reason = str(error).partition("\n")[0] or "there is none"
+        return f"JAX finds no device with {', '.join(asked)}: {reason}"
     return None
 
 

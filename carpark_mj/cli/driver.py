@@ -8,7 +8,6 @@ from typing import Any
 from carpark_mj.config import (
     EnvConfig,
     FleetConfig,
-    ParkedRule,
     RandomizationConfig,
     SensorConfig,
 )
@@ -98,7 +97,7 @@ def output_folder(checkpoint: Path) -> Path:
 
 def adapt(
     env: EnvConfig,
-    rule: ParkedRule | None = None,
+    rule: str | None = None,
     hitbox_scale: float | None = None,
     nominal: bool = False,
     **changes: Any,

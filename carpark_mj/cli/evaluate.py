@@ -10,7 +10,7 @@ import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.config import MetricsConfig, ParkedRule, PhysicsName
+from carpark_mj.config import MetricsConfig, PhysicsName, require_rule
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.evaluation.report import print_report, write_evaluation
@@ -38,7 +38,8 @@ class EvaluateConfig:
             `episodes` fill, however many of an agent, instead of the same number per
             agent; short ones then weigh more.
         seed: seed of the held-out lots; training never uses these keys.
-        rule: parked rule to evaluate under; default: that of the run.
+        rule: parked rule to evaluate under: tanner, strict, precise, metadrive, or one
+            that is registered; default: that of the run.
         hitbox_scale: factor on the cars' lengths and widths in collision tests;
             default: that of the run's environment.
         num_agents: number of agents; default: that of the run.
@@ -66,7 +67,7 @@ class EvaluateConfig:
     episodes: int = 1024
     span: float | None = None
     seed: int = 0
-    rule: ParkedRule | None = None
+    rule: str | None = None
     hitbox_scale: float | None = None
     num_agents: int | None = None
     min_agents: int | None = None
@@ -80,6 +81,8 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         require_seed(self.seed)
+        if self.rule is not None:
+            require_rule(self.rule)
         if not 1 <= self.episodes <= MAX_EPISODES:
             raise ValueError(
                 f"episodes must be at least 1 and at most {MAX_EPISODES}, not "
@@ -107,7 +110,7 @@ class Task:
 
 
 def main(config: EvaluateConfig) -> Evaluation:
-    """Evaluates, prints the table and writes the files.
+    """Evaluates, writes the files and prints the table.
 
     Raises:
         CheckpointError: the run cannot be read.
@@ -191,7 +194,7 @@ def subfolder(config: EvaluateConfig) -> Path:
 
 
 def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
-    """Prints the table and writes the files."""
+    """Writes the files and prints the table."""
     env = task.env.config
     counts, rule = env.agent_counts, env.episode.parked_rule
     fewest, most = counts[0], counts[-1]
@@ -200,7 +203,7 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
         f"{task.name}: {agents} agent{'s' if most > 1 else ''}, {rule} rule, "
         f"{env.layout} lot, {env.physics} physics, seed {config.seed}"
     )
-    print_report(result, title)
     settings = {**dataclasses.asdict(config), "policy": task.name}
     written = write_evaluation(task.folder, result, settings)
+    print_report(result, title)
     print(f"wrote {', '.join(map(str, written))}")

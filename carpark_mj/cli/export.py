@@ -94,11 +94,12 @@ def _write_model(out: Path, loaded: LoadedPolicy, seed: int) -> None:
     model = make_model(loaded)
     seen = rollout_observations(loaded, CHECKED, seed)
     random = random_observations(loaded.env, seen, seed)
+    found: list[str] = []
     for kind, observation in (("of a roll-out", seen), ("drawn at random", random)):
         difference = largest_difference(model, loaded, observation)
         rounding = rounding_error(loaded, observation)
         most = max(TOLERANCE, ROUNDING * rounding)
-        print(
+        found.append(
             f"largest difference to the policy on {len(observation):,} observations "
             f"{kind}: {difference:.2g}; of float32 to float64: {rounding:.2g}"
         )
@@ -107,10 +108,11 @@ def _write_model(out: Path, loaded: LoadedPolicy, seed: int) -> None:
                 f"the model differs from the policy by {difference:.2g} on "
                 f"observations {kind}, at most {most:.2g} is allowed: not written"
             )
-    Console().print(_table(loaded))
     write_atomically(
         out, lambda temporary: temporary.write_bytes(model.SerializeToString())
     )
+    print("\n".join(found))
+    Console().print(_table(loaded))
 
 
 def rollout_observations(loaded: LoadedPolicy, count: int, seed: int) -> np.ndarray:

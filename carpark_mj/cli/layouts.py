@@ -8,6 +8,7 @@ python -m carpark_mj.layouts lot --seed 3 --save lot.json
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -95,13 +96,26 @@ def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layou
             yield jax.tree.map(lambda leaf, row=row: leaf[row], batch)
 
 
-def check(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """Problems of the lots of `num_keys` keys, a sentence each."""
+def check(
+    layout: LayoutConfig | str, num_keys: int, seed: int, vehicle: str = ""
+) -> list[str]:
+    """Problems of the lots of `num_keys` keys with a car, a sentence each.
+
+    Args:
+        layout: a name, a file or a config.
+        num_keys: how many.
+        seed: of the keys.
+        vehicle: a preset; by default the car that the lots are drawn for.
+    """
     config = layout_config(layout)
-    car: DesignCar = getattr(config, "car", DesignCar())
+    size = getattr(config, "car", DesignCar()).size
+    if vehicle:
+        from carpark_mj.vehicle import preset
+
+        size = preset(vehicle).length, preset(vehicle).width
     found = []
     for number, drawn in enumerate(draw(config, num_keys, seed)):
-        problems = describe_faults(drawn, car.size)
+        problems = describe_faults(drawn, size)
         bays = int(drawn.bay_mask.sum())
         if bays < config.min_bays:
             problems.append(f"{bays} bays, {config.min_bays} were promised")
@@ -139,6 +153,8 @@ class LayoutsConfig:
         layouts: names or layout files; all families if none.
         plot: picture to write, with two lots of each layout.
         check: number of keys of each layout to check.
+        vehicle: preset of the car that must fit into bays and spawn regions of the
+            lots to check; by default the car that they are drawn for.
         run: number of scenes of each layout to run.
         save: layout file to write, with the first lot of one layout.
         held_out: `.npz` file to which the held-out cases of HOPE's levels are drawn
@@ -151,6 +167,7 @@ class LayoutsConfig:
     ] = ()
     plot: str = ""
     check: int = 0
+    vehicle: str = ""
     run: int = 0
     save: str = ""
     held_out: str = ""
@@ -166,6 +183,8 @@ class LayoutsConfig:
                     "--check N or --run N (N > 0)"
                 )
             require_unset(self, "with --held-out alone", "layouts", "seed")
+        if not self.check:
+            require_unset(self, "without --check", "vehicle")
         if self.plot and Path(self.plot).suffix not in PICTURES:
             raise ValueError(
                 f"--plot writes a .png, .pdf or .svg file, not {self.plot}"
@@ -205,12 +224,16 @@ def look(config: LayoutsConfig) -> bool:
         print(f"wrote {plot_layouts(pictures, Path(config.plot))}")
     sound = True
     for name, layout in shown.items():
-        for inspect, number in ((check, config.check), (run, config.run)):
+        checked = partial(check, vehicle=config.vehicle)
+        inspections = (
+            (checked, config.check, "problems"),
+            (run, config.run, "warnings"),
+        )
+        for inspect, number, what in inspections:
             if not number:
                 continue
             found = inspect(layout, number, config.seed)
             sound = sound and not found
-            what = "problems" if inspect is check else "warnings"
             print(f"{name}: {number} keys, {len(found)} {what}", flush=True)
             print("".join(f"  {problem}\n" for problem in found[:10]), end="")
     return sound

@@ -10,6 +10,7 @@ display a page is served instead, with a steering wheel and a pedal to pull.
 """
 
 import dataclasses
+import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,17 +26,19 @@ from carpark_mj.rendering.window import Window, has_display
 if not has_display():
     choose_gl()  # before MuJoCo is imported; windows have an OpenGL of their own
 
-from carpark_mj.cli.common import keep_compiled_programs, run_command
+from carpark_mj.cli.common import keep_compiled_programs, one_line, run_command
 from carpark_mj.cli.driver import command_help, find_driver
+from carpark_mj.cli.process import patient_interrupts
 from carpark_mj.cli.scene import SceneConfig, default_env, env_config
 from carpark_mj.env import ParkingEnv
+from carpark_mj.files import require_writable
 from carpark_mj.play.controls import KEYS, Controls, from_gamepad, from_keys, stop
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
 from carpark_mj.play.driven import DrivenLot
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.networks import Policy
-from carpark_mj.rendering.renderer import RenderingError, camera_names
+from carpark_mj.rendering.renderer import camera_names
 from carpark_mj.rendering.web import (
     HOST,
     PORT,
@@ -146,6 +149,18 @@ def replay(demonstration: Demonstration) -> DrivenLot:
     return DrivenLot(env, others, demonstration.seed, read)
 
 
+def open_folder(config: PlayConfig) -> Path:
+    """The folder of the drives, made now: at the end of a drive it would be lost.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    folder = Path(config.out)
+    folder.mkdir(parents=True, exist_ok=True)
+    require_writable(folder / "drive.npz")
+    return folder
+
+
 def save(lot: DrivenLot, folder: Path) -> None:
     """Saves what has been driven, if anything, under the next free number."""
     demonstration = lot.demonstration
@@ -169,7 +184,7 @@ def play_in_window(config: PlayConfig) -> None:
     from carpark_mj.play.picture import SIZE, Picture
 
     env, others = make_env(config)
-    window, folder = Window(SIZE), Path(config.out)
+    window = Window(SIZE)
     controls, seed = Controls(), config.seed
 
     def read(lot: DrivenLot) -> np.ndarray:
@@ -184,6 +199,7 @@ def play_in_window(config: PlayConfig) -> None:
 
     wanted = "N"
     try:
+        folder = open_folder(config)
         while wanted == "N":
             lot = DrivenLot(env, others, seed, read, lambda lot: save(lot, folder))
             picture = Picture(lot, config.camera)
@@ -227,7 +243,7 @@ def serve_wheel(config: PlayConfig) -> tuple[Any, DrivenLot, dict[str, Any]]:
     require_web()  # before the work
     env, others = make_env(config)
     held: dict[str, Any] = {}
-    folder = Path(config.out)
+    folder = open_folder(config)
 
     def read(lot: DrivenLot) -> np.ndarray:
         steer, pedal = (held[k].value if held else 0.0 for k in ("wheel", "pedal"))
@@ -252,7 +268,10 @@ def serve_wheel(config: PlayConfig) -> tuple[Any, DrivenLot, dict[str, Any]]:
 
     @saving.on_click
     def _(_: Any) -> None:
-        save(lot, folder)
+        try:
+            save(lot, folder)
+        except OSError as error:  # not the end of the drive
+            print(one_line(error), file=sys.stderr)
 
     print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
     return viewer, lot, held
@@ -292,7 +311,8 @@ def main(config: PlayConfig) -> None:
     if config.replay:
         show_replay(config)
     elif config.shown_in == "window":
-        play_in_window(config)
+        with patient_interrupts():  # to save the drive
+            play_in_window(config)
     else:
         viewer, lot, _ = serve_wheel(config)
         try:
@@ -303,7 +323,7 @@ def main(config: PlayConfig) -> None:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    return run_command("play", lambda: _run(arguments), (RenderingError,))
+    return run_command("play", lambda: _run(arguments))
 
 
 def _run(arguments: Sequence[str] | None) -> None:

@@ -41,17 +41,16 @@ from carpark_mj.rendering.web import (
     make_viewer,
     require_web,
 )
-from carpark_mj.rendering.window import NO_DISPLAY, has_display
+from carpark_mj.rendering.window import missing_display
 from carpark_mj.scene.export import drivable_scene, scene_xml
 from carpark_mj.vehicle import VehicleParameters, preset
 
 PROGRAM = "python -m carpark_mj.scene"
 LOT = ("layout", "policy", "num_agents", "num_parked_cars", "suspension")
 WITHOUT_DISPLAY = (
-    f"{NO_DISPLAY}: use a desktop session or `ssh -X`, or look at it in a browser with "
-    "--view web, or write a file with --out and open it elsewhere with `python -m "
-    "mujoco.viewer --mjcf=FILE`, or render off-screen with `python eval/render.py zero "
-    "--frame 0`"
+    "use a desktop session or `ssh -X`, or look at it in a browser with --view web, or "
+    "write a file with --out and open it elsewhere with `python -m mujoco.viewer "
+    "--mjcf=FILE`, or render off-screen with `python eval/render.py zero --frame 0`"
 )
 
 
@@ -195,9 +194,9 @@ def main(config: SceneConfig) -> None:
     if config.policy:
         show_policy(config)
         return
-    blind = config.view == "window" and not has_display()
-    if blind and not config.out:
-        raise OSError(WITHOUT_DISPLAY)
+    missing = missing_display() if config.view == "window" else None
+    if missing and not config.out:
+        raise OSError(f"{missing}: {WITHOUT_DISPLAY}")
     if config.view == "web":
         require_web()
     spec, extent = make_scene(config)
@@ -207,8 +206,8 @@ def main(config: SceneConfig) -> None:
         text = scene_xml(spec, vehicle(config))
         write_atomically(path, lambda temporary: temporary.write_text(text))
         print(f"wrote {path}; open it: python -m mujoco.viewer --mjcf={path}")
-    if blind:
-        raise OSError(WITHOUT_DISPLAY)
+    if missing:
+        raise OSError(f"{missing}: {WITHOUT_DISPLAY}")
     if config.view == "web":
         model = spec.compile()
         viewer, server = make_viewer(model, mujoco.MjData(model), extent, config.port)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,16 +20,15 @@ from carpark_mj.cli.suite_report import (
     write_results,
 )
 from carpark_mj.cli.suite_videos import Video, make_videos, require_gl
-from carpark_mj.config import ParkedRule
+from carpark_mj.config import EnvConfig, require_rule
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import (
     MOVING_CAR,
     VEHICLE,
+    CaseEvaluator,
     Drives,
-    decision_time,
-    drive_cases,
     suite_env,
     table_rows,
     worst_first,
@@ -66,7 +66,8 @@ class SuiteConfig:
         levels: which levels, `tpcap` being TPCAP's 20 published cases.
         cases: how many of each level; all from `first_case` on if None.
         first_case: of each level, from 0 (of TPCAP's, numbered from 1, 0 is the first).
-        rule: when a car counts as parked.
+        rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
+            rule that is registered.
         moving_car: in every case another car drives through the aisle meanwhile.
         seeds: of the planner's searches, and of policies that draw; each drives all
             cases.
@@ -84,7 +85,7 @@ class SuiteConfig:
     levels: tuple[SuiteLevel, ...] = LEVELS
     cases: int | None = None
     first_case: int = 0
-    rule: ParkedRule = "strict"
+    rule: str = "strict"
     moving_car: bool = False
     seeds: tuple[int, ...] = (0,)
     videos: int = 0
@@ -97,6 +98,7 @@ class SuiteConfig:
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
             )
+        require_rule(self.rule)
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
         for level in self.levels:
@@ -132,7 +134,7 @@ class SuiteConfig:
 
 
 def main(config: SuiteConfig) -> list[dict[str, Any]]:
-    """Drives, prints the table and writes the files; returns the table's rows.
+    """Drives, writes the files and prints the table; returns the table's rows.
 
     Raises:
         CheckpointError: a run cannot be read.
@@ -159,12 +161,14 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
     rows = [row for name in names for row in table_rows(name, episodes)]
     head = header(episodes)
-    print_rows(rows, head[0])
     written = write_run(folder, episodes, drives)
+    written += write_results(folder, head, rows, episodes, pictures, ())
+    print_rows(rows, head[0])
     videos: list[Video] = []
     for part in parts_of(episodes).values():
         videos += make_videos(folder, worst_first(part)[: config.videos], drives)
-    written += write_results(folder, head, rows, episodes, pictures, videos)
+    if videos:  # once more, with them
+        write_results(folder, head, rows, episodes, pictures, videos)
     print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
     return rows
 
@@ -186,19 +190,27 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
     episodes: list[Row] = []
     drives: dict[Key, Drives] = {}
     drawn: _Drawn = []
+    evaluators: dict[EnvConfig, CaseEvaluator] = {}
     for name, driver in drivers.items():
-        env = ParkingEnv(suite_env(driver.env, config.rule, moving))
+        env_config = suite_env(driver.env, config.rule, moving)
+        if env_config not in evaluators:
+            evaluators[env_config] = CaseEvaluator(ParkingEnv(env_config))
+        evaluator = evaluators[env_config]
+        policy, planner = _policy(name, driver.policy, evaluator.env)
         for seed in config.seeds:
             for part in cases:
-                policy, planner = _policy(name, driver.policy, env, seed, first)
-                rows, driven = drive_cases(env, policy, part, seed)
+                if planner is not None:
+                    planner.restart(seed, first)
+                rows, driven = evaluator.drive(policy, part, seed)
                 if planner is not None:
                     plans = _plans(planner, len(rows))
                     rows = [row | own for row, own in zip(rows, plans, strict=True)]
                     if seed == config.seeds[0]:
                         drawn += _drawn(planner, part)
-                own = {"ms / decision": 1e3 * _seconds(env, policy, planner, part)}
-                own |= tail
+                    seconds = planner.seconds / planner.decisions
+                else:
+                    seconds = evaluator.decision_time(policy, part)
+                own = {"ms / decision": 1e3 * seconds} | tail
                 which = {"policy": name, "seed": seed, "rule": config.rule}
                 which |= {"held_out": fingerprint(part.level)}
                 which |= {MOVING_CAR: 1} if moving else {}
@@ -209,11 +221,9 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
 
 
 def _policy(
-    name: str, make: Any, env: ParkingEnv, seed: int, first: int
+    name: str, make: Callable[[ParkingEnv], AnyPolicy], env: ParkingEnv
 ) -> tuple[AnyPolicy, Planner | None]:
-    if name != PLANNER:
-        return make(env), None
-    return planner_policy(env, seed, first_lot=first)
+    return planner_policy(env) if name == PLANNER else (make(env), None)
 
 
 def _worst_drives(rows: list[Row], driven: Drives) -> dict[Key, Drives]:
@@ -247,11 +257,3 @@ def _drawn(planner: Planner, cases: Cases) -> _Drawn:
         layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)
         found.append((f"{cases.level} {number}: {told}", layout, path))
     return found
-
-
-def _seconds(
-    env: ParkingEnv, policy: AnyPolicy, planner: Planner | None, cases: Cases
-) -> float:
-    if planner is not None:
-        return planner.seconds / planner.decisions
-    return decision_time(env, policy, cases)

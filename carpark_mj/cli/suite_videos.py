@@ -81,6 +81,7 @@ def recording_of(row: Row, drive: Drives) -> Recording:
     first = np.broadcast_to(np.arange(agents) == 0, (steps, agents))  # the one judged
     place = case_numbers(row["level"]).index(row["case"])
     cases = pick_cases(row["level"], 1, place, agents > 1)
+    pose_w = drive.pose_w[0, :steps].swapaxes(1, 2)
     ends = {
         name: first & (np.arange(steps) == steps - 1)[:, None] & bool(row[name])
         for name in OUTCOMES
@@ -88,11 +89,11 @@ def recording_of(row: Row, drive: Drives) -> Recording:
     return Recording(
         layout=jax.tree.map(lambda x: np.asarray(x[0]), cases.layouts),
         ctrl_dt=suite_env(EnvConfig(), "strict").sim.ctrl_dt,
-        pose_w=drive.pose_w[0, :steps].swapaxes(1, 2),
+        pose_w=pose_w,
         steering=drive.steering[0, :steps],
         speed=drive.speed[0, :steps],
         goal=np.broadcast_to(np.arange(agents), (steps, agents)),
-        parked_pose=np.zeros((steps, 0, 3), np.float32),
+        parked_pose=np.zeros((*pose_w.shape[:2], 0, 3), np.float32),
         active=np.ones((steps, agents), bool),
         step=np.broadcast_to(np.arange(1, steps + 1)[:, None], (steps, agents)),
         **ends,

@@ -8,7 +8,7 @@ from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
-from carpark_mj.config.insertion import insert
+from carpark_mj.config.insertion import insert, is_data, setting
 from carpark_mj.config.layouts import (
     LAYOUT_FILES,
     TPCAP_NAMES,
@@ -37,8 +37,9 @@ from carpark_mj.config.spawning import RelocationRule, SpawnConfig
 from carpark_mj.config.terminations import (
     PARKED_RULES,
     EpisodeConfig,
-    ParkedLimits,
     ParkedRule,
+    register_rule,
+    require_rule,
 )
 
 __all__ = [
@@ -65,7 +66,6 @@ __all__ = [
     "LayoutName",
     "MetricsConfig",
     "Observation",
-    "ParkedLimits",
     "ParkedRule",
     "PhysicsName",
     "RandomizationConfig",
@@ -84,6 +84,10 @@ __all__ = [
     "TyresName",
     "ViewConfig",
     "insert",
+    "is_data",
+    "register_rule",
     "require_layout",
+    "require_rule",
     "reward_preset",
+    "setting",
 ]

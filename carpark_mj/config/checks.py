@@ -5,6 +5,7 @@ import functools
 import math
 import numbers
 import reprlib
+from collections.abc import Callable, Iterable
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -13,10 +14,13 @@ Range = tuple[float, float]  # lowest and highest value; equal = fixed
 
 def require_choice(name: str, value: str, literal: object) -> None:
     """Refuses a value that the `Literal` does not list."""
-    if value not in get_args(literal):
-        raise ValueError(
-            f"unknown {name} {value!r}; choose from {sorted(get_args(literal))}"
-        )
+    require_name(name, value, get_args(literal))
+
+
+def require_name(name: str, value: str, known: Iterable[str]) -> None:
+    """Refuses a value that is not among the known names."""
+    if value not in (names := sorted(known)):
+        raise ValueError(f"unknown {name} {value!r}; choose from {names}")
 
 
 def require_whole(config: object, minimum: int, *names: str) -> None:
@@ -77,6 +81,23 @@ def require_range(name: str, value: Range, least: float, most: float) -> None:
         raise ValueError(
             f"{name} must be a lowest and a highest number{within}, not {value!r}"
         )
+
+
+def require_within(
+    config: object, least: float, most: float, unit: str, *names: str
+) -> None:
+    """Refuses attributes that are not plausible, as if they were of another unit.
+
+    Raises:
+        ValueError: naming the attribute, its value, the bounds and the unit.
+    """
+    for name in names:
+        value = getattr(config, name)
+        if not (is_finite(value) and least <= value <= most):
+            raise ValueError(
+                f"{name} must lie within [{least:g}, {most:g}] {unit}, not {value}: "
+                f"it is in {unit}"
+            )
 
 
 def require_kind(name: str, value: object, kind: Any) -> None:
@@ -146,7 +167,14 @@ def _declared(cls: Any) -> dict[str, Any]:
 
 
 # How types are called, and of what else their values may be.
-_NAMES = {bool: "True or False", int: "a whole number", float: "a number", str: "text"}
+_NAMES = {
+    bool: "True or False",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Callable: "a function",
+    NoneType: "None",
+}
 _NUMBERS = {int: numbers.Integral, float: numbers.Real}
 
 
@@ -176,9 +204,7 @@ def _describe(hint: Any) -> str:
     if origin is tuple:
         length = "" if parts[-1] is ... else f" of {len(parts)}"
         return f"a tuple{length}, each item {_describe(parts[0])}"
-    if hint is NoneType:
-        return "None"
-    return _NAMES.get(hint, f"of {getattr(hint, '__name__', hint)}")
+    return _NAMES.get(origin or hint, f"of {getattr(hint, '__name__', hint)}")
 
 
 def _kind_names(kind: Any) -> str:

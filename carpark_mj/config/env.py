@@ -172,6 +172,8 @@ class EnvConfig:
                 f"reward.reeds_shepp {self.reward.reeds_shepp} needs cars that steer: "
                 "a physics other than grid"
             )
+        if self.physics in ("mjx", "scene"):
+            self.sim.require_fine_steps()
         scale = self.episode.hitbox_scale
         if scale != 1.0 and self.physics == "scene":
             raise ValueError(

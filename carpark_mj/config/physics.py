@@ -9,7 +9,8 @@ Surface = Literal["dry", "wet", "ice"]
 TyresName = Literal["brush", "contact"]
 StepperName = Literal["auto", "unrolled", "mjx"]
 
-CONTACT_SIM_DT = 0.004  # s
+CONTACT_SIM_DT = 0.004  # s; beyond it a locked wheel throws the car
+BRUSH_SIM_DT = 0.02  # s; bristles and wheels ring from 0.04 s on
 MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
 
 
@@ -18,7 +19,8 @@ class SimConfig(CheckedConfig):
     """Time steps and ground of the physics.
 
     Attributes:
-        sim_dt: physics substep [s]; 0.01 for training, 0.005 as a reference.
+        sim_dt: physics substep [s]; 0.01 for training, 0.005 as a reference. At most
+            0.02 with brush tyres; physics without tyres take any.
         ctrl_dt: control period [s], a multiple of `sim_dt`.
         trace_dt: longest time between two collision tests within a control step [s].
         grade_x: slope of the ground along world x, rise over run; 0.05 = 5 % uphill.
@@ -59,11 +61,8 @@ class SimConfig(CheckedConfig):
             raise ValueError(
                 f"trace_dt must be at least sim_dt {self.sim_dt} s, not {self.trace_dt}"
             )
-        if self.tyres == "contact" and self.sim_dt > CONTACT_SIM_DT:
-            raise ValueError(
-                f"contact tyres need a sim_dt of at most {CONTACT_SIM_DT} s, not "
-                f"{self.sim_dt}: a locked wheel throws the car"
-            )
+        if self.tyres == "contact":
+            self.require_fine_steps()
         if self.suspension and self.tyres != "contact":
             raise ValueError(
                 f"suspension must be False with {self.tyres} tyres, whose vertical "
@@ -79,6 +78,19 @@ class SimConfig(CheckedConfig):
                 raise ValueError(
                     f"{name} must lie within (-1, 1), not {getattr(self, name)}"
                 )
+
+    def require_fine_steps(self) -> None:
+        """Refuses substeps with which the tyres are unstable.
+
+        Raises:
+            ValueError: naming the substep and the longest.
+        """
+        most = CONTACT_SIM_DT if self.tyres == "contact" else BRUSH_SIM_DT
+        if self.sim_dt > most:
+            raise ValueError(
+                f"{self.tyres} tyres need a sim_dt of at most {most} s, not "
+                f"{self.sim_dt}: cars would shake or be thrown"
+            )
 
     @property
     def num_substeps(self) -> int:

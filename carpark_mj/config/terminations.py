@@ -2,20 +2,23 @@
 
 import dataclasses
 import math
-from typing import Literal
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
 
 from carpark_mj.config.checks import (
     CheckedConfig,
+    require_at_least,
+    require_kind,
+    require_name,
     require_positive,
     require_whole,
 )
 from carpark_mj.config.grid import WORLD_UNIT
 
-ParkedRule = Literal["tanner", "strict", "precise", "metadrive"]
-
 
 @dataclasses.dataclass(frozen=True)
-class ParkedLimits(CheckedConfig):
+class ParkedRule(CheckedConfig):
     """When a car counts as parked in its goal; all limits must hold, None = any.
 
     Attributes:
@@ -26,6 +29,9 @@ class ParkedLimits(CheckedConfig):
         inside_lines: the footprint must be within the bay's lines.
         heading: largest angle to the bay's axis, either way round [rad].
         speed: highest speed [m/s].
+        test: what else must hold: a function of the cars' `Motion` (...), the poses
+            (..., 3) and sizes (..., 2) [m] of their goals that returns (...) bool, in
+            JAX.
         before_crash: an agent that parks in a step cannot crash in it.
         slack: smallest margin of a bay's length and width over those of a fleet's car
             for the bay to be its goal [m]; ending within the lines takes some room to
@@ -38,21 +44,65 @@ class ParkedLimits(CheckedConfig):
     inside_lines: bool = False
     heading: float | None = None
     speed: float | None = None
+    test: Callable[..., Any] | None = None
     before_crash: bool = False
     slack: float = 0.0
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        limits = ("offset", "distance", "from_end", "heading", "speed")
+        given = [name for name in limits if getattr(self, name) is not None]
+        require_positive(self, *given)
+        require_at_least(self, 0.0, "slack")
+        if not (given or self.inside_lines or self.test):
+            raise ValueError(
+                f"a parked rule must have a limit, one of {', '.join(limits)}, "
+                "inside_lines and test: without any a car is parked everywhere"
+            )
 
-PARKED_RULES: dict[ParkedRule, ParkedLimits] = {
+
+_RULES = {
     # The reference implementation of Tanner 2022.
-    "tanner": ParkedLimits(offset=1.001 * WORLD_UNIT, before_crash=True),
-    "strict": ParkedLimits(
+    "tanner": ParkedRule(offset=1.001 * WORLD_UNIT, before_crash=True),
+    "strict": ParkedRule(
         inside_lines=True, heading=math.radians(5.0), speed=0.2, slack=0.1
     ),
     # ParkBench's 0.2 m and 3 degrees.
-    "precise": ParkedLimits(distance=0.2, heading=math.radians(3.0), speed=0.05),
+    "precise": ParkedRule(distance=0.2, heading=math.radians(3.0), speed=0.05),
     # MetaDrive's arrival: 5 m about the end of the last lane.
-    "metadrive": ParkedLimits(from_end=5.0),
+    "metadrive": ParkedRule(from_end=5.0),
 }
+PARKED_RULES: Mapping[str, ParkedRule] = MappingProxyType(_RULES)
+
+
+def register_rule(name: str, rule: ParkedRule) -> None:
+    """Gives a parked rule a name, for `EpisodeConfig.parked_rule` and `--rule`.
+
+    A name means the same for as long as the process lives: compiled steps have it in
+    them.
+
+    Args:
+        name: letters, digits, `_` and `-`.
+        rule: the rule.
+
+    Raises:
+        ValueError: the name is taken, or no such name.
+        TypeError: no `ParkedRule`.
+    """
+    require_kind("rule", rule, ParkedRule)
+    require_kind("name", name, str)
+    if not name.replace("-", "_").isidentifier():
+        raise ValueError(
+            f"the name of a rule must be of letters, digits, _ and -, not {name!r}"
+        )
+    if name in _RULES:
+        raise ValueError(f"the parked rule {name!r} is registered already")
+    _RULES[name] = rule
+
+
+def require_rule(name: str) -> None:
+    """Refuses what is not the name of a parked rule."""
+    require_name("parked_rule", name, PARKED_RULES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +111,7 @@ class EpisodeConfig(CheckedConfig):
 
     Attributes:
         parked_rule: what "parked" means, by name, see
-            `carpark_mj.config.PARKED_RULES`.
+            `carpark_mj.config.PARKED_RULES` and `register_rule`.
         max_steps: control steps until an episode is truncated (timeout).
         hitbox_scale: factor on the cars' lengths and widths in collision tests, in
             evaluations too. Those of walls and discs are not scaled.
@@ -71,7 +121,7 @@ class EpisodeConfig(CheckedConfig):
             a step, before any respawn; off-policy learners need it.
     """
 
-    parked_rule: ParkedRule = "strict"
+    parked_rule: str = "strict"
     max_steps: int = 200
     hitbox_scale: float = 1.0
     respawn: bool = True
@@ -79,5 +129,6 @@ class EpisodeConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_rule(self.parked_rule)
         require_whole(self, 1, "max_steps")
         require_positive(self, "hitbox_scale")

@@ -76,7 +76,7 @@ OUTCOME = (
     _rate("parked", "parked under the rule in force", "p"),
     _rate("crashed", "touched something", "c"),
     _rate("timed_out", "neither within the longest episode", "h"),
-    _rate("diverged", "the physics gave a number that is not finite"),
+    _rate("diverged", "no finite number from the physics, or on its side"),
     _rate("hit_agent", "crashed into an agent; both count", "Total Crashes Car"),
     _rate("hit_parked_car", "crashed into a parked car", "Total Crashes StaticCar"),
     _rate("hit_wall", "crashed into a wall or disc", "Total Crashes Wall"),

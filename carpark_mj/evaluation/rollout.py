@@ -138,7 +138,7 @@ class Evaluator:
         rows: list[Row] = []
         reset_key, act_key = jax.random.split(evaluation_key(seed))
         begun = self._reset(traced, lots, reset_key)
-        present = _count_agents(begun[0])
+        present = _takes_part(begun[0]).sum(axis=1)
         quota, last = math.ceil(num_episodes / present.sum()), math.inf
         if span is not None:
             quota, last = sys.maxsize, span / env.config.sim.ctrl_dt
@@ -172,7 +172,7 @@ class Evaluator:
                 control step before which they begin.
         """
         quota, last = limits
-        finished = np.where(np.asarray(carry[0].active), 0, quota)
+        finished = np.where(_takes_part(carry[0]), 0, quota)
         begun, now = np.zeros(finished.shape, int), 0
         policy = as_argument(policy)
         while ((finished < quota) & (begun < last)).any():
@@ -231,9 +231,9 @@ def _reset(
     return reset(keys, lots.member, lots.num_present if varies else None)
 
 
-def _count_agents(state: State) -> np.ndarray:
-    """How many agents lots (num_lots,) have; one of fewer bays may have fewer."""
-    return np.asarray(state.active).sum(axis=1)  # at the start all are active
+def _takes_part(state: State) -> np.ndarray:
+    """(num_lots, num_agents) bool, the agents of lots that may have bays for fewer."""
+    return np.asarray(state.takes_part)
 
 
 def allot(shares: list[float], num_lots: int) -> np.ndarray:

@@ -22,7 +22,6 @@ from carpark_mj.config import (
     FleetConfig,
     JitterConfig,
     MetricsConfig,
-    ParkedRule,
     RandomizationConfig,
     SensorConfig,
     SpawnConfig,
@@ -48,9 +47,7 @@ MOVING_CAR = "moving_car"  # column of episodes with one
 TIMED = 20  # calls of a policy whose shortest counts
 
 
-def suite_env(
-    env: EnvConfig, rule: ParkedRule, with_moving_car: bool = False
-) -> EnvConfig:
+def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvConfig:
     """The environment of a policy with the suite's lots, car and rules.
 
     Args:
@@ -107,25 +104,83 @@ class Drives(NamedTuple):
     speed: np.ndarray
 
 
-def drive_cases(
-    env: ParkingEnv, policy: AnyPolicy, cases: Cases, seed: int
-) -> tuple[list[Row], Drives]:
-    """One episode in each case, side by side; a row each, see `evaluation.catalogue`.
+class CaseEvaluator:
+    """Drives cases with programs that a policy compiles once for all of one shape.
 
-    Args:
-        env: of `suite_env`.
-        policy: acting function; a planner must be a fresh one.
-        cases: where to park, with a moving car if the environment has one.
-        seed: of what is random in a policy.
+    Cases of HOPE's levels have the same shapes if there are as many of each.
     """
-    count, moving = len(cases.number), env.num_agents > 1
-    reset_key, act_key = jax.random.split(evaluation_key(seed))
-    keys = jax.random.split(reset_key, count)
-    state, observation = jax.jit(jax.vmap(_reset(env)))(cases.layouts, keys)
-    progress = moving_car.init_progress(count) if moving else None
+
+    def __init__(self, env: ParkingEnv) -> None:
+        """Takes the environment, one of `suite_env`."""
+        self.env = env
+        self._reset = jax.jit(jax.vmap(_reset(env)))
+        self._chunk = jax.jit(functools.partial(_chunk, env))
+        self._choose_action = jax.jit(_choose_action)
+
+    def drive(
+        self, policy: AnyPolicy, cases: Cases, seed: int
+    ) -> tuple[list[Row], Drives]:
+        """One episode in each case, side by side.
+
+        Args:
+            policy: acting function; a planner must have been restarted.
+            cases: where to park, with a moving car if the environment has one.
+            seed: of what is random in a policy.
+
+        Returns:
+            A row for each, see `evaluation.catalogue`, and how they were driven.
+        """
+        count, moving = len(cases.number), self.env.num_agents > 1
+        ctrl_dt = self.env.config.sim.ctrl_dt
+        reset_key, act_key = jax.random.split(evaluation_key(seed))
+        keys = jax.random.split(reset_key, count)
+        state, observation = self._reset(cases.layouts, keys)
+        progress = moving_car.init_progress(count) if moving else None
+        rows: list[Row | None] = [None] * count
+        chunks: list[tuple[np.ndarray, ...]] = []
+        policy, carry = as_argument(policy), (state, observation, progress)
+        while any(row is None for row in rows):
+            act_key, own = jax.random.split(act_key)
+            carry, out = self._chunk(policy, carry, jax.random.split(own, CHUNK))
+            done, metrics, recorded = out
+            chunks.append(jax.device_get(recorded))
+            metrics = {name: np.asarray(value) for name, value in metrics.items()}
+            for t, lot in np.argwhere(np.asarray(done)[..., 0]):
+                if rows[lot] is None:
+                    row = {n: float(value[t, lot, 0]) for n, value in metrics.items()}
+                    rows[lot] = _label(cases, lot) | complete_row(row, ctrl_dt)
+        drives = Drives(
+            *(
+                np.concatenate(parts).swapaxes(0, 1)
+                for parts in zip(*chunks, strict=True)
+            )
+        )
+        return [row for row in rows if row is not None], drives
+
+    def decision_time(self, policy: AnyPolicy, cases: Cases) -> float:
+        """How long a policy takes for one decision of one car [s]."""
+        key = jax.random.key(0)
+        starts = self._reset(cases.layouts, jax.random.split(key, len(cases.number)))
+        state, observation = jax.tree.map(lambda x: x[0], starts)
+        policy, taken = as_argument(policy), []
+        for _ in range(TIMED + 1):
+            begun = time.perf_counter()
+            self._choose_action(policy, state, observation, key).block_until_ready()
+            taken.append(time.perf_counter() - begun)
+        return min(taken[1:])
+
+
+def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array], Any]:
+    if env.num_agents > 1:
+        return functools.partial(moving_car.reset, env)
+    return env.reset_to_layout
+
+
+def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Any, keys: jax.Array) -> Any:
+    """Drives on by a control step for every key; what happened in each of them."""
     drive_on = functools.partial(moving_car.drive, ctrl_dt=env.config.sim.ctrl_dt)
 
-    def step(policy, carry, key):
+    def step(carry, key):
         state, observation, progress = carry
         action = _choose_action(policy, state, observation, key)
         if progress is not None:
@@ -137,35 +192,7 @@ def drive_cases(
         ended = timestep.events.done, timestep.metrics
         return (state, timestep.observation, progress), (*ended, recorded)
 
-    @jax.jit
-    def run(policy, carry, keys):
-        return jax.lax.scan(lambda c, k: step(policy, c, k), carry, keys)
-
-    rows: list[Row | None] = [None] * count
-    chunks: list[tuple[np.ndarray, ...]] = []
-    policy, carry = as_argument(policy), (state, observation, progress)
-    while any(row is None for row in rows):
-        act_key, own = jax.random.split(act_key)
-        carry, out = run(policy, carry, jax.random.split(own, CHUNK))
-        done, metrics, recorded = out
-        chunks.append(jax.device_get(recorded))
-        metrics = {name: np.asarray(value) for name, value in metrics.items()}
-        for t, lot in np.argwhere(np.asarray(done)[..., 0]):
-            if rows[lot] is None:
-                row = {n: float(value[t, lot, 0]) for n, value in metrics.items()}
-                rows[lot] = _label(cases, lot) | complete_row(
-                    row, env.config.sim.ctrl_dt
-                )
-    drives = Drives(
-        *(np.concatenate(parts).swapaxes(0, 1) for parts in zip(*chunks, strict=True))
-    )
-    return [row for row in rows if row is not None], drives
-
-
-def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array], Any]:
-    if env.num_agents > 1:
-        return functools.partial(moving_car.reset, env)
-    return env.reset_to_layout
+    return jax.lax.scan(step, carry, keys)
 
 
 def _choose_action(
@@ -184,20 +211,6 @@ def _label(cases: Cases, lot: int) -> Row:
         "case": int(cases.number[lot]),
         "kind": str(cases.kind[lot]),
     }
-
-
-def decision_time(env: ParkingEnv, policy: AnyPolicy, cases: Cases) -> float:
-    """How long a policy takes for one decision of one car [s]."""
-    first = jax.tree.map(lambda x: x[0], cases.layouts)
-    key = jax.random.key(0)
-    state, observation = jax.jit(_reset(env))(first, key)
-    act = jax.jit(_choose_action)
-    taken = []
-    for _ in range(TIMED + 1):
-        begun = time.perf_counter()
-        act(as_argument(policy), state, observation, key).block_until_ready()
-        taken.append(time.perf_counter() - begun)
-    return min(taken[1:])
 
 
 def worst_first(rows: Sequence[Row]) -> list[Row]:
@@ -226,7 +239,7 @@ def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
 
     Args:
         policy: its name.
-        rows: all episodes of the suite, of `drive_cases`, with the names of their
+        rows: all episodes of the suite, of `CaseEvaluator`, with the names of their
             policies and their seeds. Those of the planner also have `planned`, whether
             it found a path, `planned_path`, its length [m], and `planning_seconds`.
     """

@@ -4,12 +4,15 @@ import math
 from collections.abc import Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import PARKED_RULES, EnvConfig, LayoutConfig
 from carpark_mj.config.checks import Range
 from carpark_mj.fleet.draw import Fleet
-from carpark_mj.layouts import Layout, MixtureConfig, make_layout
+from carpark_mj.geometry import box_disc_overlap, boxes_overlap, to_world
+from carpark_mj.layouts import FromFileConfig, Layout, MixtureConfig, make_layout
+from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import BayKind
@@ -103,9 +106,10 @@ def parked_cars_needed(occupancy: Range, lot: LayoutConfig) -> int:
 def check_cars(
     config: EnvConfig, fleet: Fleet, lot: LayoutConfig, layout: Layout | None
 ) -> None:
-    """Refuses cars that cannot enter any bay from the aisle, or fit into none.
+    """Refuses cars that cannot start, enter a bay from the aisle, or fit into one.
 
-    On the grid cars turn on the spot, so only the fit is checked.
+    A single kind of car must fit into all bays of a lot that is not random, a fleet's
+    into one. On the grid cars turn on the spot, so no entry is needed.
 
     Args:
         config: of the environment.
@@ -116,12 +120,13 @@ def check_cars(
     Raises:
         ValueError: naming the car and what is allowed.
     """
-    names = config.fleet.agents or (config.vehicle,)
-    if config.physics != "grid":
-        for name, params in zip(names, fleet.agents, strict=True):
+    for name, params in zip(fleet.agent_names, fleet.agents, strict=True):
+        if config.physics != "grid":
             _require_entry(name, params, lot.entries)
+        if layout is not None:
+            _require_start(name, params, lot, layout)
     one_size = not config.fleet.is_on and config.jitter.scale == (1.0, 1.0)
-    if not config.varies or (one_size and layout is None):
+    if one_size and layout is None and is_made_for(lot, fleet.agents[0]):
         return
     lots = [layout] if layout is not None else _sample(lot)
     bays = [np.asarray(x.bay_size)[np.asarray(x.bay_mask)] for x in lots]
@@ -130,7 +135,7 @@ def check_cars(
         slack = PARKED_RULES[rule].slack
         counts = [
             _count_bays("fleet.agents", name, _size(params), slack, bays)
-            for name, params in zip(names, fleet.agents, strict=True)
+            for name, params in zip(fleet.agent_names, fleet.agents, strict=True)
         ]
         goals = _num_goals(config)
         if layout is not None and max(counts) < goals:
@@ -138,11 +143,32 @@ def check_cars(
                 f"fleet.agents find goals in only {max(counts)} bays of this lot under "
                 f"the {rule} rule, fewer than the {goals} agents of a lot"
             )
-    if config.num_parked_cars:
-        names = config.fleet.parked_cars or (config.vehicle,)
+    else:  # drawn without regard to its size
+        used = bays
+        if layout is not None and (config.varies or not config.num_parked_cars):
+            used = [np.asarray(layout.bay_size)[np.asarray(layout.goal_mask)]]
+        (name,), (params,) = fleet.agent_names, fleet.agents
+        count = _count_bays("agents", name, _size(params), 0.0, used)
+        if layout is not None and count < len(used[0]):
+            raise ValueError(
+                f"the {name}, {params.length:.2f} m x {params.width:.2f} m, fits in "
+                f"only {count} of the lot's {len(used[0])} bays; fleet.agents and "
+                "fleet.parked_cars take presets and use only bays that these fit in"
+            )
+    if config.num_parked_cars and config.varies:
         scale = config.jitter.scale[1]
-        for name, params in zip(names, fleet.parked_cars, strict=True):
+        for name, params in zip(fleet.parked_names, fleet.parked_cars, strict=True):
             _count_bays("parked cars", name, scale * _size(params), 0.0, bays)
+
+
+def is_made_for(lot: LayoutConfig, car: VehicleParameters) -> bool:
+    """Whether bays and spawn regions of all lots of a family have room for a car."""
+    if isinstance(lot, MixtureConfig):
+        return all(is_made_for(member, car) for member in lot.members)
+    if isinstance(lot, FromFileConfig):
+        return not describe_faults(lot.layout, (car.length, car.width))
+    made_for = getattr(lot, "car", DesignCar())
+    return car.length <= made_for.length and car.width <= made_for.width
 
 
 def _num_goals(config: EnvConfig) -> int:
@@ -183,6 +209,29 @@ def _require_entry(
     )
 
 
+def _require_start(
+    name: str, params: VehicleParameters, lot: LayoutConfig, layout: Layout
+) -> None:
+    """Refuses a car that touches something wherever it could start."""
+    if is_made_for(lot, params):
+        return
+    # Along, across and in heading, out to the bounds of every region.
+    shares = jnp.linspace(-1.0, 1.0, 9)
+    shares = jnp.stack(jnp.meshgrid(shares, shares, shares), axis=-1).reshape(-1, 3)
+    bounds = jnp.column_stack([layout.spawn_size / 2, layout.spawn_spread])
+    starts = to_world(layout.spawn_pose[:, None], shares * bounds[:, None])
+    starts = starts[layout.spawn_mask].reshape(-1, 1, 3)
+    size = jnp.array([params.length, params.width])
+    walls = boxes_overlap(starts, size, layout.wall_pose, layout.wall_size)
+    discs = box_disc_overlap(starts, size, layout.disc_centre, layout.disc_radius)
+    touches = (walls & layout.wall_mask).any(1) | (discs & layout.disc_mask).any(1)
+    if touches.all():
+        raise ValueError(
+            f"the {name}, {params.length:.2f} m x {params.width:.2f} m, finds no start "
+            "in the lot: it touches a wall or disc wherever it could spawn"
+        )
+
+
 def _count_bays(
     kind: str, name: str, size: np.ndarray, slack: float, lots: Sequence[np.ndarray]
 ) -> int:
@@ -190,9 +239,10 @@ def _count_bays(
     count = max(int((size + slack <= bays).all(axis=1).sum()) for bays in lots)
     if not count:
         longest, widest = np.concatenate(lots).max(axis=0)
+        spare = f"with {slack:g} m to spare " if slack else ""
         raise ValueError(
-            f"{kind}: the {name}, {size[0]:.2f} m x {size[1]:.2f} m, fits with "
-            f"{slack:g} m to spare in no bay of the lot: these are up to "
+            f"{kind}: the {name}, {size[0]:.2f} m x {size[1]:.2f} m, fits {spare}"
+            f"in no bay of the lot: these are up to "
             f"{longest:.2f} m long and {widest:.2f} m wide"
         )
     return count

@@ -19,6 +19,7 @@ from carpark_mj.mdp.reset_options import ResetOptions, given_goals, kept_clear
 from carpark_mj.types import NO_BAY, ParkedCars
 from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle, preset
 from carpark_mj.vehicle.parameters import scaled
+from carpark_mj.vehicle.presets import BOXES, PRESETS
 
 
 class Start(NamedTuple):
@@ -41,7 +42,8 @@ class Fleet:
     Attributes:
         agent_names: presets of the kinds of cars that agents drive.
         agents: their parameters.
-        parked_cars: the same for parked cars.
+        parked_names: the same for parked cars.
+        parked_cars: their parameters.
     """
 
     def __init__(self, config: EnvConfig, vehicle: VehicleParameters) -> None:
@@ -52,7 +54,9 @@ class Fleet:
         """
         self._config = config
         names = config.fleet
-        self.agent_names = names.agents or (config.vehicle,)
+        own_name = _name(vehicle, config.vehicle)
+        self.agent_names = names.agents or (own_name,)
+        self.parked_names = names.parked_cars or (own_name,)
         self.agents = tuple(map(preset, names.agents)) or (vehicle,)
         self.parked_cars = tuple(map(preset, names.parked_cars)) or (vehicle,)
         kinds = [make_vehicle(params) for params in self.agents]
@@ -222,6 +226,12 @@ class Fleet:
         limit = jnp.floor(high * bays + rounding).astype(jnp.int32)
         count = jax.random.randint(key, (), least, jnp.maximum(limit, least) + 1)
         return jnp.minimum(count, most)
+
+
+def _name(vehicle: VehicleParameters, named: str) -> str:
+    """What a car is called: as its preset, `named` if it is that one."""
+    names = [n for n, params in (PRESETS | BOXES).items() if params == vehicle]
+    return named if named in names else next(iter(names), "custom car")
 
 
 def _in_bays(

@@ -5,6 +5,7 @@ unchanged, and so are collisions and the parked rule.
 """
 
 import dataclasses
+import math
 from functools import partial
 
 import jax
@@ -15,7 +16,20 @@ from carpark_mj.config.randomization import ADDED
 from carpark_mj.vehicle import Vehicle, VehicleParameters
 from carpark_mj.vehicle.load import with_mass
 from carpark_mj.vehicle.mjcf import chassis_inertial
+from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.surfaces import with_grip
+from carpark_mj.vehicle.tipping import (
+    pitch_stiffness,
+    roll_stiffness,
+    tip_limit,
+    turning_acceleration,
+)
+
+# What brings a car's centre of gravity higher or nearer to its wheels, or brakes it.
+TIPPING = ("mass", "cg_height", "cg_x", "brake_gain")
+OVERSHOOT = (
+    1.5  # of the roll after a sudden turn; at 1.3 cars were seen to stay upright
+)
 
 
 def randomize(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> Vehicle:
@@ -75,8 +89,17 @@ def randomize_all(
     return jax.vmap(partial(randomize, config))(vehicles, keys)
 
 
-def check_randomization(config: RandomizationConfig, params: VehicleParameters) -> None:
+def check_randomization(
+    config: RandomizationConfig, params: VehicleParameters, grade: float = 0.0
+) -> None:
     """Refuses ranges from which an impossible car could be drawn.
+
+    Each range has bounds of its own; together they must not overturn the car.
+
+    Args:
+        config: the ranges.
+        params: the nominal car.
+        grade: of the ground, rise over run.
 
     Raises:
         ValueError: naming the parameter, its range and what is allowed.
@@ -101,4 +124,42 @@ def check_randomization(config: RandomizationConfig, params: VehicleParameters) 
             raise ValueError(
                 f"randomization.{name} must lie within [{least:.3g}, {most:.3g}] for "
                 f"this car, not reach from {low:.3g} to {high:.3g}"
+            )
+    if any(map(config.varies, TIPPING)):
+        _check_tipping(config, params, grade)
+
+
+def _check_tipping(
+    config: RandomizationConfig, params: VehicleParameters, grade: float
+) -> None:
+    """Refuses ranges whose tallest, heaviest, hardest braked car could tip over."""
+    height = params.cg_height * config.cg_height[1]
+    heaviest, lightest = (params.mass * config.mass[k] for k in (1, 0))
+    grip = GRAVITY * params.tyre.friction * config.friction[1]
+    slope = GRAVITY * grade / math.hypot(1.0, grade)
+    sideways = tip_limit(
+        heaviest, height, params.track_width / 2, roll_stiffness(params)
+    )
+    pitch = [
+        tip_limit(heaviest, height, arm, pitch_stiffness(params, cg_x))
+        for cg_x, arm in (
+            (cg_x, arm)
+            for cg_x in (params.cg_to_rear_axle * factor for factor in config.cg_x)
+            for arm in (cg_x, params.wheelbase - cg_x)
+        )
+    ]
+    # Torques do not change with the load.
+    pedal = max(params.max_deceleration * config.brake_gain[1], params.max_acceleration)
+    asked = min(pedal * params.mass / lightest, grip)
+    turning = min(OVERSHOOT * turning_acceleration(params), grip)
+    for limit, needed, way in (
+        (sideways, turning, "in turns"),
+        (min(pitch), asked, "on the brake"),
+    ):
+        if limit < needed + slope:
+            up_to = ", ".join(f"{n} {config.ranges()[n][1]:.3g}" for n in TIPPING)
+            raise ValueError(
+                f"randomization could overturn this car {way}: with {up_to} its wheels "
+                f"lift at {max(limit, 0.0):.2f} m/s^2, it must bear "
+                f"{needed + slope:.2f}; narrow these ranges"
             )

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.geometry.gradients import finite_slope, sqrt
 from carpark_mj.geometry.se2 import norm, rotate, to_local
 
 # Signs of the four corners in the box frame, counter-clockwise from front left.
@@ -135,7 +136,7 @@ def box_distance(
     # The frame of a turned as seen from b is that of b turned the other way.
     to_b = _least_gap(pair.a_in_b, half_a, half_b, pair.cos, -pair.sin)
     to_a = _least_gap(pair.b_in_a, half_b, half_a, pair.cos, pair.sin)
-    gap = jnp.sqrt(jnp.minimum(to_a, to_b))
+    gap = sqrt(jnp.minimum(to_a, to_b))
     return jnp.where(boxes_overlap(pose_a, size_a, pose_b, size_b), 0.0, gap)
 
 
@@ -207,13 +208,17 @@ def ray_box_distance(
     start = rotate(origin - pose[..., :2], -pose[..., 2])
     # A ray along a slab gives +-inf, the right ends of its interval; on the edge 0 / 0,
     # and NaN fails the comparison.
-    inverse = 1.0 / rotate(direction, -pose[..., 2])
+    towards = rotate(direction, -pose[..., 2])
     half = 0.5 * size
-    one, other = (-half - start) * inverse, (half - start) * inverse
+    one, other = _time(-half - start, towards), _time(half - start, towards)
     enter = jnp.max(jnp.minimum(one, other), axis=-1)
     leave = jnp.min(jnp.maximum(one, other), axis=-1)
     hit = (enter <= leave) & (leave >= 0.0)
     return jnp.where(hit, jnp.maximum(enter, 0.0), jnp.inf)
+
+
+# Along a slab it is infinite, and so are its slopes, though the other slab counts.
+_time = finite_slope(lambda way, speed: way * (1.0 / speed))
 
 
 def ray_disc_distance(
@@ -224,7 +229,7 @@ def ray_disc_distance(
     along = jnp.sum(direction * offset, axis=-1)
     aside = direction[..., 0] * offset[..., 1] - direction[..., 1] * offset[..., 0]
     # From the chord, not from the quadratic formula, which cancels far away.
-    chord = jnp.sqrt(jnp.maximum(radius**2 - aside**2, 0.0))
+    chord = sqrt(jnp.maximum(radius**2 - aside**2, 0.0))
     hit = (jnp.abs(aside) < radius) & (along + chord >= 0.0)
     return jnp.where(hit, jnp.maximum(along - chord, 0.0), jnp.inf)
 

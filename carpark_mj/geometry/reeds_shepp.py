@@ -8,6 +8,7 @@ tried in four mirror images (time reversed, sides swapped, both), some also back
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.geometry.gradients import arccos, arcsin, arctan2, hypot, sqrt
 from carpark_mj.geometry.se2 import to_local, wrap_angle
 
 _HALF = jnp.pi / 2
@@ -72,7 +73,7 @@ def _symmetric_words(x: jax.Array, y: jax.Array, phi: jax.Array) -> list[jax.Arr
     # (8.11) left | right, straight, left | right, a quarter turn each in the middle
     xi, eta = other
     u = 4.0 - _root(rho**2 - 4.0)
-    t = jnp.arctan2((4.0 - u) * xi - 2.0 * eta, -2.0 * xi + (u - 4.0) * eta)
+    t = arctan2((4.0 - u) * xi - 2.0 * eta, -2.0 * xi + (u - 4.0) * eta)
     v = wrap_angle(t - phi)
     valid = (rho >= 2.0) & (u <= _ROUNDING) & (t >= -_ROUNDING) & (v >= -_ROUNDING)
     quarters = _if(valid, t + jnp.pi - u + v)
@@ -84,7 +85,7 @@ def _words(x: jax.Array, y: jax.Array, phi: jax.Array) -> list[jax.Array]:
     sin, cos = jnp.sin(phi), jnp.cos(phi)
     # (8.3), (8.4) left | right, left
     rho, angle = _polar(x - sin, y - 1.0 + cos)
-    u = -2.0 * jnp.arcsin(jnp.clip(rho / 4.0, 0.0, 1.0))
+    u = -2.0 * arcsin(jnp.clip(rho / 4.0, 0.0, 1.0))
     t = wrap_angle(angle + u / 2 + jnp.pi)
     v = wrap_angle(phi - t + u)
     lrl = _if((rho <= 4.0) & (t >= -_ROUNDING), t - u + jnp.abs(v))
@@ -111,22 +112,22 @@ def _ends(
     delta = wrap_angle(u - v)
     a = jnp.sin(u) - jnp.sin(delta)
     b = jnp.cos(u) - jnp.cos(delta) - 1.0
-    angle = jnp.arctan2(eta * a - xi * b, xi * a + eta * b)
+    angle = arctan2(eta * a - xi * b, xi * a + eta * b)
     turned = 2.0 * (jnp.cos(delta) - jnp.cos(v) - jnp.cos(u)) + 3.0 < 0
     t = wrap_angle(angle + jnp.where(turned, jnp.pi, 0.0))
     return t, wrap_angle(t - u + v - phi)
 
 
 def _polar(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return jnp.hypot(x, y), jnp.arctan2(y, x)
+    return hypot(x, y), arctan2(y, x)
 
 
 def _root(x: jax.Array) -> jax.Array:
-    return jnp.sqrt(jnp.maximum(x, 0.0))
+    return sqrt(jnp.maximum(x, 0.0))
 
 
 def _arccos(x: jax.Array) -> jax.Array:
-    return jnp.arccos(jnp.clip(x, -1.0, 1.0))
+    return arccos(jnp.clip(x, -1.0, 1.0))
 
 
 def _if(valid: jax.Array, length: jax.Array) -> jax.Array:

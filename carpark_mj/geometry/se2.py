@@ -7,6 +7,8 @@ broadcasts over leading dimensions.
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.geometry.gradients import sqrt
+
 
 def wrap_angle(angle: jax.Array) -> jax.Array:
     """Wraps angles [rad] of any shape to [-pi, pi)."""
@@ -20,7 +22,7 @@ def norm(vector: jax.Array) -> jax.Array:
     which costs a kernel of its own on a GPU and a slow loop on a CPU.
     """
     x, y = vector[..., 0], vector[..., 1]
-    return jnp.sqrt(x * x + y * y)
+    return sqrt(x * x + y * y)
 
 
 def rotate(vector: jax.Array, yaw: jax.Array) -> jax.Array:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from carpark_mj.files import write_atomically
 from carpark_mj.junction.roads import (
     CONNECTIONS,
     CORNER,
@@ -73,5 +74,5 @@ def write_plan(path: Path) -> Path:
     FigureCanvasAgg(figure)
     for axes, name in zip(figure.subplots(2, 2).flat, SCENARIOS, strict=True):
         draw_scenario(axes, name)
-    figure.savefig(path, dpi=110)
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110))
     return path

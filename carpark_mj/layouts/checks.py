@@ -16,8 +16,10 @@ from carpark_mj.geometry import (
     boxes_overlap,
     swept_half_size,
 )
-from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
 from carpark_mj.layouts.types import ROWS, BayKind, Layout
+
+ANY_CAR = (0.0, 0.0)  # length and width [m] that all cars have room for
 
 # Neighbours share an edge: sizes shrink by rounding errors before they are compared.
 ROUNDING = 1e-3  # m
@@ -59,10 +61,15 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
     size = 2.0 * layout.extent * (1.0 + 1e-6)
     inside = box_inside(layout.bay_pose, layout.bay_size, jnp.zeros(3), size)
     small = jnp.any(layout.bay_size < car_size, axis=-1)
+    least, most = PLAUSIBLE_BAY
+    odd = jnp.any((layout.bay_size < least) | (layout.bay_size > most), axis=-1)
     return {
         "there is no bay": ~layout.bay_mask.any(),
         "there is no spawn region": ~layout.spawn_mask.any(),
         "bays lie outside the extent": layout.bay_mask & ~inside,
+        f"bays are not {least:g} to {most:g} m long and wide, in metres": (
+            layout.bay_mask & odd & ~is_exit
+        ),
         "bays are smaller than the car": layout.bay_mask & small,
         "bays overlap": jnp.triu(_boxes_meet(bay, bay), 1),
         "bays meet walls": _boxes_meet(bay, wall),
@@ -105,7 +112,8 @@ def describe_faults(
 
     Args:
         layout: no batch dimension.
-        car_size: length and width of the largest car [m]; the design car's if None.
+        car_size: length and width of the largest car [m]; the design car's if None,
+            `ANY_CAR` for what does not depend on cars.
         lines: of the layout's file, on which rows `bay`, `lane` and `spawn` begin.
 
     Returns:

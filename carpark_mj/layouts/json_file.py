@@ -16,6 +16,7 @@ Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessi
 """
 
 import json
+import math
 from json import scanner
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.layouts import build
-from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 
 FORMAT = "carpark_mj layout 1"
@@ -63,7 +64,8 @@ def read_json(path: Path) -> Layout:
         raise ValueError(f"{path}: brackets are nested too deeply") from None
     except _RowError as error:
         raise ValueError(f"{path}, line {error.line}: {error}") from None
-    if faults := describe_faults(layout, lines=lines):
+    # Which cars there will be only an environment knows.
+    if faults := describe_faults(layout, ANY_CAR, lines):
         raise ValueError(f"{path} is not a valid layout: {'; '.join(faults)}")
     return layout
 
@@ -215,6 +217,12 @@ def _number(line: int, what: str, value: Any, count: int) -> Any:
         raise _RowError(line, f"{what} must be {wanted}, not {value!r}")
     if max(map(abs, values)) > FARTHEST:
         raise _RowError(line, f"{what} must be at most {FARTHEST:g}, not {value!r}")
+    if what.endswith(".pose") and abs(values[2]) > 2 * math.pi + 1e-3:
+        raise _RowError(
+            line,
+            f"{what} must have a heading within [-2 pi, 2 pi] rad, not {values[2]}: "
+            "headings are in radians",
+        )
     if what.rsplit(".", 1)[-1] in _POSITIVE and min(values) <= 0:
         raise _RowError(line, f"{what} must be positive, not {value!r}")
     return value

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from carpark_mj.files import write_atomically
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 
@@ -98,5 +99,5 @@ def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
         axes.set_axis_on()
         draw_layout(axes, layout)
         axes.set_title(f"{title}, {int(layout.bay_mask.sum())} bays", fontsize=9)
-    figure.savefig(path, dpi=110)
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110))
     return path

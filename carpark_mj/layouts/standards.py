@@ -15,9 +15,12 @@ from typing import Literal
 
 import numpy as np
 
-from carpark_mj.config.checks import CheckedConfig, Range
+from carpark_mj.config.checks import CheckedConfig, Range, require_within
 
 FOOT = 0.3048  # m
+# Of any bay, in length and width [m]: for a motorcycle and for a lorry with a trailer.
+# Beyond, a plan is likely to be in other units.
+PLAUSIBLE_BAY: Range = (1.0, 30.0)
 
 BAY_WIDTH: Range = (2.4, 9 * FOOT)  # [mfs] ... [us]; 2.65 m [rast] lies between
 BAY_LENGTH: Range = (4.8, 18 * FOOT)  # [mfs] ... [us]; 5.0 m [rast]
@@ -70,6 +73,8 @@ class DesignCar(CheckedConfig):
                 raise ValueError(
                     f"{field.name} of the car must be positive, not {value}"
                 )
+        require_within(self, 1.0, 25.0, "m", "length")
+        require_within(self, 0.5, 5.0, "m", "width")
         if self.wheelbase + self.rear_overhang > self.length:
             raise ValueError(
                 f"wheelbase {self.wheelbase} m and rear overhang {self.rear_overhang} "

@@ -14,7 +14,8 @@ Geometry of Perfect Parking, 2009.
 import dataclasses
 import math
 
-from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.config.checks import require_within
+from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
 
 
 def least_aisle(car: DesignCar, angle: float, bay_width: float, walled: bool) -> float:
@@ -77,6 +78,9 @@ class Entry:
     bay_width: float
     angle: float = 90.0
     walled: bool = False
+
+    def __post_init__(self) -> None:
+        require_within(self, *PLAUSIBLE_BAY, "m", "bay_width")
 
     def least(self, car: DesignCar) -> float:
         """Narrowest aisle [m] from which a car would get into the bay."""

@@ -1,10 +1,13 @@
 """Clearance: the gap from each agent's footprint to what it could hit."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import box_disc_distance, box_distance, norm
 from carpark_mj.geometry.broad_phase import box_gaps, disc_gaps, is_crowded, least_near
+from carpark_mj.geometry.gradients import with_gradient
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.collisions import reaches, strays
 from carpark_mj.types import Motion, ParkedCars
@@ -16,11 +19,23 @@ CHUNK = 2  # pairs per agent computed at a time: the nearest is among the first
 
 def agent_clearance(motion: Motion) -> jax.Array:
     """Gap (num_agents,) [m] to the nearest other agent, as they stand; inf if alone."""
-    pose, size = motion.pose_w, motion.size
+    num_agents = motion.size.shape[0]
+    crowded = is_crowded(num_agents, num_agents)
+    find = _near_agent_gap if crowded else _agent_gap
+    return find(motion.pose_w, motion.size)
+
+
+def _agent_gap(pose: jax.Array, size: jax.Array) -> jax.Array:
+    """`agent_clearance` from all pairs."""
     own = jnp.eye(pose.shape[0], dtype=bool)
-    if not is_crowded(*own.shape):
-        gap = box_distance(pose[:, None], size[:, None], pose, size)
-        return jnp.min(jnp.where(own, jnp.inf, gap), axis=0)
+    gap = box_distance(pose[:, None], size[:, None], pose, size)
+    return jnp.min(jnp.where(own, jnp.inf, gap), axis=0)
+
+
+@functools.partial(with_gradient, like=_agent_gap)
+def _near_agent_gap(pose: jax.Array, size: jax.Array) -> jax.Array:
+    """`agent_clearance` from near pairs."""
+    own = jnp.eye(pose.shape[0], dtype=bool)
 
     def find(index: jax.Array) -> jax.Array:
         return box_distance(pose[:, None], size[:, None], pose[index], size[index])

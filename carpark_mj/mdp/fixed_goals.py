@@ -28,6 +28,7 @@ from carpark_mj.mdp.spawning.placing import (
 )
 from carpark_mj.mdp.spawning.poses import (
     SpawnDraws,
+    at_random_after,
     draw_kind,
     redraw,
     spawn_pose,
@@ -83,12 +84,13 @@ class FixedGoals:
         around = surroundings(inputs, placing, agent)
         around = dataclasses.replace(around, others=~placing.waiting)
         goal_pose = layout.bay_pose[placing.goal]
-        draws, key = self._draw(inputs, placing, key)
+        draws, key = self._draw(inputs, placing, agent, key)
         pose = self._pose(inputs, placing, around, draws, key)
         if not config.crash_ratio:
             return placing.set(agent, pose_w=pose)
         # The goal is given here, so that an attempt draws another target only.
-        targets = Targets(placing.xy, goal_pose[:, :2], ~placing.waiting)
+        drives = (placing.goal != NO_BAY) & ~placing.waiting
+        targets = Targets(placing.xy, goal_pose[:, :2], drives)
         own_xy = goal_pose[agent, :2]
         tried, good = jax.vmap(
             lambda draws: crash_pose(config, layout, around, own_xy, targets, draws)
@@ -105,7 +107,7 @@ class FixedGoals:
         An agent that starts on a collision course gets the goal that made it possible.
         """
         config, layout = self._config, inputs.layout
-        draws, key = self._draw(inputs, placing, key)
+        draws, key = self._draw(inputs, placing, agent, key)
         if self._drive_out:
             around = surroundings(inputs, placing, agent)
             around = dataclasses.replace(around, others=~placing.waiting)
@@ -220,13 +222,15 @@ class FixedGoals:
         return placing.set(agent, goal=goal, found=found)
 
     def _draw(
-        self, inputs: SpawnInputs, placing: Placing, key: jax.Array
+        self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
     ) -> tuple[PlaceDraws, jax.Array]:
         """The numbers of a start, and a key to draw again; `key` is consumed."""
         key, again = split_redraws(self._config, key)
         num_agents, num_bays = placing.goal.shape[0], inputs.layout.num_bays
         shapes = place_shapes(self._config, num_agents, num_bays)
-        return draw_uniform(shapes, key), again
+        draws = draw_uniform(shapes, key)
+        start = at_random_after(placing.tries[agent], draws.start)
+        return draws._replace(start=start), again
 
     def init_tracked_bays(self) -> None:
         """Agents track no bays."""

@@ -57,7 +57,8 @@ def mix_in_maneuver(
         reeds_shepp_length(start, move_forward(goal_pose, back), radius),
         reeds_shepp_length(start, move_forward(turned, back), radius),
     )
-    share = jnp.clip((reach - distance) / (0.75 * reach), 0.0, 1.0)
+    width = jnp.maximum(0.75 * reach, 1e-6)  # a reach of 0 is nowhere, not NaN
+    share = jnp.clip((reach - distance) / width, 0.0, 1.0)
     return distance + share * (length - distance)
 
 

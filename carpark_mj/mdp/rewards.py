@@ -112,10 +112,25 @@ def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax
     if weights.route:
         goal = transition.goal
         distance = way_to(state.routes, state.layout, motion.xy, goal).length
-    if weights.reeds_shepp:
+    if not _is_off(weights.reeds_shepp):
         car = transition.before.physics.vehicle
         distance = mix_in_maneuver(weights.reeds_shepp, distance, car, motion, target)
     return goal_potential(weights, motion.pose_w, target, distance)
+
+
+def _is_off(weight: float) -> bool:
+    """Whether a weight is known to be 0; one that is traced may have any value."""
+    return not isinstance(weight, jax.Array) and weight == 0.0
+
+
+def _closeness(config: EnvConfig, motion: Motion) -> jax.Array:
+    """The term `closeness` (num_agents,): tests of all pairs, but where it is off."""
+    weights = config.reward
+    if _is_off(weights.closeness):
+        return jnp.zeros_like(motion.speed)
+    gap = agent_clearance(motion) / weights.closeness_range
+    share = 1.0 / config.episode.max_steps
+    return -weights.closeness * share * jnp.maximum(1.0 - gap, 0.0)
 
 
 def _drive_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Array]:
@@ -127,7 +142,6 @@ def _drive_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Arr
         config, transition, before
     )
     nearer = is_nearer(before.xy, after.xy, target[:, :2])
-    gap = agent_clearance(after) / weights.closeness_range
     turn = used.turn * used.speed if weights.smoothness_by_speed else used.turn
     across = axis_angle_error(after.pose_w[..., 2] - target[..., 2]) / (math.pi / 2)
     terms = {
@@ -140,7 +154,7 @@ def _drive_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Arr
         "progress": progress,
         "approach": weights.approach * share * jnp.where(nearer, 1.0, -1.0),
         "smoothness": -weights.smoothness * share * turn,
-        "closeness": -weights.closeness * share * jnp.maximum(1.0 - gap, 0.0),
+        "closeness": _closeness(config, after),
         "reverse": -weights.reverse * share * (direction_of_travel(after) < 0.0),
     }
     if transition.wrong_way is not None:

@@ -3,14 +3,14 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import PARKED_RULES, EpisodeConfig, ParkedRule
+from carpark_mj.config import PARKED_RULES, EpisodeConfig
 from carpark_mj.geometry import axis_angle_error, box_inside, norm, rotate
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.types import NO_BAY, Events, Motion, State
 
 
 def is_parked(
-    rule: ParkedRule, motion: Motion, bay_pose: jax.Array, bay_size: jax.Array
+    rule: str, motion: Motion, bay_pose: jax.Array, bay_size: jax.Array
 ) -> jax.Array:
     """Whether cars (...) stand parked in bays under a named rule, `PARKED_RULES`.
 
@@ -45,6 +45,8 @@ def is_parked(
     if limits.speed is not None:
         speed = norm(motion.velocity_b)
         parked = parked & (speed < limits.speed)
+    if limits.test is not None:
+        parked = parked & limits.test(motion, bay_pose, bay_size)
     return parked
 
 

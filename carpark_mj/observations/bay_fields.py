@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import norm
 from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.fields import FAR, LENGTH, Field
+from carpark_mj.observations.fields import FAR, FARTHEST, LENGTH, Field, far
 from carpark_mj.observations.localised import POSE_FIELDS, localise
 from carpark_mj.types import NO_BAY, Motion
 
@@ -25,14 +25,14 @@ BAY_FIELDS = (
     Field(
         "size", 2, 0.0, 2.0, f"length and width less own [{LENGTH:g} m]", metres=LENGTH
     ),
-    Field("distance", 1, 0.0, 4.0, f"to its centre [{FAR:g} m]", metres=FAR),
+    Field("distance", 1, 0.0, FARTHEST, f"to its centre [{FAR:g} m]", metres=FAR),
 )
 RIVAL_FIELDS = (
     Field(
         "nearest_agent",
         1,
         0.0,
-        4.0,
+        FARTHEST,
         f"from it to the nearest of all agents [{FAR:g} m]",
         metres=FAR,
     ),
@@ -40,7 +40,7 @@ RIVAL_FIELDS = (
         "claim",
         2,
         0.0,
-        4.0,
+        FARTHEST,
         f"1 and that of the nearest with this goal [{FAR:g} m]; 0",
         metres=FAR,
     ),
@@ -62,7 +62,7 @@ def localise_bays(
     """
     room = layout.bay_size[bays] - motion.size[:, None]
     values = localise(motion.pose_w, layout.bay_pose[bays], room, bays != NO_BAY)
-    distance = norm(values["position"])[..., None]
+    distance = jnp.minimum(norm(values["position"]), FARTHEST)[..., None]
     return values | {"distance": distance}
 
 
@@ -114,8 +114,8 @@ def rival_values(
     nearest, claim = rivals(layout, agent_xy, goal, bays)
     present, claimed = bays != NO_BAY, jnp.isfinite(claim)
     claimed = claimed & present
-    claim = jnp.where(claimed, claim, 0.0) / FAR
+    claim = far(jnp.where(claimed, claim, 0.0))
     return {
-        "nearest_agent": jnp.where(present, nearest, 0.0)[..., None] / FAR,
+        "nearest_agent": far(jnp.where(present, nearest, 0.0)[..., None]),
         "claim": jnp.stack([claimed.astype(claim.dtype), claim], axis=-1),
     }

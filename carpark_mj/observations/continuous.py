@@ -10,7 +10,14 @@ from carpark_mj.config import ContinuousObservation
 from carpark_mj.geometry import to_local
 from carpark_mj.layouts.routes import way_to
 from carpark_mj.observations import bay_fields, ego, lane, localised
-from carpark_mj.observations.fields import FAR, Field, repeated, repeated_values
+from carpark_mj.observations.fields import (
+    FAR,
+    FARTHEST,
+    Field,
+    far,
+    repeated,
+    repeated_values,
+)
 from carpark_mj.observations.rays import cast_rays, ray_fields
 from carpark_mj.observations.rings import ring_counts, ring_fields
 from carpark_mj.observations.sensors import observed
@@ -110,7 +117,7 @@ def _shared_fields(config: ContinuousObservation, num_tracked_bays: int) -> list
         fields.append(Field("goal", num_tracked_bays + 2, 0.0, 1.0, meaning))
     elif config.share.goals:
         meaning = f"centre of its goal, body frame [{FAR:g} m]"
-        fields.append(Field("goal", 2, -4.0, 4.0, meaning, metres=FAR))
+        fields.append(Field("goal", 2, -FARTHEST, FARTHEST, meaning, metres=FAR))
     if config.share.goal_headings:
         meaning = "cos and sin of its goal's minus own"
         fields.append(Field("goal_heading", 2, -1.0, 1.0, meaning))
@@ -149,7 +156,7 @@ def _shared_values(
     elif config.share.goals:
         goal_pose = state.layout.bay_pose[state.goal]
         local = to_local(motion.pose_w[:, None], goal_pose[index])
-        shared["goal"] = local[..., :2] / FAR
+        shared["goal"] = far(local[..., :2])
         if config.share.goal_headings:
             yaw = local[..., 2]
             shared["goal_heading"] = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)

@@ -8,7 +8,15 @@ import jax.numpy as jnp
 from carpark_mj.geometry import box_room, norm, rotate, to_local
 from carpark_mj.layouts.routes import Way
 from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.fields import CLOSE, FAR, LENGTH, NEAR, Field
+from carpark_mj.observations.fields import (
+    CLOSE,
+    FAR,
+    FARTHEST,
+    LENGTH,
+    NEAR,
+    Field,
+    far,
+)
 from carpark_mj.types import CarParameters, Motion
 
 MOTION_FIELDS = (
@@ -20,14 +28,16 @@ GOAL_FIELDS = (
     Field(
         "goal_position",
         2,
-        -4.0,
-        4.0,
+        -FARTHEST,
+        FARTHEST,
         f"goal centre, body frame [{FAR:g} m]",
         metres=FAR,
     ),
     Field("goal_near", 2, -1.0, 1.0, f"goal centre, body frame [{NEAR:g} m], clipped"),
     Field("goal_heading", 2, -1.0, 1.0, "cos and sin of goal heading minus own"),
-    Field("goal_distance", 1, 0.0, 4.0, f"to the goal centre [{FAR:g} m]", metres=FAR),
+    Field(
+        "goal_distance", 1, 0.0, FARTHEST, f"to the goal centre [{FAR:g} m]", metres=FAR
+    ),
     Field("in_bay", 2, -1.0, 1.0, f"own centre, goal frame [{NEAR:g} m], clipped"),
     Field(
         "goal_size",
@@ -52,8 +62,8 @@ ROUTE_FIELDS = (
     Field(
         "route_next",
         2,
-        -4.0,
-        4.0,
+        -FARTHEST,
+        FARTHEST,
         f"where the way along the lanes turns next, body frame [{FAR:g} m]",
         metres=FAR,
     ),
@@ -61,7 +71,7 @@ ROUTE_FIELDS = (
         "route_length",
         1,
         0.0,
-        8.0,
+        FARTHEST,
         f"way along the lanes to the goal [{FAR:g} m]",
         metres=FAR,
     ),
@@ -98,12 +108,12 @@ def own_goal(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.A
     inverse = to_local(goal_pose, motion.pose_w)
     xy = local[..., :2]
     return {
-        "goal_position": xy / FAR,
+        "goal_position": far(xy),
         "goal_near": jnp.clip(xy / NEAR, -1.0, 1.0),
         "goal_heading": jnp.stack(
             [jnp.cos(local[..., 2]), jnp.sin(local[..., 2])], axis=-1
         ),
-        "goal_distance": norm(xy)[..., None] / FAR,
+        "goal_distance": far(norm(xy)[..., None]),
         "in_bay": jnp.clip(inverse[..., :2] / NEAR, -1.0, 1.0),
         "goal_size": (goal_size - motion.size) / LENGTH,
     }
@@ -120,8 +130,8 @@ def own_route(motion: Motion, way: Way) -> dict[str, jax.Array]:
     """`ROUTE_FIELDS` of every agent (num_agents, k); both arguments (num_agents,)."""
     position = rotate(way.next_xy - motion.xy, -motion.pose_w[..., 2])
     return {
-        "route_next": position / FAR,
-        "route_length": way.length[..., None] / FAR,
+        "route_next": far(position),
+        "route_length": far(way.length[..., None]),
     }
 
 

@@ -1,7 +1,8 @@
 """A field of the observation vector: a slice with a name, a range and a meaning.
 
 Angles enter as cosine and sine; distances both far (divided by `FAR`) and near
-(divided by `NEAR` and clipped), so that metres and centimetres are both visible.
+(divided by `NEAR` and clipped), so that metres and centimetres are both visible. Where
+a lot is larger than the range of a field, the field is clipped.
 """
 
 import dataclasses
@@ -9,8 +10,12 @@ from collections.abc import Iterable
 from typing import Literal
 
 import jax
+import jax.numpy as jnp
 
 FAR = 20.0  # m, about half a `tanner` lot
+# Where distances are cut off [FAR]: 160 m. By default lots of the families are up to
+# 84 m across (`angled`).
+FARTHEST = 8.0
 NEAR = 3.0  # m, the last car length before the goal
 CLOSE = 0.5  # m, about the room on either side of a car in its bay
 LENGTH = 5.0  # m, about a car
@@ -52,6 +57,11 @@ class Field:
     is_mask: bool = False
     metres: float = 0.0
     speed: float = 0.0
+
+
+def far(distance: jax.Array) -> jax.Array:
+    """Distances or coordinates (...) [m] in units of `FAR`, within `FARTHEST`."""
+    return jnp.clip(distance / FAR, -FARTHEST, FARTHEST)
 
 
 def repeated(group: Group, count: int, fields: Iterable[Field]) -> list[Field]:

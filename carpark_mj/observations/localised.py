@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import to_local
-from carpark_mj.observations.fields import FAR, LENGTH, NEAR, Field
+from carpark_mj.observations.fields import FAR, FARTHEST, LENGTH, NEAR, Field, far
 
 POSE_FIELDS = (
     Field(
         "position",
         2,
-        -4.0,
-        4.0,
+        -FARTHEST,
+        FARTHEST,
         f"its centre, x and y, body frame [{FAR:g} m]",
         metres=FAR,
     ),
@@ -50,7 +50,7 @@ def localise(
     xy = local[..., :2]
     values = {
         "present": jnp.ones_like(local[..., :1]),
-        "position": xy / FAR,
+        "position": far(xy),
         "near_position": jnp.clip(xy / (2 * NEAR), -1.0, 1.0),
         "heading": jnp.stack([jnp.cos(local[..., 2]), jnp.sin(local[..., 2])], axis=-1),
         "size": size / LENGTH,

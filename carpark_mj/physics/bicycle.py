@@ -124,7 +124,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
         return BicycleState(
             pose_w=move_forward(pose, -self.ahead(vehicle)),
             speed=still,
-            actuators=drive.Actuators(steering=still, drive=still),
+            actuators=drive.init_actuators(vehicle),
             vehicle=vehicle,
             trace_w=jnp.broadcast_to(pose[..., None, :], shape),
             finite=jnp.ones(still.shape, bool),
@@ -132,7 +132,11 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
 
     def set_speed(self, state: BicycleState, speed: jax.Array) -> BicycleState:
         """Cars (...) as they stand, rolling straight on at speeds (...) [m/s]."""
-        return dataclasses.replace(state, speed=speed.astype(state.speed.dtype))
+        return dataclasses.replace(
+            state,
+            speed=speed.astype(state.speed.dtype),
+            actuators=drive.roll_freely(state.actuators, speed),
+        )
 
     @full_float32
     def step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
@@ -197,8 +201,9 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
         steering = drive.steer_towards(vehicle, actuators.steering, controls[0], dt)
         angle = steering + vehicle.steering_offset
         rear = speed * jnp.cos(slip_angle(angle))
-        torque, brake = drive.demanded_torques(vehicle, controls[1], rear, rear)
-        torque = drive.approach(actuators.drive, torque, vehicle.drive_lag, dt)
-        faster = accelerate(vehicle, speed, torque, brake, dt)
+        actuators, brake = drive.press_pedal(
+            vehicle, actuators, controls[1], rear, rear, dt
+        )
+        faster = accelerate(vehicle, speed, actuators.drive, brake, dt)
         pose = advance(pose, (speed + faster) / 2, angle, vehicle.wheelbase, dt)
-        return pose, faster, drive.Actuators(steering, torque)
+        return pose, faster, dataclasses.replace(actuators, steering=steering)

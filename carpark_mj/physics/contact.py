@@ -31,6 +31,7 @@ from carpark_mj.vehicle.vehicle import Vehicle
 
 IMPRATIO = 1.0
 ITERATIONS, LS_ITERATIONS = 20, 50
+TOLERANCE = 1e-8  # float32 has no use for less
 
 
 def contact_car_model(params: VehicleParameters, sim: SimConfig) -> mujoco.MjModel:
@@ -41,6 +42,7 @@ def contact_car_model(params: VehicleParameters, sim: SimConfig) -> mujoco.MjMod
     spec.option.gravity = gravity_vector(sim)
     spec.option.impratio = IMPRATIO
     spec.option.iterations, spec.option.ls_iterations = ITERATIONS, LS_ITERATIONS
+    spec.option.tolerance = TOLERANCE
     spec.worldbody.add_geom(
         name="ground",
         type=mujoco.mjtGeom.mjGEOM_PLANE,

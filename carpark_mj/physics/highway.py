@@ -17,7 +17,6 @@ import jax.numpy as jnp
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.physics.bicycle import BicyclePhysics, BicycleState, Carry, slip_angle
 from carpark_mj.types import Motion
-from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.vehicle import Vehicle
 
 
@@ -53,7 +52,7 @@ class HighwayPhysics(BicyclePhysics):
         back = -vehicle.max_reverse_speed - speed
         wanted = jnp.where(headroom < 0.0, jnp.minimum(wanted, headroom), wanted)
         wanted = jnp.where(back > 0.0, jnp.maximum(wanted, back), wanted)
-        actuators = drive.Actuators(steering, actuators.drive)
+        actuators = dataclasses.replace(actuators, steering=steering)
         return pose, speed + wanted * dt, actuators
 
 

@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 
+from carpark_mj.geometry.gradients import with_gradient
+
 Tree = TypeVar("Tree")
 
 _WARP = 32  # threads
@@ -20,11 +22,20 @@ BLOCK = 4 * _WARP  # elements, a warp for each scheduler of a multiprocessor
 _AMPERE = 8.0  # compute capability, the oldest that Triton is made for
 
 
-def on_cuda(run: Callable[[], Tree], otherwise: Callable[[], Tree]) -> Tree:
-    """Runs `run` in programs for CUDA GPUs that Triton supports, else `otherwise`."""
+def on_cuda(
+    run: Callable[..., Tree], otherwise: Callable[..., Tree], *args: Any
+) -> Tree:
+    """Runs `run` in programs for CUDA GPUs that Triton supports, else `otherwise`.
+
+    Gradients are always those of `otherwise`.
+    """
     if not _has_triton():
-        return otherwise()
-    return jax.lax.platform_dependent(cuda=run, default=otherwise)
+        return otherwise(*args)
+
+    def either(*args: Any) -> Tree:
+        return jax.lax.platform_dependent(*args, cuda=run, default=otherwise)
+
+    return with_gradient(either, otherwise)(*args)
 
 
 def run_in_kernel(
@@ -32,7 +43,7 @@ def run_in_kernel(
 ) -> Tree:
     """Evaluates an elementwise function in one kernel, also under `jax.vmap`.
 
-    There are no gradients.
+    There are no gradients; see `on_cuda`.
 
     Args:
         function: from a tree to a tree of floats; may loop, must not index.

@@ -30,6 +30,8 @@ from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.surfaces import on_surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
+LEAST_UP = 0.5  # cosine of the lean at which a car has overturned: 60 degrees
+
 Stepper = Callable[[Vehicle, CarDynamics, jax.Array], tuple[CarDynamics, jax.Array]]
 
 
@@ -60,7 +62,12 @@ class MjxPhysics(FactoredPhysics[CarState]):
     """Cars on brush tyres behind the `Physics` interface."""
 
     def __init__(self, sim: SimConfig) -> None:
-        """Compiles the car model for the given time steps, slope and surface."""
+        """Compiles the car model for the given time steps, slope and surface.
+
+        Raises:
+            ValueError: substeps too long for the tyres.
+        """
+        sim.require_fine_steps()
         self.sim = sim
         model = self._compile(sim)
         nv = 16 if sim.suspension else 12
@@ -99,7 +106,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
             tyres=jax.tree.map(
                 lambda leaf: jnp.broadcast_to(leaf, (*lead, 4)), init_tyres(dtype)
             ),
-            actuators=drive.Actuators(steering=zero, drive=zero),
+            actuators=drive.init_actuators(vehicle),
             vehicle=vehicle,
             trace_w=jnp.broadcast_to(pose[..., None, :], shape),
             finite=jnp.ones(lead, bool),
@@ -114,14 +121,15 @@ class MjxPhysics(FactoredPhysics[CarState]):
         qvel = qvel.at[..., dof + 1].set(speed * jnp.sin(yaw))
         spin = (speed / state.vehicle.wheel_radius)[..., None]
         qvel = qvel.at[..., self.index.spin_dof].set(spin)
-        return dataclasses.replace(state, qvel=qvel)
+        actuators = drive.roll_freely(state.actuators, speed)
+        return dataclasses.replace(state, qvel=qvel, actuators=actuators)
 
     @full_float32
     def step(self, state: CarState, controls: jax.Array) -> CarState:
         """Advances by one control step; see `Physics.step`.
 
-        A car with a non-finite number in its state is put back to where it was before
-        the step, at rest on the position it had, and flagged.
+        A car with a non-finite number in its state, or on its side, is put back to
+        where it was before the step, at rest on the position it had, and flagged.
         """
         with jax.named_scope("physics"):
             vehicle = on_surface(state.vehicle, self.sim.surface)
@@ -145,7 +153,9 @@ class MjxPhysics(FactoredPhysics[CarState]):
 
 
 def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarState:
-    """Cars (...) after a step; those with a non-finite number are put back, at rest.
+    """Cars (...) after a step; those that diverged are put back, at rest.
+
+    These have a non-finite number, or lie on their side, where no model of tyres holds.
 
     Args:
         before: the cars before the step.
@@ -161,4 +171,6 @@ def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarS
     stepped = dataclasses.replace(
         before, **car._asdict(), trace_w=trace_w, finite=jnp.ones_like(before.finite)
     )
-    return contain_non_finite((car, trace_w), stepped, at_rest)
+    # The z axis of the body, turned by the quaternion (w, x, y, z), along the world's.
+    up = 1.0 - 2.0 * (jnp.square(car.qpos[..., 4]) + jnp.square(car.qpos[..., 5]))
+    return contain_non_finite((car, trace_w), stepped, at_rest, up > LEAST_UP)

@@ -79,9 +79,7 @@ class UnrolledStep:
             (controls[..., 0], controls[..., 1]),
         )
         start = unpack_car(self._index, car)
-        end, trace = on_cuda(
-            lambda: self._run_kernel(fixed, start), lambda: self._run_loop(fixed, start)
-        )
+        end, trace = on_cuda(self._run_kernel, self._run_loop, fixed, start)
         return pack_car(self._index, end), jnp.moveaxis(trace, 0, -2)
 
     def _run_loop(self, fixed: _Fixed, car: Car) -> tuple[Car, jax.Array]:

@@ -14,6 +14,8 @@ Rotation = tuple[Vector, Vector, Vector]  # rows
 # Of a symmetric matrix: xx, yy, zz, xy, xz, yz.
 Symmetric = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
+_REST = 1e-20  # (rad/s)^2, what is slower turns by nothing that float32 could tell
+
 
 def add(a: Vector, b: Vector) -> Vector:
     """A + b."""
@@ -91,9 +93,9 @@ def rotate_by(q: Quaternion, angular: Vector, dt: float | jax.Array) -> Quaterni
     As MuJoCo integrates: q exp(dt angular / 2), normalised.
     """
     square = dot(angular, angular)
-    turning = square > 0.0
-    rate = jnp.sqrt(jnp.where(turning, square, 1.0))
-    half = jnp.where(turning, 0.5 * dt * rate, 0.0)
+    # At rest not 0, or the gradient would say that a body at rest cannot be turned.
+    rate = jnp.sqrt(jnp.maximum(square, _REST))
+    half = 0.5 * dt * rate
     c, (x, y, z) = jnp.cos(half), scale(jnp.sin(half) / rate, angular)
     w0, x0, y0, z0 = q
     turned = (

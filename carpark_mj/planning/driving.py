@@ -6,6 +6,7 @@ and after a while plans around it. Everything here is NumPy, on the host.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -62,10 +63,10 @@ class Agent:
         searches: of the running episode.
     """
 
-    def __init__(self, seed: int, dt: float, config: SearchConfig) -> None:
+    def __init__(self, seed: Sequence[int], dt: float, config: SearchConfig) -> None:
         """An agent without a path; `dt` is the control period [s]."""
         self.searches: list[Search] = []
-        self._seed, self._dt, self._config = seed, dt, config
+        self._seed, self._dt, self._config = tuple(seed), dt, config
         self._path: PlannedPath | None = None
         self._progress = Progress()
         self._stuck = 0
@@ -95,7 +96,7 @@ class Agent:
         self._stuck = 0
         if len(self.searches) >= MAX_PLANS:
             return
-        seed = self._seed + self._config.most_searches * len(self.searches)
+        seed = *self._seed, len(self.searches)
         found = search(
             sight.pose, sight.goal, solids, sight.car, sight.extent, seed, self._config
         )

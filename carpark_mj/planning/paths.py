@@ -17,7 +17,7 @@ STEP = 0.02  # m between points of a path
 BLEND = 0.8  # m, over which the steering changes
 SHORTEST = 0.03  # m; shorter segments are left out
 CRUISE = 1.2  # m/s, highest speed
-CREEP = 0.3  # m/s, below which a car only stops or speeds up: the brake holds it
+CREEP = 0.3  # m/s, below which a car without a pedal stops: the brake holds it
 BRAKING = 0.5  # m/s^2, by which a car slows down
 SHIFT_TIME = 0.7  # s that a change of gear takes besides the turning of the wheels
 

@@ -30,25 +30,29 @@ class Planner:
     """
 
     def __init__(
-        self,
-        ctrl_dt: float,
-        seed: int = 0,
-        config: SearchConfig | None = None,
-        first_lot: int = 0,
+        self, ctrl_dt: float, seed: int = 0, config: SearchConfig | None = None
     ) -> None:
-        """Nobody drives yet.
+        """A planner that has seen no lot yet.
 
         Args:
             ctrl_dt: control period [s].
-            seed: of the searches, another one for each lot and agent.
+            seed: see `restart`.
             config: how to search; the defaults if None.
+        """
+        self._dt, self._config = ctrl_dt, config or SearchConfig()
+        self.restart(seed)
+
+    def restart(self, seed: int, first_lot: int = 0) -> None:
+        """Forgets all paths and counts anew, for other lots.
+
+        Args:
+            seed: of the searches, another one for each lot and agent.
             first_lot: number of the first lot of a batch that is part of a larger one:
                 the searches are then those of the larger one.
         """
         self.agents: dict[tuple[int, int], Agent] = {}
         self.decisions, self.seconds = 0, 0.0
-        self._dt, self._config = ctrl_dt, config or SearchConfig()
-        self._seed = 1_000_000 * seed + 1000 * first_lot
+        self._seed, self._first_lot = seed, first_lot
 
     def searches(self, lot: int, agent: int) -> list[Search]:
         """The searches of an agent's last episode, the first one at its start."""
@@ -71,16 +75,13 @@ class Planner:
 
     def _agent(self, lot: int, agent: int) -> Agent:
         if (lot, agent) not in self.agents:
-            seed = self._seed + 1000 * lot + 100 * agent
+            seed = self._seed, self._first_lot + lot, agent
             self.agents[lot, agent] = Agent(seed, self._dt, self._config)
         return self.agents[lot, agent]
 
 
 def planner_policy(
-    env: ParkingEnv,
-    seed: int = 0,
-    config: SearchConfig | None = None,
-    first_lot: int = 0,
+    env: ParkingEnv, seed: int = 0, config: SearchConfig | None = None
 ) -> tuple[StatePolicy, Planner]:
     """A policy that drives on planned paths, and its memory; arguments of `Planner`.
 
@@ -96,7 +97,7 @@ def planner_policy(
     if env.config.goals.dynamic:
         raise ValueError("the planner needs fixed goals, goals.dynamic = False")
     require_ompl()
-    planner = Planner(env.config.sim.ctrl_dt, seed, config, first_lot)
+    planner = Planner(env.config.sim.ctrl_dt, seed, config)
     return StatePolicy(_callback(planner.act)), planner
 
 

@@ -3,8 +3,9 @@
 RRT-Connect (Kuffner and LaValle, ICRA 2000) grows a tree from the start and one from
 the goal; Sucan, Moll and Kavraki, *The Open Motion Planning Library*, 2012. Its steps
 are short, for in a tight bay only short moves are free, and it starts afresh when it
-takes long. The quickest to drive of a few paths is taken, of more if all are slow.
-A search is cut off by the number of its collision tests, not by time.
+takes long. It mostly ends in the first of its goals, so the two ways round in the bay
+take turns. The quickest to drive of a few paths is taken, of more if all are slow. A
+search is cut off by the number of its collision tests, not by time.
 """
 
 import dataclasses
@@ -12,7 +13,7 @@ import functools
 import itertools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,7 +75,7 @@ def search(
     solids: Solids,
     car: PlannerCar,
     extent: np.ndarray,
-    seed: int = 0,
+    seed: int | Sequence[int] = 0,
     config: SearchConfig | None = None,
 ) -> Search:
     """Searches a path to a bay, nose in or nose out.
@@ -85,23 +86,25 @@ def search(
         solids: what to keep clear of.
         car: that drives.
         extent: (2,) half widths of the lot [m].
-        seed: of the random numbers.
+        seed: of the random numbers; several numbers are one seed.
         config: how; the defaults if None.
 
     Raises:
         ValueError: OMPL is not installed.
     """
     config, begun = config or SearchConfig(), time.thread_time()
-    turned = goal + np.array([0.0, 0.0, math.pi])
+    seeds = np.random.SeedSequence(seed).generate_state(config.most_searches).tolist()
+    ways = _ways(goal)
     for clearance in config.clearances:
         size = car.length + 2 * clearance, car.width + 2 * clearance
         space = FreeSpace(solids, size, extent)
         if not (space.is_free(*start) and space.is_free(*goal)):
             continue
-        task = _Task(car.rear_axle(start), car.rear_axle(np.stack([goal, turned])))
+        here = car.rear_axle(start)
+        tasks = [_Task(here, car.rear_axle(goals)) for goals in (ways, ways[::-1])]
         best: PlannedPath | None = None
         for number in range(config.most_searches):
-            path = _connect(task, space, car, config, seed + number)
+            path = _connect(tasks[number % 2], space, car, config, seeds[number])
             if path and (best is None or path.duration < best.duration):
                 best = path
             is_slow = best is not None and best.duration > config.slow
@@ -112,8 +115,21 @@ def search(
     return Search(None, time.thread_time() - begun, math.nan)
 
 
+def _ways(goal: np.ndarray) -> np.ndarray:
+    """Both ways round in a bay (2, 3), the same two whichever is given as the goal."""
+    return np.array(
+        sorted([*goal[:2], _wrap(goal[2] + turn)] for turn in (0.0, math.pi))
+    )
+
+
+def _wrap(yaw: float) -> float:
+    """The same direction in [-pi, pi): OMPL leaves out states beyond its bounds."""
+    yaw = math.remainder(yaw, 2 * math.pi)
+    return -math.pi if yaw == math.pi else yaw
+
+
 class _Task(NamedTuple):
-    """Poses of the rear axle: the start (3,), the goals (n, 3)."""
+    """Poses of the rear axle: the start (3,), the goals (n, 3), the first preferred."""
 
     start: np.ndarray
     goals: np.ndarray
@@ -159,7 +175,7 @@ def _connect(
 ) -> PlannedPath | None:
     """One search and its path, shortened; None if it was given up."""
     base, geometric, util = _ompl()
-    util.RNG.setSeed(seed + 1)  # 0 is none
+    util.RNG.setSeed(max(seed, 1))  # 0 is none
     lock = car.max_steering * (1.0 - config.spare_steering)
     curves = base.ReedsSheppStateSpace(car.wheelbase / math.tan(lock))
     bounds = base.RealVectorBounds(2)
@@ -207,7 +223,7 @@ def _connect(
 def _state(curves: Any, pose: np.ndarray) -> Any:
     state = curves.allocState()
     state.setXY(float(pose[0]), float(pose[1]))
-    state.setYaw(math.remainder(float(pose[2]), 2 * math.pi))
+    state.setYaw(_wrap(float(pose[2])))
     return state
 
 

@@ -5,17 +5,21 @@ Transactions on Automatic Control 40 (1995), linearised, as reviewed by Paden et
 survey of motion planning and control techniques for self-driving urban vehicles*, 2016.
 With d = 1 forwards and -1 backwards, e the offset to the left of the path and t the
 heading error, the curvature k + dk with dk = -e / l^2 - 2 d t / l lets both die out
-over a distance of about l, without oscillation. The pedal follows the path's speeds and
-obeys the car's own rules (`carpark_mj.vehicle.drive`): below 0.3 m/s it only speeds up,
-or stands at once.
+over a distance of about l, without oscillation. The pedal follows the path's speeds; a
+segment ends on the holding brake (`carpark_mj.vehicle.drive`), released in time.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.planning.paths import CREEP, PlannedPath, PlannerCar, Segment
+from carpark_mj.vehicle import COMPACT, make_vehicle
+from carpark_mj.vehicle.drive import SWITCH_SPEED, close_hold, hold_braking
 
 REACH = 0.8  # m, l
 NEAR = 0.02  # m from the end of a segment: it is driven
@@ -23,11 +27,8 @@ WHEELS_SET = 0.03  # rad, error of the wheels with which a standing car pulls aw
 WHEELS_OFF = 0.15  # rad, with which a car that drives stops
 STANDING = 0.02  # m/s
 AHEAD = 40  # points of a segment among which the nearest one is sought
-HOLD_PEDAL = 0.06  # pedals below 0.05 count as none
+DRIVING = 0.06  # pedals below `HOLD_PEDAL` count as none
 PULLING_AWAY = 0.3  # m/s^2, more than the tyres' rolling resistance
-# To which a step brakes: a pedal that goes on would drive the car the other way.
-STOPPING = 0.28  # m/s
-HOLD_BRAKING = 9.0  # m/s^2 below `CREEP`, `VehicleParameters.hold_deceleration`
 
 
 class Progress(NamedTuple):
@@ -137,28 +138,47 @@ def _pedal(
         car: that drives.
         dt: control period [s].
     """
-    if speed >= CREEP:
-        if limit < CREEP:
-            return brake(speed, car, dt)
-        change = (limit - speed) / dt
-        if change >= 0:
-            return max(min(change / car.max_acceleration, 1.0), HOLD_PEDAL)
-        return -min(-change / car.max_deceleration, 1.0)
-    room = left - speed**2 / (2 * HOLD_BRAKING)
-    if room < NEAR / 2:
-        return 0.0
-    # The speed with which the brake would end the segment exactly after this step.
-    exact = 2 * room / dt - speed
-    if exact < speed and speed * dt - room > NEAR / 2:
-        return 0.0
-    change = (min(exact, max(limit, CREEP)) - speed) / dt
-    least = max(PULLING_AWAY / car.max_acceleration, HOLD_PEDAL)
-    return min(max(change / car.max_acceleration, least), 1.0)
+    target = limit
+    if speed < CREEP:
+        speeds, ways = hold_distances()
+        if left - float(np.interp(speed, speeds, ways)) < NEAR / 2:
+            return 0.0
+        # The speed from which the hold, begun after this step, ends at the segment's.
+        exact = float(np.interp(left, (speed + speeds) / 2 * dt + ways, speeds))
+        target = min(max(limit, CREEP), exact)
+    change = (target - speed) / dt
+    least = PULLING_AWAY / car.max_acceleration if speed < CREEP else DRIVING
+    if change < 0 and speed > SWITCH_SPEED:
+        return -max(min(-change / car.max_deceleration, 1.0), DRIVING)
+    return min(max(change / car.max_acceleration, least, DRIVING), 1.0)
 
 
 def brake(speed: float, car: PlannerCar, dt: float) -> float:
     """The pedal that stops a car of a signed speed, in several steps if need be."""
-    if abs(speed) < CREEP:
+    change = abs(speed) - SWITCH_SPEED  # below it the pedal would drive the other way
+    if change <= 0.0:
         return 0.0
-    pedal = (abs(speed) - STOPPING) / dt / car.max_deceleration
-    return -math.copysign(min(max(pedal, HOLD_PEDAL), 1.0), speed)
+    pedal = change / dt / car.max_deceleration
+    return -math.copysign(min(max(pedal, DRIVING), 1.0), speed)
+
+
+@functools.cache
+def hold_distances() -> tuple[np.ndarray, np.ndarray]:
+    """How far a car rolls once its pedal is released, by its speed.
+
+    Returns:
+        Speeds (n,) up to `CREEP` [m/s], and the distances (n,) in which the holding
+        brake of `compact` stops the car on level ground [m].
+    """
+    vehicle, dt = make_vehicle(COMPACT), 0.01
+
+    def substep(car: tuple[jax.Array, jax.Array], _: None):
+        speed, hold = car
+        hold = close_hold(vehicle, hold, jnp.zeros_like(hold), speed, dt)
+        after = jnp.maximum(speed - hold_braking(vehicle, hold, speed) * dt, 0.0)
+        return (after, hold), (speed + after) / 2 * dt
+
+    speeds = jnp.linspace(0.0, CREEP, 31)
+    rest = speeds, jnp.zeros_like(speeds)
+    _, ways = jax.jit(lambda rest: jax.lax.scan(substep, rest, length=200))(rest)
+    return np.asarray(speeds, float), np.asarray(ways.sum(0), float)

@@ -1,15 +1,6 @@
 """`python -m carpark_mj.play`: see `carpark_mj.cli.play`."""
 
-import sys
+from carpark_mj.cli.process import enter
 
-from carpark_mj.cli.common import run_command
-
-
-def run() -> int:
-    """Runs the command; returns the exit code."""
-    from carpark_mj.cli import play
-
-    return play.run()
-
-
-sys.exit(run_command("play", run))
+if __name__ == "__main__":
+    enter("play", "carpark_mj.cli.play:run")

@@ -1,6 +1,8 @@
 """Running statistics of observations, one set of numbers for all entities of a kind.
 
 So an entity means the same in every slot, and the statistics fit any number of slots.
+They are of what the networks read: empty slots, whose zeros a set encoder masks, do not
+count.
 """
 
 from typing import Any
@@ -43,27 +45,29 @@ def update_normalizer(
     Args:
         sets: parts of the vectors.
         normalizer: before.
-        observation: (..., size).
+        observation: (..., size); of its entities those that are present count.
         weight: (...) 0.0 of observations that do not count, else 1.0; None = all 1.
         axis: of devices whose observations are added together.
     """
     parts = sets.split(observation)
+    counts: dict[str, jax.Array | None] = {OWN: weight}
+    for group, present in sets.present(parts).items():
+        of_observer = 1.0 if weight is None else weight[..., None]
+        counts[group] = present * of_observer
 
-    def update(state: Any, part: jax.Array) -> Any:
-        weights = weight
-        if weights is not None:
-            entities = range(weights.ndim, part.ndim - 1)
-            weights = jnp.expand_dims(weights, entities)
-            weights = jnp.broadcast_to(weights, part.shape[:-1])
-        return running_statistics.update(
+    def update(name: str, state: Any) -> Any:
+        new = running_statistics.update(
             state,
-            part,
-            weights=weights,
+            parts[name],
+            weights=counts[name],
             std_min_value=MIN_STD,
             pmap_axis_name=axis,
         )
+        # Until the first entity of a kind is seen, its sums are divided by 0.
+        seen = (new.count.hi | new.count.lo) > 0
+        return jax.tree.map(lambda new, old: jnp.where(seen, new, old), new, state)
 
-    return {name: update(state, parts[name]) for name, state in normalizer.items()}
+    return {name: update(name, state) for name, state in normalizer.items()}
 
 
 def normalize(

@@ -7,7 +7,9 @@ import numpy as np
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.mdp.parked_cars import AWAY
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
+from carpark_mj.rendering.rollout import parked_trace
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.types import ENDINGS, State, TimeStep
@@ -37,12 +39,11 @@ class LiveLot:
         self.extent = np.asarray(layout.extent)
         self._layout = jax.device_get(layout)
         config = env.config
-        present = state.present
-        self._count = config.num_agents if present is None else int(present.sum())
+        self._shows = np.flatnonzero(state.takes_part)
         self.stage = Stage(
             layout,
             env.vehicle,
-            self._count,
+            len(self._shows),
             config.num_parked_cars,
             env.fleet.agents,
             env.fleet.parked_vehicles(np.asarray(state.parked_cars.size)),
@@ -57,11 +58,11 @@ class LiveLot:
         action = choose_actions(policy, state, observation, key)
         after, timestep = self._env.step(state, action)
         seen = {
-            "pose_w": timestep.motion.trace_w[: self._count].swapaxes(0, 1),
-            "steering": timestep.motion.steering[: self._count],
-            "size": timestep.motion.size[: self._count],
-            "parked_pose": state.parked_cars.pose_w,
-            "goal": after.goal[: self._count],
+            "pose_w": timestep.motion.trace_w[self._shows].swapaxes(0, 1),
+            "steering": timestep.motion.steering[self._shows],
+            "size": timestep.motion.size[self._shows],
+            "parked_pose": parked_trace(state, after, timestep.motion),
+            "goal": after.goal[self._shows],
             **self._record(state, observation, action, timestep),
             **{name: getattr(timestep.events, name).sum() for name in ENDINGS},
         }
@@ -89,8 +90,8 @@ class LiveLot:
         self._seen = None
         self._ended = dict.fromkeys(ENDINGS, 0)
         self.seconds = 0.0
-        self._aim(np.asarray(state.goal[: self._count]))
-        motion = jax.tree.map(lambda x: x[: self._count], state.motion)
+        self._aim(np.asarray(state.goal[self._shows]))
+        motion = jax.tree.map(lambda x: x[self._shows], state.motion)
         self.stage.reset()
         self._place(
             np.asarray(motion.pose_w),
@@ -118,8 +119,10 @@ class LiveLot:
                 self._ended[name] += int(self._seen[name])
         seen = self._seen
         assert seen is not None
-        pose = seen["pose_w"][self._trace]
-        self._place(pose, seen["steering"], seen["parked_pose"], seen["size"])
+        pose, parked_pose = (
+            seen[name][self._trace] for name in ("pose_w", "parked_pose")
+        )
+        self._place(pose, seen["steering"], parked_pose, seen["size"])
         self._trace += 1
         return begins
 
@@ -133,7 +136,7 @@ class LiveLot:
             goal_pose=self.goal_pose,
             goal_size=self.goal_size,
             parked_pose=parked_pose,
-            active=np.ones(len(pose_w), bool),
+            active=np.abs(pose_w[:, 0]) < AWAY / 2,  # who waits for room is absent
             state=("",) * len(pose_w),
             tally=dict(self.tally()),
             flashes=(),

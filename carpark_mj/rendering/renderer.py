@@ -2,18 +2,18 @@
 
 import dataclasses
 import math
-import os
 import sys
+import warnings
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from carpark_mj.rendering.gl import MISSING_GL
+from carpark_mj.rendering.gl import why_nothing_is_drawn
 from carpark_mj.rendering.markers import Markers
 from carpark_mj.rendering.snapshot import Snapshot, Tracked, tracked_points
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
+from carpark_mj.scene.cameras import LOT_CAMERAS
 from carpark_mj.scene.car_look import cabin_geoms
 from carpark_mj.scene.materials import agent_colour
 from carpark_mj.scene.parts import HULL_GROUP
@@ -44,7 +44,11 @@ class Show:
 
 
 class _Renderer(mujoco.Renderer):
-    """MuJoCo's, which any thread may use: none keeps the EGL context."""
+    """MuJoCo's own, which can go on with another model in the same GL context.
+
+    With a context for every lot a picture takes twice as long, and Mesa 130 MB more.
+    Any thread may use it: none keeps the EGL context.
+    """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         super().__init__(model, height=height, width=width)
@@ -62,16 +66,26 @@ class _Renderer(mujoco.Renderer):
         if backend is not None:
             backend.EGL.eglReleaseThread()
 
+    def load(self, model: mujoco.MjModel) -> None:
+        """Uploads meshes and textures of another model in place of the last one's."""
+        self._gl_context.make_current()
+        self._mjr_context.free()
+        self._mjr_context = mujoco.MjrContext(
+            model, mujoco.mjtFontScale.mjFONTSCALE_100
+        )
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr_context)
+        self._scene = mujoco.MjvScene(model, self._scene.maxgeom)
+        self._model = model
+        self._release()
 
-def _mujoco_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:
+
+def _mujoco_renderer(model: mujoco.MjModel, width: int, height: int) -> _Renderer:
     try:
-        return _Renderer(model, width, height)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # GLFW says in several what fails
+            return _Renderer(model, width, height)
     except Exception as error:  # PyOpenGL and MuJoCo raise many kinds
-        backend = os.environ.get("MUJOCO_GL", "unset")
-        raise RenderingError(
-            f"{MISSING_GL}; if it is there, set MUJOCO_GL=egl before anything imports "
-            f"MuJoCo. MUJOCO_GL is {backend}; the error was: {error}"
-        ) from None
+        raise RenderingError(why_nothing_is_drawn(error)) from None
 
 
 class LotRenderer:
@@ -96,22 +110,26 @@ class LotRenderer:
             RenderingError: no GL.
             ValueError: no such camera.
         """
-        self._stage = stage
         self._show = show or Show()
         self.cameras = camera_names(camera, stage.num_agents)
         self._observers = followed_agents(self.cameras) or range(stage.num_agents)
         self.width, self.height = size[0] // len(self.cameras), size[1]
-        self.model, self.data = self._stage.model, self._stage.data
-        extent, aspect = np.asarray(stage.layout.extent), self.width / self.height
-        for name in LOT_CAMERAS:
-            index = self.model.camera(name).id
-            eye, quat = frame_lot(name, extent, aspect)
-            self.model.cam_pos[index], self.model.cam_quat[index] = eye, quat
+        self._take(stage)
+        self._renderer = _mujoco_renderer(self.model, self.width, self.height)
+
+    def show_lot(self, stage: Stage) -> None:
+        """Draws another lot with as many agents from now on; its cars stay."""
+        if stage is not self._stage:
+            self._take(stage)
+            self._renderer.load(self.model)
+
+    def _take(self, stage: Stage) -> None:
+        self._stage, self.model, self.data = stage, stage.model, stage.data
+        stage.fill_frames(self.width / self.height)
         # The buffer is no larger than a frame: clearing it and smoothing edges take
         # time for every pixel.
         screen = self.model.vis.global_
         screen.offwidth, screen.offheight = self.width, self.height
-        self._renderer = _mujoco_renderer(self.model, self.width, self.height)
 
     def place(self, seen: Snapshot) -> None:
         """Puts all cars where they are; wheels roll by the way since the last call."""

@@ -4,14 +4,17 @@ import dataclasses
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.evaluation.rollout import CHUNK
+from carpark_mj.geometry import wrap_angle
 from carpark_mj.layouts.types import Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.types import Motion, State
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +31,8 @@ class Recording:
         steering: (t, agents) bicycle angles at the end of the steps [rad].
         speed: (t, agents) signed speeds at the end of the steps [m/s].
         goal: (t, agents) goals during the steps, `NO_BAY` of agents that explore.
-        parked_pose: (t, parked cars, 3) centres of the parked cars at the steps' ends.
+        parked_pose: (t, k, parked cars, 3) centres of the parked cars, see
+            `parked_trace`.
         active: (t, agents) bool.
         parked: (t, agents) bool, the agent parked in this step.
         crashed: (t, agents) bool, the agent crashed in this step.
@@ -64,10 +68,30 @@ def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
         recording.layout,
         env.vehicle,
         recording.pose_w.shape[2],
-        recording.parked_pose.shape[1],
+        recording.parked_pose.shape[2],
         env.fleet.agents,
         () if sizes is None else env.fleet.parked_vehicles(sizes),
     )
+
+
+def parked_trace(before: State, after: State, motion: Motion) -> jax.Array:
+    """Poses (k, num_parked_cars, 3) of parked cars at the k traced instants of a step.
+
+    Physics tells where pushed cars are at its end; until then they are on a straight
+    line. A car that is relocated at the end stays where it was.
+
+    Args:
+        before: the step.
+        after: it.
+        motion: of the agents in it.
+    """
+    start, end = before.parked_cars, after.parked_cars
+    push = end.pose_w - start.pose_w
+    push = push.at[:, 2].set(wrap_angle(push[:, 2]))
+    push = jnp.where((end.bay == start.bay)[:, None], push, 0.0)
+    num_traces = motion.trace_w.shape[-2]
+    share = jnp.arange(1, num_traces + 1) / num_traces
+    return start.pose_w + share[:, None, None] * push
 
 
 def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Recording:
@@ -88,7 +112,7 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
             "steering": timestep.motion.steering,
             "speed": timestep.motion.speed,
             "goal": timestep.goal,
-            "parked_pose": state.parked_cars.pose_w,
+            "parked_pose": parked_trace(state, after, timestep.motion),
             "active": state.active,
             "parked": events.parked,
             "crashed": events.crashed,
@@ -112,12 +136,11 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     }
     # A lot keeps its parked cars: who is absent at the start never comes.
     here = np.asarray(state.parked_cars.present)
-    frames["parked_pose"] = frames["parked_pose"][:, here]
-    # The same of the agents.
-    if state.present is not None:
-        count = int(state.present.sum())
-        own = {"pose_w": np.s_[:, :, :count], "parked_pose": np.s_[:]}
-        frames = {n: x[own.get(n, np.s_[:, :count])] for n, x in frames.items()}
+    frames["parked_pose"] = frames["parked_pose"][:, :, here]
+    # The same of the agents, but for those that wait.
+    mine = np.flatnonzero(state.takes_part)
+    own = {"pose_w": np.s_[:, :, mine], "parked_pose": np.s_[:]}
+    frames = {n: x[own.get(n, np.s_[:, mine])] for n, x in frames.items()}
     return Recording(
         layout=state.layout,
         ctrl_dt=env.config.sim.ctrl_dt,

@@ -102,7 +102,7 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
         steering=recording.steering[step],
         goal_pose=goal_pose,
         goal_size=goal_size,
-        parked_pose=recording.parked_pose[step],
+        parked_pose=recording.parked_pose[step, trace],
         active=recording.active[step],
         state=tuple(_state(recording, step, agent) for agent in range(len(goal_pose))),
         tally={name: int(events[:over].sum()) for name, events in ended.items()},
@@ -122,6 +122,8 @@ def aimed_at(layout: Layout, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _state(recording: Recording, step: int, agent: int) -> str:
     if not recording.active[step, agent]:
+        if recording.step[step, agent] == 1:  # this one, and none before it
+            return "waits"
         for name in OUTCOMES:
             if getattr(recording, name)[:step, agent].any():
                 return name.replace("_", " ")

@@ -8,6 +8,7 @@ import numpy as np
 
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene.build import build_scene
+from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
 from carpark_mj.scene.parts import car_prefix
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS
 from carpark_mj.vehicle.parameters import VehicleParameters
@@ -102,8 +103,19 @@ class Stage:
             self._parked, parked_pose, self._parked_cars, strict=True
         ):
             self.data.qpos[address : address + 3] = _rear_axle(params, pose)
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
+        self._update()
+
+    def fill_frames(self, aspect: float) -> None:
+        """Moves `LOT_CAMERAS` so that the lot fills frames; the cars stay.
+
+        Args:
+            aspect: width over height of the frames.
+        """
+        for name in LOT_CAMERAS:
+            eye, quat = frame_lot(name, np.asarray(self.layout.extent), aspect)
+            camera = self.model.camera(name)
+            camera.pos, camera.quat = eye, quat
+        self._update()
 
     def camera(self, name: str) -> str:
         """The camera `agentK/...` of the car that the agent drives; others as named."""
@@ -112,6 +124,11 @@ class Stage:
             return name
         agent = int(owner.removeprefix("agent"))
         return f"{car_prefix(agent, int(self._kind[agent]))}{rest}"
+
+    def _update(self) -> None:
+        """Bodies, cameras and lights in the world, after a change of any."""
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
 
     def _roll(self, pose_w: np.ndarray) -> None:
         """Turns the wheels by the way driven since the last frame."""

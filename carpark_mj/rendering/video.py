@@ -1,5 +1,8 @@
 """Frames of a recording, and writing them as mp4 or GIF."""
 
+import contextlib
+import re
+import subprocess
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -81,6 +84,7 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
             quality=None,  # pyright: ignore[reportArgumentType]
             output_params=["-crf", "23", "-preset", "veryfast"],
             macro_block_size=2,
+            ffmpeg_log_level="quiet",  # errors are told below
         )
         writer.send(None)
         try:
@@ -88,9 +92,13 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
             for picture in pictures:
                 send(writer, picture)
                 count += 1
+        except KeyboardInterrupt as error:  # do not wait for FFmpeg
+            with contextlib.suppress(KeyboardInterrupt):
+                writer.throw(error)
+            raise
         finally:
             writer.close()
-        if not temporary.exists():  # it stopped after the last frame was sent
+        if _num_encoded(temporary) != count:  # its exit code is not ours to see
             raise OSError(stopped)
 
     with warnings.catch_warnings():
@@ -98,6 +106,23 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called")
         write_atomically(path, write)
     return count
+
+
+def _num_encoded(path: Path) -> int:
+    """How many frames a video has; 0 where there is none."""
+    import imageio_ffmpeg
+
+    program = imageio_ffmpeg.get_ffmpeg_exe()
+    copy = ("-map", "0:v:0", "-c", "copy", "-f", "null", "-")
+    told = subprocess.run(
+        [program, "-nostdin", "-i", str(path), *copy],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+    )
+    counts = re.findall(r"frame= *(\d+)", told.stderr)
+    return int(counts[-1]) if counts else 0
 
 
 def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:

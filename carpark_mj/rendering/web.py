@@ -2,7 +2,6 @@
 
 import functools
 import importlib.util
-import logging
 import math
 from collections.abc import Callable
 from typing import Any
@@ -47,7 +46,7 @@ def make_viewer(
     step: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
     reset: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
 ) -> tuple[Any, Any]:
-    """Serves a scene on localhost; `run()` of the viewer keeps it moving.
+    """Serves a scene on localhost to pages of its own; `run()` keeps it moving.
 
     Args:
         model: of the scene.
@@ -65,11 +64,10 @@ def make_viewer(
     """
     require_web()
     import mjviser
-    import viser
 
-    # Browsers open connections that they may never use.
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-    server = viser.ViserServer(HOST, port, label="carpark_mj", verbose=False)
+    from carpark_mj.rendering.local_server import LocalServer
+
+    server = LocalServer(HOST, port, "carpark_mj")
     # mjviser prefers a material's colour to the geom's own, which is the car's.
     model.geom_matid[:] = -1
     # Its meshes travel as glTF, where colours of points are linear.

@@ -2,17 +2,33 @@
 
 import os
 import sys
+import warnings
 from typing import Any
 
 import numpy as np
 
 NO_DISPLAY = "no display to open a window on (DISPLAY and WAYLAND_DISPLAY are unset)"
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 def has_display() -> bool:
-    """Whether a window can be opened."""
-    wanted = ("DISPLAY", "WAYLAND_DISPLAY")
-    return sys.platform != "linux" or any(os.environ.get(name) for name in wanted)
+    """Whether the user has a display, one that can be reached or not."""
+    return sys.platform != "linux" or any(map(os.environ.get, _DISPLAYS))
+
+
+def missing_display() -> str | None:
+    """Why no window can be opened; None if one can."""
+    if not has_display():
+        return NO_DISPLAY
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what the sentence says
+        if glfw.init():
+            return None
+    names = (name for name in _DISPLAYS if os.environ.get(name))
+    shown = ", ".join(f"{name}={os.environ[name]}" for name in names)
+    return f"no window can be opened on the display{shown and f' ({shown})'}"
 
 
 class Window:
@@ -27,13 +43,11 @@ class Window:
         Raises:
             OSError: there is no display.
         """
-        if not has_display():
-            raise OSError(NO_DISPLAY)
+        if missing := missing_display():
+            raise OSError(missing)
         import glfw
         import mujoco
 
-        if not glfw.init():
-            raise OSError(NO_DISPLAY)
         glfw.window_hint(glfw.RESIZABLE, False)
         self._glfw, self._draw = glfw, mujoco.mjr_drawPixels
         self._window: Any = glfw.create_window(*size, "carpark_mj", None, None)

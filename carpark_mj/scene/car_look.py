@@ -12,7 +12,7 @@ import trimesh
 
 from carpark_mj.scene import materials
 from carpark_mj.scene.car_mesh import car_meshes, standing_wheels
-from carpark_mj.scene.car_style import nearest_preset
+from carpark_mj.scene.car_style import nearest_style
 from carpark_mj.scene.mesh import add_mesh
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.presets import PRESETS
@@ -48,7 +48,7 @@ _FIXED = ("body", "cage", "glass", "headlights", "tail_lights", "trim", "shade")
 
 def shape_name(params: VehicleParameters) -> str:
     """Name of a car's shape: its preset's, with a check sum if it is not quite that."""
-    name = nearest_preset(params)
+    name = nearest_style(params)
     shape = [getattr(params, field) for field in _SHAPE]
     if shape == [getattr(PRESETS[name], field) for field in _SHAPE]:
         return name

@@ -9,7 +9,7 @@ their hub.
 import numpy as np
 import trimesh
 
-from carpark_mj.scene.car_style import STYLES, CarStyle, nearest_preset
+from carpark_mj.scene.car_style import STYLES, CarStyle, nearest_style
 from carpark_mj.scene.mesh import DECIMALS, block, loft, merge, revolve
 from carpark_mj.vehicle.mjcf import hub_positions
 from carpark_mj.vehicle.parameters import VehicleParameters
@@ -46,7 +46,7 @@ def car_meshes(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
     `tail_lights`, `trim` and the soft `shade` on the ground below are in the body
     frame, `tyre` and `rim` of a wheel about its hub, the axle along y.
     """
-    style = STYLES[nearest_preset(params)]
+    style = STYLES[nearest_style(params)]
     glass, cage = _cabin(params, style)
     return {
         "body": _shell(params, style),
@@ -72,7 +72,7 @@ def standing_wheels(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
 
 def driver_eye(params: VehicleParameters) -> tuple[float, float, float]:
     """Where the driver of a left-hand-drive car looks from [m]."""
-    style = STYLES[nearest_preset(params)]
+    style = STYLES[nearest_style(params)]
     (foot, belt), (roof, top), *_ = style.windows
     behind_nose = foot + 0.78 * (roof - foot)
     x = params.length * (1 - behind_nose) - params.rear_overhang

@@ -1,4 +1,4 @@
-"""Silhouettes of the vehicle presets, and which of them suits another car.
+"""Silhouettes of shipped vehicle presets, and which of them suits another car.
 
 Shares read off side views of the models in `vehicle.presets` by eye; they have no
 effect on the physics.
@@ -126,8 +126,8 @@ STYLES = {
 }
 
 
-def nearest_preset(params: VehicleParameters) -> str:
-    """Name of the preset whose length, width and height are most like a car's."""
+def nearest_style(params: VehicleParameters) -> str:
+    """Name of the style whose preset is most like a car in length, width and height."""
 
     def difference(name: str) -> float:
         other = PRESETS[name]
@@ -136,4 +136,4 @@ def nearest_preset(params: VehicleParameters) -> str:
             for side in ("length", "width", "height")
         )
 
-    return min(PRESETS, key=difference)
+    return min(STYLES, key=difference)

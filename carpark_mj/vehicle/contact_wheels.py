@@ -29,8 +29,9 @@ from carpark_mj.vehicle.suspension import SOLIMP as SUSPENDED_SOLIMP
 
 # Solver settings for locked wheels; with fewer iterations the car jumps.
 TIMESTEP = 0.002  # s
-IMPRATIO = 10.0
+IMPRATIO = 100.0  # what tyres and brake pads hold creeps by as much less
 ITERATIONS, LS_ITERATIONS = 100, 50
+TOLERANCE = 1e-12  # at 1e-8 a mirrored drive is 4 um off
 SOLREF = (0.02, 1.0)
 SOLIMP = (0.95, 0.95, 0.001)
 # Rolling resistance as dry friction of the axles, hard enough not to creep.
@@ -85,6 +86,7 @@ def set_contact_options(spec: mujoco.MjSpec) -> None:
     spec.option.impratio = IMPRATIO
     spec.option.iterations = ITERATIONS
     spec.option.ls_iterations = LS_ITERATIONS
+    spec.option.tolerance = TOLERANCE
 
 
 def add_contact_wheels(

@@ -2,27 +2,40 @@
 
 An action is `[steer, pedal]` in [-1, 1]^2. `steer` asks for a road-wheel angle of the
 bicycle model, reached at a limited rate and shared between the front wheels by the
-Ackermann condition. `pedal` asks for an acceleration: along the motion it drives,
-against it it brakes, but for pedals below `HOLD_PEDAL`; a car slower than
-`SWITCH_SPEED` it drives either way. Where the car or its wheels are slower than
-`HOLD_SPEED`, braking or no pedal means the holding brake: wheels that stand stay
-locked, even where the car slides. So from `SWITCH_SPEED` up no pedal against the motion
-slows a car down less than a weaker one. Steering and drive may follow with a
-first-order lag. All functions are elementwise, for cars of any shape.
+Ackermann condition. `pedal` asks for an acceleration. Along the motion it drives;
+against the motion it brakes; below `SWITCH_SPEED` it drives either way. Pedals below
+`HOLD_PEDAL` count as none.
+
+The holding brake closes where a car slower than `HOLD_SPEED` is not driven along its
+motion, and stays closed until the pedal drives the car along its motion: a car that
+slides on locked wheels keeps them locked. It closes gradually and eases off as the car
+comes to rest, as a driver stops a car: without a jerk, and without rocking on the
+tyres. So from `SWITCH_SPEED` up no pedal against the motion slows a car down less than
+a weaker one. Steering and drive may follow with a first-order lag. All functions are
+elementwise, for cars of any shape.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.geometry.gradients import finite_slope
 from carpark_mj.vehicle.vehicle import Vehicle
 
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
 HOLD_PEDAL = 0.05  # pedals smaller than this mean "no pedal"
-HOLD_SPEED = 0.3  # m/s, of car or wheels; below it the brake holds what is not driven
+HOLD_SPEED = 0.3  # m/s, below it the holding brake begins to close
+HOLD_TIME = 0.6  # s, in which the closing of the hold becomes e times as fast
+HOLD_START = 0.15  # m/s^2 per `HOLD_TIME`, how fast the hold begins to close
+HOLD_RAMP = 14.0  # times `Actuators.hold` is what brakes a car that still rolls
+HOLD_EASE = 4.0  # m/s^3, the jerk with which the hold brings a car to rest
 SPINNING = 0.5  # m/s of the driven wheels above the car's speed: they spin
+_TINY = 1e-12  # m^2/s^4, keeps the slope of a square root at rest finite
+
+_quotient = finite_slope(jnp.divide)  # by a speed or lag of 0 it is infinite
 
 
 @struct.dataclass
@@ -32,10 +45,13 @@ class Actuators:
     Attributes:
         steering: (...) bicycle angle [rad], left positive, without `steering_offset`.
         drive: (...) drive torque, all driven wheels together [N m].
+        hold: (...) how far the holding brake has closed, as the deceleration with
+            which it holds a standing car [m/s^2]; 0 is open.
     """
 
     steering: jax.Array
     drive: jax.Array
+    hold: jax.Array
 
 
 class WheelTorques(NamedTuple):
@@ -50,17 +66,24 @@ class WheelTorques(NamedTuple):
     brake: jax.Array
 
 
-def init_actuators(dtype: jnp.dtype | None = None) -> Actuators:
-    """Wheels straight, no drive; one car."""
-    zero = jnp.zeros((), dtype)
-    return Actuators(steering=zero, drive=zero)
+def init_actuators(vehicle: Vehicle) -> Actuators:
+    """Wheels straight, no drive, the holding brake closed; for cars (...) at rest."""
+    zero = jnp.zeros_like(vehicle.mass)
+    return Actuators(steering=zero, drive=zero, hold=vehicle.hold_deceleration)
+
+
+def roll_freely(actuators: Actuators, speed: jax.Array) -> Actuators:
+    """The actuators of cars (...) that begin at speeds [m/s]: no hold but at rest."""
+    return dataclasses.replace(
+        actuators, hold=jnp.where(speed == 0.0, actuators.hold, 0.0)
+    )
 
 
 def approach(
     value: jax.Array, target: jax.Array, lag: jax.Array, dt: float | jax.Array
 ) -> jax.Array:
     """First-order lag over `dt` [s], exact for a constant target; lag 0 is no lag."""
-    kept = jnp.exp(-dt / lag)
+    kept = jnp.exp(_quotient(jnp.asarray(-dt, lag.dtype), lag))
     return kept * value + (1.0 - kept) * target
 
 
@@ -88,17 +111,59 @@ def ackermann(vehicle: Vehicle, steering: jax.Array) -> tuple[jax.Array, jax.Arr
     return jnp.arctan(tan / (1.0 - skew)), jnp.arctan(tan / (1.0 + skew))
 
 
+def close_hold(
+    vehicle: Vehicle,
+    hold: jax.Array,
+    pedal: jax.Array,
+    speed: jax.Array,
+    dt: float | jax.Array,
+) -> jax.Array:
+    """The state of the holding brake, `Actuators.hold`, after `dt` [s].
+
+    Args:
+        vehicle: cars (...).
+        hold: (...) before [m/s^2].
+        pedal: (...) in [-1, 1].
+        speed: (...) forward speed of the rear axle [m/s].
+        dt: [s].
+    """
+    strength = jnp.minimum(jnp.abs(pedal), 1.0)
+    driven = strength >= HOLD_PEDAL
+    released = driven & (jnp.sign(pedal) * speed >= SWITCH_SPEED)
+    wanted = ~driven | (pedal * speed < 0.0)
+    closes = wanted & ((jnp.abs(speed) < HOLD_SPEED) | (hold > 0.0))
+    closed = hold + (hold + HOLD_START) * (dt / HOLD_TIME)
+    # It takes over what the pedal brakes with, for the moment the pedal is released.
+    service = strength * vehicle.max_deceleration / HOLD_RAMP
+    closed = jnp.where(driven, jnp.maximum(closed, service), closed)
+    closed = jnp.minimum(closed, vehicle.hold_deceleration)
+    return jnp.where(released, 0.0, jnp.where(closes, closed, hold))
+
+
+def hold_braking(vehicle: Vehicle, hold: jax.Array, speed: jax.Array) -> jax.Array:
+    """What the holding brake brakes with (...) [m/s^2], `hold` of it at rest."""
+    rising = HOLD_RAMP * hold
+    easing = hold + jnp.sqrt(2.0 * HOLD_EASE * jnp.abs(speed) + _TINY)
+    return jnp.minimum(jnp.minimum(rising, easing), vehicle.hold_deceleration)
+
+
 def demanded_torques(
-    vehicle: Vehicle, pedal: jax.Array, speed: jax.Array, wheel_speed: jax.Array
+    vehicle: Vehicle,
+    pedal: jax.Array,
+    hold: jax.Array,
+    speed: jax.Array,
+    wheel_speed: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Drive and brake torques that the pedal asks for.
 
-    The drive gives at most `max_drive_torque` and `max_power`. The speed limiter goes
-    by the driven wheels once they spin, or their speed would diverge on ice.
+    The drive gives at most `max_drive_torque` and `max_power`. It fades out towards
+    the speed limit, by the speed of the driven wheels where these spin, or it would
+    diverge on ice. Beyond the limit the brakes slow the car down.
 
     Args:
         vehicle: one car.
         pedal: () in [-1, 1].
+        hold: () state of the holding brake, see `Actuators.hold` [m/s^2].
         speed: () forward speed of the rear axle [m/s].
         wheel_speed: () mean circumferential speed of the driven wheels [m/s].
 
@@ -107,37 +172,57 @@ def demanded_torques(
         () [N m] of all wheels, >= 0, which opposes their rotation.
     """
     pedal = jnp.clip(pedal, -1.0, 1.0)
-    idle = jnp.abs(pedal) < HOLD_PEDAL
+    strength = jnp.abs(pedal)
+    idle = strength < HOLD_PEDAL
     opposed = pedal * speed < 0.0
     braking = opposed & (jnp.abs(speed) >= SWITCH_SPEED)
-    slow = jnp.minimum(jnp.abs(speed), jnp.abs(wheel_speed)) < HOLD_SPEED
-    deceleration = jnp.where(
-        opposed & ~idle, jnp.abs(pedal) * vehicle.max_deceleration, 0.0
-    )
-    deceleration = jnp.where(
-        slow & (opposed | idle),
-        jnp.maximum(deceleration, vehicle.hold_deceleration),
-        deceleration,
-    )
-    # Below SWITCH_SPEED the brake fades as the drive takes over: with a jump the car
-    # would chatter at that speed, on a slope against its drive.
+    held = hold_braking(vehicle, hold, speed)
+    # Below SWITCH_SPEED the brake fades as the drive takes over, without a jump of
+    # both together. A closed hold stays: on a slope too steep for its drive, or too
+    # slippery, the car creeps.
     fading = jnp.minimum(jnp.abs(speed) / SWITCH_SPEED, 1.0)
-    deceleration = jnp.where(idle, deceleration, fading * deceleration)
+    service = fading * jnp.maximum(strength * vehicle.max_deceleration, held)
+    by_drive = jnp.where(braking, 0.0, strength * vehicle.max_acceleration)
+    service = jnp.maximum(service - by_drive, fading * hold)
+    deceleration = jnp.where(idle, held, jnp.where(opposed, service, 0.0))
+    over = jnp.maximum(speed - vehicle.max_speed, -speed - vehicle.max_reverse_speed)
+    deceleration = deceleration + jnp.maximum(over, 0.0) / vehicle.speed_limit_time
+
     spinning = jnp.abs(wheel_speed) > jnp.abs(speed) + SPINNING
     speed = jnp.where(spinning, wheel_speed, speed)
-    # The speed limiter caps the acceleration so that the car closes on its limit
-    # exponentially; beyond the limit it slows the car down (engine braking), without
-    # a pedal and beside the brake, but does not turn wheels that are held.
-    headroom = (vehicle.max_speed - speed) / vehicle.speed_limit_time
-    reverse_headroom = (-vehicle.max_reverse_speed - speed) / vehicle.speed_limit_time
-    wanted = jnp.where(braking, 0.0, pedal * vehicle.max_acceleration)
-    acceleration = jnp.clip(wanted, reverse_headroom, headroom)
-    acceleration = jnp.where(slow & (braking | idle), 0.0, acceleration)
+    headroom = jnp.maximum(vehicle.max_speed - speed, 0.0)
+    reverse_headroom = jnp.maximum(speed + vehicle.max_reverse_speed, 0.0)
+    wanted = pedal * vehicle.max_acceleration
+    acceleration = jnp.clip(
+        jnp.where(braking | (idle & (hold > 0.0)), 0.0, wanted),
+        -reverse_headroom / vehicle.speed_limit_time,
+        headroom / vehicle.speed_limit_time,
+    )
     force_to_torque = vehicle.rated_mass * vehicle.wheel_radius
-    by_power = vehicle.max_power * vehicle.wheel_radius / jnp.abs(speed)
+    by_power = _quotient(vehicle.max_power * vehicle.wheel_radius, jnp.abs(speed))
     most = jnp.minimum(vehicle.max_drive_torque, by_power)
     drive = jnp.clip(acceleration * force_to_torque, -most, most)
     return drive, deceleration * force_to_torque
+
+
+def press_pedal(
+    vehicle: Vehicle,
+    actuators: Actuators,
+    pedal: jax.Array,
+    speed: jax.Array,
+    wheel_speed: jax.Array,
+    dt: float | jax.Array,
+) -> tuple[Actuators, jax.Array]:
+    """One substep of drive and brakes; arguments as of `actuate`.
+
+    Returns:
+        The actuators, their steering as before, and the brake torque (...) of all
+        wheels together [N m].
+    """
+    hold = close_hold(vehicle, actuators.hold, pedal, speed, dt)
+    drive, brake = demanded_torques(vehicle, pedal, hold, speed, wheel_speed)
+    drive = approach(actuators.drive, drive, vehicle.drive_lag, dt)
+    return Actuators(actuators.steering, drive, hold), brake
 
 
 def actuate(
@@ -166,9 +251,8 @@ def actuate(
     steer, pedal = controls
     steering = steer_towards(vehicle, actuators.steering, steer, dt)
     angles = ackermann(vehicle, steering + vehicle.steering_offset)
-    drive, brake = demanded_torques(vehicle, pedal, speed, wheel_speed)
-    drive = approach(actuators.drive, drive, vehicle.drive_lag, dt)
-    return Actuators(steering=steering, drive=drive), angles, brake
+    actuators, brake = press_pedal(vehicle, actuators, pedal, speed, wheel_speed, dt)
+    return dataclasses.replace(actuators, steering=steering), angles, brake
 
 
 def stopping_action(speed: jax.Array) -> jax.Array:

@@ -19,8 +19,23 @@ Examples:
 import dataclasses
 import math
 
+from carpark_mj.config.checks import require_within
+
 GRAVITY = 9.81  # m/s^2
 _MAX_LOCK = math.pi / 3  # beyond 60 deg no steering linkage works
+
+
+# What no road vehicle exceeds, so that other units are noticed; toys are no cars.
+_PLAUSIBLE = {
+    (1.0, 25.0, "m"): ("length",),
+    (2.0, 100.0, "m"): ("turning_circle",),
+    (0.5, 20.0, "m"): ("wheelbase",),
+    (0.5, 5.0, "m"): ("width", "height", "track_width"),
+    (0.1, 1.0, "m"): ("wheel_radius",),
+    (50.0, 60_000.0, "kg"): ("mass",),
+    (0.1, 100.0, "m/s"): ("max_speed", "max_reverse_speed"),
+    (0.1, 30.0, "m/s^2"): ("max_acceleration", "max_deceleration"),
+}
 
 
 def _require_positive(config: object, zero: tuple[str, ...] = ()) -> None:
@@ -199,6 +214,8 @@ class VehicleParameters:
         self._check_body()
         self._check_masses()
         _ = self.max_steering  # refuses an impossible turning circle
+        for (least, most, unit), names in _PLAUSIBLE.items():
+            require_within(self, least, most, unit, *names)
 
     def _check_body(self) -> None:
         """The wheels lie within the body."""
@@ -255,6 +272,11 @@ class VehicleParameters:
         )
 
     @property
+    def turning_radius(self) -> float:
+        """Radius of the rear axle's centre on full lock [m]."""
+        return self.wheelbase / math.tan(self.max_steering)
+
+    @property
     def front_overhang(self) -> float:
         """Front axle to front bumper [m]."""
         return self.length - self.wheelbase - self.rear_overhang
@@ -277,7 +299,8 @@ class VehicleParameters:
         return front, front, rear, rear
 
 
-_LENGTHS = (
+# Settings that are lengths [m].
+LENGTHS = (
     "length",
     "width",
     "height",
@@ -296,5 +319,5 @@ def scaled(params: VehicleParameters, factor: float) -> VehicleParameters:
     """The car enlarged by a factor; masses stay, it is made to be looked at."""
     if abs(factor - 1.0) < 1e-6:  # float32 has been there
         return params
-    lengths = {name: factor * getattr(params, name) for name in _LENGTHS}
+    lengths = {name: factor * getattr(params, name) for name in LENGTHS}
     return dataclasses.replace(params, **lengths)

@@ -56,12 +56,14 @@ class JunctionScreen(Screen):
     def __init__(self, env: JunctionEnv, camera: str = "topdown") -> None:
         """Opens nothing yet; see `Screen`."""
         super().__init__(env, camera, env.num_cars)
-        self._junction = env
+
+    @functools.cached_property
+    def _junction(self) -> JunctionStage:
+        """The scene of all lots."""
+        car = road_car(preset(self._env.config.vehicle))
+        return JunctionStage(car, self._env.num_cars)
 
     def _place(self, state: State, lot: int) -> tuple[Stage, Snapshot]:
-        if self._stage is None:
-            params = road_car(preset(self._junction.config.vehicle))
-            self._stage = JunctionStage(params, self._junction.num_cars)
-        assert isinstance(self._stage, JunctionStage)
         one = dataclasses.replace(state, frames=None)  # large, and not drawn
-        return self._stage, self._stage.snapshot(jax.tree.map(lambda x: x[lot], one))
+        seen = self._junction.snapshot(jax.tree.map(lambda x: x[lot], one))
+        return self._junction, seen

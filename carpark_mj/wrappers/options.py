@@ -9,7 +9,6 @@ from carpark_mj.config import (
     LAYOUT_FILES,
     EnvConfig,
     LayoutChoice,
-    ParkedRule,
     PhysicsName,
     RewardConfig,
     RewardName,
@@ -39,7 +38,7 @@ class Options(TypedDict, total=False):
     layout: LayoutChoice
     agents: int
     parked_cars: int
-    rule: ParkedRule
+    rule: str
     reward: RewardConfig | RewardName
     physics: PhysicsName
 

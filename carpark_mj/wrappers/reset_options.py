@@ -1,13 +1,11 @@
 """Options of `reset` as other libraries pass them: dictionaries, one for an agent."""
 
-import math
-import numbers
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from carpark_mj.config.checks import require_count, require_kind
+from carpark_mj.config.checks import is_finite, require_count, require_kind
 from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.types import NO_BAY
 
@@ -53,16 +51,12 @@ def _checked(options: Mapping[str, Any] | None) -> dict[str, Any]:
             raise ValueError(f"unknown option {key!r} of reset; choose from {KEYS}")
     if "pose" in row:
         pose = row["pose"]
-        if np.shape(pose) != (3,) or not all(map(_is_finite, pose)):
+        if np.shape(pose) != (3,) or not all(map(is_finite, pose)):
             raise ValueError(
                 f"pose must be three finite numbers (x, y, yaw), not {pose!r}"
             )
-    if "speed" in row and not _is_finite(row["speed"]):
+    if "speed" in row and not is_finite(row["speed"]):
         raise ValueError(f"speed must be a finite number, not {row['speed']!r}")
     if "goal" in row:
         require_count("goal", row["goal"], 0)
     return row
-
-
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, numbers.Real) and math.isfinite(value)

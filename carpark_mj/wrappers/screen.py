@@ -6,17 +6,18 @@ from typing import Any, Self
 import jax
 import numpy as np
 
+from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_names
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.rendering.window import NO_DISPLAY, has_display
+from carpark_mj.rendering.window import missing_display
 
 SIZE = 960, 540  # pixels
 RENDER_MODES = ["human", "rgb_array"]
 
 
 class Screen:
-    """Shows lots of one environment; scenes are made anew where layouts differ."""
+    """Shows lots of one environment; lots that look alike share a scene."""
 
     def __init__(
         self, env: Any, camera: str = "topdown", num_cars: int | None = None
@@ -36,14 +37,14 @@ class Screen:
         self._open_nothing()
 
     def _open_nothing(self) -> None:
-        self._shown: list[np.ndarray] = []
-        self._stage: Stage | None = None
+        self._stages: dict[bytes, Stage] = {}  # the last is the one used last
         self._renderer: LotRenderer | None = None
         self._window: Any = None
+        self._in_window: Stage | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies open what they show by themselves."""
-        opened = ("_shown", "_stage", "_renderer", "_window")
+        opened = ("_stages", "_renderer", "_window", "_in_window")
         return {k: v for k, v in vars(self).items() if k not in opened}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -62,6 +63,7 @@ class Screen:
         stage, seen = self._place(state, lot)
         if self._renderer is None:
             self._renderer = LotRenderer(stage, self._camera, SIZE)
+        self._renderer.show_lot(stage)
         draw, cameras = self._renderer.draw, self._renderer.cameras
         return np.concatenate([draw(seen, name) for name in cameras], axis=1)
 
@@ -71,42 +73,37 @@ class Screen:
         Raises:
             RenderingError: there is no display.
         """
-        if not has_display():  # MuJoCo's viewer would end the program
+        if missing := missing_display():  # MuJoCo's viewer would end the program
             raise RenderingError(
-                f"render_mode 'human': {NO_DISPLAY}; 'rgb_array' needs none"
+                f"render_mode 'human': {missing}; 'rgb_array' needs none"
             )
         stage, _ = self._place(state, lot)
-        if self._window is None:
+        if stage is not self._in_window:
+            self._close_window()
             import mujoco.viewer
 
             self._window = mujoco.viewer.launch_passive(stage.model, stage.data)
+            self._in_window = stage
         self._window.sync()
 
     def close(self) -> None:
         """Closes what is open; it opens again if used."""
-        for opened in (self._renderer, self._window):
-            if opened is not None:
-                opened.close()
-        self._stage = self._renderer = self._window = None
+        if self._renderer is not None:
+            self._renderer.close()
+        self._close_window()
+        self._renderer, self._stages = None, {}
+
+    def _close_window(self) -> None:
+        if self._window is not None:
+            self._window.close()
+        self._window = self._in_window = None
 
     def _place(self, state: Any, lot: int) -> tuple[Stage, Snapshot]:
         """The scene of a lot with its cars in their places."""
         parts = state.layout, state.motion, state.parked_cars, state.goal, state.active
         parts = jax.device_get(jax.tree.map(lambda x: x[lot], parts))
         layout, motion, parked_cars, goal, active = parts
-        env, drawn = self._env, [*jax.tree.leaves(layout), parked_cars.size]
-        same = map(np.array_equal, drawn, self._shown)
-        if self._stage is None or not all(same):
-            self.close()
-            self._shown = drawn
-            self._stage = Stage(
-                layout,
-                env.vehicle,
-                env.num_agents,
-                env.config.num_parked_cars,
-                env.fleet.agents,
-                env.fleet.parked_vehicles(parked_cars.size),
-            )
+        stage = self._stage(layout, parked_cars.size, most=len(state.goal))
         goal_pose, goal_size = aimed_at(layout, goal)
         seen = Snapshot(
             seconds=0.0,
@@ -121,5 +118,21 @@ class Screen:
             flashes=(),
             size=motion.size,
         )
-        self._stage.place(seen.pose_w, seen.steering, seen.parked_pose, seen.size)
-        return self._stage, seen
+        stage.place(seen.pose_w, seen.steering, seen.parked_pose, seen.size)
+        return stage, seen
+
+    def _stage(self, layout: Layout, parked_size: np.ndarray, most: int) -> Stage:
+        """The scene of a lot and its parked cars; the `most` used last are kept."""
+        env, drawn = self._env, [*jax.tree.leaves(layout), parked_size]
+        key = b"".join(part.tobytes() for part in drawn)
+        self._stages[key] = self._stages.pop(key, None) or Stage(
+            layout,
+            env.vehicle,
+            env.num_agents,
+            env.config.num_parked_cars,
+            env.fleet.agents,
+            env.fleet.parked_vehicles(parked_size),
+        )
+        if len(self._stages) > most:
+            del self._stages[next(iter(self._stages))]
+        return self._stages[key]

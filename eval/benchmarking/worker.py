@@ -112,15 +112,17 @@ def ppo_subject(job: Job) -> Subject:
         learner = find_ppo("GroupLearner")(configs)
         program = jax.jit(learner.compile(), donate_argnums=0)
         what += f", {job.runs} runs"
-    layout = config.env.layout
+    layout, carry = config.env.layout, learner.init()
+    present = carry.env.info.get("present")  # None: all always are
+    share = 1.0 if present is None else float(jnp.mean(present))
     return Subject(
         what=what,
         layout=layout if isinstance(layout, str) else layout.family,
         agents=config.env.num_agents,
         unit="agent-steps",
-        count=job.runs * config.steps_per_update,
+        count=round(job.runs * share * config.steps_per_update),
         program=program,
-        carry=learner.init(),
+        carry=carry,
     )
 
 

@@ -4,14 +4,16 @@ Unlike the other manoeuvres these have a pedal. `MjxPhysics` drives them as in t
 surfaces scale the cars' grip, so that one compiled program serves a slope.
 """
 
-import dataclasses
 import functools
 import itertools
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from carpark_mj.config import SimConfig, Surface
 from carpark_mj.physics.mjx import CarState, MjxPhysics
@@ -22,68 +24,101 @@ from carpark_mj.vehicle.surfaces import SURFACES, with_grip
 from vehicle_suite.table import Study, relative
 from vehicle_suite.testbed import Testbed
 
-GRADES = (0.0, 0.05, 0.15)  # rise over run
+GRADES = (0.0, 0.05, 0.1, 0.15)  # rise over run
 PEDALS = (0.0, 1e-6, 0.04, HOLD_PEDAL, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.85, 1.0)
-START = 1.0  # m/s, above `HOLD_SPEED`
+STARTS = (1.0, 2.0)  # m/s, above `HOLD_SPEED`
 BOTH_WAYS = (1.0, -1.0)  # along the car's x
 WEAK = (0.06, 0.3, 0.5)  # pedals that no car climbs the steepest slope with
-WIDTH = len(PEDALS) * 4  # cars of one call
-SECONDS = 15.0
+WIDTH = len(PEDALS) * 8  # cars of one call
+SECONDS, DT = 15.0, 0.01  # s, of a drive and between its instants
+SUBSTEPS = round(SECONDS / DT)
+
+
+class Driver(NamedTuple):
+    """Who presses the pedals of cars (n,): open loop, speed control, a stop.
+
+    Attributes:
+        pedal: (n,) or, by instant, (`SUBSTEPS`, n), in [-1, 1].
+        target: (n,) speed to be controlled [m/s].
+        gain: (n,) pedal per m/s below it; 0 is no control.
+        release: (n,) speed below which the pedal is let go for good [m/s]; 0 is never.
+        period: control period [instants].
+    """
+
+    pedal: ArrayLike
+    target: ArrayLike = 0.0
+    gain: ArrayLike = 0.0
+    release: ArrayLike = 0.0
+    period: int = 1
 
 
 @functools.cache
 def _program(grade: float):
-    """Compiles `SECONDS` of `WIDTH` cars with constant pedals uphill along x."""
-    physics = MjxPhysics(SimConfig(grade_x=grade))
+    """Compiles `SECONDS` of `WIDTH` cars with a driver, on a slope uphill along x."""
+    physics = MjxPhysics(SimConfig(grade_x=grade, ctrl_dt=DT, trace_dt=DT))
 
     @jax.jit
-    def drive(state: CarState, pedal: jax.Array) -> tuple[jax.Array, jax.Array]:
-        controls = jnp.stack([jnp.zeros_like(pedal), pedal], -1)
-
-        def step(state: CarState, _: None):
+    def drive(state: CarState, driver: Driver) -> tuple[jax.Array, jax.Array]:
+        def step(carry: tuple[CarState, jax.Array, jax.Array], now):
+            state, pedal, released = carry
+            instant, asked = now
+            speed = physics.read(state).velocity_b[:, 0]
+            asked = asked + driver.gain * (driver.target - speed)
+            lets_go = released | (jnp.abs(speed) < driver.release)
+            asked = jnp.where(lets_go, 0.0, jnp.clip(asked, -1.0, 1.0))
+            acts = instant % driver.period == 0
+            pedal = jnp.where(acts, asked, pedal)
+            released = jnp.where(acts, lets_go, released)
+            controls = jnp.stack([jnp.zeros_like(pedal), pedal], -1)
             state = physics.step(state, controls)
             motion = physics.read(state)
-            return state, (motion.pose_w[:, 0], motion.velocity_b[:, 0])
+            seen = motion.pose_w[:, 0], motion.velocity_b[:, 0]
+            return (state, pedal, released), seen
 
-        steps = round(SECONDS / physics.sim.ctrl_dt)
-        return jax.lax.scan(step, state, length=steps)[1]
+        start = state, jnp.zeros(WIDTH), jnp.zeros(WIDTH, bool)
+        return jax.lax.scan(step, start, (jnp.arange(SUBSTEPS), driver.pedal))[1]
 
     return physics, drive
 
 
 def drive_pedals(
-    vehicle: Vehicle,
+    cars: Sequence[Vehicle],
     grade: float,
     start: np.ndarray,
     facing: np.ndarray,
-    pedal: np.ndarray,
+    driver: Driver,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Drives up to `WIDTH` cars of one kind, each with its pedal held.
+    """Drives up to `WIDTH` cars.
 
     Args:
-        vehicle: the car.
+        cars: one, or as many as there are runs.
         grade: rise over run of the ground along x.
         start: (n,) speeds at the start, wheels rolling [m/s].
         facing: (n,) 1 uphill, -1 downhill.
-        pedal: (n,).
+        driver: of the cars.
 
     Returns:
         Instants (T,) [s], and of each car the way (T, n) along its own x axis [m] and
         its speed (T, n) [m/s].
     """
     n = len(start)
-    start, facing, pedal = (np.resize(x, WIDTH) for x in (start, facing, pedal))
     physics, drive = _program(grade)
-    cars = jax.tree.map(lambda x: jnp.broadcast_to(x, (WIDTH, *x.shape)), vehicle)
+    fill = np.arange(WIDTH) % n
+    many = [cars[k % len(cars)] for k in fill]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *many)
+    start, facing = start[fill], facing[fill]
     pose = np.zeros((WIDTH, 3))
     pose[:, 2] = np.where(facing > 0, 0.0, math.pi)
-    state = physics.init(jnp.array(pose, jnp.float32), cars)
-    qvel = np.zeros((WIDTH, 12))
-    qvel[:, 0] = facing * start
-    qvel[:, physics.index.spin_dof] = (start / float(vehicle.wheel_radius))[:, None]
-    state = dataclasses.replace(state, qvel=jnp.array(qvel, jnp.float32))
-    x, speed = jax.device_get(drive(state, jnp.array(pedal, jnp.float32)))
-    time = physics.sim.ctrl_dt * np.arange(1, len(x) + 1)
+    state = physics.init(jnp.array(pose, jnp.float32), stacked)
+    state = physics.set_speed(state, jnp.array(start, jnp.float32))
+    pedal, *settings = (
+        np.asarray(np.broadcast_to(x, (*np.shape(x)[:-1], n))[..., fill], np.float32)
+        for x in driver[:-1]
+    )
+    pedal = np.broadcast_to(pedal, (SUBSTEPS, WIDTH))
+    whole = Driver(pedal, *settings, period=np.int32(driver.period))
+    x, speed = jax.device_get(drive(state, whole))
+    time = DT * np.arange(1, SUBSTEPS + 1)
     return time, (x * facing)[:, :n].astype(float), speed[:, :n].astype(float)
 
 
@@ -95,14 +130,15 @@ def harder_is_slower(
     Way is counted up to the farthest point, so that turning round ends it.
     """
     study = Study(name, bed.tyres)
-    grades = GRADES[-1:] if quick else GRADES
-    runs = np.array(list(itertools.product(BOTH_WAYS, BOTH_WAYS, PEDALS)))
-    facing, way, pedal = runs.T
+    grades = GRADES[2:3] if quick else GRADES
+    runs = np.array(list(itertools.product(BOTH_WAYS, BOTH_WAYS, STARTS, PEDALS)))
+    facing, way, start, pedal = runs.T
     for grade, surface in itertools.product(grades, SURFACES):
-        vehicle = grip_on(params, surface)
-        _, x, _ = drive_pedals(vehicle, grade, way * START, facing, -way * pedal)
+        cars = [grip_on(params, surface)]
+        driver = Driver(-way * pedal)
+        _, x, _ = drive_pedals(cars, grade, way * start, facing, driver)
         reached = np.maximum.accumulate(way * x, axis=0)
-        ahead = np.diff(reached.reshape(len(x), 4, len(PEDALS)), axis=-1)
+        ahead = np.diff(reached.reshape(len(x), 8, len(PEDALS)), axis=-1)
         study.row(
             f"pedals against the motion, {100 * grade:g} % slope, {surface}",
             "0, the way by which a harder pedal gets farther",
@@ -122,8 +158,8 @@ def hold_on_ice(
     study = Study(name, bed.tyres)
     grade = GRADES[-1]
     facing = np.array(BOTH_WAYS)
-    vehicle = grip_on(params, "ice")
-    time, _, speed = drive_pedals(vehicle, grade, np.zeros(2), facing, np.zeros(2))
+    cars = [grip_on(params, "ice")]
+    time, _, speed = drive_pedals(cars, grade, np.zeros(2), facing, Driver(0.0))
     late = time >= SECONDS / 2
     tilt = math.atan(grade)
     friction = SURFACES["ice"] / SURFACES["dry"] * params.tyre.friction
@@ -143,7 +179,7 @@ def hold_on_ice(
 def creep(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
     """Speed at which a slope takes a car away whose pedal is too weak to climb it.
 
-    It faces uphill and drives forwards, or downhill in reverse. The brake, a_hold v /
+    It faces uphill and drives forwards, or downhill in reverse. The hold, a_hold v /
     v_switch below `SWITCH_SPEED`, bears what the drive does not.
     """
     del quick
@@ -152,9 +188,9 @@ def creep(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> St
     tilt = math.atan(grade)
     runs = np.array(list(itertools.product(BOTH_WAYS, WEAK)))
     facing, pedal = runs.T
-    time, _, speed = drive_pedals(
-        grip_on(params, "dry"), grade, np.zeros(len(runs)), facing, facing * pedal
-    )
+    cars = [grip_on(params, "dry")]
+    driver = Driver(facing * pedal)
+    time, _, speed = drive_pedals(cars, grade, np.zeros(len(runs)), facing, driver)
     late = time >= SECONDS / 2
     down = GRAVITY * (math.sin(tilt) - params.tyre.rolling_resistance * math.cos(tilt))
     for k, weak in enumerate(WEAK):

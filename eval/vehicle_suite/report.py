@@ -13,8 +13,8 @@ Written by `{command}`; do not edit.
 Every expected value follows from the preset's parameters by the formula in its row
 (`formulas.py`, `steady_turn.py` and `step_response.py` in `eval/vehicle_suite`). The
 test driver sets wheel angles and wheel torques directly: neither pedal nor rate limit
-stands between a manoeuvre and the car. The exceptions are the rows about pedals and the
-hold (`pedals.py`), which the shipped driver drives.
+stands between a manoeuvre and the car. The exceptions are the rows about pedals, the
+hold and standstill (`pedals.py`, `standstill.py`), which the shipped driver drives.
 
 - *brush*: MJX in float32 at 10 ms with the tyres that training uses.
 - *contact*: C MuJoCo in float64 at 2 ms with the contact wheels of exported scenes.

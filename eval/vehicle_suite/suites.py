@@ -4,7 +4,16 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 from carpark_mj.vehicle import VehicleParameters, preset
-from vehicle_suite import braking, energy, handling, numerics, pedals, statics, turning
+from vehicle_suite import (
+    braking,
+    energy,
+    handling,
+    numerics,
+    pedals,
+    standstill,
+    statics,
+    turning,
+)
 from vehicle_suite.contact import ContactTestbed
 from vehicle_suite.contact_engines import contact_engines
 from vehicle_suite.suspension import suspension
@@ -38,6 +47,10 @@ SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
         pedals.harder_is_slower,
         pedals.hold_on_ice,
         pedals.creep,
+        standstill.coast_after_release,
+        standstill.stop_from_a_walk,
+        standstill.speed_control,
+        standstill.reversing,
     ),
     "contact": (*COMMON, handling.rolling_turns, contact_engines, suspension),
 }

@@ -214,7 +214,7 @@ def _move_in_mjx() -> Any:
 
     def move(vehicle: Vehicle, qpos, qvel, forces: CarForces, ctrl, world):
         gravity, dt = world
-        car = CarDynamics(qpos, qvel, init_tyres(), init_actuators())
+        car = CarDynamics(qpos, qvel, init_tyres(), init_actuators(vehicle))
         option = {"opt.gravity": gravity, "opt.timestep": dt}
         model = with_masses(step.model, vehicle).tree_replace(option)
         after = step.integrate(model, car, generalized_forces(INDEX, forces), ctrl)

@@ -8,8 +8,10 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from helpers.disks import no_printing
 from helpers.sweeping import write_run
 from matplotlib.axes import Axes
+from rich.console import Console
 
 import analysis
 from carpark_mj.analysis.page import SHOWN_ROWS, table, videos
@@ -88,6 +90,13 @@ def test_a_long_table_is_folded_and_what_is_missing_is_a_dash():
     assert "<details open>" in table(rows)
     assert "<details>" in table([*rows, *rows[:1]])
     assert table(rows).count("<td>–</td>") == SHOWN_ROWS
+
+
+def test_an_analysis_is_written_before_it_is_printed(tmp_path, monkeypatch):
+    monkeypatch.setattr(Console, "print", no_printing)
+    with pytest.raises(BrokenPipeError):
+        analyse({"ours": RECORDS}, ["env.num_agents"], ["parked"], tmp_path, "gone")
+    assert {"report.html", "parked.png"} <= {path.name for path in tmp_path.iterdir()}
 
 
 def test_a_long_table_is_written_but_not_printed(tmp_path, capsys):

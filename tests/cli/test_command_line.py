@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.disks import largest_file
 
 from carpark_mj.cli import render
 from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
@@ -21,6 +22,8 @@ from carpark_mj.cli.scene import SceneConfig
 from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.files import require_writable, write_atomically
 
+ROOT = Path(__file__).parents[2]
+
 
 def test_a_file_error_names_the_file_asked_for(tmp_path):
     wanted = tmp_path / "missing" / "a.csv"
@@ -28,6 +31,14 @@ def test_a_file_error_names_the_file_asked_for(tmp_path):
         write_atomically(wanted, lambda temporary: temporary.write_text("x"))
     line = one_line(caught.value)
     assert line == f"cannot use {wanted}: No such file or directory"
+
+
+def test_an_error_of_a_full_disk_names_the_file(tmp_path):
+    path = tmp_path / "a.csv"
+    with largest_file(1000), pytest.raises(OSError, match=r"a\.csv") as caught:
+        write_atomically(path, lambda temporary: temporary.write_bytes(bytes(2000)))
+    assert one_line(caught.value) == f"cannot use {path}: File too large"
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32])
@@ -106,6 +117,8 @@ def test_every_error_is_one_line():
     assert "seed" in one_line(OverflowError("too large"))
 
 
+PROGRAMS = [*ROOT.glob("eval/*.py"), *ROOT.glob("train/*.py")]
+MODULES = ["layouts", "play", "scene"]
 # Commands run without the packages of the extras; each prints its line and its code.
 WITHOUT = """
 import os, runpy, sys
@@ -127,40 +140,51 @@ for command in sys.argv[1:]:
 
 
 def test_without_its_packages_every_command_says_what_to_install():
-    root = Path(__file__).parents[2]
-    scripts = [*root.glob("eval/*.py"), *root.glob("train/*.py")]
-    names = [path.stem for path in scripts]
-    paths = [str(path) for path in scripts]
-    modules = ["layouts", "play", "scene"]
+    names = [*(path.stem for path in PROGRAMS), *MODULES]
+    modules = [f"carpark_mj.{name}" for name in MODULES]
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, *paths, *(f"carpark_mj.{m}" for m in modules)],
-        env={**os.environ, "PYTHONPATH": str(root)},
+        [sys.executable, "-c", WITHOUT, *map(str, PROGRAMS), *modules],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         check=True,
     )
     expected = [
         f"{name}: No module named 'tyro': pip install \".[train,eval]\"\n2\n"
-        for name in (*names, *modules)
+        for name in names
     ]
     assert done.stderr == "".join(expected)
 
 
-def test_ctrl_c_while_a_command_imports_is_one_line():
-    root = Path(__file__).parents[2]
-    stopped = WITHOUT.replace('("tyro", "matplotlib", "tensorboardX")', '("jax",)')
-    stopped = re.sub("raise ModuleNotFoundError.*", "raise KeyboardInterrupt", stopped)
-    scripts = [str(root / "train/ppo.py"), str(root / "eval/evaluate.py")]
-    modules = ["carpark_mj.scene", "carpark_mj.play"]
-    done = subprocess.run(
-        [sys.executable, "-c", stopped, *scripts, *modules],
-        env={**os.environ, "PYTHONPATH": str(root)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    names = ("ppo", "evaluate", "scene", "play")
-    assert done.stderr == "".join(f"{name}: interrupted\n130\n" for name in names)
+# A `sitecustomize.py`: Ctrl-C where a process imports JAX.
+INTERRUPT = """
+import signal, sys
+
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == "jax":
+            signal.raise_signal(signal.SIGINT)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells may ignore it
+sys.meta_path.insert(0, Interrupt())
+"""
+
+
+def test_ctrl_c_while_a_command_imports_is_one_line(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(INTERRUPT)
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    commands = {program.stem: [str(program)] for program in PROGRAMS}
+    commands |= {name: ["-m", f"carpark_mj.{name}"] for name in MODULES}
+    for name, command in commands.items():
+        done = subprocess.run(
+            [sys.executable, *command],
+            env={**os.environ, "PYTHONPATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        ended = done.returncode, done.stdout, done.stderr
+        assert ended == (130, "", f"{name}: interrupted\n")
 
 
 def test_other_missing_modules_are_mistakes_of_ours():

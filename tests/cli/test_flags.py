@@ -7,6 +7,7 @@ import re
 import sys
 from typing import Literal
 
+import jax
 import pytest
 
 from carpark_mj.cli.common import run_command
@@ -134,16 +135,29 @@ def test_what_the_user_can_mend_is_one_line_and_exit_code_2(capsys):
         told = capsys.readouterr().err
         assert told.startswith(line)
         assert told.count("\n") == 1
-    assert run_command("name", lambda: fail(KeyboardInterrupt())) == 130
     assert run_command("name", lambda: None) == 0
     assert run_command("name", lambda: 1) == 1
-    with pytest.raises(KeyError):  # an error of ours keeps its traceback
-        run_command("name", lambda: fail(KeyError("x")))
+    for error in (KeyError("x"), KeyboardInterrupt()):  # ours, and that of `enter`
+        with pytest.raises(type(error)):
+            run_command("name", lambda error=error: fail(error))
+
+
+def test_a_platform_that_jax_does_not_have_is_one_line(monkeypatch, capsys):
+    def fail():
+        raise AssertionError  # all that JAX says of CUDA where there is none
+
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    with pytest.raises(AssertionError):  # JAX has devices: the error is ours
+        run_command("name", fail)
+    monkeypatch.setattr(jax, "devices", fail)
+    assert run_command("name", fail) == 2
+    said = capsys.readouterr().err
+    assert ("JAX_PLATFORMS=cuda" in said, said.count("\n")) == (True, 1)
 
 
 def test_choices_are_those_that_can_be_given(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["evaluate", "zero", "--rule", "lax"])
-    with pytest.raises(ValueError, match="one of metadrive, precise, strict, tanner"):
+    with pytest.raises(ValueError, match=r"metadrive.*precise.*strict.*tanner"):
         read_flags(EvaluateConfig)
 
 

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from helpers.disks import no_printing
+from rich.console import Console
 
 from carpark_mj.cli import suite_videos
 from carpark_mj.cli.suite import SuiteConfig, main
@@ -79,7 +81,7 @@ def test_runs_with_a_moving_car_are_read_together(tmp_path):
     assert recording.layout.bay_mask.tolist() == [True, True]
 
 
-def test_combining_makes_the_table_of_all(tmp_path, capsys):
+def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
     folders = [
         write(tmp_path / "a", episode(0), episode(1)),
         write(tmp_path / "b", episode(0, 1, parked=1.0, timed_out=0.0), episode(1, 1)),
@@ -95,7 +97,14 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys):
     second = folders[1] / CASES_FILE
     second.write_text(second.read_text().replace("cpu", "gpu"))
     out = tmp_path / "out"
-    (row,) = main(SuiteConfig(combine=tuple(map(str, folders)), out=str(out)))
+    config = SuiteConfig(combine=tuple(map(str, folders)), out=str(out))
+    with monkeypatch.context() as terminal:
+        terminal.setattr(Console, "print", no_printing)
+        with pytest.raises(BrokenPipeError):
+            main(config)
+    names = {"cases.csv", "worst.npz", "suite.md", "suite.csv", "suite.html"}
+    assert {path.name for path in out.iterdir()} == names  # before it is printed
+    (row,) = main(config)
     assert (row["cases"], row["seeds"], row["parked"]) == (2, 2, 0.25)
     assert row["by seed"] == [0.0, 0.5]
     assert "seeds 0, 1" in (out / "suite.md").read_text()

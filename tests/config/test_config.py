@@ -18,7 +18,7 @@ from carpark_mj.config import (
     GoalRewards,
     IndexObservation,
     LayoutName,
-    ParkedLimits,
+    ParkedRule,
     RandomizationConfig,
     RayConfig,
     RewardConfig,
@@ -35,6 +35,7 @@ from carpark_mj.junction import JunctionConfig
 from carpark_mj.junction.config import RasterConfig, RewardRules
 from carpark_mj.layouts import FAMILIES, NAMED, StreetConfig, layout_config
 from carpark_mj.layouts.from_file import FromFileConfig
+from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.wrappers.goal import PoseReward
 from learners.ppo.config import PPOConfig
 from learners.q_learning.config import QLearningConfig
@@ -86,6 +87,11 @@ IMPOSSIBLE = [
     (RewardConfig, {"final_speed": -1.0}, "final_speed must be at least 0.0, not -1.0"),
     (RewardConfig, {"timeout": math.inf}, "timeout must be at least 0.0, not inf"),
     (EpisodeConfig, {"parked_rule": "lax"}, "unknown parked_rule 'lax'"),
+    (ParkedRule, {}, "a parked rule must have a limit"),
+    (ParkedRule, {"speed": 0.0}, "speed must be positive, not 0.0"),
+    (ParkedRule, {"speed": 0.1, "slack": -0.1}, "slack must be at least 0.0, not -0.1"),
+    (ParkedRule, {"inside_lines": 1}, "inside_lines must be True or False, not 1"),
+    (ParkedRule, {"test": 1.0}, "test must be a function.* not 1.0"),
     (EpisodeConfig, {"max_steps": 0}, "max_steps must be at least 1, not 0"),
     (EpisodeConfig, {"hitbox_scale": 0.0}, "hitbox_scale must be positive, not 0.0"),
     (EpisodeConfig, {"max_steps": -5}, "max_steps must be at least 1, not -5"),
@@ -292,6 +298,20 @@ def test_num_traces_is_the_fewest_that_respect_trace_dt(
     assert sim.ctrl_dt / sim.num_traces <= sim.trace_dt + 1e-9
 
 
+def test_tyres_need_fine_substeps_and_physics_without_tyres_take_any():
+    coarse = SimConfig(sim_dt=0.04, trace_dt=0.05)
+    for physics in ("mjx", "scene"):
+        with pytest.raises(
+            ValueError, match=r"brush tyres .* at most 0.02 s, not 0.04"
+        ):
+            EnvConfig(sim=coarse, physics=physics)
+        assert EnvConfig(sim=SimConfig(sim_dt=0.02), physics=physics)
+    with pytest.raises(ValueError, match=r"at most 0\.02 s"):
+        MjxPhysics(coarse)
+    for physics in ("bicycle", "highway"):
+        assert EnvConfig(sim=coarse, physics=physics).sim == coarse
+
+
 def test_num_substeps_is_the_whole_number_of_substeps():
     assert SimConfig(sim_dt=0.005, ctrl_dt=0.2).num_substeps == 40
     # 0.3 / 0.1 is 2.9999999999999996.
@@ -389,10 +409,10 @@ def config_classes(cls, found):
 
 
 CLASSES = config_classes(EnvConfig, {TannerObservation, IndexObservation})
-CLASSES |= {PoseReward, JunctionConfig, RasterConfig, RewardRules, ParkedLimits}
+CLASSES |= {PoseReward, JunctionConfig, RasterConfig, RewardRules, ParkedRule}
 CLASSES |= {family.config for family in FAMILIES.values()} - {FromFileConfig}
 CLASSES |= {PPOConfig, QLearningConfig, SACConfig}
-JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), SimConfig)
+JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))
 
 
 @pytest.mark.parametrize("cls", sorted(CLASSES, key=lambda cls: cls.__name__))

@@ -16,6 +16,7 @@ from vehicle_suite import (
     handling,
     numerics,
     pedals,
+    standstill,
     statics,
     steady_turn,
     suites,
@@ -184,6 +185,10 @@ def check(study: Study) -> None:
         pedals.harder_is_slower,
         pedals.hold_on_ice,
         pedals.creep,
+        standstill.coast_after_release,
+        standstill.stop_from_a_walk,
+        standstill.speed_control,
+        standstill.reversing,
     ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )

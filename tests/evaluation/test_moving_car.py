@@ -10,7 +10,7 @@ import pytest
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.moving_car import GAP
-from carpark_mj.evaluation.suite import decision_time, drive_cases, suite_env
+from carpark_mj.evaluation.suite import CaseEvaluator, suite_env
 from carpark_mj.evaluation.suite_cases import pick_cases
 from carpark_mj.geometry import box_distance
 from carpark_mj.layouts.held_out import LEVELS
@@ -84,7 +84,7 @@ def drives():
         assert observation.shape == (3, env.observation_size)  # one car a lot
         return jnp.zeros((3, 2)).at[IS_HIT, 1].set(1.0), {}
 
-    rows, driven = drive_cases(env, policy, cases, seed=0)
+    rows, driven = CaseEvaluator(env).drive(policy, cases, seed=0)
     return cases, rows, driven
 
 
@@ -150,7 +150,8 @@ def test_a_policy_that_reads_the_state_is_asked_about_the_car_that_parks_only():
         return jnp.zeros((2, 2))
 
     env = ParkingEnv(suite_env(EnvConfig(), "strict", with_moving_car=True))
-    decision_time(env, StatePolicy(act), pick_cases("normal", 1, with_moving_car=True))
+    cases = pick_cases("normal", 1, with_moving_car=True)
+    CaseEvaluator(env).decision_time(StatePolicy(act), cases)
     jax.effects_barrier()
     assert {*seen} == {(True, False)}
 

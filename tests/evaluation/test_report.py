@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
+from helpers.disks import no_printing
+from rich.console import Console
 
 from carpark_mj.cli.evaluate import EvaluateConfig, Task, report, subfolder
 from carpark_mj.config import EnvConfig
@@ -140,6 +142,15 @@ def test_the_file_names_the_policy_however_it_was_given(flag, plain, tmp_path):
     stored = json.loads((tmp_path / "evaluation.json").read_text())
     assert stored["settings"]["policy"] == "runs/a"
     assert stored["settings"]["seed"] == 0
+
+
+def test_an_evaluation_is_written_before_it_is_printed(plain, tmp_path, monkeypatch):
+    env = ParkingEnv(EnvConfig())
+    task = Task("zero", zero_policy(env.action_spec), env, tmp_path)
+    monkeypatch.setattr(Console, "print", no_printing)
+    with pytest.raises(BrokenPipeError):
+        report(EvaluateConfig(policy="zero"), task, plain)
+    assert {"evaluation.csv", "evaluation.json"} <= {p.name for p in tmp_path.iterdir()}
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,12 @@ from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.cli.suite_report import header, print_rows, shown_cells, write_results
 from carpark_mj.cli.suite_videos import Video
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.suite import drive_cases, suite_env, table_rows, worst_first
+from carpark_mj.evaluation.suite import (
+    CaseEvaluator,
+    suite_env,
+    table_rows,
+    worst_first,
+)
 from carpark_mj.evaluation.suite_cases import pick_cases
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.held_out import load_held_out
@@ -37,8 +42,8 @@ def test_every_case_gives_one_row_from_its_own_start():
     assert config.episode.max_steps * config.sim.ctrl_dt == pytest.approx(100.0)
     short = dataclasses.replace(config.episode, max_steps=3)
     env = ParkingEnv(dataclasses.replace(config, episode=short))
-    cases = pick_cases("complex", 4)
-    rows, drives = drive_cases(env, zero_policy(env.action_spec), cases, seed=0)
+    evaluator, policy = CaseEvaluator(env), zero_policy(env.action_spec)
+    rows, drives = evaluator.drive(policy, pick_cases("complex", 4), seed=0)
     assert [row["case"] for row in rows] == [0, 1, 2, 3]
     assert [row["kind"] for row in rows] == ["perpendicular", "parallel"] * 2
     assert [row["timed_out"] for row in rows] == [1.0] * 4
@@ -50,6 +55,12 @@ def test_every_case_gives_one_row_from_its_own_start():
     expected = np.hypot(*gap.T)
     ends = [row["final_distance"] for row in rows]
     np.testing.assert_allclose(ends, expected, atol=2e-3)
+    # Another level and another seed take the same programs, and so does a decision.
+    assert evaluator.decision_time(policy, pick_cases("complex", 4)) > 0
+    others, _ = evaluator.drive(policy, pick_cases("extreme", 4), seed=1)
+    assert [row["level"] for row in others] == ["extreme"] * 4
+    programs = evaluator._reset, evaluator._chunk, evaluator._choose_action
+    assert [program._cache_size() for program in programs] == [1, 1, 1]
 
 
 def test_a_part_of_a_level_has_the_cases_of_the_level():

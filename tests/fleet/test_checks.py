@@ -1,13 +1,16 @@
 """Cars that cannot drive or stand in a lot are refused, in one sentence."""
 
 import dataclasses
+import json
 import math
 
+import jax
 import jax.numpy as jnp
 import pytest
 from helpers.scenes import lot
 from helpers.sliding import SlidePhysics
 
+from carpark_mj.cli.layouts import LayoutsConfig, check
 from carpark_mj.config import (
     ContinuousObservation,
     EnvConfig,
@@ -21,7 +24,8 @@ from carpark_mj.fleet.checks import check_cars
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import layout_config, mixture
 from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.vehicle import COMPACT
+from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.vehicle import COMPACT, PRESETS
 
 OWN_CAR = ContinuousObservation(own_car=True)
 
@@ -62,7 +66,7 @@ BAD_ENVIRONMENTS = [
             "num_parked_cars": 1,
             "jitter": JitterConfig(scale=(1, 2)),
         },
-        r"parked cars: the compact, 8.51 m x 3.60 m, fits with 0 m to spare in no bay",
+        r"parked cars: the compact, 8.51 m x 3.60 m, fits in no bay",
     ),
     (
         {
@@ -112,6 +116,111 @@ def test_a_car_that_turns_wide_is_refused_only_where_it_gets_into_no_bay():
     make(mixture((NARROW, "street")))
     make(dataclasses.replace(NARROW, extra_aisle=(-3.0, -2.5)))
     make(NARROW, physics="grid")
+
+
+BUS = dataclasses.replace(
+    COMPACT,
+    length=12.0,
+    width=2.5,
+    wheelbase=6.0,
+    rear_overhang=3.0,
+    turning_circle=22.0,
+)
+
+
+def drawn(tmp_path, *bays, spawn=(20.0, 1.0), walls=()):
+    """A lot drawn by hand: bays (length, width) in a row along an aisle."""
+    rows = [
+        {"pose": [4.0 * k, 3.0 + length / 2, -math.pi / 2], "size": [length, width]}
+        for k, (length, width) in enumerate(bays)
+    ]
+    path = tmp_path / "lot.json"
+    path.write_text(
+        json.dumps(
+            {
+                "format": "carpark_mj layout 1",
+                "bays": rows,
+                "walls": [{"pose": [0, y, 0], "size": [60, 0.1]} for y in walls],
+                "spawns": [{"pose": [0, 0, 0], "size": spawn}],
+                "extent": [40, 20],
+            }
+        )
+    )
+    return str(path)
+
+
+WIDE = (5.0, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("bays", "vehicle", "parked", "message"),
+    [
+        ([(4.5, 2.0)] * 4, "van", 0, r"the van, 4.90 m .* 4.50 m long and 2.00 m"),
+        ([WIDE] * 4, BUS, 2, r"the custom car, 12.00 m x 2.50 m, fits in no bay"),
+        ([WIDE] * 4, PRESETS["van"], 0, None),
+        ([WIDE, WIDE, (4.5, 2.0)], PRESETS["van"], 0, r"the van, .* only 2 of .* 3"),
+        ([(3.8, 2.0)] * 4, "city", 2, None),  # too small for the design car
+        ([(3.8, 2.0)] * 4, "compact", 2, r"the compact, .* fits in no bay"),
+    ],
+)
+def test_cars_must_fit_into_the_bays_of_a_lot_drawn_by_hand(
+    bays, vehicle, parked, message, tmp_path
+):
+    named = isinstance(vehicle, str)
+    config = EnvConfig(
+        layout=drawn(tmp_path, *bays),
+        vehicle=vehicle if named else "compact",
+        num_agents=1,
+        num_parked_cars=parked,
+    )
+
+    def make():
+        car = None if named else vehicle
+        return ParkingEnv(config, SlidePhysics(), car)
+
+    if message is None:
+        assert make().num_agents == 1
+        return
+    with pytest.raises(ValueError, match=message) as refusal:
+        make()
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_car_needs_a_start_at_which_it_touches_nothing(tmp_path):
+    """Walls 2.0 m apart: the van has room along them, the bus nowhere."""
+    bays = [(12.5, 3.0)] * 2
+    made = drawn(tmp_path, *bays, walls=(-1.1, 1.1), spawn=(20.0, 0.1))
+
+    def make(car):
+        config = EnvConfig(layout=made, num_agents=1, num_parked_cars=0)
+        return ParkingEnv(config, SlidePhysics(), car)
+
+    with pytest.raises(ValueError, match=r"the custom car, .* finds no start"):
+        make(BUS)
+    env = make(PRESETS["van"])  # at an angle it would touch them
+    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 100))
+    hits = jax.jit(jax.vmap(find_hits))(state)
+    assert not hits.wall.any()
+
+
+def test_the_layouts_command_checks_with_the_car_asked_for(tmp_path):
+    lot = drawn(tmp_path, (3.8, 2.0), (3.8, 2.0))
+    assert check(lot, 1, 0, "city") == []
+    for vehicle in ("", "van"):
+        assert any("smaller than the car" in told for told in check(lot, 1, 0, vehicle))
+    with pytest.raises(ValueError, match="vehicle 'van' has no effect without --check"):
+        LayoutsConfig((lot,), plot="lots.png", vehicle="van")
+
+
+def test_a_custom_car_has_no_name_but_its_own():
+    config = EnvConfig(vehicle="sedan")
+    for car, name in (
+        (PRESETS["sedan"], "sedan"),
+        (PRESETS["suv"], "suv"),
+        (BUS, "custom car"),
+    ):
+        fleet = Fleet(config, car)
+        assert fleet.agent_names == fleet.parked_names == (name,)
 
 
 def test_a_fleet_that_finds_too_few_goals_is_refused():

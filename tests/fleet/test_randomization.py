@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics
 
-from carpark_mj.config import EnvConfig, RandomizationConfig
+from carpark_mj.config import EnvConfig, RandomizationConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fleet.randomization import check_randomization, randomize
+from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.load import with_mass
@@ -186,6 +187,84 @@ def test_a_steering_lag_may_be_lowered_as_far_as_the_car_has_one():
     check_randomization(RandomizationConfig(steering_lag=(-0.2, 0.0)), lagging)
     with pytest.raises(ValueError, match=r"within \[-0.2, 9.8\]"):
         check_randomization(RandomizationConfig(steering_lag=(-0.3, 0.0)), lagging)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "grade", "way"),
+    [
+        ("van", {"mass": (2.9, 3.0), "cg_height": (2.3, 2.6)}, 0.0, "in turns"),
+        ("van", {"mass": (2.9, 3.0)}, 0.0, None),
+        ("compact", {"cg_height": (2.3, 2.6)}, 0.0, None),
+        ("compact", {"cg_height": (2.3, 2.6)}, 0.2, "in turns"),
+        ("compact", {"cg_x": (1.0, 1.4)}, 0.0, None),
+        ("compact", {"brake_gain": (1.0, 2.0)}, 0.0, None),
+        (
+            "compact",
+            {"cg_x": (1.0, 1.4), "brake_gain": (1.0, 2.0)},
+            0.0,
+            "on the brake",
+        ),
+        ("compact", {"steering_lag": (0.0, 0.1)}, 0.9, None),
+    ],
+)
+def test_ranges_that_overturn_a_car_only_together_are_refused(name, change, grade, way):
+    def check():
+        check_randomization(RandomizationConfig(**change), PRESETS[name], grade)
+
+    if way is None:
+        check()
+        return
+    with pytest.raises(ValueError, match=f"overturn this car {way}") as refusal:
+        check()
+    assert "\n" not in str(refusal.value)
+
+
+def tallest(name: str, mass: float) -> float:
+    """The largest factor on the height of the centre of gravity that is accepted."""
+
+    def accepted(factor: float) -> bool:
+        config = RandomizationConfig(mass=(mass, mass), cg_height=(factor, factor))
+        try:
+            check_randomization(config, PRESETS[name])
+        except ValueError:
+            return False
+        return True
+
+    factors = np.arange(1.0, 3.0, 0.05)
+    return float(max(factor for factor in factors if accepted(factor)))
+
+
+def test_the_tallest_cars_accepted_stay_upright_and_taller_ones_end_on_their_side():
+    """Full steps of wheel and pedal; a car on its side is put back and flagged."""
+    cases = [(name, mass) for name in ("city", "van") for mass in (1.0, 2.0, 3.0)]
+    cars, runs = [], 8
+    for scale in (1.0, 2.0):
+        for name, mass in cases:
+            car = make_vehicle(PRESETS[name])
+            height = car.cg * jnp.array([1.0, 1.0, scale * tallest(name, mass)])
+            cars += [with_mass(car, mass * car.mass, height)] * runs
+    vehicle = jax.tree.map(lambda *x: jnp.stack(x), *cars)
+    physics, half = MjxPhysics(SimConfig()), len(cases) * runs
+    rng = np.random.default_rng(0)
+    steps = np.repeat(rng.choice([-1.0, 1.0], (12, half, 2)), 5, axis=0)
+    controls = jnp.asarray(np.concatenate([steps, steps], axis=1), jnp.float32)
+
+    @jax.jit
+    def drive(state):
+        def step(state, controls):
+            state = physics.step(state, controls)
+            x, y = state.qpos[:, 4], state.qpos[:, 5]
+            return state, (state.finite, 1.0 - 2.0 * (x**2 + y**2))
+
+        return jax.lax.scan(step, state, controls)[1]
+
+    state = physics.init(jnp.zeros((2 * half, 3)), vehicle)
+    finite, up = map(np.asarray, drive(state))
+    assert finite[:, :half].all()
+    assert up[:, :half].min() > np.cos(np.radians(30.0))
+    over = ~finite[:, half:].reshape(-1, len(cases), runs).all(axis=0)
+    assert over.any(axis=1).all()
+    assert up.min() > 0.5  # it never lies there
 
 
 NO_RANGES = [(1.1, 0.9), (math.nan, 1.0), (1.0, math.inf), (1.0,), 0.1, [0.9, 1.1]]

@@ -40,7 +40,7 @@ class CCar:
         )
         self.data.qpos[3:7] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
         self.tyres = init_tyres(jnp.result_type(float))
-        self.actuators = init_actuators(jnp.result_type(float))
+        self.actuators = init_actuators(make_vehicle(params))
         vehicle, index = make_vehicle(params), CarIndex(self.model)
 
         @jax.jit

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from helpers.coulomb import slide
 from helpers.states import parked_in, state_of
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
@@ -242,6 +243,40 @@ def test_a_crash_is_physical():
     assert speed[-1].max() < 0.05
     # The bystanders stood still.
     assert np.abs(poses[-1, 2:] - poses[0, 2:]).max() < 1e-3
+
+
+def test_a_parked_car_that_is_hit_near_its_rear_axle_turns_as_on_four_wheels():
+    """A hit of 3 m/s, and from its end on the slide of Coulomb's friction."""
+    physics = scene()
+    reach = COMPACT.width / 2 + COMPACT.length / 2
+    pose = np.array([[8, -9 + 3 * k, 0] for k in range(AGENTS)], np.float32)
+    parked = np.array(LAYOUT.bay_pose[:PARKED])
+    parked[0] = COMPACT.centre_offset, 0.0, 0.0  # its rear axle at the origin
+    pose[0] = 0.0, -reach - 0.05, np.pi / 2
+    vehicle = jax.tree.map(lambda x: x[0], fleet(1))
+    state = physics.init(jnp.array(pose), vehicle)
+    state = physics.set_parked_poses(state, jnp.array(parked))
+    rolling = state.cars.qvel.at[0, 1].set(3.0)
+    for dof in MjxPhysics(SIM).index.spin_dof:
+        rolling = rolling.at[0, dof].set(3.0 / COMPACT.wheel_radius)
+    state = state.replace(cars=state.cars.replace(qvel=rolling))
+    step = jax.jit(physics.step)
+    coast = jnp.zeros((AGENTS, 2))
+    brake = coast.at[0, 1].set(-1.0)
+    state = step(state, coast)
+    assert bool(state.touched[0, 1])
+    while bool(state.touched[0, 1]):
+        state = step(state, brake)
+    apart = jax.device_get(state)
+    (expected,) = slide(COMPACT, apart.parked_qpos[:1], apart.parked_qvel[:1], 1.0)
+    for _ in range(5):
+        state = step(state, brake)
+    assert not state.touched[0].any()
+    found = np.asarray(state.parked_qpos[0])
+    np.testing.assert_allclose(found[:2], expected[:2], atol=0.03)
+    assert found[2] == pytest.approx(expected[2], abs=np.radians(1.0))
+    assert np.degrees(found[2]) < -4.0  # 0.4 on joints with dry friction
+    assert np.abs(state.parked_qpos[1:] - apart.parked_qpos[1:]).max() < 1e-5
 
 
 def test_an_agent_that_finishes_stays_in_the_way_and_is_pushed():

@@ -118,6 +118,11 @@ BAD_JSON = [
     (changed(discs=[{"centre": [0, 0], "radius": 1, "r": 2}]), 10, r"unknown \['r'\]"),
     (changed(walls=[{**HAND["walls"][0], "kind": "hedge"}]), 7, "'hedge'; choose"),
     (changed(lanes=[{**HAND["lanes"][0], "one_way": 1}]), 13, "true or false, not 1"),
+    (
+        changed(bays=[{"pose": [0, 6, -90], "size": [5, 2]}]),
+        4,
+        r"bays\[0\].pose .* rad, not -90: headings are in radians",
+    ),
     (changed(spawns=[3]), 1, r"spawns\[0\] must be an object, not 3"),
 ]
 
@@ -161,6 +166,26 @@ def test_an_invalid_layout_is_refused(tmp_path):
         make_layout(str(path))
     line = int(str(caught.value).split()[-1])
     assert "pose" in path.read_text().splitlines()[line - 1]
+
+
+def test_a_lot_in_centimetres_is_refused(tmp_path):
+    def enlarged(row):
+        lengths = {k: [100 * x for x in row[k]] for k in ("size", "centre") if k in row}
+        if "radius" in row:
+            lengths["radius"] = 100 * row["radius"]
+        if "pose" in row:
+            x, y, yaw = row["pose"]
+            lengths["pose"] = [100 * x, 100 * y, yaw]
+        return row | lengths
+
+    rows = ("bays", "walls", "discs", "lanes", "spawns")
+    data = {name: [enlarged(row) for row in HAND[name]] for name in rows}
+    path = written(tmp_path, changed(**data, extent=[1000, 1000]))
+    with pytest.raises(
+        ValueError, match=r"bays are not 1 to 30 m .* on line \d"
+    ) as told:
+        make_layout(str(path))
+    assert "\n" not in str(told.value)
 
 
 def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):

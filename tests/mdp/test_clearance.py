@@ -152,3 +152,17 @@ def test_the_clearance_of_agents_as_they_stand_is_shapely_s(count):
     got = agent_clearance(cars(pose, size=size))
     np.testing.assert_allclose(got, expected, atol=5e-5)  # m, float32 at 15 m
     assert (expected > 0).any()
+
+
+def test_in_a_crowd_gradients_are_those_of_all_pairs(monkeypatch):
+    rng = np.random.default_rng(0)
+    pose = np.float32(rng.uniform((-30, -30, -3), (30, 30, 3), (24, 3)))
+    assert is_crowded(24, 24)
+
+    def slope():
+        return jax.grad(lambda pose: agent_clearance(cars(pose)).sum())(pose)
+
+    crowded = slope()
+    monkeypatch.setattr(clearance, "is_crowded", lambda *_: False)
+    np.testing.assert_allclose(crowded, slope(), atol=1e-6)
+    assert np.abs(crowded).max() > 0.5

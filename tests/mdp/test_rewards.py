@@ -14,6 +14,7 @@ from helpers.transitions import no_events, transition
 from carpark_mj.config import EnvConfig, RewardConfig, reward_preset
 from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
+from carpark_mj.mdp import rewards
 from carpark_mj.mdp.progress import goal_potential
 from carpark_mj.mdp.rewards import TERMS, reward_terms, term_names
 
@@ -106,6 +107,18 @@ def test_every_term_of_a_hand_worked_step():
         np.testing.assert_allclose(got[name], value, atol=1e-6, err_msg=name)
 
 
+def test_what_weighs_nothing_is_not_computed(monkeypatch):
+    def fail(_):
+        raise AssertionError("a test of all pairs for a weight of 0")
+
+    monkeypatch.setattr(rewards, "agent_clearance", fail)
+    standing = cars([(0.0, 0.0, 0.0), (0.0, 2.0, 0.0)])
+    free = RewardConfig(closeness=0.0)
+    np.testing.assert_array_equal(terms(free, standing, standing, GOAL)["closeness"], 0)
+    with pytest.raises(AssertionError, match="all pairs"):
+        terms(SHAPED, standing, standing, GOAL)
+
+
 def test_closeness_looks_at_the_nearest_other_agent_and_begins_at_its_range():
     config = RewardConfig(closeness=10.0, closeness_range=3.0)
     size = np.asarray(cars([(0.0, 0.0, 0.0)]).size[0], np.float64)
@@ -117,6 +130,16 @@ def test_closeness_looks_at_the_nearest_other_agent_and_begins_at_its_range():
     np.testing.assert_allclose(got, [near, near, far, 0.0], atol=1e-6)
     alone = cars([(0.0, 0.0, 0.0)])
     assert terms(config, alone, alone, GOAL)["closeness"] == 0.0
+
+
+def test_closeness_is_paid_for_where_a_step_ends():
+    config = RewardConfig(closeness=10.0, closeness_range=3.0)
+    apart, near = (cars([(0.0, 0.0, 0.0), (x, 0.0, 0.0)]) for x in (60.0, 5.5))
+    paid = -10 / 200 * 0.5  # for a gap of 1.5 m
+    approaching = terms(config, apart, near, GOAL)["closeness"]
+    leaving = terms(config, near, apart, GOAL)["closeness"]
+    np.testing.assert_allclose(approaching, [paid, paid], atol=1e-6)
+    np.testing.assert_array_equal(leaving, [0.0, 0.0])
 
 
 def test_the_potential_is_minus_the_weighted_way_and_misalignment_left():

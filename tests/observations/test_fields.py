@@ -1,11 +1,14 @@
 """The declared fields of observations: names, sizes, groups, what settings add."""
 
 import dataclasses
+import functools
 import itertools
 
+import jax
+import numpy as np
 import pytest
 from helpers.observing import BAYS, CONFIGS, observed
-from helpers.scenes import cars
+from helpers.scenes import cars, lot
 from helpers.states import config_of
 
 from carpark_mj.config import (
@@ -13,10 +16,14 @@ from carpark_mj.config import (
     EnvConfig,
     RayConfig,
     RingConfig,
+    ShareConfig,
     TannerObservation,
     ViewConfig,
 )
+from carpark_mj.layouts import generate, layout_config
 from carpark_mj.observations import make_fields, markdown_table, observation_size
+from carpark_mj.observations.fields import FAR, FARTHEST
+from carpark_mj.registry import ANYWHERE
 
 
 @pytest.mark.parametrize("config", CONFIGS)
@@ -29,6 +36,33 @@ def test_the_table_of_fields_describes_the_whole_vector(config):
     # `observed` asserts that the vector is as long as the table says.
     named = observed(config, BAYS, cars([(0.0, 0.0, 0.0)] * 2), [0, 1], [2])
     assert list(named) == names
+
+
+def test_ranges_hold_in_lots_larger_than_they_are():
+    """Two agents and all bays half a kilometre away from a third agent."""
+    config = ContinuousObservation(2, 2, share=ShareConfig(goals=True))
+    far_apart = cars([(0.0, 0.0, 0.4), (400.0, -400.0, 0.0), (300.0, 500.0, 1.0)])
+    bays = [(500.0 + 5.0 * k, 300.0, 0.0) for k in range(4)]
+    fields = {field.name: field for field in make_fields(config_of(config))}
+    beyond = 0
+    for name, value in observed(config, lot(bays), far_apart, [0, 1, 2], [3]).items():
+        field = fields[name]
+        assert (value >= field.low).all(), name
+        assert (value <= field.high).all(), name
+        beyond += (np.abs(value) == FARTHEST).any()
+    assert beyond >= 4
+
+
+def test_by_default_all_lots_lie_within_the_ranges():
+    """So nothing is cut off in them."""
+    most = 0.0
+    for layout in ANYWHERE.layout.split(","):
+        config = layout_config(layout)
+        keys = jax.random.split(jax.random.key(0), 200)
+        lots = jax.jit(jax.vmap(functools.partial(generate, config)))(keys)
+        across = 2.0 * np.linalg.norm(lots.extent, axis=-1)
+        most = max(most, float(across.max()))
+    assert 80.0 < most < FAR * FARTHEST
 
 
 def test_the_markdown_table_has_a_row_for_every_field_of_the_first_car_of_a_kind():

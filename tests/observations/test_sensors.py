@@ -1,13 +1,28 @@
+import dataclasses
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.observing import CONFIGS, observe_jit
 from helpers.scenes import cars, fields_of, lot
 from helpers.sliding import SlidePhysics, placed
-from helpers.states import state_of
+from helpers.states import config_of, parked_at, state_of
 
-from carpark_mj.config import EnvConfig, SensorConfig
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    IndexObservation,
+    RayConfig,
+    RingConfig,
+    SensorConfig,
+    ShareConfig,
+    ViewConfig,
+)
 from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import build
+from carpark_mj.layouts.routes import make_routes
 from carpark_mj.observations.sensors import init_sensors, measure, observed, reset
 
 KEY = jax.random.key(0)
@@ -85,6 +100,90 @@ def test_noise_has_the_configured_spread_and_no_bias():
     np.testing.assert_array_equal(seen.yaw_rate, motion.yaw_rate)
     np.testing.assert_array_equal(seen.steering, motion.steering)
     np.testing.assert_array_equal(seen.trace_w, motion.trace_w)
+
+
+# Two aisles and the road between them, bays at both, pillars and walls.
+AISLES = build.assemble(
+    (40.0, 40.0),
+    build.lanes(
+        [(0.0, -8.0, 0.0), (0.0, 8.0, math.pi), (10.0, 0.0, math.pi / 2)],
+        [(24.0, 5.0), (24.0, 5.0), (20.0, 5.0)],
+    ),
+    build.bays([(x, y, math.pi / 2) for y in (-3.0, 13.0) for x in (-8, -4, 0, 4)], 3),
+    build.walls([(-13.0, 0.0, 1.0), (2.0, 4.0, 0.2), (14.0, -4.0, 0.0)], (1.0, 4.0)),
+    build.discs([(-3.0, 5.0), (6.0, -2.0)], [0.4, 0.6]),
+)
+EVERYTHING = ContinuousObservation(
+    tracked_agents=2,
+    tracked_parked_cars=2,
+    rings=RingConfig((6.0, 9.0), cars=True),
+    share=ShareConfig(goal_headings=True, steering=True, order=True),
+    lines=True,
+    own_car=True,
+    rays=RayConfig(8),
+    lane=True,
+)
+WITH_ROUTE = dataclasses.replace(EVERYTHING, route=True, global_information=True)
+CHOSEN = dataclasses.replace(
+    EVERYTHING,
+    share=ShareConfig(),
+    global_information=True,
+    view=ViewConfig(field_of_view=250.0, diameter=24.0),
+)
+
+
+def scattered(seed):
+    """Five cars all over the lot, one of them 0.2 m off the middle of bay 0."""
+    rng = np.random.default_rng(seed)
+    pose = rng.uniform([-12, -12, -3.0], [12, 12, 3.0], (5, 3))
+    pose[0] = [-8.0 + rng.uniform(-0.2, 0.2), -3.2, math.pi / 2 + 0.1]
+    speed, steering, yaw_rate = rng.uniform(-0.4, 0.4, (3, 5))
+    return cars(pose, 3.0 * speed, steering, yaw_rate)
+
+
+SCENES = [
+    *(config_of(observation, num_agents=5) for observation in CONFIGS),
+    EnvConfig(observation=WITH_ROUTE, num_agents=5),
+    config_of(CHOSEN, 3, num_agents=5),
+    config_of(CONFIGS[-1], 3, num_agents=5),
+    config_of(IndexObservation(RingConfig((4.0, 9.0), cars=True)), num_agents=5),
+]
+# What the two scenes below cannot have in common.
+DIFFERENT = {
+    *("speed", "steering", "yaw_rate", "level", "bearing", "rays", "ring_9m"),
+    *("goal_position", "goal_near", "goal_heading", "in_bay", "line_room"),
+    *("goal_distance", "goal_bearing", "goal_nearest_agent", "goal_claim"),
+    *("route_next", "route_length", "lane_heading"),
+    *("agent_0_position", "agent_0_speed", "agent_0_goal", "agent_0_steering"),
+    *("parked_car_0_position", "car_0_distance", "car_0_speed"),
+    *("bay_0_position", "bay_0_distance", "bay_0_nearest_agent", "bay_0_claim"),
+}
+
+
+@pytest.mark.parametrize("config", SCENES)
+def test_agents_observe_what_they_would_see_from_where_their_sensors_put_all(config):
+    """Late sensors: what is observed is the scene of the step before, as a whole."""
+    believed, true = scattered(0), scattered(1)
+    bays = [[k, (k + 1) % 8, (k + 3) % 8] for k in range(5)]
+
+    def seen(motion, sensors=None):
+        state = state_of(
+            AISLES,
+            motion,
+            jnp.arange(5),
+            sensors=sensors,
+            parked_cars=parked_at(AISLES.bay_pose[5:8]),
+            tracked_bays=bays if config.goals.dynamic else None,
+            routes=make_routes(AISLES) if config.follows_routes else None,
+        )
+        return fields_of(observe_jit(config, state), config)
+
+    late = init_sensors(SensorConfig(delay_min=1, delay_max=1), believed, KEY)
+    found, expected, truly = seen(true, late), seen(believed), seen(true)
+    for name, value in expected.items():
+        np.testing.assert_array_equal(found[name], value, err_msg=name)
+    same = {k for k, value in expected.items() if np.array_equal(truly[k], value)}
+    assert same.isdisjoint(DIFFERENT)
 
 
 def slide(sensors):

@@ -61,7 +61,7 @@ def in_c(controls):
     spin = [model.joint(f"spin_{w}").dofadr[0] for w in ("fl", "fr", "rl", "rr")]
     actuate = jax.jit(functools.partial(drive.actuate, vehicle, dt=SIM.sim_dt))
     friction = jax.jit(functools.partial(axle_friction, vehicle))
-    actuators, poses = drive.init_actuators(jnp.float32), []
+    actuators, poses = drive.init_actuators(vehicle), []
     for control in controls:
         for _ in range(SIM.num_substeps):
             w, x, y, z = data.qpos[3:7]

@@ -27,7 +27,6 @@ from helpers.oracle import CCar
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.gravity import gravity_vector
 from carpark_mj.vehicle import COMPACT
-from carpark_mj.vehicle.drive import HOLD_SPEED
 from carpark_mj.vehicle.parameters import GRAVITY
 
 
@@ -181,8 +180,8 @@ def test_the_brake_holds_a_car_on_a_slope_for_ten_seconds(
 def test_a_car_without_enough_drive_creeps_straight_down_the_slope(slope_tracks):
     pose = slope_tracks["rolling back"].pose[-1]
     along, aside = pose[:2] @ [0.6, 0.8], pose[:2] @ [-0.8, 0.6]
-    # Gravity less rolling resistance less 0.06 of the drive, borne by a brake that
-    # grows with the speed up to the hold's 9 m/s^2 at 0.1 m/s: 2.8 mm/s for 12 s.
+    # Gravity less rolling resistance less 0.06 of the drive, borne by a hold that
+    # grows with the speed up to 9 m/s^2 at 0.1 m/s: 2.8 mm/s for 12 s.
     down = (0.05 - COMPACT.tyre.rolling_resistance) * GRAVITY / math.hypot(1, 0.05)
     creep = 0.1 * (down - 0.06 * COMPACT.max_acceleration) / COMPACT.hold_deceleration
     assert along == pytest.approx(-12 * creep, abs=6e-3)  # it settles by some mm
@@ -203,9 +202,9 @@ def test_no_wheel_chatters_at_training_time_steps(
     jerk = np.abs(np.diff(track.spin, n=2, axis=0)).max(1)  # rad/s per substep twice
     changes = np.cumsum([0.0] + [s[0] for s in STOP_AND_GO[:-1]])
     settled = np.ones(len(jerk), bool)
-    # The brake locks the wheels where the car falls to walking pace.
-    slow = np.abs(track.speed) < HOLD_SPEED
-    locked = np.flatnonzero(slow[1:] & ~slow[:-1])
+    # The hold locks the wheels where they come to rest.
+    still = (np.abs(track.spin) < 0.05).all(1)  # rad/s
+    locked = np.flatnonzero(still[1:] & ~still[:-1])
     for change in (*np.rint(changes / DT).astype(int), *locked):
         settled[max(change - 3, 0) : change + 30] = False
     # Pedals act at once and locking wheels stop within a substep: measured 0.9 to 3.1.

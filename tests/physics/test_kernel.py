@@ -69,7 +69,7 @@ def test_vmapped_kernels_are_one_with_every_element():
 def test_cars_move_in_the_kernel_as_outside(monkeypatch):
     physics, state, controls = moving_cars(lots=5)
     expected = jax.jit(jax.vmap(physics.step))(state, controls)
-    monkeypatch.setattr(unrolled, "on_cuda", lambda run, otherwise: run())
+    monkeypatch.setattr(unrolled, "on_cuda", lambda run, _, *args: run(*args))
     monkeypatch.setattr(unrolled, "run_in_kernel", interpreted)
     ours = jax.jit(jax.vmap(physics.step))(state, controls)
     moved = np.abs(expected.trace_w[..., -1, :2] - state.trace_w[..., -1, :2])

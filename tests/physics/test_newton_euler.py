@@ -113,7 +113,8 @@ def test_a_servo_at_its_limit_is_integrated_as_mjx_does():
     judge = jax.jit(partial(step.integrate, model))
     qpos, qvel = harsh_state(np.random.default_rng(3))
     forces = harsh_forces(np.random.default_rng(4))
-    car = CarDynamics(jnp.array(qpos), jnp.array(qvel), init_tyres(), init_actuators())
+    rest = init_tyres(), init_actuators(vehicle)
+    car = CarDynamics(jnp.array(qpos), jnp.array(qvel), *rest)
     for targets in ([1.5, -1.5], [-1.5, 1.5]):  # 1 rad asks for 40 times the limit
         after = unrolled(vehicle, qpos, qvel, forces, targets)
         qfrc = generalized_forces(INDEX, forces)

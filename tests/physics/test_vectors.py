@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -85,3 +86,12 @@ def test_turning_integrates_as_mujoco_does(rate: float):
         mujoco.mju_quatIntegrate(expected, angular[i], 0.01)
         assert turned[i] == pytest.approx(expected, abs=3e-7)  # float32
     assert np.linalg.norm(turned, axis=1) == pytest.approx(np.ones(20), abs=2e-7)
+
+
+def test_a_body_at_rest_turns_as_soon_as_it_is_turned():
+    def yawed(rate):
+        zero = jnp.zeros(())
+        start = jnp.ones(()), zero, zero, zero
+        return vectors.rotate_by(start, (zero, zero, rate), 0.1)[3]
+
+    assert jax.grad(yawed)(0.0) == pytest.approx(0.05)  # the half angle, dt / 2

@@ -134,6 +134,14 @@ def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch):
     assert error.count("\n") == 1
 
 
+def test_a_folder_that_cannot_be_one_is_refused_before_the_drive(tmp_path, capsys):
+    pytest.importorskip("mjviser")
+    taken = tmp_path / "drives"
+    taken.write_text("a file")
+    assert run(["--view", "web", "--out", str(taken)]) == 2
+    assert capsys.readouterr().err == f"play: cannot use {taken}: File exists\n"
+
+
 def test_other_files_are_no_drives(tmp_path):
     path = tmp_path / "x.npz"
     np.savez(path, x=np.zeros(2))

@@ -20,15 +20,21 @@ WEIGHT = np.array([[1, 0, 1, 1, 0, 1], [0, 1, 1, 0, 1, 1]], np.float32)
 
 @pytest.fixture(scope="module")
 def seen():
-    vectors = np.random.default_rng(0).normal(3.0, 2.0, SHAPE).astype(np.float32)
+    rng = np.random.default_rng(0)
+    vectors = rng.normal(3.0, 2.0, SHAPE).astype(np.float32)
     vectors[..., 10] = 0.25  # the same always
+    entities = vectors[..., 2:8].reshape(*SHAPE[:2], 3, 2)
+    entities[..., 0] = 1.0  # says that it is there
+    entities *= rng.random((*SHAPE[:2], 3, 1)) < 0.6
+    vectors[..., 2:8] = entities.reshape(*SHAPE[:2], 6)
     return vectors
 
 
 def pooled(vectors):
-    """Own numbers (n, 5), and those of entities (n x 3, 2), of vectors (n, 11)."""
-    entities = [vectors[:, i : i + 2] for i in (2, 4, 6)]
-    return {OWN: vectors[:, [0, 1, 8, 9, 10]], "agent": np.concatenate(entities)}
+    """Own numbers (n, 5), and those of entities that are there (k, 2), of (n, 11)."""
+    entities = np.concatenate([vectors[:, i : i + 2] for i in (2, 4, 6)])
+    own = vectors[:, [0, 1, 8, 9, 10]]
+    return {OWN: own, "agent": entities[entities[:, 0] == 1.0]}
 
 
 def assert_statistics(normalizer, vectors):
@@ -67,15 +73,44 @@ def test_what_devices_have_seen_is_added_together(seen, weight):
         assert_statistics(jax.tree.map(lambda x, i=device: x[i], each), counted)
 
 
+def test_empty_slots_change_no_statistics(seen):
+    """A lot with more slots than cars teaches what one with as many does."""
+    wider = ObservationSets(15, (EntitySet("agent", 2, 5, 2, 0),))
+    vectors = seen.reshape(-1, 11)
+    spaced = np.insert(vectors, [8] * 4, 0.0, axis=1)
+    few, many = (
+        update_normalizer(sets, init_normalizer(sets), jnp.asarray(x))
+        for sets, x in ((SETS, vectors), (wider, spaced))
+    )
+    for a, b in zip(*map(jax.tree.leaves, (few, many)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6)
+
+
+def test_a_kind_that_nobody_has_seen_yet_has_the_statistics_of_the_start(seen):
+    alone = seen.reshape(-1, 11).copy()
+    alone[:, 2:8] = 0.0
+    start = init_normalizer(SETS)
+    normalizer = update_normalizer(SETS, start, jnp.asarray(alone))
+    for a, b in zip(
+        *map(jax.tree.leaves, (normalizer["agent"], start["agent"])), strict=True
+    ):
+        np.testing.assert_array_equal(a, b)
+    # And those of the first that it sees, once it does.
+    later = update_normalizer(SETS, normalizer, jnp.asarray(seen[0]))
+    expected = pooled(seen[0].astype(float))["agent"]
+    np.testing.assert_allclose(later["agent"].mean, expected.mean(axis=0), rtol=1e-5)
+
+
 def test_parts_are_scaled_by_their_statistics_alike_in_every_slot(seen):
     vectors = seen.reshape(-1, 11)
     normalizer = update_normalizer(SETS, init_normalizer(SETS), jnp.asarray(vectors))
-    again = np.tile([4.0, 5.0], 3)  # the same entity in all slots
+    again = np.tile([1.0, 5.0], 3)  # the same entity in all slots
     vector = np.concatenate([[1.0, 2.0], again, [3.0, 4.0, 0.35]])
     found = normalize(normalizer, SETS.split(jnp.asarray(vector, jnp.float32)))
     numbers = pooled(vectors.astype(float))
-    mean, std = numbers["agent"].mean(axis=0), numbers["agent"].std(axis=0)
-    expected = np.tile((np.array([4.0, 5.0]) - mean) / std, (3, 1))
+    mean = numbers["agent"].mean(axis=0)
+    std = np.maximum(numbers["agent"].std(axis=0), MIN_STD)
+    expected = np.tile((np.array([1.0, 5.0]) - mean) / std, (3, 1))
     np.testing.assert_allclose(found["agent"], expected, rtol=1e-4)
     # What never varied is divided by the least deviation: (0.35 - 0.25) / 0.1.
     np.testing.assert_allclose(found[OWN][4], 0.1 / MIN_STD, rtol=1e-5)

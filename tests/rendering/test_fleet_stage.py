@@ -100,7 +100,7 @@ def test_a_recording_knows_the_cars_there_are_and_no_others():
     )
     env = ParkingEnv(config, SlidePhysics())
     story = record(env, zero_policy(ActionSpec(2)), 2, seed=0)
-    assert story.parked_pose.shape == (2, 2, 3)
+    assert story.parked_pose.shape == (2, story.pose_w.shape[1], 2, 3)
     assert np.abs(story.parked_pose[..., :2]).max() < 30.0
     suv = PRESETS["suv"]
     np.testing.assert_allclose(story.parked_size, [(suv.length, suv.width)] * 2)

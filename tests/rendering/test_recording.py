@@ -3,6 +3,7 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics
@@ -21,7 +22,9 @@ from carpark_mj.policy.networks import (
 )
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.rendering import rollout
-from carpark_mj.rendering.rollout import record
+from carpark_mj.rendering.live import LiveLot
+from carpark_mj.rendering.rollout import parked_trace, record
+from carpark_mj.types import NO_BAY
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +44,48 @@ def test_the_length_of_the_stretches_makes_no_difference(env, steps, monkeypatch
             np.testing.assert_array_equal(
                 getattr(again, field.name), getattr(once, field.name), field.name
             )
+
+
+class PushPhysics(SlidePhysics):
+    """Agent 0 pushes parked car 0 along, always 30 m north of it."""
+
+    def parked_poses(self, state, intended):
+        north = state.pose_w[..., 0, :2] + jnp.array([0.0, 30.0])
+        return intended.at[..., 0, :2].set(north)
+
+
+def test_a_pushed_parked_car_is_drawn_where_it_is_at_that_instant():
+    env = ParkingEnv(EnvConfig(num_agents=1, num_parked_cars=4), PushPhysics())
+    policy = random_policy(env.action_spec)
+    story = record(env, policy, 4, seed=1)
+    # From the second step on: before the first the car stands in its bay.
+    apart = (story.parked_pose[:, :, 0] - story.pose_w[:, :, 0])[1:]
+    np.testing.assert_allclose(apart[..., 0], 0.0, atol=1e-4)
+    np.testing.assert_allclose(apart[..., 1], 30.0, atol=1e-4)
+    live = LiveLot(env, policy, seed=1)
+    for k in range(3 * live.traces):
+        live.step()
+        seen = live.snapshot()
+        if k < live.traces:
+            continue
+        apart = seen.parked_pose[0] - seen.pose_w[0]
+        np.testing.assert_allclose(apart[:2], (0.0, 30.0), atol=1e-4)
+    # They did move.
+    assert np.ptp(story.pose_w[:, :, 0, 0]) > 0.1
+
+
+def test_a_parked_car_turns_the_short_way_and_jumps_only_when_it_is_relocated(env):
+    state, _ = env.reset(jax.random.key(0))
+    parked = state.parked_cars
+    pose = jnp.array([[0, 0, 3.1], [1, 0, 0], [2, 0, 0], [3, 0, 0]], jnp.float32)
+    before = state.replace(parked_cars=parked.replace(pose_w=pose))
+    pushed = pose.at[0, 2].set(-3.1).at[1, 0].set(9.0)
+    bay = parked.bay.at[1].set(NO_BAY)
+    after = state.replace(parked_cars=parked.replace(bay=bay, pose_w=pushed))
+    trace = parked_trace(before, after, state.motion)
+    turn = 2 * np.pi - 6.2
+    np.testing.assert_allclose(trace[:, 0, 2], 3.1 + turn * np.arange(1, 5) / 4, 1e-5)
+    np.testing.assert_array_equal(trace[:, 1:], np.tile(pose[1:], (4, 1, 1)))
 
 
 @pytest.fixture

@@ -2,12 +2,15 @@
 
 import dataclasses
 import os
+import re
 
+import jax
 import numpy as np
 import pytest
+from helpers.disks import largest_file
 
-from carpark_mj.layouts import make_layout
-from carpark_mj.rendering import gl
+from carpark_mj.layouts import generate, layout_config, make_layout
+from carpark_mj.rendering import gl, window
 from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.renderer import (
     FLASH_COLOURS,
@@ -169,6 +172,43 @@ def test_missing_gl_is_one_sentence_with_the_package_to_install(monkeypatch):
         assert "MUJOCO_GL" not in os.environ
 
 
+GL = {
+    "junk": "must be egl, osmesa or glfw",
+    "osmesa": "libosmesa6",
+    "glfw": "no display",
+    "GLX": "no display",
+    "off": "turns pictures off",
+}
+
+
+@pytest.mark.parametrize("wanted", GL)
+def test_an_opengl_that_cannot_work_is_told_what_it_lacks(wanted, monkeypatch):
+    monkeypatch.setattr(gl, "_LIBRARIES", {"egl": "libnone.so", "osmesa": "libno.so"})
+    monkeypatch.setattr(gl.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("MUJOCO_GL", wanted)
+    told = []
+    for find in (gl.check_gl, gl.choose_gl):
+        try:
+            told.append(find())
+        except ValueError as error:
+            told.append(str(error))
+    importable = wanted not in ("junk", "osmesa")  # a command can do without pictures
+    assert (told[0] is None) == importable
+    assert GL[wanted] in told[1]
+    assert "libegl1" not in told[1]
+
+
+def test_a_display_that_does_not_answer_is_named(monkeypatch):
+    monkeypatch.setattr(window.sys, "platform", "linux")
+    monkeypatch.setenv("DISPLAY", ":987")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert "DISPLAY=:987" in window.missing_display()
+    monkeypatch.delenv("DISPLAY")
+    assert "are unset" in window.missing_display()
+
+
 def recording(steps=3, traces=4, **events):
     pose = np.tile(POSE, (steps, traces, 1, 1))
     no = np.zeros((steps, 2), bool)
@@ -179,7 +219,7 @@ def recording(steps=3, traces=4, **events):
         steering=np.zeros((steps, 2)),
         speed=np.tile([1.0, -1.0], (steps, 1)),
         goal=np.tile(GOAL, (steps, 1)),
-        parked_pose=np.tile(PARKED, (steps, 1, 1)),
+        parked_pose=np.tile(PARKED, (steps, traces, 1, 1)),
         **{"active": ~no, "parked": no, "crashed": no, "timed_out": no} | events,
         step=np.ones((steps, 2), int),
     )
@@ -225,6 +265,17 @@ def test_what_ffmpeg_refuses_is_one_sentence_and_leaves_no_half_video(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_a_video_that_does_not_fit_leaves_the_old_one(suffix, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    path.write_text("old")
+    noise = np.random.default_rng(0).integers(0, 255, (20, 64, 64, 3), np.uint8)
+    with largest_file(10_000), pytest.raises(OSError, match=re.escape(str(path))):
+        write_video(path, iter(noise), 10.0)
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["old"]
+    assert write_video(path, iter(noise), 10.0) == len(noise)  # it is the room
+
+
 def test_a_gif_plays_in_real_time_and_loops(renderer, tmp_path):
     from PIL import Image, ImageSequence
 
@@ -261,6 +312,47 @@ def test_a_split_frame_is_two_views_side_by_side(renderer):
             assert 0 <= py <= 360
         right = frame[:, 320:].astype(int)
         assert np.abs(right - frame[:, :320]).mean() > 20
+    finally:
+        made.close()
+
+
+@pytest.mark.parametrize("camera", ["topdown", "overview"])
+def test_it_does_not_matter_whether_cars_or_cameras_are_placed_first(camera):
+    what, frames = seen(), []
+    for renderer_first in (True, False):
+        stage = Stage(LAYOUT, COMPACT, 2, 2)
+        if not renderer_first:
+            stage.place(what.pose_w, what.steering, what.parked_pose)
+        made = LotRenderer(stage, camera, (640, 360))
+        try:
+            if renderer_first:
+                made.place(what)
+            frames.append(made.draw(what, camera))
+        finally:
+            made.close()
+    np.testing.assert_array_equal(*frames)
+
+
+def test_a_renderer_that_goes_on_with_another_lot_draws_it_as_a_new_one():
+    # With arrows on its lanes the second has one mesh more, and it is longer.
+    lots = [
+        LAYOUT,
+        jax.device_get(generate(layout_config("street"), jax.random.key(0))),
+    ]
+    what = seen(goal=GOAL[:1].repeat(2))
+    stages = [Stage(layout, COMPACT, 2, 2) for layout in lots]
+    new = []
+    for stage in stages:
+        made = LotRenderer(stage, "topdown", (640, 360))
+        made.place(what)
+        new.append(made.draw(what, "topdown"))
+        made.close()
+    assert (new[0] != new[1]).any(axis=-1).mean() > 0.1
+    made = LotRenderer(stages[0], "topdown", (640, 360))
+    try:
+        for lot in (0, 1, 0):
+            made.show_lot(stages[lot])
+            np.testing.assert_array_equal(made.draw(what, "topdown"), new[lot])
     finally:
         made.close()
 

@@ -18,7 +18,7 @@ def test_a_picture_shows_no_goal_of_an_agent_that_explores():
         steering=np.zeros((1, 2)),
         speed=np.array([[1.0, 0.0]]),
         goal=np.array([[5, NO_BAY]]),
-        parked_pose=np.zeros((1, 0, 3)),
+        parked_pose=np.zeros((1, 1, 0, 3)),
         active=~flags,
         parked=flags,
         crashed=flags,

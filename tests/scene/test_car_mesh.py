@@ -11,7 +11,7 @@ import pytest
 from carpark_mj.scene import materials
 from carpark_mj.scene.car_look import add_standing_car, shape_name
 from carpark_mj.scene.car_mesh import SPOKES, car_meshes, driver_eye, standing_wheels
-from carpark_mj.scene.car_style import STYLES, nearest_preset
+from carpark_mj.scene.car_style import STYLES, nearest_style
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.mjcf import hub_positions
 
@@ -144,11 +144,11 @@ def test_files_are_what_the_script_makes_bit_for_bit(tmp_path):
 
 
 def test_a_car_of_one_s_own_takes_the_most_similar_style():
-    assert {name: nearest_preset(p) for name, p in PRESETS.items()} == {
+    assert {name: nearest_style(p) for name, p in PRESETS.items()} == {
         name: name for name in PRESETS
     }
     bus = dataclasses.replace(PRESETS["van"], length=5.3, height=2.4, width=2.0)
-    assert nearest_preset(bus) == "van"
+    assert nearest_style(bus) == "van"
     assert shape_name(COMPACT) == "compact"
     assert shape_name(dataclasses.replace(COMPACT, mass=1500.0)) == "compact"
     assert shape_name(TAXI) != shape_name(dataclasses.replace(TAXI, length=4.61))

@@ -14,8 +14,9 @@ import pytest
 
 from carpark_mj.cli.scene import SceneConfig, default_env, main, make_scene
 from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import make_layout
 from carpark_mj.scene import car_look
-from carpark_mj.scene.export import try_out
+from carpark_mj.scene.export import drivable_scene, try_out
 from carpark_mj.vehicle import COMPACT
 from carpark_mj.vehicle.parameters import GRAVITY
 
@@ -138,6 +139,32 @@ def test_the_full_brake_slider_stops_the_car_at_the_grip_of_its_tyres(empty, spe
     stop = speed**2 / (2 * grip)
     assert stop < np.linalg.norm(root.qpos[:2] - start) < 1.05 * stop
     assert f"slide at\n                  {grip:.1f} m/s^2" in text
+
+
+@pytest.mark.parametrize("suspension", [False, True])
+def test_the_full_brake_holds_the_car_on_a_slope_and_leaves_its_springs_free(
+    suspension,
+):
+    lot = make_layout("square")
+    spec = drivable_scene(lot, COMPACT, np.zeros((1, 3)), np.zeros((0, 3)), suspension)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    root = data.joint("agent0/root")
+    # A stop from 3 m/s: with the brake still on, the car comes back up from its dive.
+    height = float(root.qpos[2])
+    root.qvel[0] = 3.0
+    for wheel in ("fl", "fr", "rl", "rr"):
+        data.joint(f"agent0/spin_{wheel}").qvel = 3.0 / COMPACT.wheel_radius
+    data.actuator("agent0/brake").ctrl = 1.0
+    run(model, data, 3.0)
+    assert np.abs(root.qvel).max() < 2e-3
+    assert float(root.qpos[2]) == pytest.approx(height, abs=1e-3)
+    slope = math.atan(0.2)
+    model.opt.gravity = -GRAVITY * np.array([math.sin(slope), 0.0, math.cos(slope)])
+    run(model, data, 3.0)
+    start = root.qpos[:2].copy()
+    run(model, data, 3.0)
+    assert np.linalg.norm(root.qpos[:2] - start) < 3.0 * 1e-3 / 60  # 1 mm a minute
 
 
 def test_cars_walls_and_parked_cars_collide(model):

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.policy import checkpoints, runs
 from learners.metrics_log import read_metrics
 from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum import schedule
 from learners.ppo.forecast import announcement, estimate
 from learners.ppo.learner import Learner
 from learners.ppo.presets import PRESETS
-from learners.ppo.state import TrainingState
+from learners.ppo.state import TrainingState, no_steps
 from learners.ppo.train import train
 
 CONFIG = PPOConfig(
@@ -26,6 +27,7 @@ CONFIG = PPOConfig(
     video_seconds=0.0,
     env=EnvConfig(num_agents=2, physics="bicycle"),
 )
+PRESENT = 40  # of the 64 steps simulated for an update; the others are of absent agents
 
 
 class SlowLearner(Learner):
@@ -40,8 +42,8 @@ class SlowLearner(Learner):
         zero = jnp.zeros(())
         none = {name: zero for name in TrainingState.__dataclass_fields__}
         lots = jnp.zeros(self.config.num_lots)
-        count = jnp.zeros((), jnp.int32)
-        return TrainingState(**none | {"update": count, "env": lots})
+        count, steps = jnp.zeros((), jnp.int32), no_steps()
+        return TrainingState(**none | {"update": count, "steps": steps, "env": lots})
 
     def compile(self):
         def update(state):
@@ -52,7 +54,8 @@ class SlowLearner(Learner):
                 "episode/parked": 0.0,
                 "episode/crashed": 0.0,
             }
-            return state.replace(update=state.update + 1), metrics
+            steps = state.steps + PRESENT
+            return state.replace(update=state.update + 1, steps=steps), metrics
 
         return update
 
@@ -106,6 +109,24 @@ def test_a_resumed_run_has_the_minutes_that_are_left(tmp_path):
     done, again = trained(tmp_path, 7.0)  # nothing is left
     assert done
     assert again == rows
+
+
+def test_steps_of_absent_agents_are_in_the_budget_but_not_in_what_is_reported(
+    tmp_path, capsys
+):
+    env = dataclasses.replace(CONFIG.env, min_agents=1)
+    trained(tmp_path, 0.7, time_limit=0.5, env=env)
+    done, rows = trained(tmp_path, 0.7, env=env)  # resumed: the count goes on
+    assert done
+    made = PRESENT * np.arange(1, len(rows) + 1)
+    assert [row["env_steps"] for row in rows] == made.tolist()
+    assert rows[-1]["steps_per_second"] == pytest.approx(PRESENT / 0.7, rel=1e-5)
+    header = checkpoints.read_header(runs.latest_checkpoint(tmp_path))
+    assert header["env_steps"] == made[-1]
+    progress = np.array([row["progress"] for row in rows])
+    assert progress[-1] > made[-1] / CONFIG.num_steps + 0.2
+    # What it says before is about the budget, and says so.
+    assert capsys.readouterr().out.count("absent") == 4
 
 
 def test_progress_is_the_further_of_steps_and_time_and_ends_at_1():

@@ -160,7 +160,7 @@ def test_a_program_is_decided_by_all_but_seeds_names_and_data():
         "curriculum.discount_end": 0.0,
         "averaged_updates": 3,
         "env.num_agents": 4,
-        "env.reward.reeds_shepp": 1.0,
+        "env.reward.smoothness_by_speed": True,
         "env.reward.route": True,
         "env.giving_way.scheme": "L,L,S",
         "env.reward.goals.lost_goal": -1.0,  # a branch: it is None in the other

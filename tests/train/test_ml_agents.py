@@ -55,6 +55,7 @@ def steps(rng, params):
         log_prob=jnp.zeros(COUNT),
         advantage=jnp.asarray(3.0 + 2.0 * normal[:, SIZE]),
         target=jnp.asarray(normal[:, SIZE + 1]),
+        weight=jnp.asarray(rng.random(COUNT) < 0.8, jnp.float32),
     )
     prepare = jax.vmap(
         lambda part: prepare_steps(params, NETWORKS, NORMALIZER, part), axis_name=AXIS
@@ -66,10 +67,13 @@ def steps(rng, params):
 
 def test_advantages_are_normalised_over_the_steps_of_all_devices():
     found = steps(np.random.default_rng(0), fresh(0))
-    assert found.advantage.mean() == pytest.approx(0.0, abs=1e-5)
-    assert found.advantage.std() == pytest.approx(1.0, abs=1e-5)
-    # A half of them alone is not.
-    assert abs(found.advantage[: COUNT // 2].mean()) > 1e-3
+    counted = found.advantage[found.weight > 0]
+    assert counted.mean() == pytest.approx(0.0, abs=1e-5)
+    assert counted.std() == pytest.approx(1.0, abs=1e-5)
+    # Neither those of one device alone are, nor all with the truncated ones.
+    first, every = found.advantage[: COUNT // 2], found.advantage
+    assert abs(first[found.weight[: COUNT // 2] > 0].mean()) > 1e-3
+    assert abs(every.mean()) > 1e-3
     assert found.log_prob.shape == (COUNT, len(CHOICES))
 
 
@@ -93,7 +97,9 @@ def test_advantages_are_those_of_schulman_2016():
         final_observation=observation[-1],
     )
     brax, target = compute_advantages(rollout, values, final, discount, lam)
-    batch = Minibatch(observation, rollout.raw_action, zero, brax, target)
+    batch = Minibatch(
+        observation, rollout.raw_action, zero, brax, target, jnp.ones((length, agents))
+    )
     prepare = jax.vmap(
         lambda part: prepare_steps(params, NETWORKS, NORMALIZER, part), axis_name=AXIS
     )
@@ -115,7 +121,8 @@ def test_advantages_are_those_of_schulman_2016():
 def plain_loss(logits, value, batch: Steps):
     """The loss one step and one branch after the other."""
     policy = error = entropy = 0.0
-    for k in range(COUNT):
+    counted = np.flatnonzero(batch.weight)
+    for k in counted:
         first = 0
         for branch, n in enumerate(CHOICES):
             part = np.exp(logits[k, first : first + n])
@@ -129,7 +136,21 @@ def plain_loss(logits, value, batch: Steps):
         old, target = float(batch.value[k]), float(batch.target[k])
         near = old + min(max(value[k] - old, -CLIP), CLIP)
         error += max((target - value[k]) ** 2, (target - near) ** 2)
-    return policy / COUNT, 0.5 * error / COUNT, -ENTROPY * entropy / COUNT
+    count = len(counted)
+    return policy / count, 0.5 * error / count, -ENTROPY * entropy / count
+
+
+def loss_of(params, batch, entropy_cost):
+    """The loss of a minibatch that one device holds."""
+
+    def loss(batch):
+        weights = Weights(jnp.float32(entropy_cost), jnp.float32(CLIP))
+        key = jax.random.key(0)
+        return ml_agents_loss(params, NETWORKS, NORMALIZER, batch, weights, key)
+
+    one = jax.tree.map(lambda x: x[None], batch)
+    found = jax.vmap(loss, axis_name=AXIS)(one)
+    return jax.tree.map(lambda x: x[0], found)
 
 
 def test_the_loss_is_that_of_a_plain_loop():
@@ -137,10 +158,7 @@ def test_the_loss_is_that_of_a_plain_loop():
     # Larger weights, so that many ratios are clipped.
     new = jax.tree.map(lambda x: 3.0 * x, new)
     batch = steps(np.random.default_rng(1), old)
-    weights = Weights(entropy_cost=jnp.float32(ENTROPY), clip=jnp.float32(CLIP))
-    total, parts = ml_agents_loss(
-        new, NETWORKS, NORMALIZER, batch, weights, jax.random.key(0)
-    )
+    total, parts = loss_of(new, batch, ENTROPY)
     logits = NETWORKS.policy_network.apply(NORMALIZER, new.policy, batch.observation)
     value = NETWORKS.value_network.apply(NORMALIZER, new.value, batch.observation)
     logits, value = np.asarray(logits, float), np.asarray(value, float)
@@ -160,10 +178,7 @@ def test_the_loss_is_that_of_a_plain_loop():
 def test_before_the_update_ratios_are_one():
     params = fresh(0)
     batch = steps(np.random.default_rng(2), params)
-    weights = Weights(entropy_cost=jnp.float32(0.0), clip=jnp.float32(CLIP))
-    _, parts = ml_agents_loss(
-        params, NETWORKS, NORMALIZER, batch, weights, jax.random.key(0)
-    )
+    _, parts = loss_of(params, batch, 0.0)
     assert float(parts["kl_mean"]) == pytest.approx(0.0, abs=1e-6)
     assert float(parts["policy_loss"]) == pytest.approx(0.0, abs=1e-5)
 

@@ -7,6 +7,8 @@ import jax
 import numpy as np
 import onnxruntime
 import pytest
+from helpers.disks import no_printing
+from rich.console import Console
 
 import export
 from carpark_mj.cli import export as command
@@ -66,6 +68,15 @@ def test_a_run_becomes_a_model_that_is_checked_on_ten_thousand(
     [action] = session.run(None, split_observation(loaded.env, seen))
     expected, _ = loaded.policy(seen, jax.random.key(0))
     np.testing.assert_allclose(action, expected, atol=1e-5)
+
+
+def test_a_model_is_written_before_it_is_described(
+    trained, tmp_path, monkeypatch, quick
+):
+    monkeypatch.setattr(Console, "print", no_printing)
+    with pytest.raises(BrokenPipeError):
+        command.main(command.ExportConfig(str(trained), str(tmp_path / "a.onnx")))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.onnx"]
 
 
 def test_a_pretrained_policy_is_exported_into_runs(

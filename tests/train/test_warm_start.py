@@ -62,6 +62,9 @@ def other(tmp_path_factory):
 
 def test_networks_and_statistics_are_taken_and_the_rest_is_new(other, tmp_path):
     folder, theirs = other
+    assert not same(theirs.policy, theirs.average)
+    # The policy that was evaluated goes on, not the last one.
+    theirs = dataclasses.replace(theirs, policy=theirs.average)
     wider = dataclasses.replace(TINY.networks, min_std=0.1)  # no weight's shape
     config = dataclasses.replace(TINY, warm_start=str(folder), seed=3, networks=wider)
     own = Learner(config).init()
@@ -87,7 +90,7 @@ def test_of_runs_side_by_side_each_has_its_own_warm_start_or_none(other, tmp_pat
     for expected, found in ((theirs, warm), (Learner(TINY).init(), fresh)):
         jax.tree.map(
             lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6),
-            expected.policy,
+            expected.average,
             found.policy,
         )
 
@@ -212,18 +215,18 @@ def test_agents_that_observe_more_act_as_before_and_learn_from_it(other, tmp_pat
     more = rng.uniform(-1, 1, (50, columns(WIDER).size)).astype(np.float32)
     less = more[:, kept]
     assert less.shape[1] == columns(TINY).size < more.shape[1]
-    for network, params in (
-        ("policy", "policy"),
-        ("policy", "average"),
-        ("value",) * 2,
+    for network, theirs_of, ours in (
+        ("policy", theirs.average, state.policy),
+        ("policy", theirs.average, state.average),
+        ("value", theirs.value, state.value),
     ):
         before, after = (
             getattr(learner.networks, f"{network}_network").apply(
-                each.normalizer, getattr(each, params), observation
+                each.normalizer, params, observation
             )
-            for learner, each, observation in (
-                (narrow, theirs, less),
-                (wide, state, more),
+            for learner, each, params, observation in (
+                (narrow, theirs, theirs_of, less),
+                (wide, state, ours, more),
             )
         )
         np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-5)
@@ -274,7 +277,9 @@ def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path):
     rng = np.random.default_rng(2)
     more = rng.uniform(-1, 1, (20, columns(config).size)).astype(np.float32)
     before, after = (
-        learner.networks.policy_network.apply(each.normalizer, each.policy, observation)
+        learner.networks.policy_network.apply(
+            each.normalizer, each.average, observation
+        )
         for learner, each, observation in (
             (narrow, theirs, more[:, kept]),
             (wide, state, more),

@@ -6,10 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.envs.base import State as BraxState
 from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.observations.sets import OWN
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.wrappers.brax import BraxParking
@@ -17,7 +19,8 @@ from learners.ppo.epochs import network_params, num_learned
 from learners.ppo.learner import Learner
 from learners.ppo.loss import Minibatch, Weights, ppo_loss
 from learners.ppo.presets import PRESETS
-from learners.ppo.rollout import Rollout, drop_absent
+from learners.ppo.rollout import Rollout, collect, drop_absent
+from learners.ppo.state import AXIS, count_steps
 
 TINY = dataclasses.replace(
     PRESETS["cpu"],
@@ -50,7 +53,7 @@ def made_up(learner, normalizer, policy) -> Minibatch:
     distribution = networks.parametric_action_distribution
     raw = distribution.sample_no_postprocessing(logits, jax.random.key(0))
     log_prob = distribution.log_prob(logits, raw) + 0.1 * normal()
-    return Minibatch(observation, raw, log_prob, normal(), normal())
+    return Minibatch(observation, raw, log_prob, normal(), normal(), jnp.ones(rows))
 
 
 def test_nothing_is_learned_from_steps_without_weight(learner):
@@ -70,8 +73,12 @@ def test_nothing_is_learned_from_steps_without_weight(learner):
     @jax.jit
     def learn_from(batch):
         grad = jax.grad(ppo_loss, has_aux=True)
-        key = jax.random.key(0)
-        return grad(params, networks, normalizer, batch, weights, key)
+
+        def one(batch):
+            key = jax.random.key(0)
+            return grad(params, networks, normalizer, batch, weights, key)
+
+        return jax.vmap(one, axis_name=AXIS)(jax.tree.map(lambda x: x[None], batch))
 
     expected, found = learn_from(without), learn_from(spoilt)
     for name in ("total_loss", "policy_loss", "v_loss", "kl_mean"):
@@ -87,13 +94,48 @@ def test_an_update_counts_the_steps_of_agents_that_are_present_only(learner):
     steps = int(present.sum()) * TINY.unroll_length
     assert steps < present.size * TINY.unroll_length
     after, metrics = learner.compile()(start)
+    assert count_steps(after).tolist() == [steps]
+    # Of the cars in their slots those that are there: all others, all that are parked.
+    agents, others = present.sum(axis=1), present.sum(axis=1) - 1
     slots = {part.group: part.count for part in learner.inputs.sets}
+    cars = {
+        OWN: agents.sum(),
+        "agent": (agents * np.minimum(others, slots["agent"])).sum(),
+        "parked_car": agents.sum() * slots["parked_car"],
+    }
+    assert (others < slots["agent"]).any()
     for name, statistics in after.normalizer.items():
-        assert int(statistics.count.lo) == steps * slots.get(name, 1)
+        assert int(statistics.count.lo) == cars[name] * TINY.unroll_length
     # Paid for every step of an agent that is present, and for no other.
     paid = -TINY.env.reward.time / TINY.env.episode.max_steps
     np.testing.assert_allclose(metrics["reward/time"], paid, rtol=1e-5)
     assert int(after.skipped) == 0
+
+
+def test_the_step_that_ends_an_episode_counts_even_if_its_agent_then_waits_for_room():
+    """One agent, alone in an environment by hand, absent before the third step."""
+
+    class Waits:
+        def step(self, state, action):
+            del action
+            ended = state.pipeline_state == 1
+            info = state.info | {
+                "episode_done": jnp.float32([ended]),
+                "present": jnp.float32([~ended]),
+            }
+            return state.replace(pipeline_state=state.pipeline_state + 1, info=info)
+
+    zero, none = jnp.zeros(1), {"episode_metrics": {}, "reward_terms": {}}
+    flags = {"truncation": zero, "episode_done": zero, "present": jnp.ones(1)}
+    start = BraxState(jnp.int32(0), jnp.zeros((1, 1)), zero, zero, {}, flags | none)
+
+    def act(observation, key):
+        del key
+        return observation, {"raw_action": observation, "log_prob": zero}
+
+    _, rollout, _ = collect(Waits(), start, act, jax.random.key(0), 4, {})
+    assert rollout.terminated[:, 0].tolist() == [0.0, 1.0, 0.0, 0.0]
+    assert rollout.weight[:, 0].tolist() == [1.0, 1.0, 0.0, 1.0]
 
 
 def numbered(present, steps=3):

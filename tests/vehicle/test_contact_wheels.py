@@ -79,6 +79,11 @@ class Driven:
         for wheel in WHEELS:
             self.data.joint(f"spin_{wheel}").qvel[0] = speed / self.params.wheel_radius
 
+    def centre(self):
+        """Where the centre of gravity is along the road [m]."""
+        mujoco.mj_comPos(self.model, self.data)
+        return float(self.data.subtree_com[0, 0])
+
     def wheel_speeds(self):
         """Circumferential speeds (4,) of the wheels [m/s]."""
         spin = [self.data.joint(f"spin_{wheel}").qvel[0] for wheel in WHEELS]
@@ -143,14 +148,17 @@ def test_full_brake_reaches_the_grip_of_the_tyres_and_turns_no_wheel_back(
         car = Driven(params, suspension=suspension)
         car.run(2.0)
         car.roll(speed)
-        x, slowest = car.data.qpos[0], 0.0
+        x, furthest, slowest = car.centre(), 0.0, 0.0
         for _ in range(150):
             car.run(0.01, brake=1.0)
+            furthest = max(furthest, car.centre() - x)
             slowest = min(slowest, car.wheel_speeds().min())
         grip = params.tyre.friction * GRAVITY
-        # 20 ms until the pads press; a suspended car pitches, its rear axle lags.
+        # 20 ms until the pads press. A suspended car dives, and rocks back afterwards;
+        # its light wheels bear a little more than its weight while they slide.
         stop = speed**2 / (2 * grip)
-        assert stop < car.data.qpos[0] - x < 1.03 * stop + 0.02
+        least = 0.97 if suspension else 1.0
+        assert least * stop < furthest < 1.03 * stop + 0.02
         assert abs(car.data.qvel[0]) < 1e-2  # it rocks
         assert slowest > -0.02
 
@@ -172,7 +180,7 @@ def test_the_brake_holds_on_a_slope_and_lets_go():
     grade = math.atan(0.05)
     car = Driven(tilt=grade)
     speed = car.run(6.0, brake=1.0)[-1, 1]
-    assert abs(speed) < 5e-4  # regularised friction; measured 2e-4
+    assert abs(speed) < 5e-6  # regularised friction; measured 2e-6
     rolling = car.run(2.0)[-1, 1]
     assert rolling < -0.3  # the pads are off
 

@@ -19,8 +19,11 @@ from carpark_mj.vehicle.drive import (
     Actuators,
     ackermann,
     actuate,
+    close_hold,
     demanded_torques,
+    hold_braking,
     init_actuators,
+    roll_freely,
     steer_towards,
 )
 
@@ -32,12 +35,14 @@ TORQUE_TOLERANCE = 2e-3  # N m
 
 @pytest.fixture(scope="module")
 def torques(compact: Vehicle):
-    """Drive and brake torque [N m] for arrays of pedals and speeds."""
-    function = jax.jit(jax.vmap(lambda p, v: demanded_torques(compact, p, v, v)))
+    """Drive and brake torque [N m] for arrays of pedals, speeds and holds."""
+    function = jax.jit(
+        jax.vmap(lambda p, v, hold: demanded_torques(compact, p, hold, v, v))
+    )
 
-    def summed(pedal, speed) -> tuple[np.ndarray, np.ndarray]:
-        pedal, speed = np.broadcast_arrays(np.float32(pedal), np.float32(speed))
-        drive, brake = function(pedal.ravel(), speed.ravel())
+    def summed(pedal, speed, hold=0.0) -> tuple[np.ndarray, np.ndarray]:
+        asked = [np.float32(x) for x in (pedal, speed, hold)]
+        drive, brake = function(*(x.ravel() for x in np.broadcast_arrays(*asked)))
         return np.asarray(drive), np.asarray(brake)
 
     return summed
@@ -107,19 +112,11 @@ def test_steering_commands_beyond_the_lock_are_clipped(compact: Vehicle):
 
 
 def test_a_pedal_against_the_motion_brakes_in_proportion(torques):
-    pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-1.9, -1, -HOLD_SPEED]))
+    speeds = np.array([-1.9, -1, -HOLD_SPEED, -0.2, -SWITCH_SPEED])
+    pedal, speed = grid(np.linspace(0.1, 1, 7), speeds)
     for sign in (1, -1):
         drive, brake = torques(sign * pedal, sign * speed)
         expected = pedal * COMPACT.max_deceleration * FORCE_TO_TORQUE
-        assert drive.tolist() == [0.0] * len(drive)
-        assert brake == pytest.approx(expected, abs=TORQUE_TOLERANCE)
-
-
-def test_a_pedal_against_walking_pace_brakes_as_hard_as_the_hold(torques):
-    pedal, speed = grid(np.linspace(-1, -0.1, 7), np.array([SWITCH_SPEED, 0.2, 0.299]))
-    for sign in (1, -1):
-        drive, brake = torques(sign * pedal, sign * speed)
-        expected = np.full(len(brake), COMPACT.hold_deceleration * FORCE_TO_TORQUE)
         assert drive.tolist() == [0.0] * len(drive)
         assert brake == pytest.approx(expected, abs=TORQUE_TOLERANCE)
 
@@ -128,12 +125,34 @@ def test_a_pedal_against_a_crawl_drives_the_new_way_while_the_brake_fades(torque
     pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-0.099, -0.05, -1e-6]))
     for sign in (1, -1):
         drive, brake = torques(sign * pedal, sign * speed)
-        expected = sign * pedal * COMPACT.max_acceleration * FORCE_TO_TORQUE
-        fading = -speed / SWITCH_SPEED * COMPACT.hold_deceleration * FORCE_TO_TORQUE
-        assert drive == pytest.approx(expected, abs=TORQUE_TOLERANCE)
-        assert brake == pytest.approx(fading, abs=TORQUE_TOLERANCE)
+        driven = pedal * COMPACT.max_acceleration * FORCE_TO_TORQUE
+        fading = -speed / SWITCH_SPEED * pedal * COMPACT.max_deceleration
+        retarding = np.maximum(fading * FORCE_TO_TORQUE, driven)
+        assert drive == pytest.approx(sign * driven, abs=TORQUE_TOLERANCE)
+        assert brake == pytest.approx(retarding - driven, abs=TORQUE_TOLERANCE)
     # From a standstill there is nothing to brake.
     assert torques(-0.5, 0.0)[1] == torques(0.5, -0.0)[1] == 0.0
+
+
+@pytest.mark.parametrize("hold", [0.0, 0.1])
+def test_retarding_hardly_jumps_where_the_drive_takes_over(torques, hold: float):
+    pedal = np.linspace(0.1, 1, 7)
+    for speed in (SWITCH_SPEED * (1 - 1e-5), SWITCH_SPEED):
+        drive, brake = torques(-pedal, speed, hold)
+        held = min(14 * hold, hold + np.sqrt(2 * 4.0 * SWITCH_SPEED))  # by hand
+        expected = np.maximum(pedal * COMPACT.max_deceleration, held)
+        jump = (hold + 1e-4) * FORCE_TO_TORQUE
+        assert brake - drive == pytest.approx(expected * FORCE_TO_TORQUE, abs=jump)
+
+
+def test_a_closed_hold_bears_what_a_weak_drive_does_not(torques):
+    pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-0.099, -0.05, -1e-6]))
+    for sign in (1, -1):
+        _, brake = torques(sign * pedal, sign * speed, COMPACT.hold_deceleration)
+        fading = -speed / SWITCH_SPEED * COMPACT.hold_deceleration
+        least = fading - pedal * COMPACT.max_acceleration
+        assert (brake >= least * FORCE_TO_TORQUE - TORQUE_TOLERANCE).all()
+        assert brake == pytest.approx(fading * FORCE_TO_TORQUE, abs=TORQUE_TOLERANCE)
 
 
 def wheels_at(speed: np.ndarray) -> dict[str, np.ndarray]:
@@ -157,36 +176,87 @@ def test_no_pedal_against_the_motion_retards_less_than_a_weaker_one(
     speeds = way * np.array([SWITCH_SPEED, 0.2, 0.299, 0.3, 0.31, 1, 2, 3, 4, 10, 30])
     speed, pedal = np.meshgrid(np.float32(speeds), np.float32(pedals))
     wheel_speed = wheels_at(speed)[wheels]
-    drive, brake = demanded_torques(
-        vehicle, jnp.array(pedal), jnp.array(speed), jnp.array(wheel_speed)
-    )
-    retarding = np.asarray(brake, float) - way * np.asarray(drive, float)
-    assert np.diff(retarding, axis=0).min() >= 0.0
+    for hold in (0.0, 0.05, 1.0, params.hold_deceleration):
+        before = jnp.full(pedal.shape, hold)
+        hold_after = close_hold(vehicle, before, pedal, speed, 0.01)
+        drive, brake = demanded_torques(vehicle, pedal, hold_after, speed, wheel_speed)
+        retarding = np.asarray(brake, float) - way * np.asarray(drive, float)
+        assert np.diff(retarding, axis=0).min() >= 0.0
 
 
-def test_the_limiter_retards_a_fast_car_whatever_the_pedal_against_its_motion(torques):
-    against = np.array([0.0, 1e-6, 0.04, 0.2, 1.0])
+def test_beyond_the_speed_limit_the_brakes_help_whatever_the_pedal(torques):
+    against = np.array([-1.0, 0.0, 1e-6, 0.04, 0.2, 1.0])
     for limit in (COMPACT.max_speed, -COMPACT.max_reverse_speed):
         drive, brake = torques(-np.sign(limit) * against, 1.2 * limit)
-        # 20 % over the limit: 0.2 v / 0.4 s, the same beside every brake.
-        retarded = -0.2 * limit / COMPACT.speed_limit_time * FORCE_TO_TORQUE
-        assert drive == pytest.approx(np.full(5, retarded), rel=1e-5)  # float32
-        assert brake[:3].tolist() == [0.0] * 3  # no pedal
-        assert (np.diff(brake[2:]) > 0).all()
+        # 20 % over the limit: 0.2 v / 0.4 s, beside what the pedal brakes with.
+        over = 0.2 * abs(limit) / COMPACT.speed_limit_time
+        pedal = COMPACT.max_deceleration * np.array([0.0, 0.0, 0.0, 0.0, 0.2, 1.0])
+        assert drive.tolist() == [0.0] * len(against)
+        assert brake == pytest.approx((over + pedal) * FORCE_TO_TORQUE, rel=1e-5)
 
 
-def test_wheels_that_stand_stay_on_the_brake_though_the_car_slides(compact: Vehicle):
-    hold = COMPACT.hold_deceleration * FORCE_TO_TORQUE
-    for speed in (-8.0, -1.0, 0.31, 5.0):
-        for against in (0.0, 0.04, 0.1, 1.0):
-            pedal = -np.sign(speed) * against
-            asked = [jnp.array(x, jnp.float32) for x in (pedal, speed, 0.0)]
-            drive, brake = demanded_torques(compact, *asked)
-            assert drive == 0.0  # the limiter does not turn them
-            assert brake == pytest.approx(hold)
-        # The pedal along the motion lets them go.
-        asked = [jnp.array(x, jnp.float32) for x in (np.sign(speed), speed, 0.0)]
-        assert demanded_torques(compact, *asked)[1] == 0.0
+def closed(vehicle: Vehicle, hold: float, pedal: float, speed: float, dt=0.01) -> float:
+    asked = [jnp.array(x, jnp.float32) for x in (hold, pedal, speed)]
+    return float(close_hold(vehicle, *asked, dt))
+
+
+def test_the_hold_closes_where_a_slow_car_is_not_driven_along_its_motion(
+    compact: Vehicle,
+):
+    for way in (1, -1):
+        for speed in (0.0, 0.05, 0.29):
+            assert closed(compact, 0.0, way * 0.04, way * speed) > 0.0  # no pedal
+        assert closed(compact, 0.0, -way * 0.2, way * 0.29) > 0.0
+        assert closed(compact, 0.0, way * 0.2, way * 0.29) == 0.0
+        # A faster car coasts and brakes without it.
+        for pedal in (0.0, -0.2, 0.2):
+            assert closed(compact, 0.0, way * pedal, way * HOLD_SPEED) == 0.0
+    hold = 0.0
+    for _ in range(500):
+        hold = closed(compact, hold, 0.0, 0.0)
+    assert hold == COMPACT.hold_deceleration
+
+
+def test_a_hold_stays_until_the_pedal_drives_the_car_along_its_motion(
+    compact: Vehicle,
+):
+    full = COMPACT.hold_deceleration
+    for speed in (0.5, 8.0):  # slides, wheels locked
+        for way in (1, -1):
+            assert closed(compact, full, 0.0, way * speed) == full
+            assert closed(compact, full, -way * 1.0, way * speed) == full
+            assert closed(compact, full, way * 0.05, way * speed) == 0.0
+    # A slope may pull the car back before the drive takes over.
+    for speed in (-0.2, -0.01, 0.0, 0.09):
+        assert closed(compact, full, 0.5, speed) == full
+
+
+def test_the_hold_takes_over_what_the_pedal_brakes_with(compact: Vehicle):
+    for pedal in (0.06, 0.3, 1.0):
+        hold = closed(compact, 0.0, -pedal, 0.29)
+        braked = float(hold_braking(compact, jnp.array(hold), jnp.array(0.29)))
+        eased = hold + np.sqrt(2 * 4.0 * 0.29)
+        service = pedal * COMPACT.max_deceleration
+        # It also closes for the substep of 10 ms, by less than 0.1 m/s^2.
+        assert min(service, eased) - 1e-4 <= braked <= min(service + 0.1, eased) + 1e-4
+
+
+def test_the_hold_eases_off_as_the_car_comes_to_rest(compact: Vehicle):
+    speed = jnp.array([HOLD_SPEED, 0.2, 0.1, 0.05, 0.01, 0.0])
+    braked = np.asarray(hold_braking(compact, jnp.array(0.3), speed))
+    assert (np.diff(braked) < 0).all()
+    assert braked[-1] == pytest.approx(0.3, abs=1e-5)
+    full = hold_braking(compact, jnp.array(COMPACT.hold_deceleration), speed)
+    assert full == pytest.approx(COMPACT.hold_deceleration)
+    assert not hold_braking(compact, jnp.array(0.0), speed).any()
+
+
+def test_cars_start_on_their_hold_and_without_it_where_they_roll(compact: Vehicle):
+    start = init_actuators(compact)
+    assert start.hold == COMPACT.hold_deceleration
+    assert roll_freely(start, jnp.array(0.0)).hold == COMPACT.hold_deceleration
+    for speed in (-1.0, 0.1):
+        assert roll_freely(start, jnp.array(speed)).hold == 0.0
 
 
 def test_a_pedal_along_the_motion_accelerates_in_proportion(torques):
@@ -199,13 +269,16 @@ def test_a_pedal_along_the_motion_accelerates_in_proportion(torques):
         assert drive == pytest.approx(expected, abs=TORQUE_TOLERANCE)
 
 
-def test_no_pedal_at_walking_pace_holds_the_car_on_the_brake(torques):
+def test_without_a_pedal_the_hold_brakes_and_nothing_drives(torques):
     below = HOLD_PEDAL * 0.99
-    pedal, speed = grid(np.linspace(-below, below, 5), np.linspace(-0.29, 0.29, 6))
-    drive, brake = torques(pedal, speed)
-    expected = np.full(30, COMPACT.hold_deceleration * FORCE_TO_TORQUE)
-    assert drive.tolist() == [0.0] * 30
-    assert brake == pytest.approx(expected, abs=10 * TORQUE_TOLERANCE)
+    speeds = np.array([-8.0, -0.29, -0.01, 0.0, 0.01, 0.29, 1.0, 8.0])
+    pedal, speed = grid(np.linspace(-below, below, 5), speeds)
+    inside = (speed <= COMPACT.max_speed) & (speed >= -COMPACT.max_reverse_speed)
+    drive, brake = torques(pedal, speed, COMPACT.hold_deceleration)
+    expected = COMPACT.hold_deceleration * FORCE_TO_TORQUE
+    assert drive.tolist() == [0.0] * len(pedal)
+    assert brake[inside] == pytest.approx(expected, abs=10 * TORQUE_TOLERANCE)
+    assert (brake >= expected * (1 - 1e-6)).all()
 
 
 def test_no_pedal_at_speed_lets_the_car_coast(torques):
@@ -218,15 +291,12 @@ def test_the_hold_is_stronger_than_friction_so_that_the_wheels_lock():
     assert COMPACT.hold_deceleration > COMPACT.tyre.friction * 9.81
 
 
-def test_the_drive_fades_at_the_speed_limit_and_retards_beyond_it(torques):
+def test_the_drive_fades_towards_the_speed_limit(torques):
     limits = np.array([COMPACT.max_speed, -COMPACT.max_reverse_speed])
     pedals = np.array([1.0, -1.0])
-    drive, brake = torques(pedals, limits)
+    drive, _ = torques(pedals, limits)
     # max_speed - speed is exactly 0 in float32.
     assert drive.tolist() == [0.0, 0.0]
-    drive, brake = torques(pedals, limits * 1.1)
-    assert (drive * pedals < 0).all()
-    assert brake.tolist() == [0.0, 0.0]
     drive, _ = torques(pedals, limits * 0.95)
     full = COMPACT.max_acceleration * FORCE_TO_TORQUE
     assert (drive * pedals > 0).all()
@@ -263,11 +333,13 @@ def test_torque_and_power_limit_the_drive_but_not_the_brake():
     expected = (500.0, 500.0, 316.0, 158.0)  # min(T, P r / v), r = 0.316 m, by hand
     for speed, torque in zip(speeds, expected, strict=True):
         drive, brake = demanded_torques(
-            vehicle, jnp.array(1.0), *2 * [jnp.array(speed)]
+            vehicle, jnp.array(1.0), jnp.array(0.0), *2 * [jnp.array(speed)]
         )
         assert drive == pytest.approx(torque, rel=1e-6)  # float32
         assert brake == 0.0
-    _, brake = demanded_torques(vehicle, jnp.array(-1.0), *2 * [jnp.array(2.0)])
+    _, brake = demanded_torques(
+        vehicle, jnp.array(-1.0), jnp.array(0.0), *2 * [jnp.array(2.0)]
+    )
     full = COMPACT.max_deceleration * FORCE_TO_TORQUE
     assert brake == pytest.approx(full, rel=1e-6)
 
@@ -275,7 +347,7 @@ def test_torque_and_power_limit_the_drive_but_not_the_brake():
 def test_torques_do_not_change_with_the_load(compact: Vehicle):
     loaded = dataclasses.replace(compact, mass=compact.mass * 1.5)
     for speed in (0.0, 1.0):
-        asked = jnp.array(-1.0), jnp.array(speed), jnp.array(speed)
+        asked = [jnp.array(x) for x in (-1.0, 0.5, speed, speed)]
         assert demanded_torques(loaded, *asked) == demanded_torques(compact, *asked)
 
 
@@ -289,7 +361,7 @@ def followed(vehicle: Vehicle, controls: tuple[float, float], steps: int) -> Act
         )
         return after, after
 
-    return jax.lax.scan(substep, init_actuators(jnp.float32), length=steps)[1]
+    return jax.lax.scan(substep, init_actuators(vehicle), length=steps)[1]
 
 
 def test_lags_are_first_order_and_exact_at_the_substeps():
@@ -315,17 +387,17 @@ def test_lagging_steering_never_exceeds_its_rate():
 
 
 def test_without_lag_the_actuators_are_where_they_are_asked_to_be(compact: Vehicle):
-    start = Actuators(steering=jnp.array(0.1), drive=jnp.array(-300.0))
+    start = Actuators(jnp.array(0.1), jnp.array(-300.0), jnp.array(0.0))
     controls, speed = (jnp.array(0.5), jnp.array(0.7)), jnp.array(0.4)
     after, *_ = actuate(compact, start, controls, speed, speed, 0.01)
-    demanded, _ = demanded_torques(compact, controls[1], speed, speed)
+    demanded, _ = demanded_torques(compact, controls[1], start.hold, speed, speed)
     assert after.drive == demanded
     assert after.steering == steer_towards(compact, start.steering, controls[0], 0.01)
 
 
 def test_a_steering_offset_turns_the_wheels_but_not_the_command(compact: Vehicle):
     skewed = dataclasses.replace(compact, steering_offset=jnp.array(0.02))
-    start, still = init_actuators(jnp.float32), jnp.zeros(())
+    start, still = init_actuators(compact), jnp.zeros(())
     after, angles, *_ = actuate(skewed, start, (still, still), still, still, 0.01)
     assert after.steering == 0.0
     assert angles == ackermann(compact, jnp.array(0.02))
@@ -334,7 +406,7 @@ def test_a_steering_offset_turns_the_wheels_but_not_the_command(compact: Vehicle
 @pytest.mark.parametrize("params", PRESETS.values(), ids=PRESETS)
 def test_drive_and_brake_reach_the_wheels_of_each_preset(params: VehicleParameters):
     vehicle = make_vehicle(params)
-    start = init_actuators(jnp.float32)
+    start = init_actuators(vehicle)
     still = jnp.zeros(())
     controls = still, jnp.ones(())
     after, _, brake = actuate(vehicle, start, controls, still, still, 0.01)
@@ -348,14 +420,14 @@ def test_drive_and_brake_reach_the_wheels_of_each_preset(params: VehicleParamete
 
 def test_the_speed_limiter_goes_by_driven_wheels_that_spin(compact: Vehicle):
     def drive(speed: float, wheel_speed: float, pedal: float = 1.0) -> float:
-        asked = jnp.array(pedal), jnp.array(speed), jnp.array(wheel_speed)
+        asked = [jnp.array(x) for x in (pedal, 0.0, speed, wheel_speed)]
         return float(demanded_torques(compact, *asked)[0])
 
     full = COMPACT.max_acceleration * FORCE_TO_TORQUE
     assert drive(0.2, 0.6) == pytest.approx(full)  # slips, but does not spin
     assert drive(0.2, 1.5) == pytest.approx(full)  # spins below the limit
     assert drive(0.2, COMPACT.max_speed) == 0.0
-    assert drive(0.2, COMPACT.max_speed + 0.5) < 0.0
+    assert drive(0.2, COMPACT.max_speed + 0.5) == 0.0
     assert drive(-0.2, -COMPACT.max_reverse_speed, -1.0) == 0.0
     # Locked wheels of a sliding car do not spin.
     assert drive(2.9, 0.0) == drive(2.9, 2.9)

@@ -8,7 +8,8 @@ import pytest
 
 from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle, preset
 from carpark_mj.vehicle.mjcf import WHEELS, car_model, chassis_inertial, hub_positions
-from carpark_mj.vehicle.parameters import GRAVITY, TyreParameters
+from carpark_mj.vehicle.parameters import GRAVITY, LENGTHS, TyreParameters, scaled
+from carpark_mj.vehicle.presets import BOXES
 
 LIGHT = dataclasses.replace(
     COMPACT,
@@ -103,6 +104,33 @@ def test_impossible_parameters_are_refused_in_one_sentence(change: dict, word: s
     with pytest.raises(ValueError, match=word) as refusal:
         dataclasses.replace(COMPACT, **change)
     assert "\n" not in str(refusal.value)
+
+
+CENTIMETRES = {
+    field.name: 100.0 * getattr(COMPACT, field.name)
+    for field in dataclasses.fields(COMPACT)
+    if field.name in LENGTHS
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (CENTIMETRES, r"length must lie within \[1, 25\] m, not 425.5: it is in m"),
+        ({"mass": 1.38}, r"mass must .* kg, not 1.38"),
+        ({"mass": 1.38e6}, r"mass must .* kg"),
+        ({"max_speed": 300.0}, r"max_speed .* m/s, not 300"),
+        ({"max_deceleration": 400.0}, r"max_deceleration .* m/s\^2, not 400"),
+        ({"turning_circle": 1040.0}, r"turning_circle .* m, not 1040"),
+    ],
+)
+def test_parameters_in_other_units_are_refused(change: dict, message: str):
+    with pytest.raises(ValueError, match=message) as refusal:
+        dataclasses.replace(COMPACT, **change)
+    assert "\n" not in str(refusal.value)
+    for params in (PRESETS | BOXES).values():
+        for factor in (0.5, 2.0):  # as far as parked cars are scaled
+            scaled(params, factor)
 
 
 @pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(TyreParameters)])

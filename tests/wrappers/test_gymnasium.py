@@ -13,12 +13,15 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import AddRenderObservation
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SensorConfig
 from carpark_mj.layouts import mixture
 from carpark_mj.observations import make_fields
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.rendering.renderer import RenderingError
+from carpark_mj.rendering.stage import Stage
+from carpark_mj.wrappers import screen
 from carpark_mj.wrappers.gymnasium_env import ParkEnv
 from carpark_mj.wrappers.spaces import observation_space
 
@@ -280,16 +283,51 @@ def test_pictures_are_drawn_and_closed_in_any_thread():
     env.close()
 
 
-def test_pictures_are_collected_and_there_is_one_of_each_lot():
+def test_the_first_picture_of_every_lot_is_as_the_next():
+    env = gymnasium.make(PARK, render_mode="rgb_array", layout="street", parked_cars=6)
+    env = AddRenderObservation(env)
+    for seed in (0, 1):  # another street
+        first, _ = env.reset(seed=seed)
+        np.testing.assert_array_equal(env.render(), first)
+    env.close()
+
+
+def test_pictures_are_collected_in_a_list():
     env = gymnasium.make(PARK, render_mode="rgb_array_list")
     env.reset(seed=0)
     env.step(AHEAD)
     assert [frame.shape for frame in env.render()] == [(540, 960, 3)] * 2
-    vector = gymnasium.make_vec(PARK, 2, render_mode="rgb_array")
+    env.close()
+
+
+def test_every_lot_of_a_vector_has_its_picture_and_its_scene_is_built_once(
+    monkeypatch,
+):
+    built = []
+
+    class Counted(Stage):
+        def __init__(self, *args):
+            built.append(self)
+            super().__init__(*args)
+
+    monkeypatch.setattr(screen, "Stage", Counted)
+    options = {"render_mode": "rgb_array", "layout": "street", "parked_cars": 6}
+    vector = gymnasium.make_vec(PARK, 2, **options)
     vector.reset(seed=0)
-    one, other = vector.render()
-    assert (one != other).any()
+    pictures = vector.render()
+    np.testing.assert_array_equal(vector.render(), pictures)
+    assert len(built) == 2
+    vector.reset(seed=[0, 5])
+    others = vector.render()
+    assert len(built) == 3
     vector.close()
+    np.testing.assert_array_equal(others[0], pictures[0])
+    env = make(**options)
+    for seed, picture in ((0, pictures[0]), (1, pictures[1]), (5, others[1])):
+        env.reset(seed=seed)
+        # Single and batched programs may round differently.
+        assert (env.render() != picture).any(axis=-1).mean() < 1e-3
+    env.close()
 
 
 def test_an_unknown_render_mode_is_told_all_that_there_are():
@@ -317,7 +355,7 @@ def test_a_window_shows_every_step(monkeypatch):
             self.closed += 1
 
     window = Window()
-    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("carpark_mj.wrappers.screen.missing_display", lambda: None)
     monkeypatch.setattr("mujoco.viewer.launch_passive", lambda *_: window)
     env = make(render_mode="human", config=SHORT)
     env.reset(seed=0)
@@ -327,9 +365,10 @@ def test_a_window_shows_every_step(monkeypatch):
     assert (window.synced, window.closed) == (2, 1)
 
 
-def test_importing_the_package_registers_the_ids_and_loads_no_simulator():
+@pytest.mark.parametrize("order", ["gymnasium, carpark_mj", "carpark_mj, gymnasium"])
+def test_importing_the_package_registers_the_ids_and_loads_no_simulator(order):
     code = (
-        "import sys, gymnasium, carpark_mj\n"
+        f"import sys, {order}\n"
         "print(*sorted(n for n in gymnasium.registry if n[:7] == 'carpark'))\n"
         "print({'jax', 'mujoco', 'torch'} & {*sys.modules})"
     )

@@ -45,6 +45,7 @@ def test_pettingzoo_s_agents_leave_together_and_hear_who_crashed():
     picture = env.render()
     assert picture.shape == (540, 960, 3)
     assert picture.std() > 5
+    np.testing.assert_array_equal(env.render(), picture)
     env.close()
 
 

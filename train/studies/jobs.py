@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from carpark_mj.cli.process import patient_interrupts
+
 TRAIN = Path(__file__).parents[1]
 LEAST = 1.0  # min that must be left for a run to begin
 POLL = 0.1  # s between looks at the runs
@@ -113,14 +115,15 @@ def run_jobs(
     threads = [threading.Thread(target=work, args=(core,)) for core in cores]
     for thread in threads:
         thread.start()
-    try:
-        _wait(threads)
-    except KeyboardInterrupt:  # runs under way save and stop, no other begins
-        with contextlib.suppress(queue.Empty):
-            while True:
-                waiting.get_nowait()
-        _wait(threads)
-        raise
+    with patient_interrupts():
+        try:
+            _wait(threads)
+        except KeyboardInterrupt:  # runs under way save and stop, no other begins
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    waiting.get_nowait()
+            _wait(threads)
+            raise
     return failed
 
 

@@ -16,6 +16,7 @@ from carpark_mj.mdp.bays import marked
 from carpark_mj.mdp.spawning.draws import draw_uniform, pick
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, Surroundings
 from carpark_mj.mdp.spawning.poses import (
+    at_random_after,
     close_points,
     draw_heading,
     draw_kind,
@@ -75,8 +76,9 @@ def place_exploring(
     layout = inputs.layout
     key, again = split_redraws(config, key)
     draws = draw_uniform(_shapes(config, layout), key)
-    kind = draw_kind(config, draws.start.kind)
-    pose = random_pose(config, layout, around, draws.start)
+    start = at_random_after(placing.tries[around.agent], draws.start)
+    kind = draw_kind(config, start.kind)
+    pose = random_pose(config, layout, around, start)
     pose = redraw(config, layout, around, pose, again)
     bay = jnp.full((), NO_BAY, jnp.int32)
     if config.close_ratio:

@@ -1,10 +1,12 @@
 """Agents that begin an episode are placed one after the other, so that they stay apart.
 
-The loop is the same for fixed and chosen goals; see `carpark_mj.mdp.goals`.
+The loop is the same for fixed and chosen goals; see `carpark_mj.mdp.goals`. A start on
+top of another car, or of a wall, is not made: where there is no room an agent waits.
 """
 
 import dataclasses
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,6 @@ from carpark_mj.geometry import box_disc_overlap, box_distance, boxes_overlap, n
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
-from carpark_mj.mdp.reset_options import ResetOptions, has_pose
 from carpark_mj.types import NO_BAY, CarParameters, ParkedCars
 
 
@@ -57,6 +58,10 @@ class Placing:
             if it can.
         found: (num_agents,) bool, the agent drives the car drawn for it; without a bay
             that this fits into it keeps its goal and its car.
+        waited: (num_agents,) int32, see `State.waited`; who has waited longest is
+            placed first.
+        tries: (num_agents,) int32 starts drawn that were not free; after the first
+            they are at random.
     """
 
     goal: jax.Array
@@ -66,6 +71,8 @@ class Placing:
     close_bay: jax.Array
     conflict: jax.Array
     found: jax.Array
+    waited: jax.Array
+    tries: jax.Array
 
     @property
     def xy(self) -> jax.Array:
@@ -122,6 +129,14 @@ class Surroundings:
         gap = box_distance(pose[:, None], own, self.pose_w, self.outlines)
         return jnp.where(self.others, gap, jnp.inf).min(axis=-1)
 
+    def free(self, pose: jax.Array) -> jax.Array:
+        """(n,) bool, whether the car at poses (n, 3) would overlap nothing at all."""
+        if self.outlines is None:
+            return (self.distance(pose[:, :2]) > 0.0) & ~self.touches(pose)
+        own = self.outlines[self.agent]
+        meets = boxes_overlap(pose[:, None], own, self.pose_w, self.outlines)
+        return ~(meets & self.others).any(axis=-1) & ~self.touches(pose)
+
     def touches(self, pose: jax.Array) -> jax.Array:
         """(n,) bool, whether the car at poses (n, 3) would touch what does not move."""
         if self.size is None:
@@ -174,9 +189,14 @@ def surroundings(
 
 
 def start_placing(
-    goal: jax.Array, parked_bay: jax.Array, pose_w: jax.Array, waiting: jax.Array
+    goal: jax.Array,
+    parked_bay: jax.Array,
+    pose_w: jax.Array,
+    waiting: jax.Array,
+    waited: jax.Array | None = None,
 ) -> Placing:
     """Agents before any is placed; arguments as in `Placing`."""
+    zero = jnp.zeros(goal.shape, jnp.int32)
     return Placing(
         goal=goal,
         parked_bay=parked_bay,
@@ -185,68 +205,71 @@ def start_placing(
         close_bay=jnp.full(goal.shape, NO_BAY, jnp.int32),
         conflict=jnp.zeros(goal.shape, bool),
         found=jnp.ones(goal.shape, bool),
+        waited=zero if waited is None else waited,
+        tries=zero,
     )
 
 
 Place = Callable[[SpawnInputs, Placing, jax.Array, jax.Array], Placing]
 
 
-def place_all(
-    place_first: Place,
-    inputs: SpawnInputs,
-    placing: Placing,
-    key: jax.Array,
-    options: ResetOptions | None = None,
-) -> Placing:
-    """Places all agents of a lot that begins, in the order of their numbers.
+class Patience(NamedTuple):
+    """How often a start is drawn until it is free.
 
-    Args:
-        place_first: `Goals.place_first`.
-        inputs: the lot.
-        placing: all are waiting, with the goals they begin with.
-        key: consumed.
-        options: starts that are given; drawn ones keep away from them.
+    Attributes:
+        tries: at most.
+        gives_up: whether an agent whose tries are used up is still waiting then;
+            otherwise its last start counts, which then is the lot's fault.
     """
-    given = None
-    if options is not None and options.pose is not None:
-        given = has_pose(options)
-        pose_w = jnp.where(given[:, None], options.pose, placing.pose_w)
-        placing = dataclasses.replace(placing, pose_w=pose_w, waiting=~given)
 
-    def one(
-        placing: Placing, draw: tuple[jax.Array, jax.Array]
-    ) -> tuple[Placing, None]:
-        agent, key = draw
-        placed = place_first(inputs, placing, agent, key)
-        if given is not None:
-            stays = given[agent]
-            placed = jax.tree.map(
-                lambda new, old: jnp.where(stays, old, new), placed, placing
-            )
-        return placed.set(agent, waiting=False), None
+    tries: int
+    gives_up: bool
 
-    num_agents = placing.goal.shape[0]
-    draws = jnp.arange(num_agents), jax.random.split(key, num_agents)
-    return jax.lax.scan(one, placing, draws)[0]
+
+# In a lot with room for all (`mdp.spawning.room`) a try of one pose in four is free.
+SURE = Patience(1000, False)
 
 
 def place_waiting(
-    place: Place, inputs: SpawnInputs, placing: Placing, key: jax.Array
+    place: Place,
+    inputs: SpawnInputs,
+    placing: Placing,
+    key: jax.Array,
+    patience: Patience = SURE,
 ) -> Placing:
     """Places the waiting agents; the others continue their episodes.
 
+    A start that is not free is not made, and what was drawn with it is forgotten.
+
     Args:
-        place: `Goals.place`.
+        place: `Goals.place`, or `Goals.place_first` for a lot that begins.
         inputs: the lot.
         placing: before.
         key: consumed.
+        patience: with starts that are not free.
+
+    Returns:
+        The agents, of whom only those are waiting that have found no room.
     """
-    keys = jax.random.split(key, placing.goal.shape[0])
+    num_agents = placing.goal.shape[0]
+    keys = jax.random.split(key, 2 * num_agents)
+
+    def due(placing: Placing) -> jax.Array:
+        return placing.waiting & (placing.tries < patience.tries)
 
     def one(placing: Placing) -> Placing:
-        agent = jnp.argmax(placing.waiting)
-        placing = place(inputs, placing, agent, keys[agent])
-        return placing.set(agent, waiting=False)
+        agent = jnp.argmax(jnp.where(due(placing), placing.waited, -1))
+        tries = placing.tries[agent]
+        again = jax.random.fold_in(keys[num_agents + agent], tries)
+        key = jnp.where(tries == 0, keys[agent], again)
+        placed = place(inputs, placing, agent, key).set(agent, waiting=False)
+        around = surroundings(inputs, placed, agent)
+        around = dataclasses.replace(around, others=around.others & ~placed.waiting)
+        made = around.free(placed.pose_w[agent][None])[0]
+        if not patience.gives_up:
+            made = made | (tries + 1 == patience.tries)
+        placing = jax.tree.map(lambda x, y: jnp.where(made, x, y), placed, placing)
+        return placing.set(agent, tries=tries + 1)
 
     # A loop over waiting agents only: in most steps no episode ends.
-    return jax.lax.while_loop(lambda placing: placing.waiting.any(), one, placing)
+    return jax.lax.while_loop(lambda placing: due(placing).any(), one, placing)

@@ -54,6 +54,12 @@ def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
     return SpawnDraws((), (n,), (n, 2), (n,), (walks, walk_numbers(config)))
 
 
+def at_random_after(tries: jax.Array, draws: SpawnDraws) -> SpawnDraws:
+    """The numbers of a start, which is at random if others () were not free before."""
+    # Above all ratios, see `draw_kind`: at random a start can be anywhere.
+    return draws._replace(kind=jnp.where(tries > 0, 2.0, draws.kind))
+
+
 def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
     """How starts (...) are meant to be, of one kind at most; `number` (...) decides."""
     rest = number - config.close_ratio

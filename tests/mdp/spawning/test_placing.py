@@ -20,7 +20,6 @@ from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import (
     SpawnInputs,
-    place_all,
     place_waiting,
     start_placing,
     surroundings,
@@ -176,7 +175,7 @@ def test_at_a_reset_agents_start_on_course_for_those_placed_before_them():
 
     def place(goal, parked_cars, key):
         placing = start_placing(goal, parked_cars.bay, nowhere, everybody)
-        return place_all(goals.place_first, alike(parked_cars), placing, key)
+        return place_waiting(goals.place_first, alike(parked_cars), placing, key)
 
     keys = jax.random.split(jax.random.key(5), 300)
     after = jax.device_get(jax.jit(jax.vmap(place))(goal, parked_cars, keys))
@@ -312,14 +311,14 @@ def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
     )
     size = jnp.array([[PRESETS["van"].length, PRESETS["van"].width]])
     goals, small = FixedGoals(EnvConfig()), jnp.array([[1.0, 1.0]])
-    first, later = (place_all, goals.place_first), (place_waiting, goals.place)
+    first, later = goals.place_first, goals.place
 
     def share_touching(how, new, old, fits):
         inputs = SpawnInputs(layout, parked_at(), new, old, BayFits(fits))
-        (place, one), placing = how, one_agent(0, inputs)
+        placing = one_agent(0, inputs)
 
         def start(key):
-            return place(one, inputs, placing, key).pose_w[0]
+            return place_waiting(how, inputs, placing, key).pose_w[0]
 
         keys = jax.random.split(jax.random.key(0), 300)
         x, y, yaw = np.asarray(jax.jit(jax.vmap(start))(keys)).T

@@ -25,7 +25,6 @@ from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import (
     SpawnInputs,
-    place_all,
     place_waiting,
     start_placing,
     surroundings,
@@ -284,7 +283,7 @@ def test_agents_of_a_lot_that_begins_do_not_overlap():
         placing = start_placing(
             goal, jnp.zeros(0, jnp.int32), jnp.zeros((6, 3)), waiting
         )
-        return place_all(goals.place_first, inputs, placing, key).pose_w
+        return place_waiting(goals.place_first, inputs, placing, key).pose_w
 
     boxes = polygons(begin(keys_of(5, 300)), compact.size[0])
     gaps = shapely.distance(boxes[:, :, None], boxes[:, None])

@@ -20,8 +20,8 @@ def compute_advantages(
     Targets are those of lambda. Advantages are of the reward and the next step's target
     above the value, so that lambda only damps what comes after the next step.
 
-    Truncated steps are masked, as in Brax: their advantage is 0 before advantages are
-    normalised, and their target the critic's own value.
+    Those of truncated steps mean nothing, for what comes after is not known: as in Brax
+    the advantage is 0 and the target the critic's own value. No loss counts them.
 
     Args:
         rollout: of the agents.

@@ -66,7 +66,8 @@ class PPOConfig(RunConfig):
         preset: settings the other flags start from.
         warm_start: run whose networks the training starts from instead of random ones:
             folder, checkpoint, or name of a pretrained policy with `critic_steps`.
-        num_steps: total number of agent steps.
+        num_steps: agent steps to simulate in all. Those of absent agents count, here
+            and in the other settings of steps: they take as long.
         minutes: time after which training ends before `num_steps` are made, compiling
             included, evaluation and video not [min]; 0 = no limit. Schedules then
             follow steps or time, whichever is further.
@@ -230,7 +231,7 @@ class PPOConfig(RunConfig):
 
     @property
     def steps_per_update(self) -> int:
-        """Agent steps collected for one update."""
+        """Steps simulated for one update, those of absent agents included."""
         return self.num_lots * self.env.num_agents * self.unroll_length
 
     @property

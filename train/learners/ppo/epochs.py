@@ -41,8 +41,9 @@ def learn(
     """Learns from the rollout of this device's agents.
 
     Values and advantages are those of the parameters at the start of an epoch. A
-    minibatch holds all steps of its agents; devices average their gradients. With the
-    details of ML-Agents they are those of the start, and a minibatch holds any steps.
+    minibatch holds all steps of its agents, and its parts on all devices are one: see
+    `learners.ppo.loss`. With the details of ML-Agents they are those of the start, and
+    a minibatch holds any steps.
 
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.
@@ -63,6 +64,9 @@ def learn(
         key, drop_key = jax.random.split(key)
         count = num_learned(config, rollout.reward.shape[1])
         rollout = drop_absent(rollout, count, drop_key)
+    weight = 1.0 - rollout.truncated
+    if rollout.weight is not None:
+        weight *= rollout.weight
     # One vector: one all-reduce and one Adam step instead of one for every layer.
     start, unravel = ravel_pytree(network_params(state.policy, state.value))
 
@@ -86,7 +90,7 @@ def learn(
             log_prob=rollout.log_prob,
             advantage=advantage,
             target=target,
-            weight=rollout.weight,
+            weight=weight,
         )
 
     old: Any = jax.tree.map(_flat, prepare(unravel(start))) if ml_agents else None

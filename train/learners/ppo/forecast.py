@@ -16,7 +16,8 @@ def announcement(config: PPOConfig, update: int, seconds: float) -> str:
         update: updates made before, by the runs that it continues.
         seconds: time they used [s].
     """
-    steps = f"{_million(config.num_steps - update * config.steps_per_update)} M steps"
+    left = _million(config.num_steps - update * config.steps_per_update)
+    steps = f"{left} M steps{_absent(config)}"
     if not config.minutes:
         return f"trains for {steps}{_afterwards(config)[0]}"
     minutes = max(config.minutes - seconds / 60.0, 0.0)
@@ -34,7 +35,7 @@ def estimate(config: PPOConfig, update: int, seconds: float, rate: float) -> str
         config: of the run.
         update: updates made.
         seconds: time used [s].
-        rate: steps per second.
+        rate: steps simulated per second, those of absent agents included.
     """
     made, total = update * config.steps_per_update, _million(config.num_steps)
     budget = 60.0 * config.minutes
@@ -44,7 +45,7 @@ def estimate(config: PPOConfig, update: int, seconds: float, rate: float) -> str
         end = f"{config.minutes:.3g} min, {reached} of {total} M steps"
     else:
         end = f"{needed / 60.0:.1f} min, {total} M steps"
-    return f"at {rate:,.0f} steps/s: {end}"
+    return f"at {rate:,.0f} steps/s: {end}{_absent(config)}"
 
 
 def _afterwards(config: PPOConfig) -> tuple[str, float]:
@@ -62,6 +63,11 @@ def _afterwards(config: PPOConfig) -> tuple[str, float]:
     return f", then {' and '.join(verb for verb, _ in parts)}", sum(
         minutes for _, minutes in parts
     )
+
+
+def _absent(config: PPOConfig) -> str:
+    """Of which steps the budget is, where that is not said by their number alone."""
+    return " (absent agents' included)" if config.env.min_agents is not None else ""
 
 
 def _million(steps: float) -> str:

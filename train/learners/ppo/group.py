@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from carpark_mj.config import insert
+from carpark_mj.config import insert, is_data
 from carpark_mj.evaluation.keys import training_key
 from carpark_mj.wrappers.brax import BraxParking
 from learners.ppo.config import PPOConfig
@@ -24,7 +24,7 @@ from learners.settings import list_settings
 
 RUNS = "runs"
 
-# Numbers that only enter into arithmetic; those of `REWARDS` do too, but one.
+# Numbers that only enter into arithmetic; of the environment's, `is_data` says which.
 DATA = (
     "learning_rate",
     "learning_rate_end",
@@ -34,12 +34,8 @@ DATA = (
     "clip_end",
     "discount",
     "gae_lambda",
-    "env.episode.hitbox_scale",
-    "env.giving_way.bad_goal",
 )
 ENV = "env."
-REWARDS = "env.reward."
-DECIDES_A_BRANCH = "env.reward.reeds_shepp"
 # What the program does not read.
 OUTSIDE = (
     "warm_start",
@@ -188,11 +184,9 @@ def _require_one_program(configs: Sequence[PPOConfig]) -> None:
 
 def _data(config: PPOConfig) -> list[str]:
     """Paths of the settings that may differ as data."""
-    return [path for path, value in list_settings(config) if _is_data(path, value)]
-
-
-def _is_data(path: str, value: Any) -> bool:
-    if path.startswith(REWARDS):
-        is_number = not isinstance(value, bool | None)
-        return is_number and path != DECIDES_A_BRANCH
-    return path in DATA
+    return [
+        path
+        for path, value in list_settings(config)
+        if path in DATA
+        or (path.startswith(ENV) and is_data(path.removeprefix(ENV), value))
+    ]

@@ -29,7 +29,7 @@ from learners.ppo.epochs import learn, network_params
 from learners.ppo.families import make_families
 from learners.ppo.ml_agents import initial_weights
 from learners.ppo.rollout import Rollout, Totals, collect
-from learners.ppo.state import AXIS, TrainingState, state_specs
+from learners.ppo.state import AXIS, TrainingState, no_steps, state_specs
 
 
 def num_devices(config: PPOConfig) -> int:
@@ -121,6 +121,7 @@ class Learner:
             optimizer=self.optimizer.init(ravel_pytree(params)[0]),
             key=key,
             update=jnp.zeros((), jnp.int32),
+            steps=no_steps(),
             skipped=jnp.zeros((), jnp.int32),
             seconds=jnp.zeros((), jnp.float32),
             family_rates=rates,
@@ -240,6 +241,9 @@ class Learner:
             state.average,
             policy,
         )
+        num_steps = jnp.int32(self.config.steps_per_update)
+        if rollout.weight is not None:
+            num_steps = jax.lax.psum(rollout.weight.sum(dtype=jnp.int32), AXIS)
         new = TrainingState(
             normalizer=normalizer,
             policy=policy,
@@ -248,14 +252,12 @@ class Learner:
             optimizer=optimizer,
             key=key,
             update=state.update + 1,
+            steps=state.steps + num_steps,
             skipped=state.skipped + ~finite,
             seconds=state.seconds,
             family_rates=rates,
             env=env_state,
         )
-        num_steps = self.config.steps_per_update
-        if rollout.weight is not None:
-            num_steps = jax.lax.psum(rollout.weight.sum(), AXIS)
         metrics = _episode_metrics(totals, num_steps) | {
             f"loss/{name}": loss for name, loss in losses.items()
         }
@@ -295,9 +297,7 @@ class Learner:
         )
 
 
-def _episode_metrics(
-    totals: Totals, num_steps: jax.Array | int
-) -> dict[str, jax.Array]:
+def _episode_metrics(totals: Totals, num_steps: jax.Array) -> dict[str, jax.Array]:
     """Means over the episodes that ended in the unroll, and reward terms per step."""
     totals = jax.tree.map(lambda x: jax.lax.psum(x.sum(), AXIS), totals)
     episodes = totals.episodes

@@ -1,6 +1,9 @@
-"""PPO's loss of a minibatch whose advantages are known."""
+"""PPO's loss of a minibatch whose advantages are known.
 
-from functools import partial
+Devices that average their gradients learn as one that holds all their steps: means of a
+loss and moments of advantages are over the steps of all devices that count.
+"""
+
 from typing import Any
 
 import jax
@@ -8,6 +11,8 @@ import jax.numpy as jnp
 from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks
 from flax import struct
+
+from learners.ppo.state import AXIS
 
 VALUE_COST = 0.25  # weight of the value's squared error, as in Brax
 
@@ -22,7 +27,8 @@ class Minibatch:
         log_prob: its log-density when it was drawn.
         advantage: of the action.
         target: of the critic.
-        weight: see `Rollout`.
+        weight: 0.0 of steps that no loss counts, those of absent agents and truncated
+            ones, else 1.0.
     """
 
     observation: jax.Array
@@ -30,7 +36,7 @@ class Minibatch:
     log_prob: jax.Array
     advantage: jax.Array
     target: jax.Array
-    weight: jax.Array | None = None
+    weight: jax.Array
 
 
 @struct.dataclass
@@ -46,11 +52,26 @@ class Weights:
     clip: jax.Array
 
 
-def weighted_mean(x: jax.Array, weight: jax.Array | None) -> jax.Array:
-    """The mean () of numbers (...) with weights (...); None = all 1."""
-    if weight is None:
-        return x.mean()
-    return jnp.sum(weight * x) / jnp.maximum(jnp.sum(weight), 1.0)
+def balance(weight: jax.Array) -> jax.Array:
+    """Weights (...) scaled to sum to 1, averaged over the devices; all 0 stay so.
+
+    The average over the devices of what is summed with them is a mean over all steps.
+    """
+    total = jax.lax.pmean(jnp.sum(weight), AXIS)
+    return weight / jnp.maximum(total, 1e-6)
+
+
+def standardize(advantage: jax.Array, weight: jax.Array, floor: float) -> jax.Array:
+    """Advantages (...) less their mean, over their deviation, both of all devices.
+
+    Args:
+        advantage: of the steps.
+        weight: (...) of `balance`.
+        floor: added to the standard deviation.
+    """
+    centred = advantage - jax.lax.pmean(jnp.sum(weight * advantage), AXIS)
+    variance = jax.lax.pmean(jnp.sum(weight * jnp.square(centred)), AXIS)
+    return centred / (jnp.sqrt(variance) + floor)
 
 
 def ppo_loss(
@@ -61,16 +82,18 @@ def ppo_loss(
     weights: Weights,
     key: jax.Array,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """The clipped loss, and what of it is reported.
+    """The clipped loss, and what of it is reported; to be averaged over the devices.
 
     It is that of `brax.training.agents.ppo.losses.compute_ppo_loss`, which computes
-    values and advantages of the minibatch itself, for every minibatch.
+    values and advantages of the minibatch itself, for every minibatch. It differs where
+    steps are truncated, which Brax counts with an advantage of 0 before it normalises,
+    and over several devices, which normalise and average in Brax each for itself.
 
     Args:
         params: actor and critic.
         networks: that take them.
         normalizer: running statistics of the observations.
-        batch: the minibatch; its advantages are normalised here.
+        batch: this device's part of the minibatch; its advantages are normalised here.
         weights: of the terms.
         key: for the entropy, which is sampled.
     """
@@ -78,13 +101,12 @@ def ppo_loss(
     logits = networks.policy_network.apply(normalizer, params.policy, batch.observation)
     value = networks.value_network.apply(normalizer, params.value, batch.observation)
 
-    mean = partial(weighted_mean, weight=batch.weight)
-    advantage = batch.advantage
-    if batch.weight is None:
-        spread = advantage.std()
-    else:
-        spread = jnp.sqrt(mean(jnp.square(advantage - mean(advantage))))
-    advantage = (advantage - mean(advantage)) / (spread + 1e-8)
+    weight = balance(batch.weight)
+    advantage = standardize(batch.advantage, weight, floor=1e-8)
+
+    def mean(x: jax.Array) -> jax.Array:
+        return jnp.sum(weight * x)
+
     log_ratio = distribution.log_prob(logits, batch.raw_action) - batch.log_prob
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1.0 - weights.clip, 1.0 + weights.clip)

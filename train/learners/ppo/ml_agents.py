@@ -15,8 +15,13 @@ from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks
 from flax import struct
 
-from learners.ppo.loss import Minibatch, Weights, describe_policy
-from learners.ppo.state import AXIS
+from learners.ppo.loss import (
+    Minibatch,
+    Weights,
+    balance,
+    describe_policy,
+    standardize,
+)
 
 VALUE_COST = 0.5  # weight of the value's squared error
 LAST_LAYER = 0.1  # factor on the initial weights of the actor's last layer
@@ -33,6 +38,7 @@ class Steps:
         advantage: of the action, normalised.
         target: of the critic.
         value: of the critic before the update.
+        weight: see `Minibatch`.
     """
 
     observation: jax.Array
@@ -41,6 +47,7 @@ class Steps:
     advantage: jax.Array
     target: jax.Array
     value: jax.Array
+    weight: jax.Array
 
 
 def prepare_steps(
@@ -65,16 +72,15 @@ def prepare_steps(
         actor(normalizer, params.policy, steps.observation)
     )
     value = critic(normalizer, params.value, steps.observation)
-    advantage = steps.target - value
-    centred = advantage - jax.lax.pmean(advantage.mean(), AXIS)
-    spread = jnp.sqrt(jax.lax.pmean(jnp.square(centred).mean(), AXIS))
+    weight = balance(steps.weight)
     return Steps(
         observation=steps.observation,
         raw_action=steps.raw_action,
         log_prob=drawn_from.log_prob(steps.raw_action),
-        advantage=centred / (spread + 1e-10),
+        advantage=standardize(steps.target - value, weight, floor=1e-10),
         target=steps.target,
         value=value,
+        weight=steps.weight,
     )
 
 
@@ -86,7 +92,7 @@ def ml_agents_loss(
     weights: Weights,
     key: jax.Array,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """The loss of a minibatch, and what of it is reported.
+    """The loss of a minibatch, and what of it is reported, as `ppo_loss`.
 
     Branches are averaged in the policy's loss and added in the entropy, as there.
 
@@ -94,7 +100,7 @@ def ml_agents_loss(
         params: actor and critic.
         networks: that take them.
         normalizer: running statistics, those of the start.
-        batch: the minibatch.
+        batch: this device's part of the minibatch.
         weights: of the terms.
         key: unused: the entropy of choices is exact.
     """
@@ -105,24 +111,29 @@ def ml_agents_loss(
     logits = actor(normalizer, params.policy, batch.observation)
     value = critic(normalizer, params.value, batch.observation)
     clip, drawn_from = weights.clip, distribution.create_dist(logits)
+    weight = balance(batch.weight)
+
+    def mean(x: jax.Array) -> jax.Array:
+        return jnp.sum(weight * x)
 
     log_ratio = drawn_from.log_prob(batch.raw_action) - batch.log_prob
     ratio, advantage = jnp.exp(log_ratio), batch.advantage[..., None]
     clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
-    policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
+    gain = jnp.minimum(ratio * advantage, clipped * advantage)
+    policy_loss = -mean(gain.mean(axis=-1))
     near = batch.value + jnp.clip(value - batch.value, -clip, clip)
     error = jnp.maximum(
         jnp.square(batch.target - value), jnp.square(batch.target - near)
     )
-    v_loss = VALUE_COST * error.mean()
-    entropy_loss = -weights.entropy_cost * drawn_from.entropy().sum(axis=-1).mean()
+    v_loss = VALUE_COST * mean(error)
+    entropy_loss = -weights.entropy_cost * mean(drawn_from.entropy().sum(axis=-1))
     total_loss = policy_loss + v_loss + entropy_loss
     return total_loss, {
         "total_loss": total_loss,
         "policy_loss": policy_loss,
         "v_loss": v_loss,
         "entropy_loss": entropy_loss,
-        "kl_mean": jnp.sum(ratio - 1.0 - log_ratio, axis=-1).mean(),
+        "kl_mean": mean(jnp.sum(ratio - 1.0 - log_ratio, axis=-1)),
         **describe_policy(drawn_from),
     }
 

@@ -92,7 +92,7 @@ def collect(
             done - info["truncation"],
             info["truncation"],
         )
-        return (after, totals), (taken, info["present"])
+        return (after, totals), (taken, state.info["present"])
 
     info = env_state.info
     zeros = jax.tree.map(
@@ -112,11 +112,11 @@ def drop_absent(rollout: Rollout, count: int, key: jax.Array) -> Rollout:
     Where more are present than are kept, some of those are dropped at random.
 
     Args:
-        rollout: with weights, which are the same in all steps of an agent.
+        rollout: with weights; agents that waited for room in some steps count less.
         count: agents to keep.
         key: consumed.
     """
-    present = rollout.weight[0] if rollout.weight is not None else 1.0
+    present = rollout.weight.mean(axis=0) if rollout.weight is not None else 1.0
     luck = jax.random.uniform(key, rollout.reward.shape[1:])
     kept = jnp.argsort(luck - present)[:count]
     final_observation = rollout.final_observation[kept]

@@ -3,6 +3,8 @@
 from typing import Any
 
 import jax
+import numpy as np
+from brax.training.types import UInt64
 from flax import struct
 from jax.sharding import PartitionSpec
 
@@ -21,6 +23,7 @@ class TrainingState:
         optimizer: Adam's moments, of all parameters as one vector.
         key: randomness of acting and shuffling.
         update: () int32 updates made.
+        steps: () agent steps made, of agents that were present.
         skipped: () int32 updates dropped because they were not finite.
         seconds: () float32 of `minutes` used, which the host sets; 0 without them.
         family_rates: (members,) running rates of parked episodes by member of a
@@ -35,6 +38,7 @@ class TrainingState:
     optimizer: Any
     key: jax.Array
     update: jax.Array
+    steps: UInt64
     skipped: jax.Array
     seconds: jax.Array
     family_rates: jax.Array
@@ -53,8 +57,20 @@ def state_specs() -> TrainingState:
         optimizer=whole,
         key=whole,
         update=whole,
+        steps=whole,
         skipped=whole,
         seconds=whole,
         family_rates=whole,
         env=lots,
     )
+
+
+def no_steps() -> UInt64:
+    """The count of agent steps before the first; 32 bits would overflow."""
+    count: Any = UInt64  # its fields are hidden from Pyright
+    return count(0, 0)
+
+
+def count_steps(state: TrainingState) -> np.ndarray:
+    """Agent steps (runs,) int64 that every run has made; of one alone (1,)."""
+    return np.ravel(state.steps.to_numpy()).astype(np.int64)

@@ -18,7 +18,7 @@ from learners.metrics_log import MetricsLog
 from learners.ppo.config import PPOConfig
 from learners.ppo.forecast import MEASURED_SECONDS, announcement, estimate
 from learners.ppo.learner import Learner
-from learners.ppo.state import TrainingState
+from learners.ppo.state import TrainingState, count_steps
 from learners.ppo.warm_start import warm_start
 from learners.settings import list_settings
 
@@ -86,13 +86,14 @@ def _checkpoints_of_one_step(folders: Sequence[Path]) -> list[Path]:
 def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
     """Writes a checkpoint of the state, which is in the host's memory."""
     update = int(state.update)
-    steps = update * config.steps_per_update
     header = {
         "config": dataclasses.asdict(config),
         "update": update,
-        "env_steps": steps,
+        "env_steps": int(count_steps(state)[0]),
     }
-    return runs.save_checkpoint(folder, vars(state), header, steps)
+    # Its name counts absent agents too: it is the same for runs side by side.
+    simulated = update * config.steps_per_update
+    return runs.save_checkpoint(folder, vars(state), header, simulated)
 
 
 def train(
@@ -124,7 +125,7 @@ def train(
     print("compiling ...", flush=True)
     skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
     diverged = np.zeros(count, bool)
-    begun = 0.0
+    begun, at_begin = 0.0, count_steps(state)
     leaving = told = False
     progress = float(config.progress(done, used))
     with loop.over(1.0, progress), _metrics(folders, done) as log:
@@ -140,29 +141,31 @@ def train(
             progress = float(config.progress(done, seconds))
             if config.minutes:
                 state = learner.set_seconds(state, seconds)
-            begun = begun or loop.seconds  # the first update includes compilation
-            made = (done - first - 1) * config.steps_per_update
-            rate = made / (loop.seconds - begun) if made else 0.0
+            steps, updates = count_steps(state), done - first - 1
+            if not updates:  # the first update includes compilation
+                begun, at_begin = loop.seconds, steps
+            elapsed = max(loop.seconds - begun, 1e-9)
+            rates = (steps - at_begin) / elapsed
             in_a_row = np.where(values["skipped"] > skipped, in_a_row + 1, 0)
             skipped = values["skipped"]
             diverged |= in_a_row >= MAX_SKIPPED
-            steps = done * config.steps_per_update
-            row = {
-                "update": done,
-                "env_steps": steps,
-                "seconds": loop.seconds,
-                "steps_per_second": rate,
-            }
             going = [k for k in range(count) if not diverged[k]]
             for k in going:
+                row = {
+                    "update": done,
+                    "env_steps": int(steps[k]),
+                    "seconds": loop.seconds,
+                    "steps_per_second": float(rates[k]),
+                }
                 log(k, row | {name: float(x[k]) for name, x in values.items()})
-            if not told and made and loop.seconds - begun > MEASURED_SECONDS:
-                loop.say(estimate(config, done, seconds, rate))
+            if not told and updates and elapsed > MEASURED_SECONDS:
+                simulated = updates * config.steps_per_update / elapsed
+                loop.say(estimate(config, done, seconds, simulated))
                 told = True
-            pace = f"{count * rate:>7,.0f} steps/s  " if made else ""
+            pace = f"{rates.sum():>7,.0f} steps/s  " if updates else ""
             loop.show(
                 progress,
-                f"{count * steps / 1e6:.2f} M  {pace}"
+                f"{steps.sum() / 1e6:.2f} M  {pace}"
                 f"[green]parked {values['episode/parked'].mean():5.1%}[/]  "
                 f"[red]crashed {values['episode/crashed'].mean():5.1%}[/]",
             )

@@ -1,6 +1,7 @@
 """Warm starts: a training that begins with the networks of another run.
 
-Of a pretrained policy, which has no critic, only the actor; a new critic learns first.
+Its actor begins as the averaged policy, the one that is evaluated. A pretrained policy
+has no critic: a new one learns first.
 """
 
 import dataclasses
@@ -23,7 +24,7 @@ from learners.ppo.state import TrainingState
 from learners.ppo.widening import new_fields, widen
 
 # What a run takes over; optimizer, schedules, lots and counters are its own.
-TAKEN = ("normalizer", "policy", "average", "value")
+TAKEN = ("normalizer", "average", "value")
 ALONE = ("normalizer", "average")  # what a policy without a critic has
 
 
@@ -103,10 +104,10 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
 
 
 def _replace(state: TrainingState, found: dict[str, Any]) -> TrainingState:
-    """The state with what was found; a policy alone is an average, the actor too."""
+    """The state with what was found, and the averaged policy as actor as well."""
     # A copy: an update takes over the memory of both.
-    actor = {"policy": jax.tree.map(jnp.copy, found["average"])}
-    return dataclasses.replace(state, **actor | found)
+    actor = jax.tree.map(jnp.copy, found["average"])
+    return dataclasses.replace(state, policy=actor, **found)
 
 
 def _template(config: PPOConfig, env: EnvConfig) -> dict[str, Any]:
@@ -115,11 +116,9 @@ def _template(config: PPOConfig, env: EnvConfig) -> dict[str, Any]:
     networks = make_networks(config.networks, fields, action_spec(env))
 
     def init() -> dict[str, Any]:
-        policy = networks.policy_network.init(jax.random.key(0))
         return {
             "normalizer": init_normalizer(network_inputs(config.networks, fields)),
-            "policy": policy,
-            "average": policy,
+            "average": networks.policy_network.init(jax.random.key(0)),
             "value": networks.value_network.init(jax.random.key(0)),
         }
 

@@ -1,0 +1,159 @@
+"""A command's process: Ctrl-C at any moment, stdout that fails, its environment."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+START = """
+import ctypes, os, signal, sys, threading, time
+from carpark_mj.cli.process import patient_interrupts
+
+def interrupt(after=0.0):
+    if not after:
+        signal.raise_signal(signal.SIGINT)
+    threading.Timer(after, signal.raise_signal, (signal.SIGINT,)).start()
+
+def compile():  # code that returns to Python after a minute
+    ctypes.CDLL(None).sleep(60)
+
+def write(text):
+    open("file", "w").write(text)
+
+def main():
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Runs a command of some lines in a folder of its own."""
+
+    def run(body, stdout=subprocess.PIPE, handler="default_int_handler", **environment):
+        indented = "".join(f"    {line}\n" for line in body.splitlines())
+        (tmp_path / "job.py").write_text(START + indented)
+        program = (
+            f"import signal\nsignal.signal(signal.SIGINT, signal.{handler})\n"
+            "from carpark_mj.cli.process import enter\n"
+            "enter('job', 'job:main')"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+            stdout=stdout,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=50,
+            check=False,
+        )
+        return done.returncode, done.stderr
+
+    return run
+
+
+INTERRUPTED = {
+    "in Python": "interrupt(0.2)\ntime.sleep(60)",
+    "in compiled code": "interrupt(0.2)\ncompile()",
+    # As in JAX's callback of the garbage collector: Python prints and goes on.
+    "in a destructor": """
+class Thing:
+    def __del__(self):
+        interrupt()
+
+Thing()
+compile()""",
+    "where everything is caught": """
+try:
+    interrupt()
+except BaseException:
+    compile()""",
+    "where it becomes another error": """
+try:
+    interrupt()
+except KeyboardInterrupt:
+    raise RuntimeError("INTERNAL: a callback failed")""",
+    "at the very end": "import atexit\natexit.register(interrupt)",
+    "twice, the first being handled": """
+signal.signal(signal.SIGINT, lambda *_: None)
+interrupt()
+interrupt(0.2)
+compile()""",
+}
+
+
+@pytest.mark.parametrize("where", INTERRUPTED)
+def test_ctrl_c_ends_a_command_with_one_line(where, run):
+    assert run(INTERRUPTED[where]) == (130, "job: interrupted\n")
+
+
+def test_ctrl_c_leaves_time_to_clean_up(run, tmp_path):
+    body = "try:\n    interrupt()\nfinally:\n    write('cleaned')"
+    assert run(body) == (130, "job: interrupted\n")
+    assert (tmp_path / "file").read_text() == "cleaned"
+
+
+def test_a_command_that_saves_has_the_time_it_takes(run, tmp_path):
+    body = """
+with patient_interrupts():
+    try:
+        interrupt()
+    finally:
+        time.sleep(2.0)  # longer than others have
+        write("saved")"""
+    assert run(body) == (130, "job: interrupted\n")
+    assert (tmp_path / "file").read_text() == "saved"
+
+
+def test_an_ignored_ctrl_c_stays_ignored(run, tmp_path):
+    body = "with patient_interrupts():\n    interrupt()\nwrite('done')"
+    assert run(body, handler="SIG_IGN") == (0, "")  # as in a shell's background
+    assert (tmp_path / "file").read_text() == "done"
+
+
+PRINT = "for _ in range(9999): print('…')\nwrite('done')\nreturn {code}"
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")
+@pytest.mark.parametrize(("code", "ends"), [(0, 2), (1, 1)])
+def test_a_full_disk_under_stdout_costs_no_work(code, ends, run, tmp_path):
+    with open("/dev/full", "w") as full:
+        ended, said = run(PRINT.format(code=code), full)
+    assert ended == ends
+    assert said == (
+        "job: cannot write to stdout: No space left on device\n" * (not code)
+    )
+    assert (tmp_path / "file").read_text() == "done"
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_that_leaves_costs_no_work(unbuffered, run, tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    assert run(PRINT.format(code=0), writing, PYTHONUNBUFFERED=unbuffered) == (0, "")
+    os.close(writing)
+    assert (tmp_path / "file").read_text() == "done"
+
+
+def test_an_encoding_without_a_character_costs_no_work(run, tmp_path):
+    assert run(PRINT.format(code=0), PYTHONIOENCODING="ascii") == (0, "")
+    assert (tmp_path / "file").read_text() == "done"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("MUJOCO_GL", "junk"),
+        ("JAX_NUM_CPU_DEVICES", "x"),
+        ("JAX_NUM_CPU_DEVICES", "0"),
+        ("JAX_NUM_CPU_DEVICES", "1.5"),
+    ],
+)
+def test_an_environment_that_nothing_can_run_in_is_refused(name, value, run, tmp_path):
+    code, said = run("write('done')", **{name: value})
+    assert code == 2
+    assert said.startswith("job: ")
+    assert (name in said, repr(value) in said, said.count("\n")) == (True, True, 1)
+    assert not (tmp_path / "file").exists()
