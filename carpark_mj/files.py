@@ -6,16 +6,23 @@ import errno
 import io
 import json
 import os
+import secrets
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 
 @contextlib.contextmanager
-def _temporary(path: Path) -> Generator[Path]:
-    """A path beside `path` with its suffix; what lies there at the end is removed."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+def _temporary(path: Path, folder: Path | None = None) -> Generator[Path]:
+    """A new file beside `path`, or in `folder`; what is left at the end is removed.
+
+    It has the suffix of `path`. Nobody can have laid a link in its place: its name is
+    random, and it is created only where nothing has that name.
+    """
+    name = f".{path.stem}.{secrets.token_hex(8)}{path.suffix}"
+    temporary = (folder or path.parent) / name
     with naming(path, temporary):
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         try:
             yield temporary
         finally:
@@ -38,16 +45,22 @@ def naming(path: Path, temporary: Path | None = None) -> Generator[None]:
         raise
 
 
-def require_writable(path: Path) -> None:
+def require_writable(path: Path, new_folders: bool = False) -> None:
     """Refuses, before the work, what `write_atomically` could not write after it.
+
+    Args:
+        path: of the file.
+        new_folders: those of `path` that are not there yet are made after the work, so
+            that nothing is left of work that is refused.
 
     Raises:
         OSError: `path` cannot be written.
     """
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    with _temporary(path) as temporary:
-        temporary.touch()
+    there = (folder for folder in path.parents if os.path.lexists(folder))
+    with _temporary(path, next(there) if new_folders else None):
+        pass
 
 
 def write_atomically(path: Path, write: Any) -> None:

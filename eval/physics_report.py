@@ -64,8 +64,7 @@ def command_of(config: ReportConfig) -> str:
 def run(config: ReportConfig) -> int:
     """Runs the suite and writes the report; returns 1 if a row misses."""
     out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
-    require_writable(out / "report.md")  # refused before the work
+    require_writable(out / "report.md", new_folders=True)  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # few cars: no work for a GPU
     everything = Study("", "")
     presets = config.presets or tuple(sorted(PRESETS))

@@ -36,8 +36,7 @@ class RefereeConfig:
 def run(config: RefereeConfig) -> None:
     """Drives the trials, writes the page and the plot, prints the table."""
     out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
-    require_writable(out / "referee.md")  # refused before the work
+    require_writable(out / "referee.md", new_folders=True)  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # one car: no work for a GPU
     found = referee.trials()
     referee_report.write_report(out, found)

@@ -1,14 +1,13 @@
 """Finished runs as records of their settings and metrics."""
 
-import csv
 import dataclasses
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.reading import read_csv, read_object, require_entries
 
 # What differs between runs without changing what is trained.
 _INCIDENTAL = ("name", "runs_dir", "resume", "time_limit", "seed", "preset")
@@ -43,22 +42,28 @@ def read_run(folder: Path) -> Record:
     Raises:
         CheckpointError: there is no run, or it has no evaluation.
     """
-    described = _read_json(folder / "config.json", "config")
-    evaluation = _read_json(folder / "evaluation.json", "summary")
-    settings = dict(_flatten(described["config"]))
+    config, evaluation = folder / "config.json", folder / "evaluation.json"
+    described: dict[str, Any] = {"device": "", "versions": {}}
+    described |= _read_json(config, config=dict)
+    settings = {"seed": 0} | dict(_flatten(described["config"]))
+    summary = _read_json(evaluation, summary=dict)["summary"]
     try:
-        metrics = flat_metrics(evaluation["summary"])
-    except (TypeError, ValueError) as error:
-        path = folder / "evaluation.json"
-        raise CheckpointError(f"{path} is damaged: {error}") from None
+        require_entries(described, str(config), device=str, versions=dict)
+        require_entries(settings, str(config), seed=int)
+    except ValueError as error:
+        raise CheckpointError(str(error)) from None
+    try:
+        metrics = flat_metrics(summary)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise CheckpointError(f"{evaluation} is damaged: {error}") from None
     return Record(
         name=folder.name,
         settings=settings,
         metrics=metrics,
-        seed=int(settings.get("seed", 0)),
+        seed=settings["seed"],
         folder=folder,
-        versions=described.get("versions", {}),
-        device=described.get("device", ""),
+        versions=described["versions"],
+        device=described["device"],
     )
 
 
@@ -93,8 +98,10 @@ def swept_settings(paths: Sequence[Path], records: Sequence[Record]) -> list[str
     names: list[str] = []
     for path in paths:
         if (path / "sweep.json").exists():
-            swept = _read_json(path / "sweep.json", "swept", list)["swept"]
-            names += [fields[0] for fields in swept]
+            swept = _read_json(path / "sweep.json", swept=list)["swept"]
+            if not all(isinstance(fields, list) and fields for fields in swept):
+                raise CheckpointError(f"{path / 'sweep.json'} has no settings in swept")
+            names += [str(fields[0]) for fields in swept]
     if names:
         return list(dict.fromkeys(names))
     known = dict.fromkeys(name for record in records for name in record.settings)
@@ -107,19 +114,23 @@ def swept_settings(paths: Sequence[Path], records: Sequence[Record]) -> list[str
 
 
 def read_curve(folder: Path, column: str) -> list[tuple[float, float]]:
-    """`(agent steps, value)` of a column of a run's `metrics.csv`, finite ones."""
+    """`(agent steps, value)` of a column of a run's `metrics.csv`, finite ones.
+
+    Raises:
+        CheckpointError: the file is damaged.
+    """
     path = folder / "metrics.csv"
     if not path.exists():
         return []
     points: list[tuple[float, float]] = []
-    with path.open(newline="") as file:
-        for row in csv.DictReader(file):
-            try:
-                step, value = float(row["env_steps"]), float(row[column])
-            except (KeyError, TypeError, ValueError):  # an unfinished line
-                continue
-            if math.isfinite(value) and float(row.get("episodes") or 1) > 0:
-                points.append((step, value))
+    try:
+        for row in read_csv(path, "env_steps", growing=True):
+            value = row.number(column) if column in row.cells else math.nan
+            counted = "episodes" not in row.cells or row.number("episodes") > 0
+            if math.isfinite(value) and counted:
+                points.append((row.number("env_steps"), value))
+    except ValueError as error:
+        raise CheckpointError(str(error)) from None
     return points
 
 
@@ -144,14 +155,11 @@ def _flatten(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
             yield f"{prefix}{name}", value
 
 
-def _read_json(path: Path, key: str, kind: type = dict) -> dict[str, Any]:
-    """Reads a JSON object that must have a value of a kind under a key."""
+def _read_json(path: Path, **kinds: type) -> dict[str, Any]:
+    """Reads a JSON object that must have values of some types."""
     try:
-        data = json.loads(path.read_text())
+        return read_object(path, **kinds)
     except (FileNotFoundError, NotADirectoryError):
         raise CheckpointError(f"no {path.name} in {path.parent}") from None
     except ValueError as error:
-        raise CheckpointError(f"{path} is damaged: {error}") from None
-    if not isinstance(data, dict) or not isinstance(data.get(key), kind):
-        raise CheckpointError(f"{path} has no {key!r}")
-    return data
+        raise CheckpointError(str(error)) from None

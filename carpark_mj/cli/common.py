@@ -21,7 +21,7 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, OSError) and error.filename and error.strerror:
         return f"cannot use {error.filename}: {error.strerror}"
     if isinstance(error, OverflowError):
-        return f"a number is too large, possibly the seed: {error}"
+        return f"a number is too large: {error}"
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         reason = str(error).partition("\n")[0] or "allocation failed"
         return f"not enough memory, choose smaller sizes: {reason}"

@@ -126,7 +126,7 @@ def main(config: EvaluateConfig) -> Evaluation:
 
 
 def prepare(config: EvaluateConfig) -> Task:
-    """Finds policy and environment, and makes the folder.
+    """Finds policy and environment, and checks the folder.
 
     Raises:
         CheckpointError: the run cannot be read.
@@ -166,8 +166,9 @@ def prepare(config: EvaluateConfig) -> Task:
     own = same and not any(changes) and not _is_kept_checkpoint(config)
     default = driver.folder if own else driver.folder / subfolder(config)
     folder = Path(config.out) if config.out else default
-    folder.mkdir(parents=True, exist_ok=True)
-    require_writable(folder / "evaluation.csv")  # refused before the work
+    require_writable(
+        folder / "evaluation.csv", new_folders=True
+    )  # refused before the work
     return Task(name, policy, env, folder)
 
 
@@ -204,6 +205,7 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
         f"{env.layout} lot, {env.physics} physics, seed {config.seed}"
     )
     settings = {**dataclasses.asdict(config), "policy": task.name}
+    task.folder.mkdir(parents=True, exist_ok=True)
     written = write_evaluation(task.folder, result, settings)
     print_report(result, title)
     print(f"wrote {', '.join(map(str, written))}")

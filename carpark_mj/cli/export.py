@@ -75,9 +75,9 @@ def main(config: ExportConfig) -> Path:
     loaded = load_policy(config.run)
     if not config.out:
         out = output_folder(loaded.path) / "policy.onnx"
-    out.parent.mkdir(parents=True, exist_ok=True)
-    require_writable(out)  # before the work
+    require_writable(out, new_folders=True)  # before the work
     if out.suffix == ".npz":
+        out.parent.mkdir(parents=True, exist_ok=True)
         save_policy(config.run, out)
     else:
         _write_model(out, loaded, config.seed)
@@ -108,6 +108,7 @@ def _write_model(out: Path, loaded: LoadedPolicy, seed: int) -> None:
                 f"the model differs from the policy by {difference:.2g} on "
                 f"observations {kind}, at most {most:.2g} is allowed: not written"
             )
+    out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(
         out, lambda temporary: temporary.write_bytes(model.SerializeToString())
     )

@@ -19,9 +19,9 @@ import tyro
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import LayoutConfig
-from carpark_mj.config.checks import require_at_least, require_unset
+from carpark_mj.config.checks import require_unset
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.files import write_atomically
+from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import (
     AngledConfig,
     DeadEndConfig,
@@ -40,6 +40,7 @@ from carpark_mj.layouts.types import Layout
 
 PROGRAM = "python -m carpark_mj.layouts"
 CHUNK = 250  # layouts drawn at once
+MAX_KEYS = 10_000_000  # of each layout; they take an hour or more
 PICTURES = (".png", ".pdf", ".svg")
 NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
 
@@ -174,7 +175,11 @@ class LayoutsConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        require_at_least(self, 0, "check", "run")
+        for name in ("check", "run"):
+            if not 0 <= getattr(self, name) <= MAX_KEYS:
+                raise ValueError(
+                    f"--{name} takes 0 to {MAX_KEYS} keys, not {getattr(self, name)}"
+                )
         require_seed(self.seed)
         if not (self.plot or self.check or self.run or self.save):
             if not self.held_out:
@@ -205,7 +210,9 @@ def look(config: LayoutsConfig) -> bool:
         ValueError: unknown layouts, or files that are none.
         OSError: the picture or the layout file cannot be written.
     """
-    shown = {name: name for name in config.layouts} or SHOWN
+    shown = {name: layout_config(name) for name in config.layouts} or SHOWN
+    for file in filter(None, (config.save, config.held_out, config.plot)):
+        require_writable(Path(file))  # refused before the work
     if config.save:
         [drawn] = draw(config.layouts[0], 1, config.seed)
         write_atomically(

@@ -187,7 +187,7 @@ def main(config: RenderConfig) -> Path:
 
 
 def _open_output(config: RenderConfig, folder: Path) -> Path:
-    """The file to write, in a folder that exists; checked before the work."""
+    """The file to write; checked before the work."""
     out = Path(config.out) if config.out else folder / config.file
     if out.suffix not in config.suffixes:
         raise ValueError(
@@ -199,8 +199,7 @@ def _open_output(config: RenderConfig, folder: Path) -> Path:
     missing_gl = choose_gl()
     if missing_gl:
         raise RenderingError(missing_gl)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    require_writable(out)
+    require_writable(out, new_folders=True)
     return out
 
 
@@ -234,6 +233,7 @@ def _write_frames(
     """Writes the video; returns how many frames were drawn, and how fast."""
     stride = frame_stride(recording, fps)
     indices = range(stride - 1, num_frames(recording), stride)
+    out.parent.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()
     pictures = (
         draw_frame(recording, renderer, index)
@@ -257,4 +257,5 @@ def _gallery(config: RenderConfig) -> Path:
 
 
 def _write_png(path: Path, picture: Image.Image) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, lambda temporary: picture.save(temporary, optimize=True))

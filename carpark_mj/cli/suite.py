@@ -24,6 +24,7 @@ from carpark_mj.config import EnvConfig, require_rule
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
+from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.evaluation.suite import (
     MOVING_CAR,
     VEHICLE,
@@ -114,8 +115,8 @@ class SuiteConfig:
         for name in ("levels", "seeds"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must not be empty")
-        if min(self.seeds) < 0:
-            raise ValueError(f"seeds must not be negative, not {self.seeds}")
+        for seed in self.seeds:
+            require_seed(seed)
 
     def _check_cases(self, level: SuiteLevel) -> None:
         numbers = case_numbers(level)
@@ -147,16 +148,17 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
         raise ValueError(f"out must not be one of the combined folders, {config.out}")
     if config.videos:
         require_gl()
-    folder.mkdir(parents=True, exist_ok=True)
-    require_writable(folder / "suite.csv")  # refused before the work
-    pictures: list[Path] = []
+    require_writable(folder / "suite.csv", new_folders=True)  # refused before the work
+    drawn: _Drawn = []
     if config.combine:
         episodes, drives = read_runs([Path(name) for name in config.combine])
     else:
         episodes, drives, drawn = _drive_all(config)
-        if drawn:
-            pictures.append(folder / "paths.png")
-            plot_paths(pictures[0], drawn, car_of(preset(VEHICLE)))
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures: list[Path] = []
+    if drawn:
+        pictures.append(folder / "paths.png")
+        plot_paths(pictures[0], drawn, car_of(preset(VEHICLE)))
     # The planner first: others are compared with its paths.
     names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
     rows = [row for name in names for row in table_rows(name, episodes)]
@@ -180,6 +182,8 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
     """Episodes, how the worst ones were driven, and the planner's first paths."""
     drivers = {name: find_driver(name) for name in config.policies}
     first, moving = config.first_case, config.moving_car
+    for driver in drivers.values():  # all are refused before one of them drives
+        driver.policy(ParkingEnv(suite_env(driver.env, config.rule, moving)))
     cases = [
         pick_cases(
             level, config.cases or len(case_numbers(level)) - first, first, moving

@@ -4,23 +4,28 @@
 and with what; `worst.npz` has how the cars of the worst ones drove.
 """
 
-import csv
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from carpark_mj.evaluation.aggregation import Row
+from carpark_mj.evaluation.catalogue import METRICS
 from carpark_mj.evaluation.suite import MOVING_CAR, Drives
 from carpark_mj.evaluation.suite_cases import LEVELS, case_numbers, fingerprint
 from carpark_mj.files import write_atomically, write_csv
+from carpark_mj.reading import TEXT, Archive, ArrayForm, CsvRow, read_csv
+from carpark_mj.types import ENDINGS
 
 CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
 _TEXT = ("policy", "rule", "held_out", "made_with", "level", "kind")
 _WHOLE = ("seed", "case")
-_NEEDED = ("parked", "crashed", "timed_out", "length", "ms / decision")
+_NEEDED = (
+    *(*ENDINGS, "hit_agent", "length", "path", "gear_changes", "time_to_park"),
+    *("final_distance", "final_heading", "ms / decision"),
+)
+_PLANNED = ("planned", "planned_path", "planning_seconds")  # of the planner alone
+_LARGEST = 1e15  # of a number; sums of them are finite
 
 Key = tuple[str, str, int, int]  # of an episode: policy, level, seed, case
 
@@ -90,14 +95,22 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
                     f"with seed {seed}, which a folder before it has"
                 )
             episodes[key] = row
-        drives |= _read_worst(folder / WORST_FILE)
+        worst = folder / WORST_FILE
+        for key, drive in _read_worst(worst).items():
+            if key not in episodes or drive.speed.shape[1] < episodes[key]["length"]:
+                raise ValueError(
+                    f"{worst} has drives that are not those of {CASES_FILE}"
+                )
+            drives[key] = drive
     if len({row.get(MOVING_CAR, 0) for row in episodes.values()}) > 1:
         raise ValueError("results with and without a moving car do not mix")
     rules = sorted({row["rule"] for row in episodes.values()})
     if len(rules) > 1:
         raise ValueError(f"results under different rules do not mix: {rules}")
     for policy in {row["policy"] for row in episodes.values()}:
-        own = (row for row in episodes.values() if row["policy"] == policy)
+        own = [row for row in episodes.values() if row["policy"] == policy]
+        if len({frozenset(row.keys() - {*_PLANNED}) for row in own}) > 1:
+            raise ValueError(f"results of {policy} with different columns do not mix")
         # Devices may differ: what stands before the first comma.
         versions = sorted({row["made_with"].partition(", ")[2] for row in own})
         if len(versions) > 1:
@@ -109,12 +122,9 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
 
 
 def _read_cases(path: Path) -> list[Row]:
-    with path.open(newline="") as file:
-        reader = csv.DictReader(file)
-        missing = {*_TEXT, *_WHOLE, *_NEEDED} - {*(reader.fieldnames or ())}
-        if missing:
-            raise ValueError(f"{path} lacks the columns {', '.join(sorted(missing))}")
-        rows = [_parse(row, f"{path}, line {reader.line_num}") for row in reader]
+    rows = [_parse(row) for row in read_csv(path, *_TEXT, *_WHOLE, *_NEEDED)]
+    if not rows:
+        raise ValueError(f"{path} holds no episode")
     for row in rows:
         if row["held_out"] != fingerprint(row["level"]):
             raise ValueError(
@@ -124,32 +134,39 @@ def _read_cases(path: Path) -> list[Row]:
     return rows
 
 
-def _parse(row: Mapping[str, Any], place: str) -> Row:
+def _parse(row: CsvRow) -> Row:
     parsed: Row = {}
-    for name, text in row.items():
-        if not isinstance(text, str):  # DictReader fills up with None, and with a list
-            raise ValueError(f"{place}: not as many values as columns")
-        try:
-            if name in _TEXT:
-                parsed[name] = text
-            elif name in (*_WHOLE, MOVING_CAR):
-                parsed[name] = int(text)
-            elif text or name in _NEEDED:
-                parsed[name] = float(text)
-        except ValueError:
-            raise ValueError(f"{place}: {name} is no number, {text!r}") from None
+    for name, text in row.cells.items():
+        if name in _TEXT:
+            parsed[name] = text
+        elif name in (*_WHOLE, MOVING_CAR):
+            parsed[name] = row.whole(name)
+        elif text or name not in _PLANNED:
+            parsed[name] = row.number(name)
+            if abs(parsed[name]) > _LARGEST:
+                raise ValueError(f"{row.place}: {name} is too large, {text}")
     level, case = parsed["level"], parsed["case"]
     if level not in LEVELS or case not in case_numbers(level):
-        raise ValueError(f"{place}: there is no case {case} of level {level!r}")
+        raise ValueError(f"{row.place}: there is no case {case} of level {level!r}")
+    ends = [parsed[name] for name in ENDINGS]
+    if not {*ends} <= {0.0, 1.0} or not any(ends):
+        raise ValueError(f"{row.place}: {', '.join(ENDINGS)} must be 0 or 1, and one 1")
+    for name in ("length", "ms / decision"):
+        if not parsed[name] > 0:
+            raise ValueError(
+                f"{row.place}: {name} must be positive, not {parsed[name]}"
+            )
+    for metric in METRICS:
+        parts = {*(metric.ratio or ())} if metric.pool == "steps" else set[str]()
+        if metric.name in parsed and (missing := parts - {*parsed}):
+            raise ValueError(f"{row.place}: {metric.name} needs {sorted(missing)}")
     return parsed
 
 
 def _read_worst(path: Path) -> dict[Key, Drives]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            names = (*Drives._fields, "policy", "level", "seed", "case")
-            data = {name: file[name] for name in names}
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        data = Archive(path).read(_FORMS)
+    except ValueError as error:
         raise ValueError(f"{path} has no drives of the suite: {error}") from None
     columns = (data[name].tolist() for name in ("policy", "level", "seed", "case"))
     keys = zip(*columns, strict=True)
@@ -157,3 +174,15 @@ def _read_worst(path: Path) -> dict[Key, Drives]:
         key: Drives(*(data[name][[index]] for name in Drives._fields))
         for index, key in enumerate(keys)
     }
+
+
+_NUMBER = np.dtype(np.float32)
+_FORMS = {
+    "pose_w": ArrayForm(_NUMBER, ("drives", "steps", "agents", "poses", 3)),
+    "steering": ArrayForm(_NUMBER, ("drives", "steps", "agents")),
+    "speed": ArrayForm(_NUMBER, ("drives", "steps", "agents")),
+    "policy": ArrayForm(TEXT, ("drives",)),
+    "level": ArrayForm(TEXT, ("drives",)),
+    "seed": ArrayForm(np.dtype(np.int64), ("drives",)),
+    "case": ArrayForm(np.dtype(np.int64), ("drives",)),
+}

@@ -10,6 +10,9 @@ from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
+# JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
+LARGEST_WHOLE = 2**31 - 1
+LARGEST, SMALLEST = 3.4028235e38, 1.1754944e-38
 
 
 def require_choice(name: str, value: str, literal: object) -> None:
@@ -35,30 +38,43 @@ def require_count(name: str, value: Any, minimum: int) -> None:
         raise ValueError(f"{name} must be a whole number, not {value!r}")
     if value < minimum:
         raise ValueError(f"{name} must be at least {minimum}, not {value}")
+    _require_representable(name, value)
 
 
 def require_finite(config: object, *names: str) -> None:
-    """Refuses attributes that are infinite or NaN; None is allowed."""
+    """Refuses attributes that are NaN or infinite, in float32; None is allowed."""
     for name in names:
         value = getattr(config, name)
-        if value is not None and not is_finite(value):
+        if value is not None and not (is_finite(value) and abs(value) <= LARGEST):
             raise ValueError(f"{name} must be finite, not {value}")
 
 
 def require_at_least(config: object, minimum: float, *names: str) -> None:
-    """Refuses attributes below a minimum, infinite, NaN or no numbers."""
+    """Refuses attributes below a minimum, too large for JAX, or no numbers."""
     for name in names:
         value = getattr(config, name)
         if not (is_finite(value) and value >= minimum):
             raise ValueError(f"{name} must be at least {minimum}, not {value}")
+        _require_representable(name, value)
 
 
 def require_positive(config: object, *names: str) -> None:
-    """Refuses attributes that are not positive and finite."""
+    """Refuses attributes that are not positive, or too large or small for JAX."""
     for name in names:
         value = getattr(config, name)
         if not (is_finite(value) and value > 0):
             raise ValueError(f"{name} must be positive, not {value}")
+        if value < SMALLEST:
+            raise ValueError(f"{name} must be at least {SMALLEST:.3g}, not {value}")
+        _require_representable(name, value)
+
+
+def _require_representable(name: str, value: Any) -> None:
+    """Refuses a number that is too large for int32 or float32."""
+    whole = isinstance(value, numbers.Integral)
+    most: float = LARGEST_WHOLE if whole else LARGEST
+    if value > most:
+        raise ValueError(f"{name} must be at most {most:.10g}, not {value}")
 
 
 def require_ratio(config: object, *names: str) -> None:
@@ -150,13 +166,17 @@ def require_types(config: Any, **hints: Any) -> None:
         ValueError: naming the attribute, its value and what is allowed.
     """
     for name, hint in (_declared(type(config)) | hints).items():
-        value = getattr(config, name)
-        if _is_of(value, hint):
-            continue
-        choices = [x for x in (hint, *get_args(hint)) if get_origin(x) is Literal]
-        if isinstance(value, str) and choices:
-            require_choice(name, value, choices[0])
-        raise ValueError(f"{name} must be {_describe(hint)}, not {value!r}")
+        require_type(name, getattr(config, name), hint)
+
+
+def require_type(name: str, value: Any, hint: Any) -> None:
+    """Refuses a value that is not of a declared type, see `require_types`."""
+    if _is_of(value, hint):
+        return
+    choices = [x for x in (hint, *get_args(hint)) if get_origin(x) is Literal]
+    if isinstance(value, str) and choices:
+        require_choice(name, value, choices[0])
+    raise ValueError(f"{name} must be {_describe(hint)}, not {reprlib.repr(value)}")
 
 
 @functools.cache
@@ -216,4 +236,4 @@ def is_finite(value: Any) -> bool:
     """Whether a value is a finite number."""
     if type(value) is bool or not isinstance(value, numbers.Real):
         return False
-    return math.isfinite(value)
+    return isinstance(value, numbers.Integral) or math.isfinite(value)

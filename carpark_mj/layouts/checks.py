@@ -165,6 +165,8 @@ def _malformed(layout: Layout) -> list[str]:
                 rows = mask if width is None else mask[:, None]
                 if ((array <= 0) & rows).any():
                     found.append(f"{kind}_{part} must be positive")
+            elif part == "spread" and ((array < 0) & mask).any():
+                found.append(f"{kind}_{part} must not be negative")
     if not np.isfinite(layout.extent).all():
         found.append("extent holds a non-finite number")
     return found

@@ -12,6 +12,7 @@ from carpark_mj.config import LAYOUT_FILES, LayoutConfig
 from carpark_mj.layouts.json_file import read_json
 from carpark_mj.layouts.tpcap import read_tpcap
 from carpark_mj.layouts.types import Layout
+from carpark_mj.reading import read_bytes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -52,8 +53,8 @@ class FromFileConfig(LayoutConfig):
     def _content(self) -> str:
         """A hash of what is in the file; empty if it cannot be read."""
         try:
-            return hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
-        except OSError:  # the reader says what is wrong
+            return hashlib.sha256(read_bytes(Path(self.path))).hexdigest()
+        except (OSError, ValueError):  # the reader says what is wrong
             return ""
 
     @property

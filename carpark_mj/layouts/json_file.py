@@ -11,7 +11,7 @@
 Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessible`,
 `family`, `reserved`, `exit`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`.
 `bays`, `spawns` and `extent` are needed; `kind` is by default the first of its list,
-`one_way` true and `spread` 0.1. Files of another version and invalid layouts
+`one_way` true and `spread`, 0 to π, 0.1. Files of another version and invalid layouts
 (`layouts.checks`) are refused; messages about a row name its line.
 """
 
@@ -26,6 +26,7 @@ import numpy as np
 from carpark_mj.layouts import build
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
+from carpark_mj.reading import read_text
 
 FORMAT = "carpark_mj layout 1"
 
@@ -39,6 +40,8 @@ _SCHEMA: dict[str, dict[str, Any]] = {
 }
 _DEFAULTS: dict[str, Any] = {"one_way": True, "spread": build.LANE_SPREAD}
 _POSITIVE = ("size", "radius", "extent")
+_DEVIATIONS = ("spread",)  # either way [rad]
+_HALF_TURN = float(np.float32(math.pi))  # as a layout has it
 FARTHEST = 1e4  # m; float32 resolves a millimetre there
 _NEEDED = ("format", "bays", "spawns", "extent")
 
@@ -50,10 +53,9 @@ def read_json(path: Path) -> Layout:
         ValueError: no such file, or a fault in it; the message names the line.
     """
     try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "it is no text"
-        raise ValueError(f"cannot read the layout {path}: {why}") from None
+        text = read_text(path)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
     try:
         layout, lines = _parse(text)
     except json.JSONDecodeError as error:
@@ -223,6 +225,9 @@ def _number(line: int, what: str, value: Any, count: int) -> Any:
             f"{what} must have a heading within [-2 pi, 2 pi] rad, not {values[2]}: "
             "headings are in radians",
         )
-    if what.rsplit(".", 1)[-1] in _POSITIVE and min(values) <= 0:
+    part = what.rsplit(".", 1)[-1]
+    if part in _POSITIVE and min(values) <= 0:
         raise _RowError(line, f"{what} must be positive, not {value!r}")
+    if part in _DEVIATIONS and not 0 <= value <= _HALF_TURN:
+        raise _RowError(line, f"{what} must lie in [0, {math.pi:.4g}], not {value!r}")
     return value

@@ -26,6 +26,7 @@ from carpark_mj.layouts.build import Group, assemble, bays, spawns, walls
 from carpark_mj.layouts.json_file import FARTHEST
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import Layout
+from carpark_mj.reading import read_text
 
 # The competition's car: 0.96 m and 0.929 m beyond a wheelbase of 2.8 m, 1.942 m wide,
 # full lock 0.75 rad (Li et al., Online competition of trajectory planning for automated
@@ -45,6 +46,7 @@ START = 0.02  # m, side of the spawn region
 PADDED = 256  # walls, to multiples of which
 LEAST_AREA = 1e-4  # m², of an obstacle
 FARTHEST_ORIGIN = 1e10  # m; float64 resolves 2e-6 m there
+MOST_HEADING = 4 * math.pi  # rad; published ones reach 6.1, larger are degrees
 RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
 
 
@@ -80,6 +82,12 @@ def read_tpcap(path: Path) -> Layout:
             f"make {expected} numbers, not {len(numbers)}"
         )
     _require_near(path, numbers, lines, (0, 1, 3, 4, *range(7 + count, expected)))
+    for k in (2, 5):
+        if abs(numbers[k]) > MOST_HEADING:
+            raise ValueError(
+                f"{path}, line {lines[k]}: a heading must be at most "
+                f"{MOST_HEADING:.4g} rad either way, not {numbers[k]:g}"
+            )
     vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
     polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
     for k, polygon in enumerate(polygons):
@@ -106,10 +114,9 @@ class _BlockedError(ValueError):
 def _numbers(path: Path) -> tuple[list[float], list[int]]:
     """The numbers of a file and the line of each."""
     try:
-        text = path.read_text(encoding="utf-8-sig")  # some programs write a mark
-    except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "it is no text"
-        raise ValueError(f"cannot read the case {path}: {why}") from None
+        text = read_text(path)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
     numbers, lines = [], []
     for line, row in enumerate(text.splitlines(), 1):
         for cell in row.split(","):

@@ -7,11 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_atomically
+from carpark_mj.mdp.actions import action_spec
+from carpark_mj.observations import observation_size
 from carpark_mj.policy.runs import CONFIG_VERSION, from_dict
+from carpark_mj.reading import TEXT, Archive, ArrayForm, parse_object
 
 # The arrays, a row for each control step.
 STEPS = ("observations", "actions", "rewards", "terminated", "truncated", "poses")
+_MOST_HEADER = 2**24  # bytes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,21 +79,40 @@ def load_demonstration(path: Path) -> Demonstration:
         ValueError: the file is no demonstration, or one of another version.
         OSError: it cannot be read.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            header = json.loads(str(file["header"]))
-            arrays = {name: file[name] for name in STEPS}
-        config, seed = header["config"], int(header["seed"])
-    except OSError:
-        raise
-    except Exception:  # zip, NumPy and JSON raise many kinds, none of them helpful
+    archive = Archive(path)
+    if "header" not in archive.names:
         raise ValueError(
             f"{path} is not a demonstration that carpark_mj.play has saved"
-        ) from None
-    version = header.get("config_version")
+        )
+    text = str(archive.read({"header": ArrayForm(TEXT, ())}, _MOST_HEADER)["header"])
+    what = f"the header of {path}"
+    header = parse_object(text, what, config=dict, seed=int, config_version=int)
+    version = header["config_version"]
     if version != CONFIG_VERSION:
         raise ValueError(
             f"{path} was recorded by another carpark_mj (config version {version}, "
             f"this one reads {CONFIG_VERSION}): record it again"
         )
-    return Demonstration(from_dict(EnvConfig, config), seed, **arrays)
+    require_seed(header["seed"])
+    config = from_dict(EnvConfig, header["config"])
+    arrays = archive.read(_forms(config))
+    if not len(arrays["actions"]):
+        raise ValueError(f"{path} holds no step")
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise ValueError(f"{path} holds {name} that are not finite")
+    return Demonstration(config, header["seed"], **arrays)
+
+
+def _forms(config: EnvConfig) -> dict[str, ArrayForm]:
+    """What the arrays of an environment's drive are like."""
+    number, truth = np.dtype(np.float32), np.dtype(np.bool_)
+    by_agent = ("steps", config.num_agents)
+    return {
+        "observations": ArrayForm(number, (*by_agent, observation_size(config))),
+        "actions": ArrayForm(number, (*by_agent, action_spec(config).size)),
+        "rewards": ArrayForm(number, by_agent),
+        "terminated": ArrayForm(truth, by_agent),
+        "truncated": ArrayForm(truth, by_agent),
+        "poses": ArrayForm(number, (*by_agent, 3)),
+    }

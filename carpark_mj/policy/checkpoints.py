@@ -4,10 +4,9 @@ Files are written atomically. Reading checks the header, the names, shapes and d
 whatever is wrong is one `CheckpointError` in one line.
 """
 
-import io
+import contextlib
 import json
-import zipfile
-import zlib
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.files import write_atomically
+from carpark_mj.reading import Archive, ArrayForm, parse_object, require_entries
 
 FORMAT = "carpark_mj checkpoint 1"
 _HEADER = "header"
+_MOST_HEADER = 2**24  # bytes
 
 
 class CheckpointError(Exception):
     """A checkpoint that is missing, truncated, foreign or does not fit."""
-
-
-# What NumPy raises of damaged files.
-_UNREADABLE = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 def _named_leaves(tree: Any) -> dict[str, Any]:
@@ -59,52 +56,46 @@ def save(path: Path, tree: Any, header: dict[str, Any]) -> None:
     write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
 
 
-def _reason(error: Exception) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    # NumPy's and zipfile's messages are about pickles and magic numbers.
-    return "it is truncated, or another kind of file"
-
-
-def _open(path: Path) -> Any:
+@contextlib.contextmanager
+def _open(path: Path) -> Generator[Archive]:
+    """A checkpoint; what is wrong with it is a `CheckpointError`."""
     try:
-        # Read whole (a few MB), so that no handle stays open on a damaged file.
-        file = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+        archive = Archive(path)
+        if _HEADER not in archive.names:
+            raise ValueError(f"{path} is not a carpark_mj checkpoint")
+        yield archive
     except FileNotFoundError:
         raise CheckpointError(f"no checkpoint at {path}") from None
-    except _UNREADABLE as error:
-        raise CheckpointError(
-            f"{path} is no readable checkpoint: {_reason(error)}"
-        ) from None
-    if not isinstance(file, np.lib.npyio.NpzFile) or _HEADER not in file:
-        raise CheckpointError(f"{path} is not a carpark_mj checkpoint")
-    return file
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None)
+        told = f"{path} cannot be read: {reason}" if reason else str(error)
+        raise CheckpointError(told) from None
 
 
-def _read(file: Any, path: Path, name: str) -> np.ndarray:
-    try:
-        return file[name]
-    except _UNREADABLE as error:
-        raise CheckpointError(f"{path} is damaged at {name}: {error}") from None
-
-
-def read_header(path: Path) -> dict[str, Any]:
+def read_header(path: Path, **kinds: type) -> dict[str, Any]:
     """Reads the header of a checkpoint.
 
+    Args:
+        path: of the file.
+        **kinds: names that the header must have, with the types of their values.
+
     Raises:
-        CheckpointError: missing, damaged or foreign file.
+        CheckpointError: missing, damaged or foreign file, or one without such a value.
     """
-    with _open(path) as file:
+    form = ArrayForm(np.dtype(np.uint8), ("bytes",))
+    with _open(path) as archive:
+        data = archive.read({_HEADER: form}, _MOST_HEADER)[_HEADER].tobytes()
         try:
-            header = json.loads(_read(file, path, _HEADER).tobytes().decode())
-        except (UnicodeDecodeError, json.JSONDecodeError):
-            raise CheckpointError(f"{path} has a damaged header") from None
-    if not isinstance(header, dict):
-        raise CheckpointError(f"{path} has a damaged header")
-    if header.get("format") != FORMAT:
-        raise CheckpointError(
-            f"{path} has format {header.get('format')!r}, this version reads {FORMAT!r}"
-        )
+            text = data.decode()
+        except UnicodeDecodeError:
+            raise ValueError(f"the header of {path} is damaged") from None
+        header = parse_object(text, f"the header of {path}")
+        if header.get("format") != FORMAT:
+            raise ValueError(
+                f"{path} has format {header.get('format')!r}, this version reads "
+                f"{FORMAT!r}"
+            )
+        require_entries(header, f"the header of {path}", **kinds)
     return header
 
 
@@ -114,38 +105,49 @@ def names(path: Path) -> list[str]:
     Raises:
         CheckpointError: missing, damaged or foreign file.
     """
-    with _open(path) as file:
-        return [name for name in file.files if name != _HEADER]
+    with _open(path) as archive:
+        return [name for name in archive.names if name != _HEADER]
 
 
 def load(path: Path, template: Any) -> Any:
     """Reads the arrays of a checkpoint into the structure of `template`.
 
     Arrays of the file that the template does not name are ignored, so a policy can be
-    read out of a whole training state.
+    read out of a whole training state. One of another shape or dtype is refused before
+    it is inflated.
 
     Raises:
         CheckpointError: missing, damaged or foreign file, or one whose arrays do not
             fit the template.
     """
     read_header(path)
-    leaves, treedef = jax.tree_util.tree_flatten_with_path(template)
-    values = []
-    with _open(path) as file:
-        for key_path, leaf in leaves:
-            name = jax.tree_util.keystr(key_path)
-            if name not in file:
-                raise CheckpointError(f"{path} lacks {name}: it is of another kind")
-            value = _read(file, path, name)
-            if _is_key(leaf):
-                value = jax.random.wrap_key_data(jnp.asarray(value))
-            if not hasattr(leaf, "dtype"):
-                leaf = np.asarray(leaf)
-            expected, dtype = leaf.shape, leaf.dtype
-            if value.shape != expected or value.dtype != dtype:
-                raise CheckpointError(
-                    f"{path} holds {name} as {value.dtype}{list(value.shape)}, "
-                    f"{dtype}{list(expected)} is needed"
-                )
-            values.append(value)
-    return jax.tree_util.tree_unflatten(treedef, values)
+    leaves = _named_leaves(template)
+    with _open(path) as archive:
+        arrays = archive.read({name: _form(leaf) for name, leaf in leaves.items()})
+    values = [
+        jax.random.wrap_key_data(jnp.asarray(arrays[name]))
+        if _is_key(leaf)
+        else arrays[name]
+        for name, leaf in leaves.items()
+    ]
+    return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(template), values)
+
+
+def require_finite(path: Path, tree: Any) -> None:
+    """Refuses parameters that would make a policy act on NaN.
+
+    Raises:
+        CheckpointError: a number is not finite; the message names its array.
+    """
+    for name, leaf in _named_leaves(tree).items():
+        if not np.isfinite(leaf).all():
+            raise CheckpointError(f"{path} holds numbers at {name} that are not finite")
+
+
+def _form(leaf: Any) -> ArrayForm:
+    """What the array of a leaf is like."""
+    if _is_key(leaf):
+        leaf = jax.eval_shape(jax.random.key_data, leaf)
+    elif not hasattr(leaf, "dtype"):
+        leaf = np.asarray(leaf)
+    return ArrayForm(np.dtype(leaf.dtype), tuple(leaf.shape))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_kind
+from carpark_mj.config.checks import require_count, require_kind
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import Field, make_fields, observation_size
 from carpark_mj.observations.fields import ORDERED
@@ -77,14 +77,8 @@ def load_policy(
     require_float32()
     require_kind("env", env, EnvConfig | None)
     path = latest_checkpoint(find_policy(run))
-    header = checkpoints.read_header(path)
+    header = checkpoints.read_header(path, env_steps=int, config=dict)
     own, parameters = _read(path, header)
-    steps = header.get("env_steps")
-    if type(steps) is not int:
-        raise CheckpointError(
-            f"{path} has a damaged header: env_steps must be a whole number, not "
-            f"{steps!r}"
-        )
     env = own if env is None else env
     config = network_config(header)
     _require_fit(run, config, own, env)
@@ -95,7 +89,7 @@ def load_policy(
         networks = make_networks(config, make_fields(env), action_spec(env))
         normalizer, actor = parameters["normalizer"], parameters["average"]
         policy = make_policy(networks, normalizer, actor, deterministic)
-    return LoadedPolicy(env, policy, steps, path)
+    return LoadedPolicy(env, policy, header["env_steps"], path)
 
 
 def save_policy(run: str | Path, out: Path) -> None:
@@ -109,7 +103,7 @@ def save_policy(run: str | Path, out: Path) -> None:
         OSError: `out` cannot be written.
     """
     path = latest_checkpoint(find_policy(run))
-    header = checkpoints.read_header(path)
+    header = checkpoints.read_header(path, env_steps=int, config=dict)
     _, parameters = _read(path, header)
     settings = header["config"]
     kept = {name: settings[name] for name in settings if name not in FOLDER_SETTINGS}
@@ -126,9 +120,13 @@ def _read(path: Path, header: dict[str, Any]) -> tuple[EnvConfig, Any]:
     try:
         env = from_dict(EnvConfig, header["config"]["env"])
         template = _template(header, env)
-    except (KeyError, TypeError, ValueError) as error:
+    except KeyError as error:
+        raise CheckpointError(f"{path} has no setting {error}") from None
+    except (TypeError, ValueError) as error:
         raise CheckpointError(f"{path} has an unusable config: {error}") from None
-    return env, checkpoints.load(path, template)
+    parameters = checkpoints.load(path, template)
+    checkpoints.require_finite(path, parameters)
+    return env, parameters
 
 
 def network_config(header: dict[str, Any]) -> NetworkConfig | None:
@@ -143,7 +141,12 @@ def _template(header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
     config = network_config(header)
     if config is None:
         states, actions = math.prod(cardinalities(env)), math.prod(env.grid.choices)
-        shape = (header["config"]["num_seeds"], states, actions)
+        num_seeds = header["config"]["num_seeds"]
+        require_count("num_seeds", num_seeds, 1)
+        require_count("best", header["best"], 0)
+        if header["best"] >= num_seeds:
+            raise ValueError(f"best must be below {num_seeds}, not {header['best']}")
+        shape = (num_seeds, states, actions)
         return {"table": jax.ShapeDtypeStruct(shape, np.float32)}
     fields = make_fields(env)
     networks = make_networks(config, fields, action_spec(env))

@@ -64,7 +64,8 @@ def update_normalizer(
             pmap_axis_name=axis,
         )
         # Until the first entity of a kind is seen, its sums are divided by 0.
-        seen = (new.count.hi | new.count.lo) > 0
+        count: Any = new.count  # brax's UInt64
+        seen = (count.hi | count.lo) > 0
         return jax.tree.map(lambda new, old: jnp.where(seen, new, old), new, state)
 
     return {name: update(name, state) for name, state in normalizer.items()}

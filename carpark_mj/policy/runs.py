@@ -14,6 +14,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from carpark_mj.config import LayoutConfig
+from carpark_mj.config.checks import require_type
 from carpark_mj.layouts import FAMILIES
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -41,9 +43,12 @@ def from_dict(cls: Any, data: Any) -> Any:
     unknown = sorted(set(data) - names)
     if unknown:
         raise ValueError(f"{cls.__name__} has no {unknown}")
-    return cls(
-        **{name: _value(name, hints[name], value) for name, value in data.items()}
-    )
+    values = {name: _value(name, hints[name], value) for name, value in data.items()}
+    for name, value in values.items():
+        # Of a layout, which may be a config, flags know the name only.
+        hint = LayoutConfig | str if hints[name] is str else hints[name]
+        require_type(name, value, hint)
+    return cls(**values)
 
 
 def _value(name: str, hint: Any, value: Any) -> Any:

@@ -14,6 +14,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import write_atomically
 from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.reading import read_csv
 from carpark_mj.types import State
 
 AGENTS = (1, 2, 4, 8, 16, 32, 64)
@@ -108,20 +109,17 @@ def read_points(path: Path) -> list[Point]:
     Raises:
         ValueError: it is no such file.
     """
-    try:
-        with path.open(newline="") as file:
-            return [
-                Point(
-                    series=row["series"],
-                    agents=int(row["agents"]),
-                    bays=int(row["bays"]),
-                    lots=int(row["lots"]),
-                    microseconds=float(row["microseconds"]),
-                )
-                for row in csv.DictReader(file)
-            ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no table of eval/scaling.py: {error}") from error
+    names = [field.name for field in dataclasses.fields(Point)]
+    return [
+        Point(
+            series=row.cells["series"],
+            agents=row.whole("agents"),
+            bays=row.whole("bays"),
+            lots=row.whole("lots"),
+            microseconds=row.number("microseconds"),
+        )
+        for row in read_csv(path, *names)
+    ]
 
 
 def draw(path: Path, tables: dict[str, Sequence[Point]]) -> None:

@@ -12,6 +12,7 @@ import json
 import os
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -280,6 +281,12 @@ def main(argument: str) -> int:
     except ValueError as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2
+    except Exception as error:
+        traceback.print_exc()
+        # The caller shows the last line, which JAX gives to a note of its own.
+        reason = str(error).partition("\n")[0]
+        print(f"{type(error).__name__}: {reason}", file=sys.stderr)
+        return 1
     print(json.dumps(dataclasses.asdict(measurement)))
     return 0
 

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
 from carpark_mj.config import SimConfig, Surface
 from carpark_mj.physics.mjx import CarState, MjxPhysics
@@ -26,6 +25,8 @@ from vehicle_suite.testbed import Testbed
 
 GRADES = (0.0, 0.05, 0.1, 0.15)  # rise over run
 PEDALS = (0.0, 1e-6, 0.04, HOLD_PEDAL, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.85, 1.0)
+Array = jax.Array | np.ndarray | float
+
 STARTS = (1.0, 2.0)  # m/s, above `HOLD_SPEED`
 BOTH_WAYS = (1.0, -1.0)  # along the car's x
 WEAK = (0.06, 0.3, 0.5)  # pedals that no car climbs the steepest slope with
@@ -42,14 +43,14 @@ class Driver(NamedTuple):
         target: (n,) speed to be controlled [m/s].
         gain: (n,) pedal per m/s below it; 0 is no control.
         release: (n,) speed below which the pedal is let go for good [m/s]; 0 is never.
-        period: control period [instants].
+        period: control period of all cars [instants].
     """
 
-    pedal: ArrayLike
-    target: ArrayLike = 0.0
-    gain: ArrayLike = 0.0
-    release: ArrayLike = 0.0
-    period: int = 1
+    pedal: Array
+    target: Array = 0.0
+    gain: Array = 0.0
+    release: Array = 0.0
+    period: Array = 1
 
 
 @functools.cache
@@ -104,19 +105,23 @@ def drive_pedals(
     n = len(start)
     physics, drive = _program(grade)
     fill = np.arange(WIDTH) % n
-    many = [cars[k % len(cars)] for k in fill]
+    many = [cars[k % len(cars)] for k in fill.tolist()]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *many)
     start, facing = start[fill], facing[fill]
     pose = np.zeros((WIDTH, 3))
     pose[:, 2] = np.where(facing > 0, 0.0, math.pi)
     state = physics.init(jnp.array(pose, jnp.float32), stacked)
     state = physics.set_speed(state, jnp.array(start, jnp.float32))
-    pedal, *settings = (
-        np.asarray(np.broadcast_to(x, (*np.shape(x)[:-1], n))[..., fill], np.float32)
-        for x in driver[:-1]
+
+    def filled(value: Array) -> np.ndarray:
+        whole = np.broadcast_to(value, (*np.shape(value)[:-1], n))
+        return np.asarray(whole[..., fill], np.float32)
+
+    whole = Driver(
+        np.broadcast_to(filled(driver.pedal), (SUBSTEPS, WIDTH)),
+        *map(filled, (driver.target, driver.gain, driver.release)),
+        period=np.array(driver.period),
     )
-    pedal = np.broadcast_to(pedal, (SUBSTEPS, WIDTH))
-    whole = Driver(pedal, *settings, period=np.int32(driver.period))
     x, speed = jax.device_get(drive(state, whole))
     time = DT * np.arange(1, SUBSTEPS + 1)
     return time, (x * facing)[:, :n].astype(float), speed[:, :n].astype(float)

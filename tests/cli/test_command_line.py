@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from helpers.disks import largest_file
 
-from carpark_mj.cli import render
+from carpark_mj.cli import evaluate, layouts, render, suite
 from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -49,6 +49,7 @@ def test_an_error_of_a_full_disk_names_the_file(tmp_path):
         lambda seed: LayoutsConfig(("lot",), check=1, seed=seed),
         lambda seed: PlayConfig(seed=seed),
         lambda seed: SceneConfig(view="web", seed=seed),
+        lambda seed: SuiteConfig(("zero",), seeds=(0, seed)),
     ],
 )
 def test_a_seed_that_no_key_can_have_is_refused(make, seed):
@@ -114,7 +115,7 @@ def test_flags_with_an_effect_are_taken():
 
 def test_every_error_is_one_line():
     assert one_line(ValueError("a\n  b")) == "a b"
-    assert "seed" in one_line(OverflowError("too large"))
+    assert one_line(OverflowError("of 9")) == "a number is too large: of 9"
 
 
 PROGRAMS = [*ROOT.glob("eval/*.py"), *ROOT.glob("train/*.py")]
@@ -234,6 +235,55 @@ def test_an_unwritable_picture_is_refused_before_the_work(
     assert [path.name for path in tmp_path.iterdir()] == ["folder.png"]
 
 
+def test_a_new_folder_is_made_only_when_there_is_something_to_write(
+    tmp_path, monkeypatch
+):
+    new = tmp_path / "new"
+    require_writable(new / "deep" / "a.png", new_folders=True)
+    assert not new.exists()
+    with pytest.raises(OSError, match=re.escape(str(new))):
+        require_writable(new / "a.png")
+    (tmp_path / "file").touch()
+    with pytest.raises(NotADirectoryError):
+        require_writable(tmp_path / "file" / "deep" / "a.png", new_folders=True)
+
+    def refuse(*_, **__):
+        raise ValueError("refused in the middle of the work")
+
+    monkeypatch.setattr(render, "choose_gl", lambda: "")
+    monkeypatch.setattr(render, "record", refuse)
+    monkeypatch.setattr(suite, "_drive_all", refuse)
+    monkeypatch.setattr(evaluate, "evaluate", refuse)
+    works = (
+        lambda: render.main(RenderConfig("zero", out=str(new / "a.mp4"))),
+        lambda: suite.main(SuiteConfig(("zero",), cases=1, out=str(new))),
+        lambda: evaluate.main(EvaluateConfig("", "zero", out=str(new))),
+    )
+    for work in works:
+        with pytest.raises(ValueError, match="refused in the middle"):
+            work()
+        assert not new.exists()
+
+
+@pytest.mark.parametrize("flag", ["--held-out", "--plot", "--save"])
+def test_a_file_that_cannot_be_written_is_refused_before_lots_are_drawn(
+    flag, tmp_path, monkeypatch, capsys
+):
+    for work in ("draw", "write", "plot_layouts"):
+        monkeypatch.setattr(layouts, work, lambda *_: pytest.fail("the work has begun"))
+    suffix = {"--held-out": "npz", "--plot": "png", "--save": "json"}[flag]
+    path = tmp_path / "no" / f"a.{suffix}"
+    names = [] if flag == "--held-out" else ["tanner"]
+    assert layouts.main([*names, flag, str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f"layouts: cannot use {path}: ")
+
+
+@pytest.mark.parametrize("flag", ["--check", "--run"])
+def test_more_lots_than_anybody_can_wait_for_are_refused(flag, capsys):
+    assert layouts.main(["tanner", flag, f"1{'0' * 30}"]) == 2
+    assert f"{flag} takes 0 to 10000000 keys" in capsys.readouterr().err
+
+
 def test_a_check_for_writability_leaves_the_old_file_and_nothing_else(tmp_path):
     path = tmp_path / "a.png"
     require_writable(path)
@@ -242,3 +292,24 @@ def test_a_check_for_writability_leaves_the_old_file_and_nothing_else(tmp_path):
     require_writable(path)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
     assert path.read_text() == "old"
+
+
+def test_a_link_laid_in_the_place_of_a_temporary_file_is_not_followed(
+    tmp_path, monkeypatch
+):
+    path, theirs = tmp_path / "a.csv", tmp_path / "theirs"
+    theirs.write_text("old")
+    # Even if the name were known.
+    monkeypatch.setattr("secrets.token_hex", lambda _: "known")
+    for name in (f".a.{os.getpid()}.csv", ".a.known.csv"):
+        (tmp_path / name).symlink_to(theirs)
+    with pytest.raises(FileExistsError) as caught:
+        write_atomically(path, lambda temporary: temporary.write_text("new"))
+    assert one_line(caught.value).startswith(f"cannot use {path}")
+    assert theirs.read_text() == "old"
+    monkeypatch.undo()
+    write_atomically(path, lambda temporary: temporary.write_text("new"))
+    assert (path.read_text(), theirs.read_text()) == ("new", "old")
+    before = os.umask(0)
+    os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o666 & ~before

@@ -1,13 +1,22 @@
 """Results of the suite that several processes have written, read together."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from helpers.disks import no_printing
+from helpers.mutating import damaged
 from rich.console import Console
 
 from carpark_mj.cli import suite_videos
 from carpark_mj.cli.suite import SuiteConfig, main
-from carpark_mj.cli.suite_files import CASES_FILE, read_runs, write_run
+from carpark_mj.cli.suite_files import (
+    CASES_FILE,
+    WORST_FILE,
+    key_of,
+    read_runs,
+    write_run,
+)
 from carpark_mj.cli.suite_videos import FASTER, make_videos, recording_of
 from carpark_mj.evaluation.suite import Drives
 from carpark_mj.layouts.held_out import SHA256, load_held_out
@@ -19,7 +28,9 @@ def episode(case, seed=0, rule="strict", **more):
     which = {"policy": "x", "rule": rule, "held_out": SHA256[:16], "made_with": "cpu"}
     which |= {"seed": seed, "level": "extreme", "case": case, "kind": "parallel"}
     ends = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
-    return {**which, **ends, "length": 4.0 + case, "ms / decision": 2.0, **more}
+    drive = {"hit_agent": 0.0, "length": 4.0 + case, "path": 9.0, "gear_changes": 1.0}
+    drive |= {"time_to_park": 30.0, "final_distance": 0.1, "final_heading": 0.1}
+    return {**which, **ends, **drive, "ms / decision": 2.0, **more}
 
 
 def drives(length, agents=1):
@@ -86,13 +97,6 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
         write(tmp_path / "a", episode(0), episode(1)),
         write(tmp_path / "b", episode(0, 1, parked=1.0, timed_out=0.0), episode(1, 1)),
     ]
-    numbers = ("gear_changes", "path", "final_distance", "final_heading")
-    for folder in folders:  # as an episode that was driven has them
-        lines = (folder / CASES_FILE).read_text().splitlines()
-        more = ["," + ",".join(numbers) + ",time_to_park,hit_agent"]
-        more += [",1.0,9.0,0.1,0.1,30.0,0.0"] * (len(lines) - 1)
-        rows = [line + own for line, own in zip(lines, more, strict=True)]
-        (folder / CASES_FILE).write_text("\n".join(rows))
     # Another device is no other version.
     second = folders[1] / CASES_FILE
     second.write_text(second.read_text().replace("cpu", "gpu"))
@@ -133,7 +137,7 @@ def test_results_that_do_not_fit_are_refused(rows, message, tmp_path):
     rows, last = [*rows[:-1]], rows[-1]
     good = write(tmp_path / "good", episode(0))
     bad = write(tmp_path / "bad", *rows, episode(9))
-    write_run(bad, [*rows, last], {("x", "extreme", 0, 9): drives(3)})
+    write_run(bad, [*rows, last], {key_of(last): drives(1004)})
     with pytest.raises(ValueError, match=message):
         read_runs([good, bad])
 
@@ -145,6 +149,39 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     folder = write(tmp_path / "a", episode(0))
     (folder / "worst.npz").write_bytes(b"PK")
     with pytest.raises(ValueError, match=r"worst\.npz has no drives of the suite"):
+        read_runs([folder])
+
+
+def test_damaged_results_are_results_or_refused(tmp_path, capsys):
+    folder = write(tmp_path / "a", episode(0), episode(1, parked=1.0, timed_out=0.0))
+    out = str(tmp_path / "out")
+    for name in (CASES_FILE, WORST_FILE):
+        data = (folder / name).read_bytes()
+        for seed in range(150):
+            (folder / name).write_bytes(damaged(data, seed))
+            with contextlib.suppress(ValueError):
+                (row,) = main(SuiteConfig(combine=(str(folder),), out=out))
+                assert row["cases"] in (1, 2)
+        (folder / name).write_bytes(data)
+    assert capsys.readouterr().out  # some were harmless
+
+
+def test_a_column_that_the_table_needs_may_not_be_missing(tmp_path):
+    folder = write(tmp_path / "a", episode(0))
+    lines = (folder / CASES_FILE).read_text().splitlines()
+    lines = [line.split(",") for line in lines]  # no cell has a comma here
+    for column, name in enumerate(lines[0]):
+        rows = [",".join(row[:column] + row[column + 1 :]) for row in lines]
+        (folder / CASES_FILE).write_text("\n".join(rows) + "\n")
+        with pytest.raises(ValueError, match=f"lacks the columns {name}"):
+            read_runs([folder])
+
+
+def test_results_without_an_episode_are_refused(tmp_path):
+    folder = write(tmp_path / "a", episode(0))
+    header = (folder / CASES_FILE).read_text().splitlines()[0]
+    (folder / CASES_FILE).write_text(header + "\n")
+    with pytest.raises(ValueError, match=r"cases\.csv holds no episode"):
         read_runs([folder])
 
 

@@ -274,3 +274,21 @@ def test_a_gpu_has_its_own_name_and_its_own_memory(monkeypatch):
     monkeypatch.setattr(jax, "devices", lambda: [Device()])
     assert worker.device_name() == "NVIDIA H100 80GB HBM3"
     assert worker.peak_memory() == 123
+
+
+def test_a_measurement_that_fails_says_last_why_not_what_jax_notes(capsys, monkeypatch):
+    error = RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nallocating 9 GB")
+    error.add_note("--------------------\nJAX has removed its internal frames.")
+
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(worker, "measure", fail)
+    request = {
+        "job": dataclasses.asdict(JOB),
+        "checkout": str(IMPORTED),
+        "started": 0.0,
+    }
+    assert worker.main(json.dumps(request)) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == "RuntimeError: RESOURCE_EXHAUSTED: Out of memory"

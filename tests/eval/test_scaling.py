@@ -55,7 +55,7 @@ def test_another_table_is_refused_by_its_name(tmp_path, capsys):
     picture = tmp_path / "cost.png"
     flags = ["--read", str(table), "--names", "a", "--plot", str(picture)]
     assert scaling.main(flags) == 2
-    assert f"{table} is no table of eval/scaling.py" in capsys.readouterr().err
+    assert f"{table} lacks the columns" in capsys.readouterr().err
     assert not picture.exists()
 
 

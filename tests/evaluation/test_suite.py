@@ -22,7 +22,7 @@ from carpark_mj.evaluation.suite_cases import pick_cases
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.held_out import load_held_out
 from carpark_mj.policy.baselines import zero_policy
-from carpark_mj.registry import ANYWHERE
+from carpark_mj.registry import ANYWHERE, environment
 
 PARKED = {"parked": 1.0, "crashed": 0.0, "timed_out": 0.0, "diverged": 0.0}
 MISSED = {"parked": 0.0, "crashed": 1.0, "timed_out": 0.0, "diverged": 0.0}
@@ -220,7 +220,7 @@ def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
         ),
         ({"policies": ("zero",), "levels": ()}, "levels must not be empty"),
         ({"policies": ("zero",), "seeds": (1, 1)}, "seeds must differ"),
-        ({"policies": ("zero",), "seeds": (-1,)}, "seeds must not be negative"),
+        ({"policies": ("zero",), "seeds": (-1,)}, "seed must lie in"),
         ({"combine": ("a",), "moving_car": True}, "moving_car True has no effect"),
         ({"combine": ("a",), "rule": "precise"}, "'precise' has no effect with --co"),
         ({"policies": ("zero",), "videos": 11}, "videos must be 0 to 10, not 11"),
@@ -230,3 +230,8 @@ def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
 def test_impossible_settings_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         SuiteConfig(**settings)
+
+
+def test_a_policy_of_the_grid_has_no_case_to_drive():
+    with pytest.raises(ValueError, match="steers a car, not one of grid physics"):
+        suite_env(environment("tanner-qlearning"), "strict")

@@ -324,9 +324,7 @@ def test_the_command_checks_and_draws(tmp_path, capsys):
     assert "unknown layout 'ring'" in capsys.readouterr().err
     assert main(["nowhere.json", "--run", "1"]) == 2
     told = capsys.readouterr().err
-    assert told == (
-        "layouts: cannot read the layout nowhere.json: No such file or directory\n"
-    )
+    assert told == ("layouts: cannot read nowhere.json: No such file or directory\n")
 
 
 @pytest.mark.parametrize("options", [[], ["--check", "0"], ["street", "--run", "-1"]])

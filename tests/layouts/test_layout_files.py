@@ -1,21 +1,24 @@
 """Layouts from files: JSON, TPCAP cases, and the messages about bad files."""
 
+import contextlib
 import dataclasses
 import json
 import math
+import os
 import re
 
 import jax
 import numpy as np
 import pytest
 import shapely
+from helpers.mutating import damaged, with_junk
 from helpers.scenes import polygons
 from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout, mixture
-from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.json_file import layout_text, read_json
 from carpark_mj.layouts.tpcap import EDGE, TPCAP_CAR, read_tpcap
 from carpark_mj.wrappers.options import Options, configure, shared_env
@@ -123,6 +126,12 @@ BAD_JSON = [
         4,
         r"bays\[0\].pose .* rad, not -90: headings are in radians",
     ),
+    (
+        changed(spawns=[{**HAND["spawns"][0], "spread": -3}]),
+        16,
+        r"\[0, 3.142\], not -3",
+    ),
+    (changed(spawns=[{**HAND["spawns"][0], "spread": 4}]), 16, "spread must lie in"),
     (changed(spawns=[3]), 1, r"spawns\[0\] must be an object, not 3"),
 ]
 
@@ -154,6 +163,40 @@ def test_text_that_is_no_json_names_the_line(tmp_path):
         make_layout("nowhere.json")
     with pytest.raises(ValueError, match=r"path must end in one of \.json, \.csv"):
         FromFileConfig(path="lot.txt")
+
+
+@pytest.mark.parametrize("suffix", [".json", ".csv"])
+def test_a_file_that_never_ends_is_refused(suffix, tmp_path):
+    pipe = tmp_path / f"pipe{suffix}"
+    os.mkfifo(pipe)
+    with pytest.raises(ValueError, match=f"{suffix}: it is no regular"):
+        make_layout(str(pipe))
+
+
+def test_a_damaged_json_layout_is_a_layout_or_refused(tmp_path):
+    text = written(tmp_path, HAND).read_bytes()
+    path = tmp_path / "damaged.json"
+    junk = (json.dumps(with_junk(HAND, seed)).encode() for seed in range(100))
+    flips = (damaged(text, seed) for seed in range(100))
+    for data in (*junk, *flips):
+        path.write_bytes(data)
+        with contextlib.suppress(ValueError):
+            assert describe_faults(read_json(path), ANY_CAR) == []
+
+
+def test_a_damaged_tpcap_case_is_a_layout_or_refused(tmp_path):
+    path = case(tmp_path, [SQUARE, SHARP])
+    text = path.read_bytes()
+    for seed in range(100):
+        path.write_bytes(damaged(text, seed))
+        with contextlib.suppress(ValueError):
+            assert describe_faults(read_tpcap(path), TPCAP_CAR.size) == []
+
+
+def test_a_start_whose_headings_turn_backwards_is_no_layout(tmp_path):
+    layout = read_json(written(tmp_path, HAND))
+    wrong = dataclasses.replace(layout, spawn_spread=-layout.spawn_spread)
+    assert describe_faults(wrong) == ["spawn_spread must not be negative"]
 
 
 def test_an_invalid_layout_is_refused(tmp_path):
@@ -284,6 +327,8 @@ BAD_CSV = [
     ("0,0,0,5,12,0\n3,4\n", 2, "3 obstacles need 3 vertex counts, there are 1"),
     ("0,0,0,5,12,0\n1\n2\n", 3, "vertex count of obstacle 0 .* at least 3, not 2"),
     ("0,0,0,5,12,0,1,3\n1,1,2,2,3\n", 2, "make 14 numbers, not 13"),
+    ("0,0,1e300\n5,12,0\n0\n", 1, r"heading must be at most 12.57 rad .*, not 1e\+300"),
+    ("0,0,0\n5,12,90\n0\n", 2, "heading must be at most 12.57 rad either way, not 90"),
     ("0,0,0,5,12,0,0,inf\n", 1, "'inf' is no number"),
     ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", 2, "at the goal would stand in an"),
     ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", 1, "at the start would stand in an"),
@@ -312,5 +357,5 @@ def test_a_byte_order_mark_is_no_fault(tmp_path):
 def test_a_case_without_obstacles_and_a_missing_one(tmp_path):
     layout = make_layout(str(case(tmp_path, [])))
     assert layout.wall_mask.shape == (0,)
-    with pytest.raises(ValueError, match=r"cannot read the case .*nowhere.csv"):
+    with pytest.raises(ValueError, match=r"cannot read nowhere.csv"):
         make_layout("nowhere.csv")

@@ -1,10 +1,16 @@
 """Lots driven by hand: who drives what, recording and replay."""
 
+import contextlib
+import json
+
 import numpy as np
 import pytest
+from helpers.mutating import damaged, with_junk
 
 from carpark_mj.cli.play import PlayConfig, main, make_env, pad, replay, run, save
-from carpark_mj.play.demonstration import STEPS, load_demonstration
+from carpark_mj.config import EnvConfig
+from carpark_mj.observations import observation_size
+from carpark_mj.play.demonstration import STEPS, Demonstration, load_demonstration
 from carpark_mj.play.driven import DrivenLot
 
 STEPS_DRIVEN = 6
@@ -148,5 +154,61 @@ def test_other_files_are_no_drives(tmp_path):
     with pytest.raises(ValueError, match="is not a demonstration"):
         load_demonstration(path)
     path.write_text("hello")
-    with pytest.raises(ValueError, match="is not a demonstration"):
+    with pytest.raises(ValueError, match="another kind of file"):
+        load_demonstration(path)
+
+
+@pytest.fixture(scope="module")
+def still(tmp_path_factory):
+    """A drive in which nothing happens."""
+    config = EnvConfig(num_agents=1)
+    shape = (3, config.num_agents)
+    numbers = {name: np.zeros(shape, np.float32) for name in STEPS}
+    numbers["observations"] = np.zeros((*shape, observation_size(config)), np.float32)
+    numbers["actions"] = np.zeros((*shape, 2), np.float32)
+    numbers["poses"] = np.zeros((*shape, 3), np.float32)
+    for name in ("terminated", "truncated"):
+        numbers[name] = np.zeros(shape, bool)
+    path = tmp_path_factory.mktemp("still") / "drive.npz"
+    Demonstration(config, 3, **numbers).save(path)
+    return path
+
+
+def test_a_damaged_drive_is_one_of_its_environment_or_refused(still, tmp_path):
+    path, data = tmp_path / "x.npz", still.read_bytes()
+    for seed in range(200):
+        path.write_bytes(damaged(data, seed))
+        with contextlib.suppress(ValueError):
+            assert len(load_demonstration(path)) == 3
+
+
+def test_a_drive_with_junk_in_its_header_is_a_drive_or_refused(still, tmp_path):
+    path = tmp_path / "x.npz"
+    with np.load(still) as file:
+        arrays = {name: file[name] for name in file.files}
+    header = json.loads(str(arrays["header"]))
+    for seed in range(200):
+        junk = json.dumps(with_junk(header, seed))
+        np.savez(path, **arrays | {"header": np.array(junk)})
+        with contextlib.suppress(ValueError):
+            assert load_demonstration(path).actions.shape[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("actions", np.zeros((3, 1, 5), np.float32)),
+        ("actions", np.zeros((2, 1, 2), np.float32)),
+        ("actions", np.full((3, 1, 2), np.nan, np.float32)),
+        ("poses", np.zeros((3, 1, 3))),
+        ("rewards", np.zeros((3, 1), object)),
+        ("header", np.array("[" * 5000)),
+    ],
+)
+def test_arrays_that_are_not_those_of_a_drive_are_refused(name, array, still, tmp_path):
+    path = tmp_path / "x.npz"
+    with np.load(still) as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez(path, **arrays | {name: array})
+    with pytest.raises(ValueError, match=r"x\.npz"):
         load_demonstration(path)

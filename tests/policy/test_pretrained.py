@@ -1,6 +1,7 @@
 """Pretrained policies: files of a policy alone, found by name, each with its card."""
 
 import dataclasses
+import json
 import re
 import shutil
 from pathlib import Path
@@ -103,11 +104,9 @@ def test_a_policy_alone_acts_like_its_run(run, shipped):
 
 def test_it_holds_nothing_that_only_training_needs(run, shipped):
     path = shipped / "tiny.npz"
-    with np.load(path) as file:
-        kinds = {re.match(r"\['(\w+)'\]|header", name)[1] for name in file.files}
-        floats = [
-            file[name].dtype for name in file.files if file[name].dtype.kind == "f"
-        ]
+    arrays = arrays_of(path)
+    kinds = {re.match(r"\['(\w+)'\]|header", name)[1] for name in arrays}
+    floats = [x.dtype for x in arrays.values() if x.dtype.kind == "f"]
     assert kinds == {None, "normalizer", "average"}  # the header is no array of a tree
     assert set(floats) == {np.dtype("float32")}
     assert path.stat().st_size < runs.latest_checkpoint(run).stat().st_size
@@ -158,11 +157,47 @@ def test_a_policy_of_another_version_or_a_damaged_one_is_refused(shipped, monkey
     path.write_bytes(whole[:1000])
     with pytest.raises(CheckpointError, match="truncated"):
         loading.load_policy("tiny")
-    path.write_bytes(whole)
-    header = checkpoints.read_header(path) | {"env_steps": None}
-    monkeypatch.setattr(checkpoints, "read_header", lambda _: header)
-    with pytest.raises(CheckpointError, match="env_steps must be a whole number, not"):
-        loading.load_policy("tiny")
+
+
+def arrays_of(path):
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files}
+
+
+@pytest.mark.parametrize(
+    ("part", "value"), [("normalizer", np.inf), ("average", np.nan)]
+)
+def test_weights_that_are_not_finite_do_not_drive(shipped, part, value):
+    path = shipped / "tiny.npz"
+    arrays = arrays_of(path)
+    of_part = (name for name in arrays if name.startswith(f"['{part}']"))
+    name = next(name for name in of_part if arrays[name].dtype == np.float32)
+    arrays[name].flat[-1] = value
+    np.savez_compressed(path, **arrays)
+    with pytest.raises(CheckpointError, match=rf"numbers at .*{part}.* not finite"):
+        loading.load_policy(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"env_steps": "8"},
+        {"config": [1]},
+        {"config": {}},
+        {"config": {"env": {"num_agents": [2]}, "networks": {}}},
+        {"config": {"env": {}, "networks": {"policy_layers": [1.5]}}},
+        {"config": {"env": {}, "networks": {"own_size": 10**40}}},
+        {"algorithm": "q_learning", "best": 0},
+    ],
+)
+def test_a_header_of_nonsense_is_refused(shipped, changes):
+    path = shipped / "tiny.npz"
+    arrays = arrays_of(path)
+    text = json.dumps(json.loads(arrays["header"].tobytes()) | changes).encode()
+    np.savez_compressed(path, **arrays | {"header": np.frombuffer(text, np.uint8)})
+    with pytest.raises(CheckpointError, match=re.escape(str(path))) as caught:
+        loading.load_policy(path)
+    assert "\n" not in str(caught.value)
 
 
 def test_nothing_is_written_into_the_package(shipped):

@@ -242,4 +242,4 @@ def test_what_cannot_be_is_refused_in_a_sentence(run, capsys, tmp_path):
         assert q_learning.main(["--resume", str(folder)]) == 2
     finally:
         path.write_bytes(whole)
-    assert "is no readable checkpoint" in capsys.readouterr().err
+    assert "is truncated" in capsys.readouterr().err

@@ -10,11 +10,15 @@ from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.policy.runs import latest_checkpoint, save_checkpoint
+from carpark_mj.policy.runs import (
+    CONFIG_VERSION,
+    latest_checkpoint,
+    save_checkpoint,
+)
 from learners.memory import device_memory, require_memory
 from learners.ppo.config import PPOConfig
 from learners.q_learning.config import QLearningConfig
-from learners.run_folder import LOCK, open_run
+from learners.run_folder import LOCK, open_run, read_header
 from learners.sac.config import SACConfig
 from learners.settings import read_config
 
@@ -43,6 +47,20 @@ FLOATS = [
 def test_no_setting_of_a_trainer_is_infinite_or_nan(cls, name, value):
     with pytest.raises(ValueError, match=rf"^{name} must .*, not {value}$"):
         cls(**{name: value})
+
+
+def test_no_setting_is_larger_than_jax_can_hold():
+    for cls, name in FLOATS:
+        with pytest.raises(ValueError, match=rf"{name} must .*, not 1e\+39$"):
+            cls(**{name: 1e39})
+        with pytest.raises(ValueError, match=f"{name} must "):
+            cls(**{name: 10**400})
+    for name in ("num_steps", "critic_steps", "num_epochs", "num_lots", "lot_life"):
+        with pytest.raises(ValueError, match=rf"^{name} must .*, not 1{'0' * 30}$"):
+            PPOConfig(**{name: 10**30})
+    with pytest.raises(ValueError, match=r"learning_rate must be at least 1\.18e-38"):
+        PPOConfig(learning_rate=1e-50)
+    assert PPOConfig(num_steps=10**11).num_updates < 2**31
 
 
 @pytest.mark.parametrize("cls", TRAINERS)
@@ -176,10 +194,25 @@ def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_pa
     path.write_text(json.dumps(described))
     with pytest.raises(CheckpointError, match=f"{folder} was trained by an older"):
         read_config(PPOConfig, folder)
-    for damaged in ("{", "[]", "{}"):
+    junk = described | {"config_version": CONFIG_VERSION, "config": {"name": 1}}
+    deep = '{"config":' * 500 + "{" + "}" * 501
+    for damaged in ("{", "[]", "{}", json.dumps(junk), deep):
         path.write_text(damaged)
         with pytest.raises(CheckpointError, match="is no config of a run"):
             read_config(PPOConfig, folder)
+
+
+def test_a_checkpoint_with_settings_of_nonsense_is_not_resumed_from(tmp_path):
+    settings = dataclasses.asdict(PPOConfig())
+    for junk in ({"clip": "-1"}, {"entropy_cost": "../../etc/passwd"}, {"seed": [1]}):
+        header = {"config": settings | junk}
+        path = save_checkpoint(tmp_path, {}, header, 1)
+        with pytest.raises(CheckpointError, match="must be "):
+            read_header(path, PPOConfig)
+    path = save_checkpoint(tmp_path, {}, {"config": settings, "chunks": "2"}, 2)
+    assert read_header(path, PPOConfig)["config"]["seed"] == 0
+    with pytest.raises(CheckpointError, match="chunks"):
+        read_header(path, PPOConfig, chunks=int)
 
 
 def test_sizes_beyond_the_memory_are_refused():

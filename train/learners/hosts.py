@@ -17,7 +17,10 @@ import jax
 import numpy as np
 from jax.experimental import multihost_utils
 
+from carpark_mj.config.checks import require_count
+
 AUTO = "auto"
+MAX_PORT = 65535
 
 Result = TypeVar("Result")
 
@@ -47,12 +50,12 @@ class Hosts:
         if self.coordinator in ("", AUTO):
             return
         name, _, port = self.coordinator.rpartition(":")
-        if not name or not port.isdecimal():
+        if not name or not (port.isdecimal() and 0 < int(port) <= MAX_PORT):
             raise ValueError(
-                f"coordinator must be HOST:PORT or {AUTO}, not {self.coordinator!r}"
+                f"coordinator must be HOST:PORT, a port of 1 to {MAX_PORT}, or {AUTO}, "
+                f"not {self.coordinator!r}"
             )
-        if self.num_hosts < 1:
-            raise ValueError(f"num_hosts must be at least 1, not {self.num_hosts}")
+        require_count("num_hosts", self.num_hosts, 1)
         if not 0 <= self.host < self.num_hosts:
             raise ValueError(
                 f"host must lie in [0, {self.num_hosts - 1}], not {self.host}"

@@ -16,6 +16,7 @@ from tensorboardX.proto.summary_pb2 import (
 )
 
 from carpark_mj.files import naming, write_csv
+from carpark_mj.reading import CsvRow, read_csv
 
 FLUSH_SECONDS = 20.0  # between looks of TensorBoard at what is new
 
@@ -31,12 +32,14 @@ class MetricsLog:
         """Opens the log of a run that stands at `resume_update` updates."""
         self._path = folder / "metrics.csv"
         rows = [
-            row for row in _read_rows(folder) if float(row["update"]) <= resume_update
+            row.cells
+            for row in _read_rows(folder)
+            if row.number("update") <= resume_update
         ]
         self._columns = list(rows[0]) if rows else []
         write_csv(self._path, rows)
         self._file = self._path.open("a", newline="")
-        last_step = int(rows[-1]["env_steps"]) if rows else 0
+        last_step = int(float(rows[-1]["env_steps"])) if rows else 0
         board = folder / "tensorboard"
         board.mkdir(exist_ok=True)
         # Not `SummaryWriter`, whose thread dies of a full disk and leaves us waiting.
@@ -81,26 +84,24 @@ class MetricsLog:
             self._events.close()
 
 
-def _read_rows(folder: Path) -> list[dict[str, str]]:
-    """Rows of `metrics.csv` as text; a line half-written by a kill ends them."""
+def _read_rows(folder: Path) -> list[CsvRow]:
+    """Rows of `metrics.csv`, less a line that a kill left half-written."""
     path = folder / "metrics.csv"
     if not path.exists():
         return []
-    rows = []
-    with path.open(newline="") as file:
-        for row in csv.DictReader(file):
-            try:
-                for value in row.values():
-                    float(value)
-            except (TypeError, ValueError):
-                break
-            rows.append(row)
+    rows = read_csv(path, "update", "env_steps", growing=True)
+    for row in rows:
+        for name in row.cells:
+            row.number(name)
     return rows
 
 
 def read_metrics(folder: Path) -> list[dict[str, float]]:
-    """Rows of a run's `metrics.csv` as numbers."""
+    """Rows of a run's `metrics.csv` as numbers.
+
+    Raises:
+        ValueError: the file is damaged.
+    """
     return [
-        {name: float(value) for name, value in row.items()}
-        for row in _read_rows(folder)
+        {name: row.number(name) for name in row.cells} for row in _read_rows(folder)
     ]

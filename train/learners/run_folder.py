@@ -22,7 +22,7 @@ from carpark_mj.config.checks import (
 )
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_json
-from carpark_mj.policy import runs
+from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 
 LOCK = ".lock"
@@ -150,6 +150,26 @@ def _lock(folder: Path) -> Generator[None]:
         if not os.fstat(file.fileno()).st_nlink:  # by the run that held the lock
             raise ValueError(f"{folder} was just removed: its run failed")
         yield
+
+
+def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, Any]:
+    """The header of a checkpoint to resume from, whose settings a run can have.
+
+    Args:
+        path: of the checkpoint.
+        kind: of the settings.
+        **kinds: what else it must have, see `checkpoints.read_header`.
+
+    Raises:
+        CheckpointError: missing, damaged or foreign checkpoint.
+    """
+    header = checkpoints.read_header(path, config=dict, **kinds)
+    runs.check_version(header, path)
+    try:
+        runs.from_dict(kind, header["config"])
+    except (TypeError, ValueError) as error:
+        raise CheckpointError(f"{path} has an unusable config: {error}") from None
+    return header
 
 
 def describe(config: RunConfig) -> dict[str, Any]:

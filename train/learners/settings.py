@@ -1,7 +1,6 @@
 """Settings of a trainer: a preset gives their defaults, a resumed run all of them."""
 
 import dataclasses
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import EnvConfig
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.reading import read_object
 from learners.run_folder import RunConfig
 
 RESUME_FLAGS = ("resume", "time_limit")  # what may differ when a run is resumed
@@ -104,13 +104,11 @@ def stored(folder: Path) -> dict[str, Any]:
     """
     path = folder / "config.json"
     try:
-        described = json.loads(path.read_text())
+        described = read_object(path, config=dict)
     except (FileNotFoundError, NotADirectoryError):
         raise CheckpointError(f"no run at {folder} (no {path})") from None
     except ValueError as error:
         raise CheckpointError(f"{path} is no config of a run: {error}") from None
-    if not isinstance(described, dict) or not isinstance(described.get("config"), dict):
-        raise CheckpointError(f"{path} is no config of a run")
     runs.check_version(described, path)
     return described["config"]
 

@@ -1,15 +1,13 @@
 """The trainings behind the cells of the junction's tables, and what came of them."""
 
-import csv
 import dataclasses
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from carpark_mj.reading import read_csv, read_object
 from learners.junction.config import JunctionPreset
 from learners.junction.families import presets_of
 from studies.jobs import Job
@@ -60,17 +58,17 @@ def is_finished(folder: Path) -> bool:
     path = folder / "evaluation.json"  # written anew at every evaluation
     if not path.exists():
         return False
-    total = json.loads((folder / "config.json").read_text())["config"]["total_steps"]
-    return json.loads(path.read_text())["last"]["env_steps"] >= total
+    config = read_object(folder / "config.json", config=dict)["config"]
+    return read_object(path, last=dict)["last"]["env_steps"] >= config["total_steps"]
 
 
 def read_outcome(folder: Path) -> Outcome:
     """Reads a finished run."""
-    found: dict[str, Any] = json.loads((folder / "evaluation.json").read_text())
-    with (folder / "evaluations.csv").open(newline="") as file:
-        rows = [
-            (float(r["env_steps"]), float(r["return"])) for r in csv.DictReader(file)
-        ]
+    found = read_object(folder / "evaluation.json", last=dict)
+    rows = [
+        (row.number("env_steps"), row.number("return"))
+        for row in read_csv(folder / "evaluations.csv", "env_steps", "return")
+    ]
     steps, returns = zip(*rows, strict=True)
     return Outcome(
         solved_at=_steps(found["solved_at"]),

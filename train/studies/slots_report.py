@@ -1,6 +1,5 @@
 """The experiments in slots as a table: the thesis, what is found, a verdict."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import write_atomically
+from carpark_mj.reading import read_csv
 from learners.sac.phases import read_phase
 from learners.sac.pictures import plot_matrix
 from learners.sac.transfer import success_matrix, transfer
@@ -24,14 +24,13 @@ Results = Mapping[SlotsExperiment, Sequence[Sequence[dict[str, Any]]]]
 
 def read_deployments(job: Job) -> list[dict[str, Any]]:
     """Rows of a run that is done, with numbers as numbers."""
-    with (job.folder / "deployments.csv").open(newline="") as file:
-        return [
-            {
-                name: value if name in ("kind", "policy") else float(value)
-                for name, value in row.items()
-            }
-            for row in csv.DictReader(file)
-        ]
+    return [
+        {
+            name: text if name in ("kind", "policy") else row.number(name)
+            for name, text in row.cells.items()
+        }
+        for row in read_csv(job.folder / "deployments.csv", "kind", "policy")
+    ]
 
 
 def verdict(claims: Sequence[Claim], success: Mapping[str, Sequence[float]]) -> str:

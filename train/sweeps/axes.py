@@ -93,7 +93,7 @@ def flags(settings: dict[str, str], config: Any) -> list[str]:
     """Settings (dotted name to value) as flags of the trainer.
 
     Raises:
-        ValueError: a switch that is neither true nor false.
+        ValueError: a switch that is neither true nor false, or flags in a value.
     """
     words: list[str] = []
     for field, value in settings.items():
@@ -104,7 +104,10 @@ def flags(settings: dict[str, str], config: Any) -> list[str]:
             last = last if value.lower() == "true" else f"no-{last}"
             words.append(f"--{'.'.join((*groups, last))}")
         else:
-            words += [f"--{'.'.join((*groups, last))}", *value.split()]
+            parts = value.split()
+            if any(re.match(r"-[^\d.]", part) for part in parts):
+                raise ValueError(f"{field} takes values, not flags, as in {value!r}")
+            words += [f"--{'.'.join((*groups, last))}", *parts]
     return words
 
 

@@ -9,10 +9,8 @@ runs/SWEEP/
 """
 
 import contextlib
-import csv
 import dataclasses
 import fcntl
-import json
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +18,8 @@ from typing import Any, Literal
 from carpark_mj.analysis.runs import read_run
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.runs import from_dict
+from carpark_mj.reading import read_csv, read_object
 from sweeps.plan import Plan, Run
 
 TABLE = "sweep.csv"
@@ -58,12 +58,7 @@ def open_sweep(folder: Path, plan: Plan, stochastic: bool) -> None:
     definition = {**plan.definition, "stochastic": stochastic}
     path = folder / "sweep.json"
     if path.exists():
-        try:
-            known = json.loads(path.read_text())
-        except ValueError:
-            known = None
-        if not isinstance(known, dict):
-            raise ValueError(f"{path} describes no sweep")
+        known = read_object(path)
         if known != definition:
             differing = [k for k, v in definition.items() if known.get(k) != v]
             raise ValueError(
@@ -79,7 +74,7 @@ def open_sweep(folder: Path, plan: Plan, stochastic: bool) -> None:
 def read_outcome(sweep: Path, run: Run) -> Outcome:
     """What is known of a run."""
     try:
-        return Outcome(**json.loads(_path(sweep, run).read_text()))
+        return from_dict(Outcome, read_object(_path(sweep, run)))
     except (FileNotFoundError, ValueError, TypeError):
         return Outcome("waiting")
 
@@ -124,8 +119,7 @@ def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
 def _known_rows(sweep: Path) -> list[dict[str, Any]]:
     """Rows of the table as it is."""
     try:
-        with (sweep / TABLE).open(newline="") as file:
-            return list(csv.DictReader(file))
+        return [{**row.cells} for row in read_csv(sweep / TABLE)]
     except FileNotFoundError:
         return []
 

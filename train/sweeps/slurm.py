@@ -1,7 +1,6 @@
 """Jobs of a Slurm cluster: what they ask for, and which are in the queue."""
 
 import dataclasses
-import json
 import subprocess
 from collections.abc import Sequence
 from typing import Any
@@ -11,6 +10,7 @@ from submitit.core.utils import FailedJobError
 
 from carpark_mj.config.checks import require_at_least
 from carpark_mj.files import write_json
+from carpark_mj.reading import read_object
 from sweeps.environment import import_path
 from sweeps.plan import Run
 from sweeps.work import Work
@@ -67,7 +67,7 @@ def submit_all(
     if not works:
         return []
     record = works[0].sweep / "logs" / "jobs.json"
-    known: dict[str, str] = json.loads(record.read_text()) if record.exists() else {}
+    known: dict[str, str] = read_object(record) if record.exists() else {}
     queued = queued_jobs() or set()
     old: dict[str, list[Run]] = {}
     new: list[Work] = []

@@ -31,6 +31,7 @@ from learners.junction.evaluations import progress, summary, verdict, write_eval
 from learners.junction.video import write_video
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog
+from learners.run_folder import read_header
 
 
 class Stopped(KeyboardInterrupt):
@@ -151,7 +152,7 @@ class Training(Experiment):
         runs.save_checkpoint(self._folder, tree, header, self.env_steps)
 
     def _load(self, path: Path) -> None:
-        header = checkpoints.read_header(path)
+        header = read_header(path, type(self._run), bytes=int, evaluations=list)
         template = {"torch": np.zeros(header["bytes"], np.uint8)}
         stored = checkpoints.load(path, template)["torch"]
         state = torch.load(io.BytesIO(stored.tobytes()), weights_only=True)

@@ -16,6 +16,7 @@ from learners.junction.evaluations import progress, summary, verdict, write_eval
 from learners.junction.video import write_video
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog
+from learners.run_folder import read_header
 
 DQN_ALGORITHM = "dqn"  # `algorithm` in the header of a checkpoint
 
@@ -40,7 +41,7 @@ def load_or_init(learner: DQNLearner, folder: Path) -> Run:
     if not runs.checkpoint_files(folder):
         return Run(learner.init(), [], 0)
     path = runs.latest_checkpoint(folder)
-    header = checkpoints.read_header(path)
+    header = read_header(path, type(learner.config), evaluations=list, chunks=int)
     tree = checkpoints.load(path, jax.eval_shape(learner.init))
     return Run(jax.device_put(tree), header["evaluations"], header["chunks"])
 

@@ -10,6 +10,7 @@ import tyro
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import (
+    LARGEST_WHOLE,
     require_at_least,
     require_choice,
     require_positive,
@@ -139,7 +140,6 @@ class PPOConfig(RunConfig):
         require_at_least(
             self,
             1,
-            "num_steps",
             "num_lots",
             "unroll_length",
             "num_minibatches",
@@ -158,9 +158,14 @@ class PPOConfig(RunConfig):
             "entropy_cost_end",
             "clip_end",
             "checkpoint_updates",
-            "hitbox_steps",
-            "critic_steps",
         )
+        # Updates are counted in int32.
+        most = LARGEST_WHOLE * self.steps_per_update
+        for name, least in (("num_steps", 1), ("hitbox_steps", 0), ("critic_steps", 0)):
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(
+                    f"{name} must lie in [{least}, {most}], not {getattr(self, name)}"
+                )
         # Refused now, not when the training is over.
         for name, most in (
             ("eval_episodes", MAX_EPISODES),

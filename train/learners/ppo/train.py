@@ -20,6 +20,7 @@ from learners.ppo.forecast import MEASURED_SECONDS, announcement, estimate
 from learners.ppo.learner import Learner
 from learners.ppo.state import TrainingState, count_steps
 from learners.ppo.warm_start import warm_start
+from learners.run_folder import read_header
 from learners.settings import list_settings
 
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
@@ -56,11 +57,11 @@ def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
         begun = [warm_start(c, s) if c.warm_start else s for c, s in states]
         return learner.place(learner.join(begun))
     template = vars(jax.eval_shape(lambda x: learner.split(x)[0], learner.shapes()))
-    states = [
-        TrainingState(**checkpoints.load(path, template))
-        for path in _checkpoints_of_one_step(folders)
-    ]
-    return learner.place(learner.join(states))
+    found: list[TrainingState] = []
+    for path in _checkpoints_of_one_step(folders):
+        read_header(path, PPOConfig)
+        found.append(TrainingState(**checkpoints.load(path, template)))
+    return learner.place(learner.join(found))
 
 
 def _checkpoints_of_one_step(folders: Sequence[Path]) -> list[Path]:

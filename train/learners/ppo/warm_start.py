@@ -91,7 +91,7 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
     if not new_fields(config, run.env):
         path = load_policy(config.warm_start, env=config.env).path
         template = {name: getattr(state, name) for name in taken}
-        return _replace(state, checkpoints.load(path, template))
+        return _replace(state, _load(path, template))
     if action_spec(run.env) != action_spec(config.env):
         raise ValueError(
             f"{config.warm_start} was trained for other actions "
@@ -99,8 +99,15 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
             f"({action_spec(config.env)})"
         )
     template = _template(config, run.env)
-    found = checkpoints.load(run.path, {name: template[name] for name in taken})
+    found = _load(run.path, {name: template[name] for name in taken})
     return _replace(state, widen(config, run.env, found))
+
+
+def _load(path: Path, template: dict[str, Any]) -> dict[str, Any]:
+    """The parameters of a checkpoint, all of them finite."""
+    found = checkpoints.load(path, template)
+    checkpoints.require_finite(path, found)
+    return found
 
 
 def _replace(state: TrainingState, found: dict[str, Any]) -> TrainingState:

@@ -12,6 +12,7 @@ from learners.loop import Loop
 from learners.q_learning.config import QLearningConfig
 from learners.q_learning.curve import plot_returns, summary, write_metrics
 from learners.q_learning.learner import CHUNK, Finished, QLearner, Training
+from learners.run_folder import read_header
 
 
 @dataclasses.dataclass
@@ -57,10 +58,11 @@ def load_or_init(learner: QLearner, folder: Path) -> Run:
         return Run(learner.init(), episodes, 0)
     path = runs.latest_checkpoint(folder)
     template = vars(jax.eval_shape(learner.init)) | {"history": episodes}
+    header = read_header(path, type(config), chunks=int)
     tree = checkpoints.load(path, template)
     episodes = {name: np.array(record) for name, record in tree.pop("history").items()}
     training = Training(**jax.device_put(tree))
-    return Run(training, episodes, checkpoints.read_header(path)["chunks"])
+    return Run(training, episodes, header["chunks"])
 
 
 def save(folder: Path, config: QLearningConfig, run: Run) -> None:

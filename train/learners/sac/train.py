@@ -11,6 +11,7 @@ from carpark_mj.files import write_csv
 from carpark_mj.policy import checkpoints, runs
 from learners.loop import Loop
 from learners.metrics_log import MetricsLog
+from learners.run_folder import read_header
 from learners.sac import agent as agents
 from learners.sac import replay
 from learners.sac.agent import Agent
@@ -46,8 +47,8 @@ class Training:
         resumed = bool(runs.checkpoint_files(folder))
         path = runs.latest_checkpoint(folder) if resumed else None
         if path:
-            header = checkpoints.read_header(path)
-            self.progress = Progress(**header["progress"])
+            header = read_header(path, SACConfig, progress=dict, deployments=list)
+            self.progress = runs.from_dict(Progress, header["progress"])
             self.deployments = header["deployments"]
         self.agent = self._make_agent()
         if path:
