@@ -284,9 +284,65 @@ def test_a_traced_reach_of_0_is_no_reach():
     np.testing.assert_allclose(pay(jnp.float32(0.0))[1].reward, expected, atol=1e-6)
 
 
-def test_float64_is_refused_where_an_environment_is_built():
-    with jax.enable_x64(True), pytest.raises(ValueError, match="must be False, not T"):
-        ParkingEnv()
+def test_float64_is_refused_where_an_environment_is_built_or_used():
+    env, reset, step = slide()
+    state = reset(jax.random.key(0))[0]
+    calls = (
+        ParkingEnv,
+        lambda: reset(jax.random.key(0)),
+        lambda: step(state, HALT),
+        lambda: env.draw_layout(jax.random.key(0)),
+    )
+    with jax.enable_x64(True):
+        for call in calls:
+            with pytest.raises(ValueError, match="must be False, not T"):
+                call()
+
+
+def test_eager_results_can_be_donated():
+    env, *_ = slide()
+    step = jax.jit(env.step, donate_argnums=0)
+    state, _ = env.reset(jax.random.key(0))
+    state, _ = step(state, HALT)
+    state, timestep = env.step(state, HALT)
+    step(state, HALT)
+    assert np.isfinite(timestep.motion.pose_w).all()
+    env.reset(jax.random.key(0))  # its constants are still there
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"split": "foo"}, ValueError, "unknown split 'foo'"),
+        ({"split": None}, ValueError, "unknown split None"),
+        ({"num_present": 1.5}, ValueError, "num_present must be a whole number"),
+        ({"num_present": "2"}, ValueError, "num_present must be a whole number"),
+        ({"num_present": np.ones(2, int)}, ValueError, "num_present must be a whole"),
+        ({"member": 1}, ValueError, r"member must lie in \[0, 0\], not 1"),
+        ({"member": 0.5}, ValueError, "member must be a whole number"),
+        ({"options": 3}, TypeError, "options must be of ResetOptions or None, not 3"),
+    ],
+)
+def test_a_reset_refuses_what_has_no_meaning(change, error, message):
+    with pytest.raises(error, match=message):
+        slide()[0].reset(jax.random.key(0), **change)
+
+
+@pytest.mark.parametrize(
+    ("state", "action", "message"),
+    [
+        (None, HALT, "state must be of State, not None"),
+        (3, HALT, "state must be of State, not 3"),
+        ("s", HALT * 1j, "action must be an array of real numbers"),
+        ("s", None, "action must be an array of real numbers, not None"),
+        ("s", HALT.tolist(), "action must be an array of real numbers"),
+        ("s", HALT.astype(str), "action must be an array of real numbers"),
+    ],
+)
+def test_a_step_takes_a_state_and_real_numbers(state, action, message):
+    env, _, begun = start()
+    with pytest.raises(TypeError, match=message):
+        env.step(begun if state == "s" else state, action)
 
 
 def test_a_seed_is_no_key():

@@ -19,9 +19,10 @@ from learners.memory import device_memory, require_memory
 from learners.ppo.config import PPOConfig
 from learners.q_learning.config import QLearningConfig
 from learners.run_folder import LOCK, open_run, read_header
+from learners.sac.config import SACConfig
 from learners.settings import read_config
 
-TRAINERS = (PPOConfig, QLearningConfig)
+TRAINERS = (PPOConfig, QLearningConfig, SACConfig)
 NAMES = ("../../x", "/tmp/x", "a/b", "a\\b", "..", ".", " ", "\t", "a\nb", "a\0b")
 
 
