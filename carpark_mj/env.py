@@ -263,10 +263,18 @@ class ParkingEnv:
             ended = self._episodes.end(after, events, keys)
         with jax.named_scope("goals"):
             ended, goal_events = self.goals.update(before, ended, events)
-            target_pose = self.goals.target_pose(after)
+            target = self.goals.target_bay(after)
         wrong_way = drives_wrong_way(after.layout, after.motion)
+        layout, one_way = after.layout, after.layout.one_way
         transition = Transition(
-            before, after, target_pose, events, goal_events, wrong_way, act.invalid
+            before,
+            after,
+            layout.parked_pose[target],
+            events,
+            goal_events,
+            wrong_way,
+            act.invalid,
+            None if one_way is None else one_way[target],
         )
         with jax.named_scope("rewards"):
             terms = rewards.reward_terms(config, transition)

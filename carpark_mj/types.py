@@ -328,6 +328,8 @@ class Transition:
         wrong_way: (num_agents,) bool, drives against the lanes; None in lots that never
             have lanes.
         invalid_action: (num_agents,) bool, the action was NaN or out of range.
+        one_way: (num_agents,) bool, whether only the heading of `target_pose` is right,
+            not its opposite; None in lots without such bays.
     """
 
     before: State
@@ -337,6 +339,7 @@ class Transition:
     goal_events: GoalEvents | None
     wrong_way: jax.Array | None
     invalid_action: jax.Array
+    one_way: jax.Array | None = None
 
     @property
     def goal(self) -> jax.Array:

@@ -19,6 +19,7 @@ from carpark_mj.geometry.nearest import nearest
 from carpark_mj.geometry.reeds_shepp import reeds_shepp_length
 from carpark_mj.geometry.se2 import (
     axis_angle_error,
+    heading_error,
     move_forward,
     norm,
     rotate,
@@ -38,6 +39,7 @@ __all__ = [
     "box_inside",
     "box_room",
     "boxes_overlap",
+    "heading_error",
     "move_forward",
     "nearest",
     "norm",

@@ -63,3 +63,17 @@ def axis_angle_error(yaw: jax.Array) -> jax.Array:
     A car parked nose in and one parked nose out are both aligned with their bay.
     """
     return jnp.abs(wrap_angle(2.0 * yaw)) / 2.0
+
+
+def heading_error(turn: jax.Array, one_way: jax.Array | None) -> jax.Array:
+    """Angle [rad] by which headings are off, given their differences (...) [rad].
+
+    Args:
+        turn: a heading less the wanted one.
+        one_way: (...) bool, whether the opposite heading is wrong: then the angle is in
+            [0, pi], otherwise that of the axes; None = nowhere.
+    """
+    along = axis_angle_error(turn)
+    if one_way is None:
+        return along
+    return jnp.where(one_way, jnp.abs(wrap_angle(turn)), along)

@@ -26,6 +26,7 @@ from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
 from carpark_mj.layouts.tpcap_cases import TpcapConfig
 from carpark_mj.layouts.types import (
     ROWS,
+    BayEnd,
     BayKind,
     DiscKind,
     Layout,
@@ -44,6 +45,7 @@ __all__ = [
     "SQUARES",
     "TANNER",
     "AngledConfig",
+    "BayEnd",
     "BayKind",
     "DeadEndConfig",
     "DesignCar",

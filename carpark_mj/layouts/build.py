@@ -10,10 +10,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.geometry import swept_half_size, wrap_angle
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
+from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
 
 Group = dict[str, jax.Array]
 
@@ -40,8 +41,14 @@ def _pose(pose: Any) -> jax.Array:
     return pose.at[..., 2].set(wrap_angle(pose[..., 2]))
 
 
-def bays(pose: Any, size: Any, kind: Any = BayKind.STANDARD, mask: Any = True) -> Group:
-    """Bays (..., 3), (..., 2)."""
+def bays(
+    pose: Any,
+    size: Any,
+    kind: Any = BayKind.STANDARD,
+    mask: Any = True,
+    end: Any = BayEnd.EITHER,
+) -> Group:
+    """Bays (..., 3), (..., 2); `kind` and `end` are a `BayKind` and a `BayEnd` each."""
     pose = _pose(pose)
     return _rows(
         "bay",
@@ -50,7 +57,14 @@ def bays(pose: Any, size: Any, kind: Any = BayKind.STANDARD, mask: Any = True) -
         pose=(pose, (3,), jnp.float32),
         size=(size, (2,), jnp.float32),
         kind=(kind, (), jnp.int32),
+        **_ends(end),
     )
+
+
+def _ends(end: Any) -> dict[str, tuple[Any, Any, Any]]:
+    """The part of `bays`; none where it is known that either end will do."""
+    either = not isinstance(end, jax.Array) and not np.any(end)
+    return {} if either else {"end": (end, (), jnp.int32)}
 
 
 def walls(pose: Any, size: Any, kind: Any = WallKind.WALL, mask: Any = True) -> Group:
@@ -179,7 +193,11 @@ def assemble(extent: Any, *groups: Group) -> Layout:
         groups: in any order; rows of a kind keep the order of their groups.
     """
     columns: dict[str, list[jax.Array]] = {}
+    ends = any("bay_end" in group for group in groups)
     for group in (*_empty(), *groups):
+        if ends and "bay_mask" in group:
+            either = jnp.full(group["bay_mask"].shape, BayEnd.EITHER, jnp.int32)
+            group = {"bay_end": either} | group
         for name, rows in group.items():
             columns.setdefault(name, []).append(rows)
     fields = {name: jnp.concatenate(rows) for name, rows in columns.items()}

@@ -32,6 +32,7 @@ _PARTS = {
     "radius": (None, jnp.float32),
     "spread": (None, jnp.float32),
     "kind": (None, jnp.int32),
+    "end": (None, jnp.int32),
     "one_way": (None, jnp.bool_),
 }
 
@@ -150,9 +151,10 @@ def _malformed(layout: Layout) -> list[str]:
             found.append(f"{kind}_mask must be bool of one dimension, not {mask.dtype}")
             continue
         for part, (width, dtype) in _PARTS.items():
-            if not hasattr(layout, f"{kind}_{part}"):
+            given = getattr(layout, f"{kind}_{part}", None)
+            if given is None:
                 continue
-            array = np.asarray(getattr(layout, f"{kind}_{part}"))
+            array = np.asarray(given)
             shape = mask.shape if width is None else (*mask.shape, width)
             if array.shape != shape or array.dtype != dtype:
                 found.append(

@@ -1,7 +1,8 @@
 """Layouts as JSON, for car parks drawn by hand or by other programs.
 
     {"format": "carpark_mj layout 1",
-     "bays": [{"pose": [x, y, yaw], "size": [length, width], "kind": "standard"}],
+     "bays": [{"pose": [x, y, yaw], "size": [length, width], "kind": "standard",
+               "end": "either"}],
      "walls": [{"pose": ..., "size": ..., "kind": "wall"}],
      "discs": [{"centre": [x, y], "radius": r, "kind": "pillar"}],
      "lanes": [{"pose": ..., "size": ..., "one_way": true}],
@@ -10,9 +11,10 @@
 
 Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessible`,
 `family`, `reserved`, `exit`; `wall`, `kerb`, `island`, `gate`; `pillar`, `bollard`.
-`bays`, `spawns` and `extent` are needed; `kind` is by default the first of its list,
-`one_way` true and `spread`, 0 to π, 0.1. Files of another version and invalid layouts
-(`layouts.checks`) are refused; messages about a row name its line.
+The end of a car that goes into a bay first is `either`, `nose_first` or `tail_first`.
+`bays`, `spawns` and `extent` are needed; `kind` and `end` are by default the first of
+their lists, `one_way` true and `spread`, 0 to π, 0.1. Files of another version and
+invalid layouts (`layouts.checks`) are refused; messages about a row name its line.
 """
 
 import json
@@ -25,14 +27,14 @@ import numpy as np
 
 from carpark_mj.layouts import build
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
-from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
+from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
 from carpark_mj.reading import read_text
 
 FORMAT = "carpark_mj layout 1"
 
 # Every list with the fields of its rows: how many numbers, a kind, or a truth value.
 _SCHEMA: dict[str, dict[str, Any]] = {
-    "bays": {"pose": 3, "size": 2, "kind": BayKind},
+    "bays": {"pose": 3, "size": 2, "kind": BayKind, "end": BayEnd},
     "walls": {"pose": 3, "size": 2, "kind": WallKind},
     "discs": {"centre": 2, "radius": 1, "kind": DiscKind},
     "lanes": {"pose": 3, "size": 2, "one_way": bool},
@@ -111,6 +113,8 @@ def layout_text(layout: Layout) -> str:
     """
     entries = [f'"format": "{FORMAT}"']
     for rows, schema in _SCHEMA.items():
+        if rows == "bays" and layout.bay_end is None:
+            schema = {part: form for part, form in schema.items() if part != "end"}
         row = rows.removesuffix("s")
         mask = np.asarray(getattr(layout, f"{row}_mask"))
         columns = [

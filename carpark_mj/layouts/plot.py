@@ -31,8 +31,8 @@ ARROW = 8.0  # m between the arrows of a lane
 def draw_layout(axes: Any, layout: Layout) -> None:
     """Draws one layout (no batch dimension): bays, walls, discs, lanes, spawn regions.
 
-    A bay's far end is drawn thick, arrows show the directions of lanes, and spawn
-    regions are dashed.
+    Arrows show the directions of lanes and how parked cars point, long and red where
+    only one end may go into the bay first; spawn regions are dashed.
     """
     from matplotlib.patches import Circle, Polygon
 
@@ -54,8 +54,12 @@ def draw_layout(axes: Any, layout: Layout) -> None:
         colour = DISC_COLOURS[DiscKind(int(plan.disc_kind[row]))]
         centre, radius = plan.disc_centre[row], plan.disc_radius[row]
         axes.add_patch(Circle(centre, radius, fc=colour, ec="none"))
-    for x, y, yaw in plan.bay_pose[plan.bay_mask]:
-        _arrow(axes, x, y, yaw, 0.8, "#888888")
+    one_way = plan.bay_mask & (False if plan.bay_end is None else plan.bay_end > 0)
+    parked_pose = np.asarray(layout.parked_pose)
+    for bay in np.flatnonzero(plan.bay_mask):
+        colour, length = ("#c0392b", 2.0) if one_way[bay] else ("#888888", 0.8)
+        x, y, yaw = parked_pose[bay]
+        _arrow(axes, x, y, yaw, length, colour)
     for row in np.flatnonzero(plan.lane_mask):
         x, y, yaw = plan.lane_pose[row]
         count = max(int(plan.lane_size[row, 0] / ARROW), 1)

@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.geometry import wrap_angle
+
 
 class BayKind(enum.IntEnum):
     """Whom a bay is for."""
@@ -21,6 +23,14 @@ class BayKind(enum.IntEnum):
     FAMILY = 2
     RESERVED = 3  # for parked cars: no agent's goal while another bay is free
     EXIT = 4  # a lane out of the lot, goal of cars that leave: `GoalConfig.drive_out`
+
+
+class BayEnd(enum.IntEnum):
+    """Which end of a car goes into a bay first."""
+
+    EITHER = 0
+    NOSE_FIRST = 1
+    TAIL_FIRST = 2
 
 
 class WallKind(enum.IntEnum):
@@ -69,6 +79,7 @@ class Layout:
         spawn_mask: (..., regions) bool.
         extent: (..., 2) half width in x and half width in y of the whole lot, about
             the origin [m].
+        bay_end: (..., bays) int32, `BayEnd`; None = either end in every bay.
     """
 
     bay_pose: jax.Array
@@ -92,6 +103,7 @@ class Layout:
     spawn_spread: jax.Array
     spawn_mask: jax.Array
     extent: jax.Array
+    bay_end: jax.Array | None = None
 
     @property
     def num_bays(self) -> int:
@@ -102,6 +114,28 @@ class Layout:
     def goal_mask(self) -> jax.Array:
         """(..., bays) bool, the bays that fixed goals are drawn from."""
         return self.bay_mask & (self.bay_kind != BayKind.RESERVED)
+
+    @property
+    def parked_pose(self) -> jax.Array:
+        """(..., bays, 3) how a car stands in the middle of each bay.
+
+        That is `bay_pose`, its tail in the bay's far end; turned where it must be the
+        nose.
+        """
+        if self.bay_end is None:
+            return self.bay_pose
+        yaw = self.bay_pose[..., 2]
+        turned = wrap_angle(yaw + jnp.pi)
+        yaw = jnp.where(self.bay_end == BayEnd.NOSE_FIRST, turned, yaw)
+        return jnp.asarray(self.bay_pose).at[..., 2].set(yaw)
+
+    @property
+    def one_way(self) -> jax.Array | None:
+        """(..., bays) bool, whether cars must stand as `parked_pose`; None = nowhere.
+
+        Elsewhere they may stand the other way round, too.
+        """
+        return None if self.bay_end is None else self.bay_end != BayEnd.EITHER
 
 
 # Kinds of rows: the first part of a field's name.
@@ -117,12 +151,16 @@ class Maxima:
     discs: int
     lanes: int
     spawns: int
+    bay_ends: bool = False  # whether `Layout.bay_end` is an array
 
 
 def layout_maxima(layouts: Iterable[Layout]) -> Maxima:
     """The fewest rows that hold every one of the layouts (arrays or their shapes)."""
     counts = [
-        [getattr(layout, f"{kind}_mask").shape[-1] for kind in ROWS]
+        (
+            *(getattr(layout, f"{kind}_mask").shape[-1] for kind in ROWS),
+            layout.bay_end is not None,
+        )
         for layout in layouts
     ]
     return Maxima(*(max(column) for column in zip(*counts, strict=True)))
@@ -134,13 +172,16 @@ def pad_layout(layout: Layout, maxima: Maxima) -> Layout:
     Raises:
         ValueError: the layout has more rows than that.
     """
-    rows = dict(zip(ROWS, dataclasses.astuple(maxima), strict=True))
+    rows = {kind: getattr(maxima, f"{kind}s") for kind in ROWS}
+    if maxima.bay_ends and layout.bay_end is None:
+        either = jnp.full(layout.bay_mask.shape, BayEnd.EITHER, jnp.int32)
+        layout = dataclasses.replace(layout, bay_end=either)
     changes = {}
     for field in dataclasses.fields(layout):
         kind = field.name.split("_")[0]
-        if kind not in rows:
-            continue
         array = getattr(layout, field.name)
+        if kind not in rows or array is None:
+            continue
         extra = rows[kind] - array.shape[0]
         if extra < 0:
             raise ValueError(

@@ -23,7 +23,7 @@ from carpark_mj.mdp.spawning.poses import (
     spawn_shapes,
     split_redraws,
 )
-from carpark_mj.mdp.tracked_bays import target_pose, update_tracked_bays
+from carpark_mj.mdp.tracked_bays import target_bay, update_tracked_bays
 from carpark_mj.observations.tracking import bays_in_view, tracks
 from carpark_mj.types import NO_BAY, Events, GoalEvents, State
 
@@ -80,11 +80,11 @@ class ChosenGoals:
         goal = jnp.where(state.active, chosen, state.goal)
         return dataclasses.replace(state, goal=goal)
 
-    def target_pose(self, state: State) -> jax.Array:
-        """Poses (num_agents, 3) of goals, or of the nearest bay tracked."""
+    def target_bay(self, state: State) -> jax.Array:
+        """(num_agents,) goals, or the nearest bay tracked."""
         tracked, xy = state.tracked_bays, state.motion.xy
         assert tracked is not None
-        return target_pose(state.layout, state.goal, tracked, xy)[0]
+        return target_bay(state.layout, state.goal, tracked, xy)[0]
 
     def update(
         self, before: State, after: State, events: Events

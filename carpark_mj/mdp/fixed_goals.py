@@ -244,9 +244,9 @@ class FixedGoals:
         del choice
         return state
 
-    def target_pose(self, state: State) -> jax.Array:
-        """Poses (num_agents, 3) of the goals."""
-        return state.layout.bay_pose[state.goal]
+    def target_bay(self, state: State) -> jax.Array:
+        """The goals (num_agents,)."""
+        return state.goal
 
     def update(self, before: State, after: State, events: Events) -> tuple[State, None]:
         """Goals stay as they are."""

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.progress import goal_potential
-from carpark_mj.mdp.tracked_bays import target_pose
+from carpark_mj.mdp.tracked_bays import target_bay
 from carpark_mj.types import NO_BAY, GoalEvents, Transition
 
 GOAL_TERMS = (
@@ -75,13 +75,21 @@ def chosen_progress(config: EnvConfig, transition: Transition) -> jax.Array:
     tracked, weights = before.tracked_bays, config.reward
     assert tracked is not None
     pose, after_pose = before.motion.pose_w, transition.after.motion.pose_w
-    old, _ = target_pose(layout, before.goal, tracked, pose[:, :2])
-    new, any_bay = target_pose(layout, transition.goal, tracked, pose[:, :2])
+    old, _ = target_bay(layout, before.goal, tracked, pose[:, :2])
+    new, any_bay = target_bay(layout, transition.goal, tracked, pose[:, :2])
     exploring = transition.goal == NO_BAY
+    one_way = layout.one_way
+
+    def potential(pose: jax.Array, bay: jax.Array) -> jax.Array:
+        only = None if one_way is None else one_way[bay]
+        return goal_potential(weights, pose, layout.parked_pose[bay], one_way=only)
+
     # Of an explorer's nearest bay at the end: another may have become that.
-    end = jnp.where(exploring[:, None], transition.target_pose, new)
-    start = goal_potential(weights, pose, new)
-    moved = goal_potential(weights, after_pose, end) - start
+    ended = goal_potential(
+        weights, after_pose, transition.target_pose, one_way=transition.one_way
+    )
+    start = potential(pose, new)
+    moved = jnp.where(exploring, ended, potential(after_pose, new)) - start
     moved = jnp.where(exploring, jnp.minimum(moved, 0.0), moved)
-    switched = start - goal_potential(weights, pose, old)
+    switched = start - potential(pose, old)
     return jnp.where(any_bay, moved + jnp.minimum(switched, 0.0), 0.0)

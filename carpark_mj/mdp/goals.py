@@ -50,8 +50,8 @@ class Goals(Protocol):
         """Goals as the agents (num_agents,) choose them at the start of a step."""
         ...
 
-    def target_pose(self, state: State) -> jax.Array:
-        """What each agent heads for, (num_agents, 3); see `Transition.target_pose`."""
+    def target_bay(self, state: State) -> jax.Array:
+        """What each agent heads for, (num_agents,); see `Transition.target_pose`."""
         ...
 
     def update(

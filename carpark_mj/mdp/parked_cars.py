@@ -63,7 +63,7 @@ def stand_in_bay(
 
 def poses_in_bays(layout: Layout, cars: ParkedCars) -> jax.Array:
     """Poses (num_parked_cars, 3) of parked cars in their bays; `AWAY` if absent."""
-    pose = layout.bay_pose[cars.bay]
+    pose = layout.parked_pose[cars.bay]
     if cars.offset is not None:
         size = layout.bay_size[cars.bay]
         pose = stand_in_bay(pose, size, cars.size, cars.offset)

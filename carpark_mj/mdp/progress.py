@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, RewardConfig
-from carpark_mj.geometry import axis_angle_error, move_forward, norm, reeds_shepp_length
+from carpark_mj.geometry import heading_error, move_forward, norm, reeds_shepp_length
 from carpark_mj.types import CarParameters as Car
 from carpark_mj.types import Motion
 
@@ -17,28 +17,35 @@ def goal_potential(
     pose_w: jax.Array,
     goal_pose: jax.Array,
     distance: jax.Array | None = None,
+    one_way: jax.Array | None = None,
 ) -> jax.Array:
     """Potential (...) of a pose: minus the weighted distance and misalignment to go.
 
     Progress terms are differences of this (undiscounted), so that no closed loop pays.
-    The misalignment with the bay's axis, either way round, counts more the nearer the
-    goal is.
+    The misalignment with the bay's axis, either way round if either end may go in
+    first, counts more the nearer the goal is.
 
     Args:
         weights: of distance and misalignment.
         pose_w: (..., 3).
         goal_pose: (..., 3).
         distance: (...) length of the way to go [m]; None = straight.
+        one_way: (...) bool, see `Transition.one_way`.
     """
     if distance is None:
         distance = norm(pose_w[..., :2] - goal_pose[..., :2])
-    misalignment = axis_angle_error(pose_w[..., 2] - goal_pose[..., 2])
+    misalignment = heading_error(pose_w[..., 2] - goal_pose[..., 2], one_way)
     fading = jnp.exp(-distance / weights.alignment_range)
     return -(weights.progress * distance + weights.alignment * misalignment * fading)
 
 
 def mix_in_maneuver(
-    reach: float, distance: jax.Array, car: Car, motion: Motion, goal_pose: jax.Array
+    reach: float,
+    distance: jax.Array,
+    car: Car,
+    motion: Motion,
+    goal_pose: jax.Array,
+    one_way: jax.Array | None = None,
 ) -> jax.Array:
     """Ways to go (...) [m] near the goal as a car has to drive them.
 
@@ -48,15 +55,17 @@ def mix_in_maneuver(
         car: (...) parameters.
         motion: (...) of the cars.
         goal_pose: (..., 3).
+        one_way: (...) bool, see `Transition.one_way`.
     """
     radius = car.wheelbase / jnp.tan(car.max_steering)
     back = -car.centre_offset
     start = move_forward(motion.pose_w, back)
     turned = goal_pose + jnp.array([0.0, 0.0, jnp.pi])
-    length = jnp.minimum(
-        reeds_shepp_length(start, move_forward(goal_pose, back), radius),
-        reeds_shepp_length(start, move_forward(turned, back), radius),
-    )
+    length = reeds_shepp_length(start, move_forward(goal_pose, back), radius)
+    other = reeds_shepp_length(start, move_forward(turned, back), radius)
+    if one_way is not None:
+        other = jnp.where(one_way, jnp.inf, other)
+    length = jnp.minimum(length, other)
     width = jnp.maximum(0.75 * reach, 1e-6)  # a reach of 0 is nowhere, not NaN
     share = jnp.clip((reach - distance) / width, 0.0, 1.0)
     return distance + share * (length - distance)

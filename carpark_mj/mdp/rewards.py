@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.geometry import axis_angle_error, norm
+from carpark_mj.geometry import heading_error, norm
 from carpark_mj.layouts.lanes import has_lanes
 from carpark_mj.layouts.routes import way_to
 from carpark_mj.layouts.types import Layout
@@ -114,8 +114,10 @@ def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax
         distance = way_to(state.routes, state.layout, motion.xy, goal).length
     if not _is_off(weights.reeds_shepp):
         car = transition.before.physics.vehicle
-        distance = mix_in_maneuver(weights.reeds_shepp, distance, car, motion, target)
-    return goal_potential(weights, motion.pose_w, target, distance)
+        distance = mix_in_maneuver(
+            weights.reeds_shepp, distance, car, motion, target, transition.one_way
+        )
+    return goal_potential(weights, motion.pose_w, target, distance, transition.one_way)
 
 
 def _is_off(weight: float) -> bool:
@@ -143,7 +145,8 @@ def _drive_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Arr
     )
     nearer = is_nearer(before.xy, after.xy, target[:, :2])
     turn = used.turn * used.speed if weights.smoothness_by_speed else used.turn
-    across = axis_angle_error(after.pose_w[..., 2] - target[..., 2]) / (math.pi / 2)
+    off = heading_error(after.pose_w[..., 2] - target[..., 2], transition.one_way)
+    across = off / (math.pi / 2)
     terms = {
         "park": weights.park * events.parked,
         "final_speed": -weights.final_speed * events.parked * used.speed,

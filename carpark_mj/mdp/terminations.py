@@ -4,13 +4,18 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import PARKED_RULES, EpisodeConfig
-from carpark_mj.geometry import axis_angle_error, box_inside, norm, rotate
+from carpark_mj.geometry import axis_angle_error, box_inside, norm, rotate, wrap_angle
+from carpark_mj.layouts.types import BayEnd
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.types import NO_BAY, Events, Motion, State
 
 
 def is_parked(
-    rule: str, motion: Motion, bay_pose: jax.Array, bay_size: jax.Array
+    rule: str,
+    motion: Motion,
+    bay_pose: jax.Array,
+    bay_size: jax.Array,
+    bay_end: jax.Array | None = None,
 ) -> jax.Array:
     """Whether cars (...) stand parked in bays under a named rule, `PARKED_RULES`.
 
@@ -19,6 +24,8 @@ def is_parked(
         motion: of the cars (...).
         bay_pose: (..., 3) each car's goal.
         bay_size: (..., 2) [m].
+        bay_end: (...) int32, `BayEnd`: the wrong way round no rule holds; None = either
+            end in all of them.
     """
     limits = PARKED_RULES[rule]
     parked = jnp.ones(motion.pose_w.shape[:-1], bool)
@@ -42,6 +49,11 @@ def is_parked(
     if limits.heading is not None:
         heading = axis_angle_error(motion.pose_w[..., 2] - bay_pose[..., 2])
         parked = parked & (heading < limits.heading)
+    if bay_end is not None:
+        nose_first = bay_end == BayEnd.NOSE_FIRST
+        wanted = bay_pose[..., 2] + jnp.where(nose_first, jnp.pi, 0.0)
+        off = jnp.abs(wrap_angle(motion.pose_w[..., 2] - wanted))
+        parked = parked & ((bay_end == BayEnd.EITHER) | (off < jnp.pi / 2))
     if limits.speed is not None:
         speed = norm(motion.velocity_b)
         parked = parked & (speed < limits.speed)
@@ -72,7 +84,8 @@ def detect_events(
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
-    in_bay = is_parked(config.parked_rule, motion, bay_pose, bay_size)
+    bay_end = None if layout.bay_end is None else layout.bay_end[goal]
+    in_bay = is_parked(config.parked_rule, motion, bay_pose, bay_size, bay_end)
     in_bay = in_bay & alive & (goal != NO_BAY)
     shared = jnp.tril(goal[:, None] == goal, k=-1)
     in_bay = in_bay & ~(shared & in_bay).any(axis=1)

@@ -75,10 +75,10 @@ def track_bays(
     return jnp.min(jnp.where(here, bay, NO_BAY), axis=2).astype(jnp.int32)
 
 
-def target_pose(
+def target_bay(
     layout: Layout, goal: jax.Array, tracked_bays: jax.Array, xy: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Pose of each agent's goal or, while it explores, of the nearest bay it tracks.
+    """Each agent's goal or, while it explores, the nearest bay it tracks.
 
     Args:
         layout: the lot.
@@ -87,11 +87,11 @@ def target_pose(
         xy: (num_agents, 2) centres of the agents [m].
 
     Returns:
-        Poses (num_agents, 3), and (num_agents,) bool, whether there is such a bay.
+        (num_agents,) int32, and (num_agents,) bool, whether there is such a bay.
     """
     rows = jnp.minimum(tracked_bays, layout.num_bays - 1)
     gap = norm(layout.bay_pose[rows, :2] - xy[:, None])
     rank = jnp.argmin(jnp.where(tracked_bays != NO_BAY, gap, jnp.inf), axis=1)
     near = jnp.take_along_axis(tracked_bays, rank[:, None], axis=1)[:, 0]
     bay = jnp.where(goal != NO_BAY, goal, near)
-    return layout.bay_pose[jnp.minimum(bay, layout.num_bays - 1)], bay != NO_BAY
+    return jnp.minimum(bay, layout.num_bays - 1), bay != NO_BAY

@@ -61,7 +61,7 @@ def localise_bays(
         `BAY_FIELDS` (num_agents, count, k).
     """
     room = layout.bay_size[bays] - motion.size[:, None]
-    values = localise(motion.pose_w, layout.bay_pose[bays], room, bays != NO_BAY)
+    values = localise(motion.pose_w, layout.parked_pose[bays], room, bays != NO_BAY)
     distance = jnp.minimum(norm(values["position"]), FARTHEST)[..., None]
     return values | {"distance": distance}
 

@@ -154,7 +154,7 @@ def _shared_values(
         code = bay_fields.goal_code(state.goal[index], bays)
         shared["goal"] = jax.nn.one_hot(code, bays.shape[1] + 2)
     elif config.share.goals:
-        goal_pose = state.layout.bay_pose[state.goal]
+        goal_pose = state.layout.parked_pose[state.goal]
         local = to_local(motion.pose_w[:, None], goal_pose[index])
         shared["goal"] = far(local[..., :2])
         if config.share.goal_headings:

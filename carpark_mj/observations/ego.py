@@ -104,7 +104,7 @@ def own_goal(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.A
         goal: (num_agents,) bays.
     """
     goal_pose, goal_size = layout.bay_pose[goal], layout.bay_size[goal]
-    local = to_local(motion.pose_w, goal_pose)
+    local = to_local(motion.pose_w, layout.parked_pose[goal])
     inverse = to_local(goal_pose, motion.pose_w)
     xy = local[..., :2]
     return {

@@ -42,7 +42,7 @@ def index_values(
     """
     motion = observed(state)
     level = jnp.round(speed_level(grid, ctrl_dt, motion.speed)) + grid.max_reverse
-    goal_pose = state.layout.bay_pose[state.goal]
+    goal_pose = state.layout.parked_pose[state.goal]
     bearing = bearing_index(grid, to_local(motion.pose_w, goal_pose))
     values = {"level": level[:, None], "bearing": bearing[:, None]}
     return values | ring_counts(config.rings, state)

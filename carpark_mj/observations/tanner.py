@@ -97,7 +97,7 @@ def tanner_values(
         bays = jnp.where(seen, tracked, NO_BAY)
         own = goal_code(goal[:, None], tracked)
         values["goal_choice"] = own / (tracked.shape[1] + 1)
-    parts = _describe(grid, motion.pose_w[:, None], layout.bay_pose[bays])
+    parts = _describe(grid, motion.pose_w[:, None], layout.parked_pose[bays])
     nearest, claim = rivals(layout, motion.xy, goal, bays)
     parts["nearest_agent"] = nearest / DIAGONAL
     parts["claim"] = jnp.where(jnp.isinf(claim), -1.0, claim / DIAGONAL)
@@ -174,7 +174,7 @@ def _describe_cars(
     level = jnp.concatenate([level, none + grid.max_reverse])
     parts["speed"] = level[index] / grid.num_levels
     if state.tracked_bays is None:
-        theirs = _describe(grid, pose, state.layout.bay_pose[goal])
+        theirs = _describe(grid, pose, state.layout.parked_pose[goal])
         for name, value in theirs.items():
             parts[f"goal_{name}"] = jnp.concatenate([value, none - 1.0])[index]
     else:

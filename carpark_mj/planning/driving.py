@@ -38,7 +38,7 @@ class Sight(NamedTuple):
         pose: (3,) of the footprint's centre.
         speed: signed [m/s].
         steering: [rad].
-        goal: (3,) the bay's middle.
+        goal: the bay's middle, see `search`.
         car: what it drives.
         solids: what stands still.
         others: (k, 3) poses and (k, 2) sizes of the other agents.

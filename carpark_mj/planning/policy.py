@@ -115,8 +115,11 @@ def _callback(act: Callable[[dict[str, Any]], np.ndarray]) -> Any:
 def _look(state: State) -> dict[str, jax.Array]:
     """What the planner reads of lots (...)."""
     layout, vehicle = state.layout, state.physics.vehicle
+    one_way = layout.one_way
+    if one_way is None:
+        one_way = jnp.zeros(layout.bay_mask.shape, bool)
     goal = jnp.take_along_axis(
-        layout.bay_pose, state.goal[..., None], axis=-2, mode="clip"
+        layout.parked_pose, state.goal[..., None], axis=-2, mode="clip"
     )
     parameters = [getattr(vehicle, name) for name in PlannerCar._fields[2:]]
     return {
@@ -127,6 +130,7 @@ def _look(state: State) -> dict[str, jax.Array]:
         "steering": state.motion.steering,
         "size": state.motion.size,
         "goal": goal,
+        "one_way": jnp.take_along_axis(one_way, state.goal, axis=-1, mode="clip"),
         "car": jnp.concatenate([vehicle.size, jnp.stack(parameters, axis=-1)], axis=-1),
         "box_pose": jnp.concatenate([layout.wall_pose, state.parked_cars.pose_w], -2),
         "box_size": jnp.concatenate([layout.wall_size, state.parked_cars.size], -2),
@@ -153,12 +157,13 @@ def _solids(lot: dict[str, np.ndarray]) -> Solids:
 def _sight(seen: dict[str, np.ndarray], lot: int, agent: int, solids: Solids) -> Sight:
     pose = seen["pose"][lot].astype(float)
     others = np.arange(len(pose)) != agent
+    goal = seen["goal"][lot, agent].astype(float)
     return Sight(
         begins=bool(seen["begins"][lot, agent]),
         pose=pose[agent],
         speed=float(seen["speed"][lot, agent]),
         steering=float(seen["steering"][lot, agent]),
-        goal=seen["goal"][lot, agent].astype(float),
+        goal=goal[None] if seen["one_way"][lot, agent] else goal,
         car=PlannerCar(*seen["car"][lot, agent].astype(float).tolist()),
         solids=solids,
         others=(pose[others], seen["size"][lot][others].astype(float)),

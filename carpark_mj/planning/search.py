@@ -82,7 +82,7 @@ def search(
 
     Args:
         start: (3,) pose of the footprint's centre.
-        goal: (3,) of the bay's middle, either way round.
+        goal: (3,) of the bay's middle, either way round; (1, 3) if only that way.
         solids: what to keep clear of.
         car: that drives.
         extent: (2,) half widths of the lot [m].
@@ -98,7 +98,7 @@ def search(
     for clearance in config.clearances:
         size = car.length + 2 * clearance, car.width + 2 * clearance
         space = FreeSpace(solids, size, extent)
-        if not (space.is_free(*start) and space.is_free(*goal)):
+        if not (space.is_free(*start) and space.is_free(*np.atleast_2d(goal)[0])):
             continue
         here = car.rear_axle(start)
         tasks = [_Task(here, car.rear_axle(goals)) for goals in (ways, ways[::-1])]
@@ -116,7 +116,9 @@ def search(
 
 
 def _ways(goal: np.ndarray) -> np.ndarray:
-    """Both ways round in a bay (2, 3), the same two whichever is given as the goal."""
+    """Ways round in a bay (n, 3), the same two whichever is given as the goal."""
+    if goal.ndim == 2:
+        return np.array([[*way[:2], _wrap(way[2])] for way in goal])
     return np.array(
         sorted([*goal[:2], _wrap(goal[2] + turn)] for turn in (0.0, math.pi))
     )

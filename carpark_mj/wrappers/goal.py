@@ -21,6 +21,7 @@ from carpark_mj.config.checks import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import rotate
+from carpark_mj.layouts import BayEnd
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations import make_fields
@@ -229,9 +230,14 @@ def pose_features(motion: Motion) -> jax.Array:
 
 
 def _desired(state: State) -> jax.Array:
-    """Features (1, 6) of the goal: in its middle, at rest, nose in."""
-    x, y, yaw = jnp.moveaxis(state.layout.bay_pose[state.goal], -1, 0)
+    """Features (1, 6) of the goal: in its middle, at rest, nose in if it may be."""
+    layout = state.layout
+    x, y, yaw = jnp.moveaxis(layout.bay_pose[state.goal], -1, 0)
     zero = jnp.zeros_like(x)
     # A bay's heading is that of a car that has backed in.
-    features = [x / POSITION, y / POSITION, zero, zero, -jnp.cos(yaw), -jnp.sin(yaw)]
+    cos, sin = -jnp.cos(yaw), -jnp.sin(yaw)
+    if layout.bay_end is not None:
+        tail_first = layout.bay_end[state.goal] == BayEnd.TAIL_FIRST
+        cos, sin = jnp.where(tail_first, -cos, cos), jnp.where(tail_first, -sin, sin)
+    features = [x / POSITION, y / POSITION, zero, zero, cos, sin]
     return jnp.stack(features, axis=-1)

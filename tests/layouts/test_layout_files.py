@@ -88,7 +88,7 @@ def test_layouts_are_written_and_read_bit_for_bit(config, tmp_path):
         mask = getattr(layout, f"{kind}_mask")
         assert getattr(back, f"{kind}_mask").all()
         for name in (n for n in vars(layout) if n.startswith(f"{kind}_")):
-            if name != f"{kind}_mask":
+            if name != f"{kind}_mask" and getattr(layout, name) is not None:
                 before, after = getattr(layout, name)[mask], getattr(back, name)
                 if name.endswith("pose"):  # yaw is wrapped again, to 3e-7 rad
                     np.testing.assert_array_equal(after[:, :2], before[:, :2])
@@ -306,7 +306,10 @@ def test_where_a_case_lies_makes_no_difference(shift, tmp_path):
         )
         for dx, dy in ((0.0, 0.0), shift)
     )
-    for name, value in vars(here).items():
+    for name, value in jax.device_get(vars(here)).items():
+        if value is None:
+            assert getattr(there, name) is None
+            continue
         np.testing.assert_allclose(getattr(there, name), value, atol=1e-5, err_msg=name)
 
 

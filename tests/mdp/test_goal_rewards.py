@@ -22,7 +22,7 @@ from carpark_mj.config import (
 from carpark_mj.layouts import Maxima, pad_layout
 from carpark_mj.mdp.goal_rewards import GOAL_TERMS, chosen_progress, goal_terms
 from carpark_mj.mdp.rewards import reward_terms, term_names
-from carpark_mj.mdp.tracked_bays import target_pose
+from carpark_mj.mdp.tracked_bays import target_bay
 from carpark_mj.types import NO_BAY
 
 # Five bays in a row, 4 m apart, and as many bays' worth of padding.
@@ -44,7 +44,7 @@ def step(config, goals, tracked, before, after, **more):
     """A step in which goals (before, after) are chosen among tracked bays."""
     old, new = (jnp.asarray(goal, jnp.int32) for goal in goals)
     tracked = jnp.broadcast_to(jnp.array(tracked), (config.num_agents, len(tracked)))
-    aim = target_pose(ROW, new, tracked, after.xy)[0]
+    aim = ROW.bay_pose[target_bay(ROW, new, tracked, after.xy)[0]]
     made = transition(
         config, ROW, before, after, {"tracked_bays": tracked}, target_pose=aim, **more
     )

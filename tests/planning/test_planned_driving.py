@@ -71,7 +71,8 @@ def test_no_two_agents_lots_or_plans_are_searched_with_the_same_numbers(monkeypa
         return np.broadcast_to(np.asarray(value), (*counts, *np.shape(value)))
 
     of_agents = {"active": True, "begins": False, "speed": 0.0, "steering": 0.0}
-    of_agents |= {"goal": (0.0, 5.0, 0.0), "car": CAR, "size": (CAR.length, CAR.width)}
+    of_agents |= {"goal": (0.0, 5.0, 0.0), "one_way": False, "car": CAR}
+    of_agents |= {"size": (CAR.length, CAR.width)}
     seen = {name: each(value, lots, agents) for name, value in of_agents.items()}
     seen |= {
         name: np.zeros((lots, 0, size))

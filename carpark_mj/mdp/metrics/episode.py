@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.geometry import axis_angle_error, norm
+from carpark_mj.geometry import heading_error, norm
 from carpark_mj.layouts.lanes import has_lanes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.metrics.tallies import first_tallies, fold_tallies, measure
@@ -83,7 +83,9 @@ def episode_metrics(
         "gear_changes": stats.gear_changes,
         "invalid_actions": stats.invalid_actions,
         "final_distance": norm(pose_w[..., :2] - target[..., :2]),
-        "final_heading": axis_angle_error(pose_w[..., 2] - target[..., 2]),
+        "final_heading": heading_error(
+            pose_w[..., 2] - target[..., 2], transition.one_way
+        ),
         "final_speed": jnp.abs(transition.after.motion.speed),
     }
     if stats.wrong_way is not None:

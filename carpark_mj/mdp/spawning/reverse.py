@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
 from carpark_mj.geometry import box_inside, norm, wrap_angle
+from carpark_mj.layouts.types import BayEnd
 from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, Surroundings
 from carpark_mj.types import CarParameters
@@ -81,6 +82,8 @@ def reverse_pose(
     layout, goal = inputs.layout, placing.goal[agent]
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
     size = inputs.cars.size[agent]
+    if layout.bay_end is not None:
+        draws = parked_right(draws, layout.bay_end[goal])
     ways = ways_out(inputs.cars, agent, bay_pose, draws)
 
     blocked = around.blocks(ways.reshape(-1, 3), size + 2 * MARGIN)
@@ -97,6 +100,13 @@ def reverse_pose(
     # Without a bay for the new car the old one is kept, whose size may be another.
     good = clear & out & alone & placing.found[agent]
     return way[pick(good, draws.point)], good.any()
+
+
+def parked_right(draws: ReverseDraws, end: jax.Array) -> ReverseDraws:
+    """Draws of ways out of a bay, all from a car whose `BayEnd` () is the right one."""
+    nose_out = jnp.where(end == BayEnd.NOSE_FIRST, 0.0, draws.nose_out)
+    nose_out = jnp.where(end == BayEnd.TAIL_FIRST, 1.0, nose_out)
+    return draws._replace(nose_out=nose_out)
 
 
 def ways_out(
