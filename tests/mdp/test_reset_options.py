@@ -212,6 +212,12 @@ def test_physics_that_cannot_roll_refuses_speeds_only():
         def init(self, pose_w, vehicle):
             return self._physics.init(pose_w, vehicle)
 
+        def step(self, state, controls):
+            return self._physics.step(state, controls)
+
+        def read(self, state):
+            return self._physics.read(state)
+
     env = ParkingEnv(SMALL, physics=Still(ParkingEnv(SMALL).physics))
     reset = jax.jit(env.reset)
     reset(jax.random.key(0), options=FIRST.replace(speed=None))
