@@ -8,28 +8,42 @@ The object holds constants only; everything that changes is in `State`.
 import copy
 import dataclasses
 import math
+import reprlib
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
-from carpark_mj.config.checks import require_kind
+from carpark_mj.config.checks import require_choice, require_kind
 from carpark_mj.episodes import Episodes, StepKeys
 from carpark_mj.fleet.checks import check_cars, check_exits, check_occupancy, check_room
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import check_randomization
-from carpark_mj.layouts import Layout, generate_member, layout_config, make_layout
+from carpark_mj.layouts import (
+    Layout,
+    generate_member,
+    layout_config,
+    make_layout,
+    member_shares,
+)
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.mdp import actions, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.mdp.goals import make_goals
+from carpark_mj.mdp.reset_options import (
+    ResetOptions,
+    check_starts,
+    read_reset_options,
+)
 from carpark_mj.mdp.wrong_way import drives_wrong_way
 from carpark_mj.observations import observation_size, observe, rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics
-from carpark_mj.precision import full_float32, require_float32
+from carpark_mj.precision import float32_only, is_real, require_float32
+from carpark_mj.pytrees import own_buffers
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
@@ -153,6 +167,7 @@ class ParkingEnv:
         split: Split = "train",
         member: jax.Array | None = None,
         num_present: jax.Array | None = None,
+        options: ResetOptions | None = None,
     ) -> tuple[State, jax.Array]:
         """Starts a lot: its layout if it is random, parked cars, goals and agents.
 
@@ -163,23 +178,30 @@ class ParkingEnv:
             member: () int32 which member of a mixture the lot is of; drawn if None.
             num_present: () int32 how many agents the lot has, from 1 to `num_agents`;
                 drawn if None, see `EnvConfig.min_agents`.
+            options: start poses, speeds and goals that are given, not drawn. Traced
+                ones that cannot be are not refused: a car that begins in another has
+                crashed after the first step.
 
         Returns:
             The state and the observations (num_agents, observation_size).
 
         Raises:
-            TypeError: no key of JAX, as a seed.
-            ValueError: another number of agents, where it is not traced.
+            TypeError: no key of JAX, as a seed, or other options.
+            ValueError: an unknown split; where they are not traced another number of
+                agents, no such member, or options with which the lot cannot begin.
         """
         if not isinstance(key, jax.Array):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise TypeError(f"key must be as jax.random.key(0) gives, not {key!r}")
+        require_choice("split", split, Split)
+        members = len(member_shares(self.layout_config))
+        _require_index("member", member, 0, members - 1)
         if self._layout is not None:
-            return self.reset_to_layout(self._layout, key, num_present)
+            return self.reset_to_layout(self._layout, key, num_present, options)
         key, layout_key = jax.random.split(key)
         layout = self.draw_layout(layout_key, split, member)
-        return self.reset_to_layout(layout, key, num_present)
+        return self.reset_to_layout(layout, key, num_present, options)
 
-    @full_float32
+    @float32_only
     def draw_layout(
         self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
     ) -> Layout:
@@ -187,20 +209,23 @@ class ParkingEnv:
         key = lot_key(lot_number(split, key))
         return generate_member(self.layout_config, member, key)
 
-    @full_float32
+    @float32_only
     def reset_to_layout(
-        self, layout: Layout, key: jax.Array, num_present: jax.Array | None = None
+        self,
+        layout: Layout,
+        key: jax.Array,
+        num_present: jax.Array | None = None,
+        options: ResetOptions | None = None,
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have enough bays for cars and goals."""
-        is_known = not isinstance(num_present, Tracer | None)
-        if is_known and not 1 <= int(num_present) <= self.num_agents:
-            raise ValueError(
-                f"num_present must lie in [1, {self.num_agents}], not {num_present}"
-            )
-        state = self._episodes.begin_lot(layout, key, num_present)
-        return state, observe(self.config, state)
+        _require_index("num_present", num_present, 1, self.num_agents)
+        given = read_reset_options(self.config, options)
+        state = self._episodes.begin_lot(layout, key, num_present, given)
+        if given and not _is_traced((state, given)):
+            check_starts(self.config, given, state)
+        return own_buffers(state), observe(self.config, state)
 
-    @full_float32
+    @float32_only
     def step(
         self, state: State, action: jax.Array, hitbox_scale: jax.Array | None = None
     ) -> tuple[State, TimeStep]:
@@ -218,8 +243,14 @@ class ParkingEnv:
 
         Raises:
             ValueError: an action of another shape.
+            TypeError: no state, or an action that is no array of real numbers.
         """
+        require_kind("state", state, State)
         shape = (self.config.num_agents, self.action_spec.size)
+        if not is_real(action):
+            raise TypeError(
+                f"action must be an array of real numbers, not {reprlib.repr(action)}"
+            )
         given = jnp.shape(action)
         if given != shape:
             raise ValueError(f"action must be of shape {shape}, not {given}")
@@ -257,7 +288,7 @@ class ParkingEnv:
             final_observation = None
             if config.episode.final_observation:
                 final_observation = observe(config, self.goals.track(after))
-        return state, TimeStep(
+        return own_buffers(state), TimeStep(
             observation=observation,
             reward=jnp.sum(jnp.stack(list(terms.values())), axis=0),
             terminated=events.parked | events.crashed,
@@ -301,6 +332,19 @@ class ParkingEnv:
         stop = drive.stopping_action(state.motion.speed)
         stop = jnp.pad(stop, ((0, 0), (0, len(spec.choices))))
         return jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
+
+
+def _require_index(name: str, value: Any, least: int, most: int) -> None:
+    """Refuses what is no whole number () within bounds, where it is not traced."""
+    whole = isinstance(value, int) or (is_real(value) and value.dtype.kind in "iu")
+    if value is not None and not (whole and jnp.ndim(value) == 0):
+        raise ValueError(f"{name} must be a whole number, not {value!r}")
+    if not isinstance(value, Tracer | None) and not least <= int(value) <= most:
+        raise ValueError(f"{name} must lie in [{least}, {most}], not {value}")
+
+
+def _is_traced(tree: Any) -> bool:
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def _freeze(

@@ -25,6 +25,7 @@ from carpark_mj.mdp.parked_cars import (
     poses_in_bays,
     relocate_parked_cars,
 )
+from carpark_mj.mdp.reset_options import ResetOptions, given_goals, has_pose
 from carpark_mj.mdp.spawning.placing import (
     SURE,
     Patience,
@@ -34,7 +35,7 @@ from carpark_mj.mdp.spawning.placing import (
 )
 from carpark_mj.mdp.spawning.room import has_room
 from carpark_mj.observations import rings, sensors
-from carpark_mj.physics.base import Physics, where_cars
+from carpark_mj.physics.base import Physics, RollingStarts, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
 from carpark_mj.vehicle import Vehicle, VehicleParameters
 
@@ -93,7 +94,11 @@ class Episodes:
         )
 
     def begin_lot(
-        self, layout: Layout, key: jax.Array, num_present: jax.Array | None = None
+        self,
+        layout: Layout,
+        key: jax.Array,
+        num_present: jax.Array | None = None,
+        options: ResetOptions | None = None,
     ) -> State:
         """Begins a lot: parked cars, goals and agents.
 
@@ -101,6 +106,7 @@ class Episodes:
             layout: of the lot.
             key: consumed.
             num_present: () int32 how many agents it has, at least 1; drawn if None.
+            options: starts that are given.
         """
         config = self._config
         num_agents = config.num_agents
@@ -116,7 +122,7 @@ class Episodes:
             present = jnp.arange(num_agents) < num_present
         key, vehicle_key, sensor_key = self._split(key)
         key, start_key, spawn_key = jax.random.split(key, 3)
-        start = self._fleet.start(layout, start_key, present)
+        start = self._fleet.start(layout, start_key, present, options)
         vehicles = randomize_all(config.randomization, start.vehicles, vehicle_key)
         inputs = self._spawn_inputs(layout, start.parked_cars, vehicles, vehicles)
         bay = start.parked_cars.bay
@@ -128,7 +134,12 @@ class Episodes:
         nowhere = jnp.zeros((num_agents, 3), jnp.float32)
         nowhere = place_absent_agents(nowhere, jnp.zeros(num_agents, bool))
         begun = everybody if present is None else present
-        placing = start_placing(goal, bay, nowhere, begun)
+        waiting = begun
+        if options is not None and options.pose is not None:
+            given = begun & has_pose(options)
+            nowhere = jnp.where(given[:, None], options.pose, nowhere)
+            waiting = begun & ~given
+        placing = start_placing(goal, bay, nowhere, waiting)
         first_key = None
         if config.spawn.kinds_at_reset:
             spawn_key, first_key = jax.random.split(spawn_key)
@@ -137,6 +148,9 @@ class Episodes:
             self._goals.place_first, inputs, placing, spawn_key, patience
         )
         goal, waited = placing.goal, None
+        if config.goals.drive_out:  # goals given come before those of drawn starts
+            given = given_goals(options, num_agents)
+            goal = jnp.where(begun & (given != NO_BAY), given, goal)
         if self._may_wait:
             present = begun & ~placing.waiting
             if config.episode.respawn:
@@ -145,6 +159,8 @@ class Episodes:
                 goal = jnp.where(present, goal, NO_BAY)
         pose_w = placing.pose_w
         physics = self._physics.init(pose_w, vehicles)
+        if options is not None and options.speed is not None:
+            physics = self._roll(physics, options.speed)
         physics = self._physics.set_parked_poses(physics, start.parked_cars.pose_w)
         motion = self._physics.read(physics)
         state = State(
@@ -165,6 +181,13 @@ class Episodes:
             routes=make_routes(layout) if config.follows_routes else None,
         )
         return self._goals.begin(state, placing, state.active, first_key)
+
+    def _roll(self, physics: PhysicsState, speed: jax.Array) -> PhysicsState:
+        """Cars that begin at speeds (num_agents,) [m/s]; at rest where NaN."""
+        if not isinstance(self._physics, RollingStarts):
+            name = type(self._physics).__name__
+            raise ValueError(f"options.speed needs physics with set_speed, not {name}")
+        return self._physics.set_speed(physics, jnp.where(jnp.isnan(speed), 0, speed))
 
     def end(self, state: State, events: Events, keys: StepKeys) -> State:
         """Ends the episodes of agents that are done.

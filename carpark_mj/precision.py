@@ -9,9 +9,19 @@ from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+def is_real(value: object) -> bool:
+    """Whether a value is an array of real numbers; truth values are 0 and 1."""
+    kinds = jnp.bool_, jnp.integer, jnp.floating
+    return isinstance(value, jax.Array | np.ndarray | np.generic) and any(
+        jnp.issubdtype(value.dtype, kind) for kind in kinds
+    )
 
 
 def require_float32() -> None:
@@ -27,6 +37,18 @@ def require_float32() -> None:
             "environments and policies compute in float32: jax_enable_x64 must be "
             "False, not True"
         )
+
+
+def float32_only(function: Callable[P, R]) -> Callable[P, R]:
+    """As `full_float32`; refuses to run where JAX has been switched to float64."""
+    full = full_float32(function)
+
+    @functools.wraps(function)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        require_float32()
+        return full(*args, **kwargs)
+
+    return wrapped
 
 
 def full_float32(function: Callable[P, R]) -> Callable[P, R]:

@@ -284,23 +284,6 @@ def test_a_traced_reach_of_0_is_no_reach():
     np.testing.assert_allclose(pay(jnp.float32(0.0))[1].reward, expected, atol=1e-6)
 
 
-def test_float64_is_refused_where_an_environment_is_built():
-    with jax.enable_x64(True), pytest.raises(ValueError, match="must be False, not T"):
-        ParkingEnv()
-
-
-def test_a_seed_is_no_key():
-    with pytest.raises(TypeError, match=r"key must be as jax.random.key\(0\) gives, n"):
-        slide()[0].reset(0)
-
-
-@pytest.mark.parametrize("count", [0, 4, jnp.int32(4)])
-def test_a_lot_has_as_many_agents_as_there_can_be(count):
-    env = slide()[0]
-    with pytest.raises(ValueError, match=r"num_present must lie in \[1, 3\], not "):
-        env.reset(jax.random.key(0), num_present=count)
-
-
 def test_parking_pays_and_crashing_costs_what_the_config_says():
     weights = reward_preset("shaped")
     _, _, _, timestep = ending("parked")

@@ -14,7 +14,7 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 
 # The floors of the house, from the ground: a room imports those below it only.
 FLOORS = (
-    ("precision", "config", "files", "reading"),
+    ("precision", "pytrees", "config", "files", "reading"),
     ("geometry",),
     ("layouts",),
     ("types", "vehicle"),

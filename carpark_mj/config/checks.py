@@ -1,12 +1,13 @@
 """Refusals in one sentence, shared by the configs."""
 
 import dataclasses
+import functools
 import math
 import numbers
 import reprlib
-from collections.abc import Iterable
-from types import NoneType
-from typing import Any, get_args
+from collections.abc import Callable, Iterable
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
 # JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
@@ -40,11 +41,19 @@ def require_count(name: str, value: Any, minimum: int) -> None:
     _require_representable(name, value)
 
 
+def require_finite(config: object, *names: str) -> None:
+    """Refuses attributes that are NaN or infinite, in float32; None is allowed."""
+    for name in names:
+        value = getattr(config, name)
+        if value is not None and not (is_finite(value) and abs(value) <= LARGEST):
+            raise ValueError(f"{name} must be finite, not {value}")
+
+
 def require_at_least(config: object, minimum: float, *names: str) -> None:
     """Refuses attributes below a minimum, too large for JAX, or no numbers."""
     for name in names:
         value = getattr(config, name)
-        if not (_is_finite(value) and value >= minimum):
+        if not (is_finite(value) and value >= minimum):
             raise ValueError(f"{name} must be at least {minimum}, not {value}")
         _require_representable(name, value)
 
@@ -53,7 +62,7 @@ def require_positive(config: object, *names: str) -> None:
     """Refuses attributes that are not positive, or too large or small for JAX."""
     for name in names:
         value = getattr(config, name)
-        if not (_is_finite(value) and value > 0):
+        if not (is_finite(value) and value > 0):
             raise ValueError(f"{name} must be positive, not {value}")
         if value < SMALLEST:
             raise ValueError(f"{name} must be at least {SMALLEST:.3g}, not {value}")
@@ -72,19 +81,17 @@ def require_ratio(config: object, *names: str) -> None:
     """Refuses attributes outside [0, 1]."""
     for name in names:
         value = getattr(config, name)
-        if not (_is_finite(value) and 0.0 <= value <= 1.0):
+        if not (is_finite(value) and 0.0 <= value <= 1.0):
             raise ValueError(f"{name} must lie in [0, 1], not {value}")
 
 
-def require_range(name: str, value: Any, least: float, most: float) -> None:
-    """Refuses what is no `Range` of finite numbers within bounds.
+def require_range(name: str, value: Range, least: float, most: float) -> None:
+    """Refuses a range that is empty, not finite or not within bounds.
 
     Raises:
         ValueError: naming the value and what is allowed.
     """
-    # Ranges are part of a config's hash, so no lists.
-    good = isinstance(value, tuple) and len(value) == 2
-    good = good and all(isinstance(x, int | float) and math.isfinite(x) for x in value)
+    good = all(map(math.isfinite, value))
     if not (good and least <= value[0] <= value[1] <= most):
         within = f" within [{least:.4g}, {most:.4g}]" if math.isfinite(most) else ""
         raise ValueError(
@@ -102,23 +109,11 @@ def require_within(
     """
     for name in names:
         value = getattr(config, name)
-        if not (_is_finite(value) and least <= value <= most):
+        if not (is_finite(value) and least <= value <= most):
             raise ValueError(
                 f"{name} must lie within [{least:g}, {most:g}] {unit}, not {value}: "
                 f"it is in {unit}"
             )
-
-
-def require_kinds(config: object, **kinds: Any) -> None:
-    """Refuses attributes that are no instances of the named types.
-
-    Raises:
-        ValueError: naming the attribute, its value and the type.
-    """
-    for name, kind in kinds.items():
-        value = getattr(config, name)
-        if not isinstance(value, kind):
-            raise ValueError(f"{name} must be of {_kind_names(kind)}, not {value!r}")
 
 
 def require_kind(name: str, value: object, kind: Any) -> None:
@@ -147,22 +142,89 @@ def require_unset(config: Any, where: str, *names: str) -> None:
             )
 
 
-def require_plain(config: Any, path: str = "") -> None:
-    """Refuses lists and what is declared `bool` but is none, in nested configs too.
+class CheckedConfig:
+    """Base of configs: every field is of the type that it declares.
 
-    Configs are hashed, by JAX as static arguments, and lists cannot be.
+    A config with checks of its own makes them after `super().__post_init__()`.
+    """
+
+    def __post_init__(self) -> None:
+        require_types(self)
+
+
+def require_types(config: Any, **hints: Any) -> None:
+    """Refuses attributes of a dataclass that are not of the types they declare.
+
+    Numbers may be NumPy's, truth values are no numbers, and lists no tuples: configs
+    are hashed, by JAX as static arguments.
+
+    Args:
+        config: the dataclass.
+        **hints: other types than those declared, by field.
 
     Raises:
-        ValueError: naming the attribute and its value.
+        ValueError: naming the attribute, its value and what is allowed.
     """
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if field.type is bool and type(value) is not bool:
-            raise ValueError(f"{path}{field.name} must be True or False, not {value!r}")
-        if isinstance(value, list):
-            raise ValueError(f"{path}{field.name} must be a tuple, not {value}")
-        if dataclasses.is_dataclass(value):
-            require_plain(value, f"{path}{field.name}.")
+    for name, hint in (_declared(type(config)) | hints).items():
+        require_type(name, getattr(config, name), hint)
+
+
+def require_type(name: str, value: Any, hint: Any) -> None:
+    """Refuses a value that is not of a declared type, see `require_types`."""
+    if _is_of(value, hint):
+        return
+    choices = [x for x in (hint, *get_args(hint)) if get_origin(x) is Literal]
+    if isinstance(value, str) and choices:
+        require_choice(name, value, choices[0])
+    raise ValueError(f"{name} must be {_describe(hint)}, not {reprlib.repr(value)}")
+
+
+@functools.cache
+def _declared(cls: Any) -> dict[str, Any]:
+    """Types of the fields of a dataclass, by name."""
+    hints = get_type_hints(cls)
+    return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
+
+
+# How types are called, and of what else their values may be.
+_NAMES = {
+    bool: "True or False",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Callable: "a function",
+    NoneType: "None",
+}
+_NUMBERS = {int: numbers.Integral, float: numbers.Real}
+
+
+def _is_of(value: Any, hint: Any) -> bool:
+    """Whether a value is of a declared type, items of tuples included."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_is_of(value, part) for part in parts)
+    if origin is Literal:
+        return any(type(value) is type(part) and value == part for part in parts)
+    if origin is tuple:
+        if not isinstance(value, tuple):
+            return False
+        items = parts[:1] * len(value) if parts[-1] is ... else parts
+        return len(value) == len(items) and all(map(_is_of, value, items))
+    kind: Any = _NUMBERS.get(hint, origin or hint)
+    return isinstance(value, kind) and (hint is bool or type(value) is not bool)
+
+
+def _describe(hint: Any) -> str:
+    """What a declared type allows."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return " or ".join(map(_describe, parts))
+    if origin is Literal:
+        return f"one of {sorted(parts)}"
+    if origin is tuple:
+        length = "" if parts[-1] is ... else f" of {len(parts)}"
+        return f"a tuple{length}, each item {_describe(parts[0])}"
+    return _NAMES.get(origin or hint, f"of {getattr(hint, '__name__', hint)}")
 
 
 def _kind_names(kind: Any) -> str:
@@ -170,7 +232,7 @@ def _kind_names(kind: Any) -> str:
     return " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
 
 
-def _is_finite(value: Any) -> bool:
+def is_finite(value: Any) -> bool:
     """Whether a value is a finite number."""
     if type(value) is bool or not isinstance(value, numbers.Real):
         return False

@@ -5,10 +5,8 @@ from typing import Literal
 
 from carpark_mj.config.checks import (
     Range,
-    require_choice,
-    require_kinds,
-    require_plain,
     require_range,
+    require_types,
     require_whole,
 )
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
@@ -104,24 +102,7 @@ class EnvConfig:
             raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
         for name in self.layout.split(",") if isinstance(self.layout, str) else ():
             require_layout(name)
-        require_choice("physics", self.physics, PhysicsName)
-        require_kinds(
-            self,
-            fleet=FleetConfig,
-            jitter=JitterConfig,
-            sim=SimConfig,
-            grid=GridConfig,
-            goals=GoalConfig,
-            giving_way=GivingWayConfig,
-            spawn=SpawnConfig,
-            episode=EpisodeConfig,
-            reward=RewardConfig,
-            observation=Observation,
-            randomization=RandomizationConfig,
-            sensors=SensorConfig,
-            metrics=MetricsConfig,
-        )
-        require_plain(self)
+        require_types(self, layout=LayoutConfig | str)
         require_whole(self, 1, "num_agents")
         if self.min_agents is not None:
             require_whole(self, 1, "min_agents")

@@ -3,11 +3,11 @@
 import dataclasses
 import math
 
-from carpark_mj.config.checks import Range, require_range
+from carpark_mj.config.checks import CheckedConfig, Range, require_range
 
 
 @dataclasses.dataclass(frozen=True)
-class FleetConfig:
+class FleetConfig(CheckedConfig):
     """Vehicle presets to draw cars from; an empty list means `EnvConfig.vehicle`.
 
     Attributes:
@@ -23,6 +23,7 @@ class FleetConfig:
     parked_weights: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for names, weights in (
             ("agents", "agent_weights"),
             ("parked_cars", "parked_weights"),
@@ -43,7 +44,7 @@ class FleetConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class JitterConfig:
+class JitterConfig(CheckedConfig):
     """Ranges of parked cars' poses in their bays and of their sizes; none by default.
 
     Drawn for every parked car when the lot is reset and kept when it changes its bay.
@@ -62,6 +63,7 @@ class JitterConfig:
     scale: Range = (1.0, 1.0)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         # Beyond a quarter turn a car faces the other way; below half or above twice
         # its size it is another kind of car.
         for name, least, most in (

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal, get_args
 
-from carpark_mj.config.checks import require_choice
+from carpark_mj.config.checks import CheckedConfig
 
 Scheme = Literal["L,L,S", "L,L,A", "G,L,S", "G,L,A", "G,G,S", "G,G,A"]
 ContextName = Literal[
@@ -29,7 +29,7 @@ _ENFORCED: dict[str, ContextName] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class GivingWayConfig:
+class GivingWayConfig(CheckedConfig):
     """Asks agents to give up goals that another agent is nearer to.
 
     A scheme (a, b, c) of Tanner 2022 is written "a,b,c". With a = G the
@@ -48,8 +48,7 @@ class GivingWayConfig:
     bad_goal: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.scheme is not None:
-            require_choice("scheme", self.scheme, Scheme)
+        super().__post_init__()
         if not (math.isfinite(self.bad_goal) and self.bad_goal <= 0.0):
             raise ValueError(f"bad_goal must be at most 0, not {self.bad_goal}")
         if self.scheme is None and self.bad_goal:

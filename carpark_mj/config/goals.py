@@ -1,15 +1,14 @@
 """Who chooses the goals, the environment or the agents, and what choosing is worth."""
 
 import dataclasses
-import math
 
-from carpark_mj.config.checks import require_kinds, require_whole
+from carpark_mj.config.checks import CheckedConfig, require_finite, require_whole
 
 TOLERANCE = 1e-9  # by which (3.5) may fail, for 0.1 + 0.2 is not 0.3
 
 
 @dataclasses.dataclass(frozen=True)
-class GoalConfig:
+class GoalConfig(CheckedConfig):
     """How agents come to their goals.
 
     Attributes:
@@ -31,12 +30,12 @@ class GoalConfig:
     drive_out: bool = False
 
     def __post_init__(self) -> None:
-        require_kinds(self, slots_by_distance=bool, may_repeat=bool, drive_out=bool)
+        super().__post_init__()
         require_whole(self, 1, "num_tracked_bays")
 
 
 @dataclasses.dataclass(frozen=True)
-class GoalRewards:
+class GoalRewards(CheckedConfig):
     """Rewards for what agents do with dynamic goals.
 
     They are signed rewards of a step, not divided by the episode length. The defaults
@@ -64,10 +63,8 @@ class GoalRewards:
     taken_goal: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if value is not None and not math.isfinite(value):
-                raise ValueError(f"{field.name} must be finite, not {value}")
+        super().__post_init__()
+        require_finite(self, *(field.name for field in dataclasses.fields(self)))
 
     @property
     def stop(self) -> float:

@@ -2,13 +2,13 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import require_kinds, require_whole
+from carpark_mj.config.checks import CheckedConfig, require_whole
 
 WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
 
 
 @dataclasses.dataclass(frozen=True)
-class GridConfig:
+class GridConfig(CheckedConfig):
     """The velocity motion model on a grid; the defaults are those of the study's PPO.
 
     Attributes:
@@ -34,7 +34,7 @@ class GridConfig:
     turn_at_rest: bool = False
 
     def __post_init__(self) -> None:
-        require_kinds(self, turn_at_rest=bool)
+        super().__post_init__()
         numbers = {f.name for f in dataclasses.fields(self)} - {"turn_at_rest"}
         require_whole(self, 1, *sorted(numbers))
         if 2 * self.max_turn >= self.headings:

@@ -3,6 +3,8 @@
 import abc
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from carpark_mj.config.checks import CheckedConfig
+
 # Layouts given by name alone; `carpark_mj.layouts` defines them.
 LayoutName = Literal[
     "angled",
@@ -46,7 +48,7 @@ def require_layout(name: str) -> None:
         )
 
 
-class LayoutConfig(abc.ABC):
+class LayoutConfig(CheckedConfig, abc.ABC):
     """Base of the configs in `carpark_mj.layouts`, one frozen dataclass per family.
 
     Attributes:

@@ -2,9 +2,11 @@
 
 import dataclasses
 
+from carpark_mj.config.checks import CheckedConfig
+
 
 @dataclasses.dataclass(frozen=True)
-class MetricsConfig:
+class MetricsConfig(CheckedConfig):
     """Optional measurements, which cost time in every step; see `docs/metrics.md`.
 
     The outcome, return, length, path and final errors are always measured. Evaluation

@@ -4,7 +4,11 @@ import dataclasses
 import math
 from typing import Literal
 
-from carpark_mj.config.checks import require_choice, require_positive, require_whole
+from carpark_mj.config.checks import (
+    CheckedConfig,
+    require_positive,
+    require_whole,
+)
 from carpark_mj.config.grid import WORLD_UNIT
 
 BayPart = Literal["heading", "distance", "bearing"]
@@ -12,7 +16,7 @@ BAY_PARTS: tuple[BayPart, ...] = ("heading", "distance", "bearing")
 
 
 @dataclasses.dataclass(frozen=True)
-class RingConfig:
+class RingConfig(CheckedConfig):
     """Circles about the car that count the objects they touch; none by default.
 
     Attributes:
@@ -29,6 +33,7 @@ class RingConfig:
     history: int = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if any(not (math.isfinite(d) and d > 0) for d in self.diameters):
             raise ValueError(f"ring diameters must be positive, not {self.diameters}")
         if len({f"{d:g}" for d in self.diameters}) < len(self.diameters):
@@ -41,7 +46,7 @@ class RingConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class ViewConfig:
+class ViewConfig(CheckedConfig):
     """Where other cars and free bays are tracked; in the whole lot by default.
 
     Attributes:
@@ -54,6 +59,7 @@ class ViewConfig:
     diameter: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0.0 < self.field_of_view <= 360.0:
             raise ValueError(
                 f"field_of_view must lie in (0, 360] deg, not {self.field_of_view}"
@@ -69,7 +75,7 @@ class ViewConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class ShareConfig:
+class ShareConfig(CheckedConfig):
     """What agents observe of the other agents they track, in addition to their poses.
 
     Attributes:
@@ -89,12 +95,13 @@ class ShareConfig:
     order: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.goal_headings and not self.goals:
             raise ValueError("share.goal_headings needs share.goals")
 
 
 @dataclasses.dataclass(frozen=True)
-class RayConfig:
+class RayConfig(CheckedConfig):
     """Bearings along which the free way is observed; none by default.
 
     Attributes:
@@ -108,12 +115,13 @@ class RayConfig:
     reach: float = 10.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_whole(self, 0, "count")
         require_positive(self, "reach")
 
 
 @dataclasses.dataclass(frozen=True)
-class ContinuousObservation:
+class ContinuousObservation(CheckedConfig):
     """Real numbers of order 1, listed in `carpark_mj.observations.continuous`.
 
     Attributes:
@@ -149,12 +157,12 @@ class ContinuousObservation:
     encoding: Literal["continuous"] = "continuous"
 
     def __post_init__(self) -> None:
-        require_choice("encoding", self.encoding, Literal["continuous"])
+        super().__post_init__()
         require_whole(self, 0, "tracked_agents", "tracked_parked_cars")
 
 
 @dataclasses.dataclass(frozen=True)
-class TannerObservation:
+class TannerObservation(CheckedConfig):
     """The vector of Tanner 2022's PPO, `carpark_mj.observations.tanner`.
 
     The defaults are those of tables C.9 and C.10: 11 numbers.
@@ -181,10 +189,8 @@ class TannerObservation:
     encoding: Literal["tanner"] = "tanner"
 
     def __post_init__(self) -> None:
-        require_choice("encoding", self.encoding, Literal["tanner"])
+        super().__post_init__()
         require_whole(self, 0, "tracked_cars")
-        for part in self.bay_parts:
-            require_choice("bay part", part, BayPart)
         if len(set(self.bay_parts)) < len(self.bay_parts):
             raise ValueError(f"bay_parts must be different, not {self.bay_parts}")
         for name in ("steering", "order"):
@@ -193,7 +199,7 @@ class TannerObservation:
 
 
 @dataclasses.dataclass(frozen=True)
-class IndexObservation:
+class IndexObservation(CheckedConfig):
     """Integers that index a table, as in the study's Q-learning on the grid.
 
     See `carpark_mj.observations.indices`. Goals must be fixed.
@@ -205,9 +211,6 @@ class IndexObservation:
 
     rings: RingConfig = dataclasses.field(default_factory=RingConfig)
     encoding: Literal["indices"] = "indices"
-
-    def __post_init__(self) -> None:
-        require_choice("encoding", self.encoding, Literal["indices"])
 
 
 Observation = ContinuousObservation | TannerObservation | IndexObservation

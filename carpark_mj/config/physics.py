@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import require_choice, require_positive
+from carpark_mj.config.checks import CheckedConfig, require_positive
 
 Surface = Literal["dry", "wet", "ice"]
 TyresName = Literal["brush", "contact"]
@@ -15,7 +15,7 @@ MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
 
 
 @dataclasses.dataclass(frozen=True)
-class SimConfig:
+class SimConfig(CheckedConfig):
     """Time steps and ground of the physics.
 
     Attributes:
@@ -44,9 +44,7 @@ class SimConfig:
     surface: Surface = "dry"
 
     def __post_init__(self) -> None:
-        require_choice("tyres", self.tyres, TyresName)
-        require_choice("surface", self.surface, Surface)
-        require_choice("stepper", self.stepper, StepperName)
+        super().__post_init__()
         require_positive(self, "sim_dt", "ctrl_dt", "trace_dt")
         ratio = self.ctrl_dt / self.sim_dt
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:

@@ -3,13 +3,13 @@
 import dataclasses
 import math
 
-from carpark_mj.config.checks import Range, require_range
+from carpark_mj.config.checks import CheckedConfig, Range, require_range
 
 ADDED = ("steering_offset", "steering_lag")  # to the nominal value, which may be 0
 
 
 @dataclasses.dataclass(frozen=True)
-class RandomizationConfig:
+class RandomizationConfig(CheckedConfig):
     """Ranges of what differs between cars, drawn at every spawn; nothing by default.
 
     In `bicycle` physics only `mass`, `brake_gain` and what is added to the steering
@@ -37,6 +37,7 @@ class RandomizationConfig:
     steering_lag: Range = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, value in self.ranges().items():
             require_range(f"randomization.{name}", value, -math.inf, math.inf)
 

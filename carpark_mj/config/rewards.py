@@ -3,14 +3,19 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import require_at_least, require_choice, require_positive
+from carpark_mj.config.checks import (
+    CheckedConfig,
+    require_at_least,
+    require_choice,
+    require_positive,
+)
 from carpark_mj.config.goals import GoalRewards
 
 RewardName = Literal["shaped", "tanner"]
 
 
 @dataclasses.dataclass(frozen=True)
-class RewardConfig:
+class RewardConfig(CheckedConfig):
     """Weights of the terms of `carpark_mj.mdp.rewards`.
 
     All weights are non-negative, and 0 disables a term. Each says whether its term is a
@@ -71,6 +76,7 @@ class RewardConfig:
     goals: GoalRewards = dataclasses.field(default_factory=GoalRewards)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         other = ("goals", "route", "smoothness_by_speed")
         names = [f.name for f in dataclasses.fields(self) if f.name not in other]
         require_at_least(self, 0.0, *names)

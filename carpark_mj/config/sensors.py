@@ -2,11 +2,11 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import require_at_least, require_whole
+from carpark_mj.config.checks import CheckedConfig, require_at_least, require_whole
 
 
 @dataclasses.dataclass(frozen=True)
-class SensorConfig:
+class SensorConfig(CheckedConfig):
     """Errors of what agents observe of the cars' motion; none by default.
 
     Attributes:
@@ -25,6 +25,7 @@ class SensorConfig:
     delay_max: int = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
         require_whole(self, 0, "delay_min")
         require_whole(self, self.delay_min, "delay_max")

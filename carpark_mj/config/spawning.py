@@ -5,9 +5,8 @@ import math
 from typing import Literal
 
 from carpark_mj.config.checks import (
+    CheckedConfig,
     require_at_least,
-    require_choice,
-    require_kinds,
     require_ratio,
     require_whole,
 )
@@ -16,7 +15,7 @@ RelocationRule = Literal["furthest", "random", "any"]
 
 
 @dataclasses.dataclass(frozen=True)
-class SpawnConfig:
+class SpawnConfig(CheckedConfig):
     """Where agents start an episode, and which parked car moves when one has parked.
 
     Attributes:
@@ -57,6 +56,7 @@ class SpawnConfig:
     kinds_at_reset: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_ratio(self, "close_ratio", "crash_ratio", "reverse_ratio")
         ratios = (self.close_ratio, self.crash_ratio, self.reverse_ratio)
         if math.fsum(ratios) > 1.0:
@@ -68,5 +68,3 @@ class SpawnConfig:
         require_at_least(self, 0.0, *distances)
         require_whole(self, 1, "num_candidates")
         require_whole(self, 0, "max_redraws")
-        require_kinds(self, kinds_at_reset=bool)
-        require_choice("relocation", self.relocation, RelocationRule)

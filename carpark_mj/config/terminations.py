@@ -7,10 +7,10 @@ from types import MappingProxyType
 from typing import Any
 
 from carpark_mj.config.checks import (
+    CheckedConfig,
     require_at_least,
     require_kind,
     require_name,
-    require_plain,
     require_positive,
     require_whole,
 )
@@ -18,7 +18,7 @@ from carpark_mj.config.grid import WORLD_UNIT
 
 
 @dataclasses.dataclass(frozen=True)
-class ParkedRule:
+class ParkedRule(CheckedConfig):
     """When a car counts as parked in its goal; all limits must hold, None = any.
 
     Attributes:
@@ -49,13 +49,11 @@ class ParkedRule:
     slack: float = 0.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         limits = ("offset", "distance", "from_end", "heading", "speed")
         given = [name for name in limits if getattr(self, name) is not None]
         require_positive(self, *given)
         require_at_least(self, 0.0, "slack")
-        require_plain(self)
-        if not (self.test is None or callable(self.test)):
-            raise ValueError(f"test must be a function, not {self.test!r}")
         if not (given or self.inside_lines or self.test):
             raise ValueError(
                 f"a parked rule must have a limit, one of {', '.join(limits)}, "
@@ -108,7 +106,7 @@ def require_rule(name: str) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class EpisodeConfig:
+class EpisodeConfig(CheckedConfig):
     """When an agent's episode ends.
 
     Attributes:
@@ -130,6 +128,7 @@ class EpisodeConfig:
     final_observation: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_rule(self.parked_rule)
         require_whole(self, 1, "max_steps")
         require_positive(self, "hitbox_scale")

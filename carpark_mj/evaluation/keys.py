@@ -1,5 +1,7 @@
 """Keys of trainings and of evaluations with the same seed, which never meet."""
 
+import numbers
+
 import jax
 
 MAX_SEED = 2**32 - 1  # what a key takes; others would be taken modulo 2**32
@@ -9,8 +11,10 @@ def require_seed(seed: int) -> None:
     """Refuses a seed that no key can have.
 
     Raises:
-        ValueError: it is negative or too large.
+        ValueError: it is negative or too large, or no whole number.
     """
+    if type(seed) is bool or not isinstance(seed, numbers.Integral):
+        raise ValueError(f"seed must be a whole number, not {seed!r}")
     if not 0 <= seed <= MAX_SEED:
         raise ValueError(f"seed must lie in [0, {MAX_SEED}], not {seed}")
 

@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.config.checks import is_finite, require_count
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row, summarize
-from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.evaluation.keys import evaluation_key, require_seed
 from carpark_mj.layouts import member_shares
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.types import State
@@ -114,10 +115,11 @@ class Evaluator:
         Raises:
             ValueError: no episodes, or no time.
         """
-        if num_episodes < 1:
-            raise ValueError(f"num_episodes must be at least 1, not {num_episodes}")
-        if span is not None and not span > 0:
-            raise ValueError(f"span must be positive, not {span}")
+        require_count("num_episodes", num_episodes, 1)
+        require_count("num_lots", num_lots, 1)
+        require_seed(seed)
+        if span is not None and not (is_finite(span) and span > 0):
+            raise ValueError(f"span must be positive, not {span!r}")
         env = self.env
         traced = {path: jnp.float32(value) for path, value in (values or {}).items()}
         shares, counts = member_shares(env.layout_config), env.config.agent_counts

@@ -15,6 +15,7 @@ from carpark_mj.config import PARKED_RULES, EnvConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.bays import Wanted, draw_bays, fits, shuffled_bays
 from carpark_mj.mdp.parked_cars import poses_in_bays
+from carpark_mj.mdp.reset_options import ResetOptions, given_goals, kept_clear
 from carpark_mj.types import NO_BAY, ParkedCars
 from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle, preset
 from carpark_mj.vehicle.parameters import scaled
@@ -77,7 +78,11 @@ class Fleet:
         return jnp.argmin(off, axis=-1).astype(jnp.int32)
 
     def start(
-        self, layout: Layout, key: jax.Array, present: jax.Array | None = None
+        self,
+        layout: Layout,
+        key: jax.Array,
+        present: jax.Array | None = None,
+        options: ResetOptions | None = None,
     ) -> Start:
         """Draws goals, parked cars and the agents' cars of a lot.
 
@@ -85,33 +90,70 @@ class Fleet:
             layout: of the lot.
             key: consumed.
             present: (num_agents,) bool, the agents that it is to have; None = all.
+            options: what is given and not drawn.
         """
         if self._config.varies:
-            return self._start_varied(layout, key, present)
+            return self._start_varied(layout, key, present, options)
         n, m = self._config.num_agents, self._config.num_parked_cars
         goals = 0 if self._config.goals.dynamic else n
         order = shuffled_bays(layout, key)
         goal = order[:goals] if goals else self._no_goals()
         size = jnp.broadcast_to(self._size, (m, 2))
         bay = order[goals : goals + m]
+        if options is not None:
+            goal, bay = self._around_given(layout, order, options)
         parked = _in_bays(layout, bay, size, None)
         return Start(goal, parked, self._of_kind(jnp.zeros(n, jnp.int32)))
 
+    def _around_given(
+        self, layout: Layout, order: jax.Array, options: ResetOptions
+    ) -> tuple[jax.Array, jax.Array]:
+        """Goals (num_agents,) and bays (num_parked_cars,) int32 around given starts.
+
+        Args:
+            layout: of the lot.
+            order: (bays,) int32 in which bays are dealt out.
+            options: what is given.
+        """
+        clear = kept_clear(layout, options, self._size)
+        order = order[jnp.argsort(clear[order], stable=True)]  # those kept clear last
+        goal = given_goals(options, self._config.num_agents)
+        drawn = (goal == NO_BAY) & (not self._config.goals.dynamic)
+        goal = jnp.where(drawn, order[jnp.cumsum(drawn) - 1], goal)
+        place = jnp.sum(drawn) + jnp.arange(self._config.num_parked_cars)
+        free = place < jnp.sum(layout.bay_mask & ~clear)
+        return goal, jnp.where(free, order[place], NO_BAY)
+
     def _start_varied(
-        self, layout: Layout, key: jax.Array, present: jax.Array | None
+        self,
+        layout: Layout,
+        key: jax.Array,
+        present: jax.Array | None,
+        options: ResetOptions | None,
     ) -> Start:
         config = self._config
         n, m = config.num_agents, config.num_parked_cars
         goal_key, count_key, scale_key, place_key, offset_key = jax.random.split(key, 5)
+        goal_bays = jnp.broadcast_to(
+            self._goal_bays(layout), (n, len(self.agents), layout.num_bays)
+        )
+        clear = jnp.zeros(layout.num_bays, bool)
+        if options is not None:
+            clear = kept_clear(layout, options, self._kinds.size.max(axis=0))
+            given = given_goals(options, n)[:, None]
+            own = jnp.arange(layout.num_bays) == given
+            usable = jnp.where(given == NO_BAY, ~clear, own)
+            goal_bays = goal_bays & usable[:, None]
         agents = Wanted(
-            fits=jnp.broadcast_to(
-                self._goal_bays(layout), (n, len(self.agents), layout.num_bays)
-            ),
+            fits=goal_bays,
             weights=self._weights,
             cars=jnp.ones(n, bool) if present is None else present,
             anywhere=True,
         )
         kind, goal = draw_bays(agents, layout.bay_mask, goal_key)
+        if options is not None:
+            given = given_goals(options, n)
+            goal = jnp.where(given == NO_BAY, goal, given)
         if config.goals.dynamic:
             goal = self._no_goals()
         sizes = jnp.array([[p.length, p.width] for p in self.parked_cars])
@@ -122,7 +164,7 @@ class Fleet:
             cars=jnp.arange(m) < self._num_parked_cars(layout, count_key),
             anywhere=False,
         )
-        free = layout.bay_mask.at[goal].set(False, mode="drop")
+        free = layout.bay_mask.at[goal].set(False, mode="drop") & ~clear
         parked_kind, bay = draw_bays(parked, free, place_key)
         jitter, offset = config.jitter, None
         if jitter.moves:

@@ -5,9 +5,8 @@ from typing import Literal
 
 from carpark_mj.config import SimConfig
 from carpark_mj.config.checks import (
+    CheckedConfig,
     require_at_least,
-    require_choice,
-    require_kinds,
     require_positive,
     require_whole,
 )
@@ -24,7 +23,7 @@ QUEUE_GAP = 5.0  # m between the centres of cars on a lane; the longest has 4.90
 
 
 @dataclasses.dataclass(frozen=True)
-class RewardRules:
+class RewardRules(CheckedConfig):
     """What agents earn; `carpark_mj.junction.rewards` has the formula.
 
     Attributes:
@@ -38,12 +37,9 @@ class RewardRules:
     events: EventRule = "added"
     joint: bool = False
 
-    def __post_init__(self) -> None:
-        require_choice("rewards.events", self.events, EventRule)
-
 
 @dataclasses.dataclass(frozen=True)
-class RasterConfig:
+class RasterConfig(CheckedConfig):
     """The bird's-eye image.
 
     Attributes:
@@ -57,12 +53,13 @@ class RasterConfig:
     frames: int = 3
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_whole(self, 1, "pixels", "frames")
         require_positive(self, "extent")
 
 
 @dataclasses.dataclass(frozen=True)
-class JunctionConfig:
+class JunctionConfig(CheckedConfig):
     """A junction environment; defaults are the study's, with its text's rewards.
 
     Attributes:
@@ -101,17 +98,7 @@ class JunctionConfig:
     sim: SimConfig = dataclasses.field(default_factory=lambda: SimConfig(ctrl_dt=0.1))
 
     def __post_init__(self) -> None:
-        require_kinds(
-            self,
-            raster=RasterConfig,
-            rewards=RewardRules,
-            sim=SimConfig,
-            scenario=str | Scenario,
-        )
-        require_choice("cars", self.cars, CarModel)
-        require_choice("observation", self.observation, Encoding)
-        require_choice("action", self.action, ActionKind)
-        require_choice("end", self.end, EndRule)
+        super().__post_init__()
         require_whole(self, 1, "max_steps")
         require_at_least(self, 0.0, "jitter")
         for mission in self.traffic.missions:

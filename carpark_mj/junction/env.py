@@ -21,7 +21,8 @@ from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.physics.base import where_cars
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.precision import full_float32
+from carpark_mj.precision import float32_only
+from carpark_mj.pytrees import own_buffers
 from carpark_mj.vehicle import preset
 
 
@@ -92,7 +93,7 @@ class JunctionEnv:
         """One index, or one number."""
         return actions.INDEX if self.config.action == "index" else actions.SCALAR
 
-    @full_float32
+    @float32_only
     def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
         """Begins an episode.
 
@@ -108,7 +109,7 @@ class JunctionEnv:
             image = self._draw(state) if image is None else jnp.asarray(image)
             frames = jnp.repeat(image[..., None], self.config.raster.frames, axis=-1)
             state = dataclasses.replace(state, frames=frames)
-        return state, self._observe(state)
+        return own_buffers(state), self._observe(state)
 
     def _begin(self, key: jax.Array) -> State:
         """The state at the start of an episode, still without images."""
@@ -143,7 +144,7 @@ class JunctionEnv:
             state = dataclasses.replace(self._move(state, slow), step=state.step)
         return state
 
-    @full_float32
+    @float32_only
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         """Advances by one control step.
 
@@ -190,12 +191,12 @@ class JunctionEnv:
             over=~active.any(),
             final_observation=seen,
         )
-        if not config.restart:
-            return state, timestep
-        fresh, first = self.reset(state.key)
-        state = where_cars(timestep.over, fresh, state)
-        observation = jnp.where(timestep.over, first, seen)
-        return state, dataclasses.replace(timestep, observation=observation)
+        if config.restart:
+            fresh, first = self.reset(state.key)
+            state = where_cars(timestep.over, fresh, state)
+            observation = jnp.where(timestep.over, first, seen)
+            timestep = dataclasses.replace(timestep, observation=observation)
+        return own_buffers(state), timestep
 
     def _move(self, state: State, action: jax.Array) -> State:
         """The state when the cars have moved; who had finished before has left."""

@@ -44,6 +44,7 @@ class AngledConfig(LayoutConfig):
     family: str = "angled"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.as_lot()
         if self.angle[1] > 75.0:
             raise ValueError(f"angle must lie within 30 to 75 deg, not {self.angle}")

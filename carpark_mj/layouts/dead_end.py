@@ -34,6 +34,7 @@ class DeadEndConfig(TightConfig):
     family: str = "dead_end"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_ranges(self, 1, "bays_per_side")
         require_ranges(self, 2 * self.car.length, "approach")
         require_ranges(self, 0.0, "end_length")

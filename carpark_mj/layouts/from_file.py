@@ -32,6 +32,7 @@ class FromFileConfig(LayoutConfig):
     family: str = "from_file"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.path.endswith(LAYOUT_FILES):
             raise ValueError(
                 f"path must end in one of {', '.join(LAYOUT_FILES)}, not {self.path!r}"

@@ -28,6 +28,7 @@ class GarageRowConfig(TightConfig):
     family: str = "garage_row"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_ranges(self, 1, "num_bays")
         require_ranges(self, 0.0, "end_length")
         super().__post_init__()

@@ -65,6 +65,7 @@ class HopeConfig(LayoutConfig):
     family: str = "hope"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _ = self.room
 
     @property

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from carpark_mj.config import LayoutConfig
-from carpark_mj.config.checks import Range, require_at_least, require_choice
+from carpark_mj.config.checks import Range, require_at_least
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import least_lane
 from carpark_mj.layouts.ranges import IntRange, require_ranges
@@ -72,6 +72,7 @@ class LotConfig(LayoutConfig):
     family: str = "lot"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_ranges(self, 1, "num_aisles", "bays_per_row", "num_entrances")
         require_ranges(self, 30.0, "angle")
         require_ranges(self, self.car.width, "bay_width")
@@ -81,8 +82,6 @@ class LotConfig(LayoutConfig):
         require_ranges(self, 0.1, "end_width")
         require_at_least(self, 0, "num_accessible", "num_family", "pillar_every")
         require_at_least(self, 0.01, "wall_thickness")
-        require_choice("row_ends", self.row_ends, RowEnds)
-        require_choice("boundary", self.boundary, Boundary)
         if self.angle[1] > 90.0:
             raise ValueError(f"angle must be at most 90 deg, not {self.angle}")
         if self.two_way and self.angle[0] < 90.0:

@@ -47,6 +47,7 @@ class MetaDriveConfig(LayoutConfig):
     family: str = "metadrive"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if type(self.spaces) is not int or self.spaces < 4 or self.spaces % 2:
             raise ValueError(
                 f"spaces must be an even number from 4 on, not {self.spaces!r}"

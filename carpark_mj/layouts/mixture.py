@@ -34,25 +34,15 @@ class MixtureConfig(LayoutConfig):
     family: str = "mixture"
 
     def __post_init__(self) -> None:
-        for name in ("members", "weights"):
-            if not isinstance(getattr(self, name), tuple):  # hashed, so no lists
-                raise ValueError(
-                    f"{name} of a mixture must be a tuple, not {getattr(self, name)!r}"
-                )
+        super().__post_init__()
         if not self.members:
             raise ValueError("members of a mixture must be one config or more, not ()")
-        for member in self.members:
-            if not isinstance(member, LayoutConfig):  # pyright: ignore
-                raise ValueError(f"members must be layout configs, not {member!r}")
         if self.weights and len(self.weights) != len(self.members):
             raise ValueError(
                 f"weights must be one for each of the {len(self.members)} members, "
                 f"not {self.weights}"
             )
-        if any(
-            not (isinstance(w, int | float) and math.isfinite(w) and w > 0)  # pyright: ignore
-            for w in self.weights
-        ):
+        if any(not (math.isfinite(w) and w > 0) for w in self.weights):
             raise ValueError(f"weights must be positive, not {self.weights}")
 
     @property

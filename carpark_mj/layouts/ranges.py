@@ -39,23 +39,8 @@ def require_ranges(config: Any, minimum: float, *names: str) -> None:
         ValueError: naming the first bad range.
     """
     for name in names:
-        value = getattr(config, name)
-        # Ranges are part of a config's hash, so no lists.
-        if not (isinstance(value, tuple) and len(value) == 2):
+        low, high = value = getattr(config, name)
+        if not (math.isfinite(high) and minimum <= low <= high):
             raise ValueError(
-                f"{name} must be a tuple (lowest, highest value), not {value!r}"
+                f"{name} must be a range (low, high) from {minimum:g} up, not {value!r}"
             )
-        low, high = value
-        whole = "whole numbers " if _is_whole(config, name) else ""
-        kinds = int if whole else (int, float)
-        good = all(isinstance(x, kinds) and math.isfinite(x) for x in value)
-        if not (good and minimum <= low <= high):
-            raise ValueError(
-                f"{name} must be a range (low, high) of {whole or 'numbers '}from "
-                f"{minimum:g} up, not {value!r}"
-            )
-
-
-def _is_whole(config: Any, name: str) -> bool:
-    """Whether the range is declared as one of whole numbers."""
-    return config.__dataclass_fields__[name].type in (IntRange, "IntRange")

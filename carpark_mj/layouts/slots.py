@@ -68,25 +68,22 @@ class SlotsConfig(LayoutConfig):
     family: str = "slots"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_whole(self, 1, "slots_per_row")
         last = 2 * self.slots_per_row - 1
-        if self.goal_slot is not None and not (
-            isinstance(self.goal_slot, int) and 0 <= self.goal_slot <= last  # pyright: ignore[reportUnnecessaryIsInstance]
-        ):
+        if self.goal_slot is not None and not 0 <= self.goal_slot <= last:
             raise ValueError(
                 f"goal_slot must be a whole number from 0 to {last}, or random (None), "
                 f"not {self.goal_slot!r}"
             )
         require_positive(self, "half_corridor", "slot_width", "slot_length")
-        if not (isinstance(self.start, tuple) and len(self.start) == 2):  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise ValueError(f"start must be a tuple (x, y), not {self.start!r}")
         for name, value in (
             ("diagonal_shift", self.diagonal_shift),
             ("start", self.start[0]),
             ("start", self.start[1]),
             ("start_heading", self.start_heading or 0.0),
         ):
-            if not (isinstance(value, int | float) and math.isfinite(value)):  # pyright: ignore[reportUnnecessaryIsInstance]
+            if not math.isfinite(value):
                 raise ValueError(f"{name} must be finite, not {getattr(self, name)!r}")
         if self.parallel and self.diagonal_shift:
             raise ValueError(

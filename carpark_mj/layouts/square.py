@@ -45,6 +45,7 @@ class SquareConfig(LayoutConfig):
     family: str = "square"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_whole(self, 1, "bays_per_side")
         require_at_least(self, 0, "bay_width", "bay_length", "wall_gap", "block_inset")
         require_at_least(self, 0, "wall_thickness", "spawn_margin")

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from carpark_mj.config.checks import Range, require_within
+from carpark_mj.config.checks import CheckedConfig, Range, require_within
 
 FOOT = 0.3048  # m
 # Of any bay, in length and width [m]: for a motorcycle and for a lorry with a trailer.
@@ -48,7 +48,7 @@ def one_way_aisle(angle: float) -> float:
 
 
 @dataclasses.dataclass(frozen=True)
-class DesignCar:
+class DesignCar(CheckedConfig):
     """The car a lot is drawn for; by default the `compact` vehicle preset.
 
     Attributes:
@@ -66,6 +66,7 @@ class DesignCar:
     max_steering: float = math.radians(34.187)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value > 0):
@@ -111,7 +112,7 @@ Orientation = Literal["perpendicular", "parallel"]
 
 
 @dataclasses.dataclass(frozen=True)
-class TightBay:
+class TightBay(CheckedConfig):
     """Room of a hard case beyond the car's own size [m].
 
     Attributes:

@@ -55,6 +55,7 @@ class StreetConfig(LayoutConfig):
     family: str = "street"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_ranges(self, 1, "bays_per_side")
         require_ranges(self, self.car.width, "bay_width")
         require_ranges(self, self.car.length, "bay_length")

@@ -42,6 +42,7 @@ class TightConfig(LayoutConfig):
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_at_least(self, 0.01, "wall_thickness")
         entry = self._entry(0)
         require_aisle((entry.aisle, entry.aisle), entry.least(self.car))

@@ -35,6 +35,7 @@ class TpcapConfig(LayoutConfig):
     family: str = "tpcap"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         known = type(self.case) is int and self.case in NUMBERS  # True is 1, too
         if self.case is not None and not known:
             raise ValueError(

@@ -132,9 +132,9 @@ def relocate_parked_cars(
             score = score + jnp.where(tracked, 0.0, 1.0)
         else:
             score = distance
-        able = ~moved
+        able = ~moved & (bay != NO_BAY)
         if parked_fits is not None:
-            able = able & parked_fits[:, goal] & (bay != NO_BAY)
+            able = able & parked_fits[:, goal]
         car = jnp.argmax(jnp.where(able, score, -1.0))
         moves = able & (jnp.arange(bay.shape[0]) == car)
         left = waiting & (jnp.arange(waiting.shape[0]) != agent)

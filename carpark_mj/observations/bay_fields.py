@@ -22,8 +22,10 @@ BAY_FIELDS = (
         is_mask=True,
     ),
     *POSE_FIELDS,
-    Field("size", 2, 0.0, 2.0, f"length and width less own [{LENGTH:g} m]"),
-    Field("distance", 1, 0.0, FARTHEST, f"to its centre [{FAR:g} m]"),
+    Field(
+        "size", 2, 0.0, 2.0, f"length and width less own [{LENGTH:g} m]", metres=LENGTH
+    ),
+    Field("distance", 1, 0.0, FARTHEST, f"to its centre [{FAR:g} m]", metres=FAR),
 )
 RIVAL_FIELDS = (
     Field(
@@ -32,6 +34,7 @@ RIVAL_FIELDS = (
         0.0,
         FARTHEST,
         f"from it to the nearest of all agents [{FAR:g} m]",
+        metres=FAR,
     ),
     Field(
         "claim",
@@ -39,6 +42,7 @@ RIVAL_FIELDS = (
         0.0,
         FARTHEST,
         f"1 and that of the nearest with this goal [{FAR:g} m]; 0",
+        metres=FAR,
     ),
 )
 

@@ -1,5 +1,8 @@
 """The continuous encoding: real numbers of order 1 in the observer's body frame."""
 
+import dataclasses
+import math
+
 import jax
 import jax.numpy as jnp
 
@@ -34,9 +37,7 @@ def continuous_fields(
         bay = (*bay_fields.BAY_FIELDS, *rivals)
         fields += repeated("bay", num_tracked_bays, bay)
     else:
-        fields += [
-            Field(f"goal_{f.name}", f.size, f.low, f.high, f.meaning) for f in rivals
-        ]
+        fields += [dataclasses.replace(f, name=f"goal_{f.name}") for f in rivals]
     if config.lines:
         fields += ego.LINE_FIELDS
     if config.route:
@@ -110,13 +111,13 @@ def _shared_fields(config: ContinuousObservation, num_tracked_bays: int) -> list
     fields = []
     if config.share.speeds:
         meaning = "its signed speed [own forward limit]"
-        fields.append(Field("speed", 1, -1.5, 1.5, meaning))
+        fields.append(Field("speed", 1, -1.5, 1.5, meaning, speed=math.inf))
     if config.share.goals and num_tracked_bays:
         meaning = "one-hot: it explores, its goal's place among the own bays, none"
         fields.append(Field("goal", num_tracked_bays + 2, 0.0, 1.0, meaning))
     elif config.share.goals:
         meaning = f"centre of its goal, body frame [{FAR:g} m]"
-        fields.append(Field("goal", 2, -FARTHEST, FARTHEST, meaning))
+        fields.append(Field("goal", 2, -FARTHEST, FARTHEST, meaning, metres=FAR))
     if config.share.goal_headings:
         meaning = "cos and sin of its goal's minus own"
         fields.append(Field("goal_heading", 2, -1.0, 1.0, meaning))

@@ -1,5 +1,7 @@
 """What an agent observes of itself and its goal."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 
@@ -18,9 +20,9 @@ from carpark_mj.observations.fields import (
 from carpark_mj.types import CarParameters, Motion
 
 MOTION_FIELDS = (
-    Field("speed", 1, -1.5, 1.5, "own signed speed [forward limit]"),
+    Field("speed", 1, -1.5, 1.5, "own signed speed [forward limit]", speed=math.inf),
     Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
-    Field("yaw_rate", 1, -2.0, 2.0, "own yaw rate [rad/s], left > 0"),
+    Field("yaw_rate", 1, -2.0, 2.0, "own yaw rate [rad/s], left > 0", speed=1.0),
 )
 GOAL_FIELDS = (
     Field(
@@ -29,10 +31,13 @@ GOAL_FIELDS = (
         -FARTHEST,
         FARTHEST,
         f"goal centre, body frame [{FAR:g} m]",
+        metres=FAR,
     ),
     Field("goal_near", 2, -1.0, 1.0, f"goal centre, body frame [{NEAR:g} m], clipped"),
     Field("goal_heading", 2, -1.0, 1.0, "cos and sin of goal heading minus own"),
-    Field("goal_distance", 1, 0.0, FARTHEST, f"to the goal centre [{FAR:g} m]"),
+    Field(
+        "goal_distance", 1, 0.0, FARTHEST, f"to the goal centre [{FAR:g} m]", metres=FAR
+    ),
     Field("in_bay", 2, -1.0, 1.0, f"own centre, goal frame [{NEAR:g} m], clipped"),
     Field(
         "goal_size",
@@ -40,6 +45,7 @@ GOAL_FIELDS = (
         0.0,
         2.0,
         f"length and width of the goal bay less own [{LENGTH:g} m]",
+        metres=LENGTH,
     ),
 )
 LINE_FIELDS = (
@@ -59,6 +65,7 @@ ROUTE_FIELDS = (
         -FARTHEST,
         FARTHEST,
         f"where the way along the lanes turns next, body frame [{FAR:g} m]",
+        metres=FAR,
     ),
     Field(
         "route_length",
@@ -66,6 +73,7 @@ ROUTE_FIELDS = (
         0.0,
         FARTHEST,
         f"way along the lanes to the goal [{FAR:g} m]",
+        metres=FAR,
     ),
 )
 CAR_FIELDS = (

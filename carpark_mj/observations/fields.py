@@ -42,6 +42,9 @@ class Field:
             of a group have the same fields in the same order, next to each other.
         index: which of the group, from 0.
         is_mask: whether it is 1 where the entity is present, and 0 where it is not.
+        metres: scale of a length [m], whose range holds on the lot only; else 0.
+        speed: scale of a speed [m/s], or of a yaw rate [m/s per rad/s], whose range
+            holds below the speeds of a car park only; else 0.
     """
 
     name: str
@@ -52,6 +55,8 @@ class Field:
     group: Group = ""
     index: int = 0
     is_mask: bool = False
+    metres: float = 0.0
+    speed: float = 0.0
 
 
 def far(distance: jax.Array) -> jax.Array:

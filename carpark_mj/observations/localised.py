@@ -13,6 +13,7 @@ POSE_FIELDS = (
         -FARTHEST,
         FARTHEST,
         f"its centre, x and y, body frame [{FAR:g} m]",
+        metres=FAR,
     ),
     Field("near_position", 2, -1.0, 1.0, f"the same [{NEAR * 2:g} m], clipped"),
     Field("heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),

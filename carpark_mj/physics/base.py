@@ -89,6 +89,15 @@ class Physics(Protocol[S]):
         ...
 
 
+@runtime_checkable
+class RollingStarts(Protocol[S]):
+    """A back end whose cars can begin at a speed; for `ResetOptions.speed`."""
+
+    def set_speed(self, state: S, speed: jax.Array) -> S:
+        """Cars (...) as they stand, rolling straight on at speeds (...) [m/s]."""
+        ...
+
+
 def erase_state(physics: Physics[S]) -> Physics[PhysicsState]:
     """The back end for callers to whom all back ends are alike."""
     return cast(Physics[PhysicsState], physics)

@@ -62,6 +62,7 @@ class GridPhysics(FactoredPhysics[GridState]):
         require_plain_ground(sim, "grid")
         self.grid = grid
         self.ctrl_dt = sim.ctrl_dt
+        self._level_speed = grid.speed_step * grid.point_size / sim.ctrl_dt  # m/s
         turn = 2 * math.pi / grid.headings
         angle = turn * np.arange(grid.headings)
         along = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
@@ -87,6 +88,12 @@ class GridPhysics(FactoredPhysics[GridState]):
             vehicle=vehicle,
         )
 
+    def set_speed(self, state: GridState, speed: jax.Array) -> GridState:
+        """Cars (...) as they stand, at the levels nearest to speeds (...) [m/s]."""
+        level = jnp.round(speed / self._level_speed).astype(jnp.int32)
+        level = jnp.clip(level, -self.grid.max_reverse, self.grid.max_forward)
+        return dataclasses.replace(state, level=level)
+
     def step(self, state: GridState, controls: jax.Array) -> GridState:
         """Advances by one control step; `controls` (..., 2) indices."""
         grid = self.grid
@@ -105,8 +112,7 @@ class GridPhysics(FactoredPhysics[GridState]):
         """Metres and radians; the speed is the level's, before rounding to points."""
         xy = state.point * jnp.float32(self.grid.point_size)
         pose = jnp.concatenate([xy, self._yaw[state.heading][..., None]], axis=-1)
-        metres = self.grid.speed_step * self.grid.point_size / self.ctrl_dt
-        speed = state.level * jnp.float32(metres)
+        speed = state.level * jnp.float32(self._level_speed)
         still = jnp.zeros_like(speed)
         return Motion(
             pose_w=pose,

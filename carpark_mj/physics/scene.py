@@ -104,6 +104,12 @@ class ScenePhysics:
             touched=jnp.zeros((*pose_w.shape[:-1], 3), bool),
         )
 
+    def set_speed(self, state: SceneState, speed: jax.Array) -> SceneState:
+        """Agents' cars (...) rolling straight on at speeds (...) [m/s]."""
+        return dataclasses.replace(
+            state, cars=self._single.set_speed(state.cars, speed)
+        )
+
     def place(
         self, state: SceneState, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
     ) -> SceneState:

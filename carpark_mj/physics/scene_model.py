@@ -9,7 +9,7 @@ import math
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -100,8 +100,18 @@ class SceneModel:
                 for k in range(num_agents)
             ]
         )
+        self._start_workers()
+
+    def _start_workers(self) -> None:
         self._own = threading.local()
         self._workers = ThreadPoolExecutor(os.cpu_count())
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if k not in ("_own", "_workers")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._start_workers()
 
     def _addresses(self, field: str, car_size: int) -> np.ndarray:
         """Where the agents' blocks and then the parked cars' lie in qpos or qvel."""

@@ -11,7 +11,7 @@ from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
 from jax.tree_util import Partial
 
-from carpark_mj.config.checks import require_choice, require_positive, require_whole
+from carpark_mj.config.checks import CheckedConfig, require_positive, require_whole
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import OWN, ObservationSets, observation_sets
@@ -25,7 +25,7 @@ EncoderName = Literal["set", "flat"]
 
 
 @dataclasses.dataclass(frozen=True)
-class NetworkConfig:
+class NetworkConfig(CheckedConfig):
     """Sizes of the networks; activations are swish.
 
     Attributes:
@@ -48,12 +48,12 @@ class NetworkConfig:
     min_std: float = MIN_STD
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("policy_layers", "value_layers"):
             if any(size < 1 for size in getattr(self, name)):
                 raise ValueError(
                     f"{name} must be positive sizes, not {getattr(self, name)}"
                 )
-        require_choice("encoder", self.encoder, EncoderName)
         require_whole(self, 1, "own_size", "entity_size")
         require_positive(self, "min_std")
 

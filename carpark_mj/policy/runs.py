@@ -8,7 +8,6 @@ learning_curve.png, evaluation.{csv,json}, video.mp4   at the end
 """
 
 import dataclasses
-import reprlib
 import types
 import typing
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from carpark_mj.config import LayoutConfig
+from carpark_mj.config.checks import require_type
 from carpark_mj.layouts import FAMILIES
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -45,32 +45,10 @@ def from_dict(cls: Any, data: Any) -> Any:
         raise ValueError(f"{cls.__name__} has no {unknown}")
     values = {name: _value(name, hints[name], value) for name, value in data.items()}
     for name, value in values.items():
-        if not _fits(value, hints[name]):
-            kind = getattr(hints[name], "__name__", hints[name])
-            raise ValueError(f"{name} must be of {kind}, not {reprlib.repr(value)}")
+        # Of a layout, which may be a config, flags know the name only.
+        hint = LayoutConfig | str if hints[name] is str else hints[name]
+        require_type(name, value, hint)
     return cls(**values)
-
-
-def _fits(value: Any, hint: Any) -> bool:
-    """Whether a value is of an annotated type; a whole number is a float too."""
-    origin, members = typing.get_origin(hint), typing.get_args(hint)
-    if origin is typing.Literal:
-        return value in members
-    if origin in (typing.Union, types.UnionType):
-        return any(_fits(value, member) for member in members)
-    if origin is tuple:
-        if not isinstance(value, tuple):
-            return False
-        if members[1:] == (...,):
-            members = members[:1] * len(value)
-        return len(value) == len(members) and all(map(_fits, value, members))
-    if hint is float:
-        return type(value) in (int, float)
-    if hint is str:  # of a layout, which may be a config, flags know the name only
-        return isinstance(value, str | LayoutConfig)
-    return type(value) is hint or (
-        isinstance(value, hint) and not isinstance(value, bool)
-    )
 
 
 def _value(name: str, hint: Any, value: Any) -> Any:

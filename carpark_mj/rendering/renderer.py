@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import sys
 import warnings
 from typing import Any
 
@@ -46,7 +47,24 @@ class _Renderer(mujoco.Renderer):
     """MuJoCo's own, which can go on with another model in the same GL context.
 
     With a context for every lot a picture takes twice as long, and Mesa 130 MB more.
+    Any thread may use it: none keeps the EGL context.
     """
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        super().__init__(model, height=height, width=width)
+        self._release()
+
+    def render(self, *, out: np.ndarray | None = None) -> np.ndarray:
+        try:
+            return super().render(out=out)
+        finally:
+            self._release()
+
+    @staticmethod
+    def _release() -> None:
+        backend = sys.modules.get("mujoco.egl")  # if that is what MuJoCo draws with
+        if backend is not None:
+            backend.EGL.eglReleaseThread()
 
     def load(self, model: mujoco.MjModel) -> None:
         """Uploads meshes and textures of another model in place of the last one's."""
@@ -58,13 +76,14 @@ class _Renderer(mujoco.Renderer):
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr_context)
         self._scene = mujoco.MjvScene(model, self._scene.maxgeom)
         self._model = model
+        self._release()
 
 
 def _mujoco_renderer(model: mujoco.MjModel, width: int, height: int) -> _Renderer:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # GLFW says in several what fails
-            return _Renderer(model, height=height, width=width)
+            return _Renderer(model, width, height)
     except Exception as error:  # PyOpenGL and MuJoCo raise many kinds
         raise RenderingError(why_nothing_is_drawn(error)) from None
 

@@ -3,10 +3,12 @@
 All adapters build on a batch, or on the same as torch tensors (`torch_batch.py`).
 """
 
+import copy
 import dataclasses
 import functools
+import inspect
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +18,10 @@ from gymnasium.error import ResetNeeded
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_count
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.mdp.reset_options import ResetOptions, check_starts
 from carpark_mj.physics.base import where_cars
+from carpark_mj.precision import is_real
+from carpark_mj.pytrees import own_buffers
 from carpark_mj.types import State, TimeStep
 
 # Lots that are restarted together: the share of a batch that ends in a step of long
@@ -97,9 +102,21 @@ class Batch:
             raise TypeError(f"env must be an environment, as a ParkingEnv, not {kind}")
         require_count("num_lots", num_lots, 1)
         self.env: Any = env  # adapters know of which kind
-        self.num_lots = num_lots
+        self.num_lots, self._restart = num_lots, restart
         self._programs = _programs(env, restart)
         self._state: State | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if k != "_programs"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._programs = _programs(self.env, self._restart)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        other = copy.copy(self)  # environments hold constants only
+        other._state = own_buffers(self._state)
+        return other
 
     @property
     def state(self) -> State:
@@ -117,24 +134,36 @@ class Batch:
         """Shape of the actions: lots, agents, size."""
         return self.num_lots, self.env.num_agents, self.env.action_spec.size
 
-    def reset(self, seed: Seeds = None) -> jax.Array:
+    def reset(
+        self, seed: Seeds = None, options: ResetOptions | None = None
+    ) -> jax.Array:
         """Begins all lots.
 
         Args:
             seed: in [0, 2**32); lot i gets seed + i, or the i-th of a sequence. None =
                 lots go on with their own random numbers, at first unpredictable ones.
+            options: (num_lots, num_agents, ...) starts that are given; episodes that
+                begin later are drawn.
 
         Returns:
             Observations (num_lots, num_agents, ...).
 
         Raises:
-            ValueError: a seed out of range, or not one for each lot.
+            ValueError: a seed out of range, or not one for each lot, or options with
+                which a lot cannot begin; the lots are as before.
         """
         if seed is None and self._state is not None:
             keys = self._state.key
         else:
             keys = self._programs.keys(_seeds(seed, self.num_lots))
-        self._state, observation = self._programs.reset(keys)
+        if options is None:
+            self._state, observation = self._programs.reset(keys)
+            return observation
+        if "options" not in inspect.signature(self.env.reset).parameters:
+            raise ValueError(f"{type(self.env).__name__}.reset takes no options")
+        state, observation = self._programs.start(keys, options)
+        check_starts(self.env.config, options, state)
+        self._state = state
         return observation
 
     def restart(self, due: np.ndarray | jax.Array) -> jax.Array:
@@ -200,17 +229,22 @@ class Step(NamedTuple):
 class NumpyBatch(Batch):
     """A batch of NumPy arrays, which are the caller's own to keep and change."""
 
-    def reset_numpy(self, seed: Seeds = None) -> np.ndarray:
+    def reset_numpy(
+        self, seed: Seeds = None, options: ResetOptions | None = None
+    ) -> np.ndarray:
         """As `reset`."""
-        return np.array(self.reset(seed))
+        return np.array(self.reset(seed, options))
 
     def step_numpy(self, action: Any) -> Step:
         """As `step`.
 
         Raises:
-            ValueError: also if an action is NaN, or no integer on the grid.
+            ValueError: also if an action is NaN, no real number, or no integer on the
+                grid.
         """
         given = np.asarray(action)
+        if not is_real(given):
+            raise ValueError(f"actions must be real numbers, not {given.dtype}")
         require_shape("actions", given, self.action_shape)
         with np.errstate(invalid="ignore"):  # of NaN as an integer
             action = given.astype(self.env.action_spec.dtype)
@@ -242,6 +276,7 @@ class _Programs(NamedTuple):
 
     keys: Callable[[np.ndarray], jax.Array]
     reset: Callable[[jax.Array], tuple[State, jax.Array]]
+    start: Callable[[jax.Array, ResetOptions], tuple[State, jax.Array]]
     restart: Callable[[State, jax.Array], tuple[State, jax.Array]]
     step: Callable[[State, Any], tuple[State, TimeStep]]
 
@@ -260,6 +295,10 @@ def _programs(env: BatchEnv, restart: bool) -> _Programs:
             timestep, observation=observation, final_observation=seen
         )
 
+    def start(key: jax.Array, options: ResetOptions) -> tuple[State, jax.Array]:
+        starter: Any = env  # one that takes options
+        return starter.reset(key, options=options)
+
     def restart_due(state: State, due: jax.Array) -> tuple[State, jax.Array]:
         seen = jax.eval_shape(jax.vmap(env.reset), state.key)[1]
         return _restart(env, state, jnp.zeros(seen.shape, seen.dtype), due)
@@ -268,6 +307,7 @@ def _programs(env: BatchEnv, restart: bool) -> _Programs:
     return _Programs(
         jax.jit(jax.vmap(jax.random.key)),
         jax.jit(jax.vmap(env.reset)),
+        jax.jit(jax.vmap(start)),
         jax.jit(restart_due, donate_argnums=0),
         jax.jit(step, donate_argnums=0),
     )

@@ -22,7 +22,8 @@ class BraxParking(Env):
     `reset(keys)` takes (num_lots,) keys; observations, rewards, `done` and everything
     in `info` but the state have the leading dimension num_lots * num_agents. Steps of
     agents that are absent, where `info["present"]` is 0, are not to be learned from;
-    it is None where all always are present.
+    it is None where all always are present. `info["final_observation"]` is that of
+    `TimeStep`, None unless `EpisodeConfig.final_observation`.
     """
 
     def __init__(self, env: ParkingEnv, hitbox_scale: jax.Array | None = None) -> None:
@@ -59,7 +60,10 @@ class BraxParking(Env):
             "episode_done": zero,
             "episode_metrics": {name: zero for name in lot.metrics},
             "reward_terms": {name: zero for name in lot.reward_terms},
+            "final_observation": None,
         }
+        if lot.final_observation is not None:
+            info["final_observation"] = jnp.zeros_like(observation)
         if member is not None:
             info["member"] = jnp.repeat(member, self.env.num_agents)
         return BraxState(
@@ -114,6 +118,7 @@ class BraxParking(Env):
             "episode_done": done,
             "episode_metrics": timestep.metrics,
             "reward_terms": timestep.reward_terms,
+            "final_observation": timestep.final_observation,
         }
         return state.replace(  # pyright: ignore[reportAttributeAccessIssue]
             pipeline_state=lots,

@@ -13,11 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import ContinuousObservation, EnvConfig
-from carpark_mj.config.checks import require_at_least, require_kind, require_positive
+from carpark_mj.config.checks import (
+    CheckedConfig,
+    require_at_least,
+    require_kind,
+    require_positive,
+)
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import rotate
 from carpark_mj.layouts import BayEnd
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.bay_fields import RIVAL_FIELDS
 from carpark_mj.observations.ego import GOAL_FIELDS, LINE_FIELDS, ROUTE_FIELDS
@@ -28,8 +34,15 @@ POSITION = 100.0  # m, scale of x and y
 SPEED = 5.0  # m/s, scale of velocities
 
 FEATURES = (
-    Field("position", 2, -4.0, 4.0, f"centre, world frame [{POSITION:g} m]"),
-    Field("velocity", 2, -4.0, 4.0, f"world frame [{SPEED:g} m/s]"),
+    Field(
+        "position",
+        2,
+        -4.0,
+        4.0,
+        f"centre, world frame [{POSITION:g} m]",
+        metres=POSITION,
+    ),
+    Field("velocity", 2, -4.0, 4.0, f"world frame [{SPEED:g} m/s]", speed=SPEED),
     Field("heading", 2, -1.0, 1.0, "cos and sin, world frame"),
 )
 NUM_FEATURES = sum(field.size for field in FEATURES)
@@ -41,7 +54,7 @@ _OWN_GOAL = {
 
 
 @dataclasses.dataclass(frozen=True)
-class PoseReward:
+class PoseReward(CheckedConfig):
     """Pays for being near a pose: - (weights · |achieved - desired|) ^ power.
 
     Attributes:
@@ -57,6 +70,7 @@ class PoseReward:
     threshold: float = 0.12
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         good = len(self.weights) == NUM_FEATURES
         if not (good and all(0.0 <= x < math.inf for x in self.weights)):
             raise ValueError(
@@ -147,9 +161,11 @@ class GoalParking:
         names = "observation", "achieved_goal", "desired_goal"
         return dict(zip(names, parts, strict=True))
 
-    def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
+    def reset(
+        self, key: jax.Array, options: ResetOptions | None = None
+    ) -> tuple[State, jax.Array]:
         """Starts a lot; see `ParkingEnv.reset`."""
-        state, observation = self.parking.reset(key)
+        state, observation = self.parking.reset(key, options=options)
         return state, self._vector(state, observation)
 
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:

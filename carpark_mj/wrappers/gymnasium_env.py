@@ -15,6 +15,7 @@ from carpark_mj.wrappers.gymnasium_spaces import (
     split_observation,
 )
 from carpark_mj.wrappers.options import OPTIONS, Options, configure, shared_env
+from carpark_mj.wrappers.reset_options import as_reset_options
 from carpark_mj.wrappers.screen import RENDER_MODES, Screen
 
 ONE_AGENT = tuple(name for name in OPTIONS if name != "agents")
@@ -76,13 +77,19 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
 
         Args:
             seed: in [0, 2**32); None = go on with the lot's own random numbers.
-            options: not used.
+            options: `pose`, `speed` and `goal` of the start, drawn where left out;
+                see `carpark_mj.wrappers.reset_options`.
 
         Returns:
             What the agent observes, and an empty info.
+
+        Raises:
+            ValueError: a seed out of range, an unknown option, or a start that cannot
+                be: a bay that is not there, a pose on a wall.
         """
         super().reset(seed=seed)
-        observation = self._batch.reset_numpy(seed)
+        given = as_reset_options([options], (1, 1))
+        observation = self._batch.reset_numpy(seed, given)
         self._running = True
         self._show()
         return split_observation(self._batch.env, observation[0, 0]), {}

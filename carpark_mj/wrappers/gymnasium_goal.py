@@ -2,12 +2,13 @@
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any, Unpack
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_kind
+from carpark_mj.env import ParkingEnv
 from carpark_mj.wrappers.batch import LotEnv
 from carpark_mj.wrappers.goal import GoalParking, PoseReward
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv, one_agent
@@ -16,6 +17,7 @@ from carpark_mj.wrappers.options import Options, configure, shared_env
 # The terms of `RewardConfig` are not paid here.
 GOAL_OPTIONS = tuple(name for name in ONE_AGENT if name != "reward")
 Info = Mapping[str, Any]
+GoalEnv = TypeVar("GoalEnv", bound=GoalParking)
 
 
 class PoseRewardMixin:
@@ -92,7 +94,14 @@ class ParkGoalEnv(PoseRewardMixin, ParkEnv):
         return seen, reward, terminated, truncated, info
 
 
-@functools.lru_cache(maxsize=32)
 def shared_goal_env(config: EnvConfig, pose_reward: PoseReward) -> GoalParking:
     """The environment of a configuration, made and compiled only once."""
-    return GoalParking(shared_env(config), pose_reward)
+    return share_goals(GoalParking, shared_env(config), pose_reward)
+
+
+@functools.lru_cache(maxsize=32)
+def share_goals(
+    kind: type[GoalEnv], parking: ParkingEnv, pose_reward: PoseReward
+) -> GoalEnv:
+    """A task of one kind around an environment, the same for the same arguments."""
+    return kind(parking, pose_reward)

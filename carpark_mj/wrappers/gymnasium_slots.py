@@ -1,14 +1,13 @@
 """The task of Pandita 2022 for Gymnasium: `carpark_mj/Slots-v0`."""
 
 import dataclasses
-import functools
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import layout_config
 from carpark_mj.wrappers.batch import LotEnv
 from carpark_mj.wrappers.goal import PoseReward
 from carpark_mj.wrappers.gymnasium_env import one_agent
-from carpark_mj.wrappers.gymnasium_goal import ParkGoalEnv
+from carpark_mj.wrappers.gymnasium_goal import ParkGoalEnv, share_goals
 from carpark_mj.wrappers.gymnasium_vector import ParkGoalVectorEnv
 from carpark_mj.wrappers.options import Options, configure, shared_env
 from carpark_mj.wrappers.slots import PANDITA_REWARD, SlotsGoalParking
@@ -55,7 +54,6 @@ def slots_config(options: Options) -> EnvConfig:
     return config
 
 
-@functools.lru_cache(maxsize=32)
 def shared_slots_env(config: EnvConfig, pose_reward: PoseReward) -> SlotsGoalParking:
     """The environment of a configuration, made and compiled only once."""
-    return SlotsGoalParking(shared_env(config), pose_reward)
+    return share_goals(SlotsGoalParking, shared_env(config), pose_reward)

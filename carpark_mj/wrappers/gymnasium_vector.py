@@ -22,6 +22,7 @@ from carpark_mj.wrappers.gymnasium_spaces import (
     split_observation,
 )
 from carpark_mj.wrappers.options import Options, configure, shared_env
+from carpark_mj.wrappers.reset_options import as_reset_options
 from carpark_mj.wrappers.screen import Screen
 
 
@@ -91,19 +92,30 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self,
         *,
         seed: Seeds = None,
-        options: dict[str, Any] | None = None,
+        options: dict[str, Any] | list[dict[str, Any]] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Begins an episode in every environment.
 
         Args:
             seed: lot i gets seed + i, or the i-th of a sequence; see `Batch.reset`.
-            options: not used.
+            options: of every environment, or of each its own, as of `ParkEnv.reset`;
+                for the episodes that begin now, not for those that follow.
 
         Returns:
             Observations (num_envs, ...), and empty infos.
+
+        Raises:
+            ValueError: as of `ParkEnv.reset`, or not one dictionary for each.
         """
         super().reset(seed=seed if isinstance(seed, int) else None)
-        return self._split(self._batch.reset_numpy(seed)), {}
+        each = options if isinstance(options, list) else [options] * self.num_envs
+        if len(each) != self.num_envs:
+            raise ValueError(
+                "options must be a dictionary, or one for each of the "
+                f"{self.num_envs} environments, not {len(each)}"
+            )
+        given = as_reset_options(each, self._batch.action_shape[:2])
+        return self._split(self._batch.reset_numpy(seed, given)), {}
 
     def step(
         self, actions: np.ndarray

@@ -4,7 +4,6 @@ Multi-agent libraries know episodes of a group only, which agents leave one by o
 """
 
 import dataclasses
-import functools
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +11,7 @@ import jax.numpy as jnp
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.types import State, TimeStep
+from carpark_mj.wrappers.options import share
 
 
 class JointEnv(ParkingEnv):
@@ -49,7 +49,6 @@ class JointEnv(ParkingEnv):
         )
 
 
-@functools.lru_cache(maxsize=32)
 def joint_env(config: EnvConfig) -> JointEnv:
     """The environment of a configuration, made and compiled only once."""
-    return JointEnv(config)
+    return share(JointEnv, config)

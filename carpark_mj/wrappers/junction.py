@@ -14,7 +14,7 @@ from carpark_mj.junction.types import State
 from carpark_mj.rendering.junction_stage import JunctionStage
 from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.vehicle import preset
+from carpark_mj.vehicle import VehicleParameters, preset
 from carpark_mj.wrappers.screen import Screen
 
 
@@ -32,12 +32,14 @@ def junction_env(**options: Any) -> JunctionEnv:
     for name in options:
         if name not in known:
             raise TypeError(f"unknown option {name!r}; choose from {sorted(known)}")
-    return _shared_env(JunctionConfig(**options, restart=False))
+    config = JunctionConfig(**options, restart=False)
+    return _shared_env(config, preset(config.vehicle))
 
 
 @functools.lru_cache(maxsize=32)
-def _shared_env(config: JunctionConfig) -> JunctionEnv:
+def _shared_env(config: JunctionConfig, car: VehicleParameters) -> JunctionEnv:
     """The environment of a configuration, made and compiled only once."""
+    del car  # which the name stands for now
     return JunctionEnv(config)
 
 

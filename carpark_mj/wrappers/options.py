@@ -2,7 +2,8 @@
 
 import dataclasses
 import functools
-from typing import TypedDict
+from collections.abc import Hashable
+from typing import TypedDict, TypeVar
 
 from carpark_mj.config import (
     LAYOUT_FILES,
@@ -14,8 +15,9 @@ from carpark_mj.config import (
     reward_preset,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import layout_config
+from carpark_mj.layouts import FAMILIES, MixtureConfig, layout_config
 from carpark_mj.registry import environment
+from carpark_mj.vehicle import preset
 
 
 class Options(TypedDict, total=False):
@@ -41,6 +43,7 @@ class Options(TypedDict, total=False):
     physics: PhysicsName
 
 
+Env = TypeVar("Env", bound=ParkingEnv)
 OPTIONS = tuple(Options.__annotations__)
 _FIELDS = {
     "layout": "layout",
@@ -80,7 +83,26 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
     return config
 
 
-@functools.lru_cache(maxsize=32)
 def shared_env(config: EnvConfig) -> ParkingEnv:
     """The environment of a configuration, made and compiled only once."""
-    return ParkingEnv(config)
+    return share(ParkingEnv, config)
+
+
+def share(kind: type[Env], config: EnvConfig) -> Env:
+    """An environment of one kind, the same for as long as names mean the same."""
+    return _make(kind, config, _definitions(config))
+
+
+@functools.lru_cache(maxsize=32)
+def _make(kind: type[Env], config: EnvConfig, definitions: Hashable) -> Env:
+    del definitions
+    return kind(config)
+
+
+def _definitions(config: EnvConfig) -> Hashable:
+    """What the names in a configuration stand for now: a notebook may redefine them."""
+    fleet = config.fleet
+    cars = [preset(x) for x in (config.vehicle, *fleet.agents, *fleet.parked_cars)]
+    lot = layout_config(config.layout)
+    members = lot.members if isinstance(lot, MixtureConfig) else (lot,)
+    return (*cars, lot, *(FAMILIES.get(member.family) for member in members))

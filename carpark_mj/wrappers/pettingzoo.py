@@ -9,9 +9,11 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.env_logger import EnvLogger
 
 from carpark_mj.config.checks import require_kind
+from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.wrappers.batch import AgentsEnv, NumpyBatch
 from carpark_mj.wrappers.joint import joint_env
 from carpark_mj.wrappers.options import Options, configure
+from carpark_mj.wrappers.reset_options import as_reset_options
 from carpark_mj.wrappers.screen import RENDER_MODES, Screen
 from carpark_mj.wrappers.spaces import action_space, flat_action, observation_space
 
@@ -93,12 +95,12 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
             raise ValueError(
                 f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}"
             )
-        self._env, self._screen = env, screen
+        self._screen = screen
         self._lots = NumpyBatch(env, 1, restart=False)
         self._observation: np.ndarray | None = None
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": fps}
-        self.possible_agents = self._env.agents
+        self.possible_agents = env.agents
         self.agents: list[str] = []
         # Of each agent its own, so that they can be seeded apart.
         self._spaces = {
@@ -124,9 +126,15 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         Args:
             seed: of this and all later lots; None continues the last one, and takes one
                 from the operating system if there is none.
-            options: unused.
+            options: by the names of agents, each with `pose`, `speed` and `goal` of its
+                start, drawn where left out; see `carpark_mj.wrappers.reset_options`.
+
+        Raises:
+            ValueError: a seed out of range, no such agent or option, or a start that
+                cannot be: a bay that is not there, a pose on a wall.
         """
-        observation = self._lots.reset_numpy(seed)[0]
+        given = self._read_options(options)
+        observation = self._lots.reset_numpy(seed, given)[0]
         self._observation = observation.copy()  # callers may change what they get
         self.agents = self.possible_agents
         active = self._by_agent(np.asarray(self._lots.state.active[0]))
@@ -138,7 +146,8 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         """Steps all agents that are still driving.
 
         Args:
-            actions: an element of `action_space` for each of `agents`.
+            actions: an element of `action_space` for each of `agents`; those of agents
+                that have left are not looked at, as TorchRL sends them.
 
         Raises:
             AssertionError: before `reset`, a missing agent, a wrong shape, not finite.
@@ -150,14 +159,15 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         if not self.agents:
             EnvLogger.warn_step_after_terminated_truncated()
             return {}, {}, {}, {}, {}
-        if actions.keys() != {*self.agents}:
+        if not {*self.agents} <= actions.keys() <= {*self.possible_agents}:
             raise AssertionError(
                 f"actions must be those of {self.agents}, not of {[*actions]}"
             )
-        spec = self._env.action_spec
+        spec = self._lots.env.action_spec
         action = np.zeros(self._lots.action_shape, spec.dtype)
-        for agent, given in actions.items():
-            action[0, self.possible_agents.index(agent)] = flat_action(given, spec)
+        for agent in self.agents:
+            row = self.possible_agents.index(agent)
+            action[0, row] = flat_action(actions[agent], spec)
         step = self._lots.step_numpy(action)
         observation = step.observation[0]
         self._observation = observation.copy()
@@ -205,6 +215,22 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
     def close(self) -> None:
         """Closes the window, and what draws."""
         self._screen.close()
+
+    def _read_options(self, options: dict[str, Any] | None) -> ResetOptions | None:
+        require_kind("options", options, dict | None)
+        by_agent = options or {}
+        if by_agent == {
+            "options": 1
+        }:  # PettingZoo's tests pass it to every environment
+            by_agent = {}
+        for agent in by_agent:
+            if agent not in self.possible_agents:
+                raise ValueError(
+                    f"unknown agent {agent!r} in the options of reset; choose from "
+                    f"{self.possible_agents}"
+                )
+        rows = [by_agent.get(agent) for agent in self.possible_agents]
+        return as_reset_options(rows, (1, len(rows)))
 
     def _show(self) -> None:
         if self.render_mode == "human":

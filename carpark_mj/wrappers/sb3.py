@@ -48,13 +48,17 @@ class ParkVecEnv(VecEnv):
         super().__init__(
             env.num_envs, env.single_observation_space, env.single_action_space
         )
+        self.metadata = env.metadata  # with the frames per second of videos
 
     def reset(self) -> VecEnvObs:
-        """Begins an episode in every environment, with the seeds of `seed` if any."""
+        """Begins an episode in every environment.
+
+        With the seeds of `seed` and the options of `set_options`, if any.
+        """
         every = self._env.num_envs // self._env.num_lots
         seeds = [None if s is None else s % 2**32 for s in self._seeds[::every]]
         given = [seed for seed in seeds if seed is not None]
-        observation, _ = self._env.reset(seed=given or None)
+        observation, _ = self._env.reset(seed=given or None, options=self._options)
         self._reset_seeds()
         self._reset_options()
         return observation

@@ -1,6 +1,7 @@
 """Pictures of the lots of a batch, off screen or in MuJoCo's window."""
 
-from typing import Any
+import copy
+from typing import Any, Self
 
 import jax
 import numpy as np
@@ -33,10 +34,25 @@ class Screen:
         """
         camera_names(camera, env.num_agents if num_cars is None else num_cars)
         self._env, self._camera = env, camera
+        self._open_nothing()
+
+    def _open_nothing(self) -> None:
         self._stages: dict[bytes, Stage] = {}  # the last is the one used last
         self._renderer: LotRenderer | None = None
         self._window: Any = None
         self._in_window: Stage | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies open what they show by themselves."""
+        opened = ("_stages", "_renderer", "_window", "_in_window")
+        return {k: v for k, v in vars(self).items() if k not in opened}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._open_nothing()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return copy.copy(self)
 
     def picture(self, state: Any, lot: int = 0) -> np.ndarray:
         """Draws a lot of a batch, (height, width, 3) uint8.

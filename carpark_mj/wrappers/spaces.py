@@ -1,15 +1,19 @@
 """Gymnasium's spaces of what one agent observes and does."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from carpark_mj.config import EnvConfig
-from carpark_mj.layouts import layout_config
+from carpark_mj.config import ContinuousObservation, EnvConfig
+from carpark_mj.layouts import MixtureConfig, layout_config
+from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import Field, make_fields
+from carpark_mj.precision import is_real
+from carpark_mj.vehicle import preset
 
 
 def observation_space(
@@ -17,20 +21,41 @@ def observation_space(
 ) -> spaces.Box:
     """The vector (size,) of some fields, float32; of all an agent observes by default.
 
-    Bounded by the ranges of the fields, or unbounded where these do not hold: where
-    sensors add noise, cars can leave the lot, or `highway` physics has no speed limit
-    of a car park.
+    Bounded by the ranges of the fields. Where these do not hold for lengths and speeds,
+    by what a car can reach in an episode: where nothing keeps cars on the lot, or
+    `highway` physics has no speed limit of a car park. Noise of sensors has no bounds.
     """
     if fields is None:
         fields = make_fields(config)
     size = [field.size for field in fields]
-    low = np.repeat(np.array([field.low for field in fields], np.float32), size)
-    high = np.repeat(np.array([field.high for field in fields], np.float32), size)
-    enclosed = layout_config(config.layout).is_enclosed
-    if config.sensors.is_on or not enclosed or config.physics == "highway":
-        low, high = np.full_like(low, -np.inf), np.full_like(high, np.inf)
+    more = np.array([_excess(config, field) for field in fields])
+    low = np.array([field.low for field in fields])
+    high = np.array([field.high for field in fields]) + more
+    low = np.where(low < 0.0, low - more, low)
+    low, high = (np.repeat(x.astype(np.float32), size) for x in (low, high))
     # Zeros are what absent and finished agents observe.
     return spaces.Box(np.minimum(low, 0.0), np.maximum(high, 0.0), dtype=np.float32)
+
+
+def _excess(config: EnvConfig, field: Field) -> float:
+    """By how much the numbers of a field may exceed its range."""
+    lot = layout_config(config.layout)
+    fast = config.physics == "highway"
+    own_range = isinstance(config.observation, ContinuousObservation)
+    varies = bool(field.metres or field.speed) or not own_range
+    if varies and (config.sensors.is_on or not (own_range or lot.is_enclosed)):
+        return math.inf
+    if not varies or (lot.is_enclosed and not fast):
+        return 0.0
+    cars = [preset(name) for name in (config.vehicle, *config.fleet.agents)]
+    fastest = 1.5 * max(max(c.max_speed, c.max_reverse_speed) for c in cars)
+    if field.speed:
+        return fastest / field.speed if fast else 0.0
+    members = lot.members if isinstance(lot, MixtureConfig) else (lot,)
+    files = [x.layout for x in members if isinstance(x, FromFileConfig)]
+    extent = max((float(np.max(x.extent)) for x in files), default=0.0)
+    way = fastest * config.episode.max_steps * config.sim.ctrl_dt
+    return 2.0 * (way + 2.0 * extent) / field.metres  # of two cars from each other
 
 
 def action_space(spec: ActionSpec) -> spaces.Space[Any]:
@@ -53,7 +78,10 @@ def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
     """
     parts = action if isinstance(action, tuple) else (action,)
     try:
-        flat = np.concatenate([np.asarray(part, np.float32) for part in parts], axis=-1)
+        arrays = [np.asarray(part) for part in parts]
+        if not all(map(is_real, arrays)):
+            raise TypeError
+        flat = np.concatenate(arrays, axis=-1, dtype=np.float32)
     except (TypeError, ValueError):
         raise AssertionError(
             f"an action must be of shape ({spec.size},), not {action!r}"

@@ -6,6 +6,7 @@
 import jax
 import torch
 
+from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.wrappers.batch import Batch, BatchEnv, Seeds, Step
 
 
@@ -25,13 +26,15 @@ class TorchBatch:
         self.batch = Batch(env, num_lots, restart)
         self.device = torch.from_dlpack(jax.numpy.zeros(1)).device
 
-    def reset(self, seed: Seeds = None) -> torch.Tensor:
+    def reset(
+        self, seed: Seeds = None, options: ResetOptions | None = None
+    ) -> torch.Tensor:
         """Begins all lots; see `Batch.reset`.
 
         Returns:
             Observations (num_lots, num_agents, observation_size) float32.
         """
-        return torch.from_dlpack(self.batch.reset(seed))
+        return torch.from_dlpack(self.batch.reset(seed, options))
 
     def restart(self, due: torch.Tensor) -> torch.Tensor:
         """Begins some lots anew, `due` (num_lots,) bool; see `Batch.restart`."""

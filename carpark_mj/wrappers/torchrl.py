@@ -11,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.wrappers.action_table import action_table
 from carpark_mj.wrappers.batch import AgentsEnv
 from carpark_mj.wrappers.joint import joint_env
@@ -110,9 +111,9 @@ class TorchRLAgents(EnvBase):
         def grouped(specs: dict[str, Any]) -> Composite:
             return Composite({GROUP: Composite(specs, shape=agents)}).to(self.device)
 
-        # Samples of `Bounded` between infinite bounds are not finite.
+        # Samples of `Bounded` are not finite where a bound is infinite.
         seen = Bounded(low, high, dtype=low.dtype)
-        if not (low.isfinite() | high.isfinite()).any():
+        if not (low.isfinite() & high.isfinite()).all():
             seen = Unbounded(low.shape, dtype=low.dtype)
         info = Composite(flags((self.success, "crashed"), *agents), shape=agents)
         self.full_action_spec_unbatched = grouped({"action": action})
@@ -125,12 +126,21 @@ class TorchRLAgents(EnvBase):
         self.full_done_spec_unbatched = done
 
     def _reset(
-        self, tensordict: TensorDictBase | None = None, **kwargs: Any
+        self,
+        tensordict: TensorDictBase | None = None,
+        options: ResetOptions | None = None,
     ) -> TensorDict:
-        """Begins the lots that `_reset` (lots, 1) names; without it, all."""
+        """Begins the lots that `_reset` (lots, 1) names; without it, all.
+
+        Args:
+            tensordict: with `_reset`, or without.
+            options: starts of all lots, see `Batch.reset`.
+        """
         due = None if tensordict is None else tensordict.get("_reset", None)
         if due is None:
-            observation, self._seed = self._lots.reset(self._seed), None
+            observation, self._seed = self._lots.reset(self._seed, options), None
+        elif options is not None:
+            raise ValueError("options need a reset of all lots, without `_reset`")
         else:
             observation = self._lots.restart(due.reshape(-1))
         active = torch.from_dlpack(self._lots.batch.state.active)

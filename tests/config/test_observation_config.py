@@ -52,7 +52,7 @@ DYNAMIC = GoalConfig(dynamic=True)
         (ContinuousObservation, {"tracked_parked_cars": -2}, "at least 0, not -2"),
         (ContinuousObservation, {"encoding": "tanner"}, "unknown encoding 'tanner'"),
         (TannerObservation, {"tracked_cars": -1}, "tracked_cars must be at least 0"),
-        (TannerObservation, {"bay_parts": ("size",)}, "unknown bay part 'size'"),
+        (TannerObservation, {"bay_parts": ("size",)}, "bay_parts .* one of .*'size'"),
         (TannerObservation, {"bay_parts": ("bearing",) * 2}, "must be different"),
         (TannerObservation, {"encoding": "indices"}, r"choose from \['tanner'\]"),
         (IndexObservation, {"encoding": "words"}, "unknown encoding 'words'"),

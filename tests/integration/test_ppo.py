@@ -311,7 +311,10 @@ BAD = {
     "endless": (("--time-limit", "inf"), "time_limit must be at least 0, not inf"),
     "a huge seed": (("--seed", str(2**70)), "seed must lie in [0, 4294967295]"),
     "too many lots": (("--num-lots", "100000000"), "GiB of memory at least"),
-    "lots beyond counting": (("--num-lots", str(2 * 10**30)), "GiB of memory at least"),
+    "lots beyond counting": (
+        ("--num-lots", str(2 * 10**30)),
+        "num_lots must be at most",
+    ),
     "too wide networks": (
         ("--networks.policy-layers", "1000000000"),
         "GiB of memory at least",

@@ -62,7 +62,7 @@ def test_a_mission_starts_on_its_lane(start):
 def test_impossible_parts_are_one_sentence():
     with pytest.raises(ValueError, match="pixels must be at least 1, not 0"):
         RasterConfig(pixels=0)
-    with pytest.raises(ValueError, match=r"unknown rewards.events 'both'"):
+    with pytest.raises(ValueError, match=r"unknown events 'both'"):
         RewardRules(events="both")
     with pytest.raises(ValueError, match="unknown vehicle 'tank'"):
         JunctionEnv(JunctionConfig(cars="mjx", vehicle="tank"))

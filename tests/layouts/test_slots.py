@@ -168,7 +168,7 @@ def test_a_mixture_draws_the_kinds_by_name_equally_often():
         ({"half_corridor": 0.5}, r"half_corridor must be at least 1.00 m, .* not 0.5"),
         ({"half_corridor": 2.9, "parallel": True}, "at least 3.00 m"),
         ({"start": (10.0, 9.5)}, "half_corridor must be at least 10.50 m"),
-        ({"start": [10.0, 0.0]}, r"start must be a tuple \(x, y\)"),
+        ({"start": [10.0, 0.0]}, r"start must be a tuple of 2, .* not \[10"),
         ({"start": (math.inf, 0.0)}, "start must be finite"),
         ({"start_heading": math.nan}, "start_heading must be finite"),
         ({"slot_length": 4.0}, "4.00 m x 4.00 m between their lines, the car needs"),

@@ -68,7 +68,7 @@ def test_an_environment_s_lots_are_those_of_the_split_asked_for(monkeypatch):
     env, key = ParkingEnv(config, SlidePhysics()), jax.random.key(3)
     layout_key = jax.random.split(key)[1]
     # What `reset` would start in: what follows is the same for every layout.
-    monkeypatch.setattr(env, "reset_to_layout", lambda layout, key, _: (layout, key))
+    monkeypatch.setattr(env, "reset_to_layout", lambda layout, key, *_: (layout, key))
     reset = jax.jit(env.reset, static_argnums=1)
     started = {"": env.reset(key)[0]}
     for split, span in (("train", TRAIN), ("test", TEST)):
@@ -88,7 +88,7 @@ def test_an_environment_s_lots_are_those_of_the_split_asked_for(monkeypatch):
 def test_a_lot_that_no_key_changes_starts_as_if_there_were_no_splits(monkeypatch):
     env = ParkingEnv(EnvConfig(layout="compact", num_agents=1), SlidePhysics())
     key = jax.random.key(8)
-    monkeypatch.setattr(env, "reset_to_layout", lambda layout, key, _: (layout, key))
+    monkeypatch.setattr(env, "reset_to_layout", lambda layout, key, *_: (layout, key))
     for split in ("train", "test"):
         layout, used = env.reset(key, split)
         assert used is key  # unsplit: the draws that follow are those of before

@@ -66,7 +66,7 @@ def test_a_key_draws_any_of_them():
     assert TpcapConfig().is_random
     assert not TpcapConfig(3).is_random
     for wrong in (21, 0, True, 3.0):
-        with pytest.raises(ValueError, match=f"case must be 1 to 20, not {wrong}"):
+        with pytest.raises(ValueError, match=f"case must be .* not {wrong}"):
             TpcapConfig(wrong)
 
 

@@ -288,7 +288,7 @@ def test_named_environments_can_be_built(name):
 def test_impossible_grids_and_grounds_are_refused_in_a_sentence():
     with pytest.raises(ValueError, match="points must be at least 1, not 0"):
         GridConfig(points=0)
-    with pytest.raises(ValueError, match="turn_at_rest must be of bool, not 2"):
+    with pytest.raises(ValueError, match=r"turn_at_rest must be .*, not 2"):
         GridConfig(turn_at_rest=2)  # pyright: ignore
     with pytest.raises(ValueError, match=r"max_turn must be less than half of 8 .* 4"):
         GridConfig(headings=8, max_turn=4)

@@ -227,7 +227,7 @@ def test_nothing_is_written_into_the_package(shipped):
 def test_evaluations_of_another_task_do_not_replace_the_own_one(shipped, flags, folder):
     task = evaluate.prepare(evaluate.EvaluateConfig(run="tiny", **flags))
     assert task.folder == Path(folder)
-    assert task.folder.is_dir()
+    assert not task.folder.exists()  # made with its first file
 
 
 def test_a_checkpoint_file_does_not_replace_the_evaluation_of_its_run(run):

@@ -221,7 +221,7 @@ def recording(steps=3, traces=4, **events):
         goal=np.tile(GOAL, (steps, 1)),
         parked_pose=np.tile(PARKED, (steps, traces, 1, 1)),
         **{"active": ~no, "parked": no, "crashed": no, "timed_out": no} | events,
-        step=np.ones((steps, 2), int),
+        step=np.tile(np.arange(1, steps + 1)[:, None], (1, 2)),
     )
 
 

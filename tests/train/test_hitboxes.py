@@ -49,7 +49,7 @@ def test_hitboxes_are_scaled_until_a_number_of_agent_steps_of_training():
 IMPOSSIBLE_HITBOXES = [
     ({"hitbox_scale": 0.0}, "hitbox_scale must be positive, not 0.0"),
     ({"hitbox_scale": 1.5}, "hitbox_scale 1.5 needs hitbox_steps of at least 1, not 0"),
-    ({"hitbox_steps": -1}, "hitbox_steps must be at least 0, not -1"),
+    ({"hitbox_steps": -1}, "hitbox_steps must .* not -1"),
     (
         {
             "hitbox_scale": 1.5,

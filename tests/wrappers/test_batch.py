@@ -153,6 +153,9 @@ def test_a_step_before_the_first_reset_is_refused():
             "nan .lot 2, agent 0",
         ),
         (np.full((4, 3, 2), np.inf), "finite numbers, not inf"),
+        (halt() * 1j, "real numbers, not complex"),
+        (None, "real numbers, not object"),
+        (halt().astype(str), "real numbers, not <U"),
     ],
 )
 def test_impossible_actions_are_refused(action, message):

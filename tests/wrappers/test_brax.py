@@ -1,5 +1,6 @@
 """Lots as one Brax environment."""
 
+import dataclasses
 import functools
 
 import jax
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from helpers.sliding import APART, HALT, MAX_STEPS, placed, slide, start
 
+from carpark_mj.env import ParkingEnv
 from carpark_mj.wrappers.brax import BraxParking
 
 
@@ -57,10 +59,29 @@ def test_brax_steps_keep_the_structure_of_the_reset_state():
     flat = (state.obs, state.reward, state.done, state.info)
     assert all(leaf.shape[0] == 12 for leaf in jax.tree.leaves(flat))
     fields = {"truncation", "present", "episode_done", "episode_metrics"}
-    fields.add("reward_terms")
+    fields |= {"reward_terms", "final_observation"}
     assert set(state.info) == fields
     assert wrapped.observation_size == env.observation_size
     assert wrapped.action_size == 2
+
+
+def test_brax_passes_final_observations_on():
+    plain, _, _ = slide()
+    episode = dataclasses.replace(plain.config.episode, final_observation=True)
+    config = dataclasses.replace(plain.config, episode=episode)
+    env = ParkingEnv(config, plain.physics)
+    wrapped = BraxParking(env)
+    keys = jax.random.split(jax.random.key(0), 2)
+    state = jax.jit(wrapped.reset)(keys)
+    lots = state.pipeline_state
+    lots = lots.replace(step=lots.step.at[1, 2].set(MAX_STEPS - 1))
+    state = state.replace(pipeline_state=lots)
+    after = jax.jit(wrapped.step)(state, np.zeros((6, 2), np.float32))
+    assert jax.tree.structure(state) == jax.tree.structure(after)
+    _, timestep = jax.jit(jax.vmap(env.step))(lots, np.zeros((2, 3, 2), np.float32))
+    final = after.info["final_observation"]
+    np.testing.assert_allclose(final[5], timestep.final_observation[1, 2], atol=1e-5)
+    assert not np.allclose(final[5], after.obs[5])  # that is of the next episode
 
 
 def test_brax_tells_truncations_from_terminations():

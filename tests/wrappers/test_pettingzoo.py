@@ -72,14 +72,31 @@ def test_the_state_is_all_observations_and_zeros_of_those_who_have_left(env):
     assert not env.state().reshape(3, -1)[0].any()
 
 
-def test_an_agent_hears_nothing_of_actions_of_those_who_have_left(env):
-    env.reset(seed=1)
-    while "agent_0" in env.agents:
-        env.step(idle(env) | {"agent_0": np.float32([0, 1])})
-    with pytest.raises(
-        AssertionError, match=r"not of \['agent_0', 'agent_1', 'agent_2"
-    ):
-        env.step(dict.fromkeys(env.possible_agents, np.zeros(2)))
+def test_actions_of_those_who_have_left_are_not_looked_at(env):
+    poses = []
+    for left in ([0.0, 1.0], [np.nan, 3.0, 0.0]):
+        env.reset(seed=1)
+        while "agent_0" in env.agents:
+            env.step(idle(env) | {"agent_0": np.float32([0, 1])})
+        env.step(idle(env) | {"agent_0": left})
+        poses.append(np.asarray(env._lots.state.motion.pose_w))
+    np.testing.assert_array_equal(*poses)
+    with pytest.raises(AssertionError, match=r"not of \['agent_0', 'agent_1'\]"):
+        env.step(dict.fromkeys(["agent_0", "agent_1"], np.zeros(2)))
+    with pytest.raises(AssertionError, match="'agent_3'"):
+        env.step(idle(env) | {"agent_3": np.zeros(2)})
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL")  # of its version
+def test_torchrls_own_wrapper_drives_to_the_end_of_the_lot():
+    pytest.importorskip("torchrl")
+    from torchrl.envs import PettingZooWrapper
+
+    lot = carpark_mj.parallel_env(**SMALL)
+    env = PettingZooWrapper(lot, use_mask=True, done_on_any=False)
+    env.set_seed(1)
+    rollout = env.rollout(250)
+    assert rollout["next", "agent", "done"].any(dim=0).all()
 
 
 @pytest.mark.parametrize(
@@ -91,6 +108,7 @@ def test_an_agent_hears_nothing_of_actions_of_those_who_have_left(env):
         (np.array([0, -np.inf]), "finite"),
         (None, r"shape \(2,\), not None"),
         ("left", r"shape \(2,\), not 'left'"),
+        (np.zeros(2, complex), "not array"),
     ],
 )
 def test_wrong_shapes_nan_and_infinity_are_refused(env, action, message):

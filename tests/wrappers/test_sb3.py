@@ -133,3 +133,9 @@ def test_sac_relabels_goals_and_keeps_what_crashes_cost():
     at_goal = (achieved == desired).all(axis=1)
     assert at_goal.any()  # by hindsight
     np.testing.assert_array_equal(paid[at_goal], 0.0)
+
+
+def test_videos_run_at_the_speed_of_the_simulation():
+    env = ParkVecEnv("carpark_mj/Park-v0", 1, render_mode="rgb_array")
+    assert env.metadata["render_fps"] == 5  # a control step of 0.2 s a frame
+    assert "rgb_array" in env.metadata["render_modes"]

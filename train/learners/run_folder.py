@@ -15,7 +15,11 @@ import jax
 from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.common import USER_ERRORS
-from carpark_mj.config.checks import require_at_least, require_positive
+from carpark_mj.config.checks import (
+    CheckedConfig,
+    require_at_least,
+    require_positive,
+)
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_json
 from carpark_mj.policy import checkpoints, runs
@@ -25,7 +29,7 @@ LOCK = ".lock"
 
 
 @dataclasses.dataclass(frozen=True)
-class RunConfig:
+class RunConfig(CheckedConfig):
     """Settings of every trainer.
 
     Attributes:
@@ -47,6 +51,7 @@ class RunConfig:
     checkpoint_minutes: float = 1.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_at_least(self, 0, "time_limit")
         require_positive(self, "checkpoint_minutes")
         require_seed(self.seed)

@@ -2,11 +2,11 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import require_at_least, require_ratio
+from carpark_mj.config.checks import CheckedConfig, require_at_least, require_ratio
 
 
 @dataclasses.dataclass(frozen=True)
-class CurriculumConfig:
+class CurriculumConfig(CheckedConfig):
     """Curricula of a PPO training, all off by default.
 
     Progress is the share of the training that is over.
@@ -37,6 +37,7 @@ class CurriculumConfig:
     target_rate: float = 0.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_at_least(self, 0.0, "crash_scale")
         require_ratio(
             self, "crash_until", "discount_from", "discount_until", "crash_ratio"

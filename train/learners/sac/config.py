@@ -8,6 +8,7 @@ from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.config.checks import (
     require_at_least,
     require_choice,
+    require_finite,
     require_positive,
     require_ratio,
     require_whole,
@@ -118,6 +119,7 @@ class SACConfig(RunConfig):
         )
         require_ratio(self, "discount", "tau", "rehearsal")
         require_at_least(self, 0, "video_seconds")
+        require_finite(self, "target_entropy")
         if self.eval_episodes > MAX_EPISODES or self.video_seconds > MAX_SECONDS:
             raise ValueError(
                 f"eval_episodes must be at most {MAX_EPISODES} and video_seconds at "

@@ -30,9 +30,9 @@ STILL = 1.0  # s for which the end of an episode is shown
 class _Episode(SlotsGoalParking):
     """One episode as `record` drives it."""
 
-    def reset(self, key: jax.Array, split: str = "") -> tuple[State, jax.Array]:
-        """As of `SlotsGoalParking`; lots have no splits."""
-        del split
+    def reset(self, key: jax.Array, options: Any = None) -> tuple[State, jax.Array]:
+        """As of `SlotsGoalParking`; lots have no splits, which `record` gives here."""
+        del options
         return super().reset(key)
 
 

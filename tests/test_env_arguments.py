@@ -1,0 +1,82 @@
+"""Arguments of an environment that are refused, and states that are passed on."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.sliding import HALT, slide, start
+
+from carpark_mj.env import ParkingEnv
+
+
+def test_float64_is_refused_where_an_environment_is_built_or_used():
+    env, reset, step = slide()
+    state = reset(jax.random.key(0))[0]
+    calls = (
+        ParkingEnv,
+        lambda: reset(jax.random.key(0)),
+        lambda: step(state, HALT),
+        lambda: env.draw_layout(jax.random.key(0)),
+    )
+    with jax.enable_x64(True):
+        for call in calls:
+            with pytest.raises(ValueError, match="must be False, not T"):
+                call()
+
+
+def test_eager_results_can_be_donated():
+    env, *_ = slide()
+    step = jax.jit(env.step, donate_argnums=0)
+    state, _ = env.reset(jax.random.key(0))
+    state, _ = step(state, HALT)
+    state, timestep = env.step(state, HALT)
+    step(state, HALT)
+    assert np.isfinite(timestep.motion.pose_w).all()
+    env.reset(jax.random.key(0))  # its constants are still there
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"split": "foo"}, ValueError, "unknown split 'foo'"),
+        ({"split": None}, ValueError, "unknown split None"),
+        ({"num_present": 1.5}, ValueError, "num_present must be a whole number"),
+        ({"num_present": "2"}, ValueError, "num_present must be a whole number"),
+        ({"num_present": np.ones(2, int)}, ValueError, "num_present must be a whole"),
+        ({"member": 1}, ValueError, r"member must lie in \[0, 0\], not 1"),
+        ({"member": 0.5}, ValueError, "member must be a whole number"),
+        ({"options": 3}, TypeError, "options must be of ResetOptions or None, not 3"),
+    ],
+)
+def test_a_reset_refuses_what_has_no_meaning(change, error, message):
+    with pytest.raises(error, match=message):
+        slide()[0].reset(jax.random.key(0), **change)
+
+
+@pytest.mark.parametrize(
+    ("state", "action", "message"),
+    [
+        (None, HALT, "state must be of State, not None"),
+        (3, HALT, "state must be of State, not 3"),
+        ("s", HALT * 1j, "action must be an array of real numbers"),
+        ("s", None, "action must be an array of real numbers, not None"),
+        ("s", HALT.tolist(), "action must be an array of real numbers"),
+        ("s", HALT.astype(str), "action must be an array of real numbers"),
+    ],
+)
+def test_a_step_takes_a_state_and_real_numbers(state, action, message):
+    env, _, begun = start()
+    with pytest.raises(TypeError, match=message):
+        env.step(begun if state == "s" else state, action)
+
+
+def test_a_seed_is_no_key():
+    with pytest.raises(TypeError, match=r"key must be as jax.random.key\(0\) gives, n"):
+        slide()[0].reset(0)
+
+
+@pytest.mark.parametrize("count", [0, 4, jnp.int32(4)])
+def test_a_lot_has_as_many_agents_as_there_can_be(count):
+    env = slide()[0]
+    with pytest.raises(ValueError, match=r"num_present must lie in \[1, 3\], not "):
+        env.reset(jax.random.key(0), num_present=count)
