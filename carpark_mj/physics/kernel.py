@@ -6,7 +6,7 @@ its registers for the whole control step. JAX 0.11 deprecates Pallas on Triton: 
 is gone, `on_cuda` can go too, at the price of speed alone.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -31,11 +31,40 @@ def on_cuda(
     """
     if not _has_triton():
         return otherwise(*args)
+    return _on_either(run, otherwise, args)
 
-    def either(*args: Any) -> Tree:
-        return jax.lax.platform_dependent(*args, cuda=run, default=otherwise)
 
-    return with_gradient(either, otherwise)(*args)
+def _on_either(
+    run: Callable[..., Tree], otherwise: Callable[..., Tree], args: Any
+) -> Tree:
+    """`on_cuda` where there may be a GPU; shared leaves of `args` stay shared.
+
+    The wrappers hand every leaf on as an array of its own: without this the kernel
+    would load what the wheels share four times, and run a fifth slower.
+    """
+    rows, restore = _share(args)
+
+    def cuda(*rows: jax.Array) -> Tree:
+        return run(*restore(rows))
+
+    def default(*rows: jax.Array) -> Tree:
+        return otherwise(*restore(rows))
+
+    def either(*rows: jax.Array) -> Tree:
+        return jax.lax.platform_dependent(*rows, cuda=cuda, default=default)
+
+    return with_gradient(either, default)(*rows)
+
+
+def _share(args: Any) -> tuple[list[jax.Array], Callable[[Sequence[jax.Array]], Any]]:
+    """The different leaves of a tree, and how the tree is made of such leaves."""
+    leaves, tree = jax.tree.flatten(args)
+    unique = {id(leaf): leaf for leaf in leaves}  # wheels share their car's parameters
+    row = {leaf: i for i, leaf in enumerate(unique)}
+    places = [row[id(leaf)] for leaf in leaves]
+    return list(unique.values()), lambda rows: jax.tree.unflatten(
+        tree, [rows[place] for place in places]
+    )
 
 
 def run_in_kernel(
@@ -50,14 +79,11 @@ def run_in_kernel(
         args: tree of arrays of one shape.
         interpret: run on any device, slowly, for tests.
     """
-    leaves, tree = jax.tree.flatten(args)
-    unique = {id(leaf): leaf for leaf in leaves}  # wheels share their car's parameters
-    row = {leaf: i for i, leaf in enumerate(unique)}
+    shared, restore = _share(args)
     results, result_tree = jax.tree.flatten(jax.eval_shape(function, args))
 
     def of_rows(rows: list[jax.Array]) -> list[jax.Array]:
-        args = jax.tree.unflatten(tree, [rows[row[id(leaf)]] for leaf in leaves])
-        return jax.tree.leaves(function(args))
+        return jax.tree.leaves(function(restore(rows)))
 
     @custom_vmap
     def call(*rows: jax.Array) -> list[jax.Array]:
@@ -73,7 +99,7 @@ def run_in_kernel(
         )
         return call(*rows), [True] * len(results)
 
-    return jax.tree.unflatten(result_tree, call(*unique.values()))
+    return jax.tree.unflatten(result_tree, call(*shared))
 
 
 def _has_triton() -> bool:

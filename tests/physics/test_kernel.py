@@ -88,3 +88,24 @@ def test_a_cuda_program_is_one_kernel_without_loops(monkeypatch):
         text = traced.lower(lowering_platforms=(platform,)).as_text()
         assert text.count("triton") == kernels
         assert ("stablehlo.while" in text) == (not kernels)
+
+
+@pytest.mark.parametrize("wrap", [jax.jit, lambda f: jax.jit(jax.vmap(f))])
+def test_what_arguments_share_is_handed_to_the_kernel_once(monkeypatch, wrap):
+    monkeypatch.setattr(kernel, "_has_triton", lambda: True)
+    seen = []
+
+    def on_gpu(args):
+        seen.append(len({id(leaf) for leaf in jax.tree.leaves(args)}))
+        return sum(jax.tree.leaves(args))
+
+    def elsewhere(args):
+        return sum(jax.tree.leaves(args))
+
+    def four_times(x, y):
+        return kernel.on_cuda(on_gpu, elsewhere, {"wheels": [x] * 4, "car": y})
+
+    x, y = jnp.arange(3.0), jnp.ones(3)
+    assert wrap(four_times)(x, y).tolist() == (4 * x + y).tolist()
+    assert seen
+    assert set(seen) == {2}
