@@ -178,7 +178,7 @@ def hold_distances() -> tuple[np.ndarray, np.ndarray]:
         after = jnp.maximum(speed - hold_braking(vehicle, hold, speed) * dt, 0.0)
         return (after, hold), (speed + after) / 2 * dt
 
-    speeds = jnp.linspace(0.0, CREEP, 31)
+    speeds = jnp.linspace(0.0, CREEP - 1e-6, 31)  # at `CREEP` the car would coast
     rest = speeds, jnp.zeros_like(speeds)
     _, ways = jax.jit(lambda rest: jax.lax.scan(substep, rest, length=200))(rest)
     return np.asarray(speeds, float), np.asarray(ways.sum(0), float)
