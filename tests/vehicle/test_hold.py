@@ -45,6 +45,8 @@ def test_a_hold_stays_until_the_pedal_drives_the_car_along_its_motion(
             assert closed(compact, full, 0.0, way * speed) == full
             assert closed(compact, full, -way * 1.0, way * speed) == full
             assert closed(compact, full, way * 0.05, way * speed) == 0.0
+    # Half closed it goes on closing, though the car has become faster.
+    assert closed(compact, 0.5, 0.0, 0.5) > 0.5
     # A slope may pull the car back before the drive takes over.
     for speed in (-0.2, -0.01, 0.0, 0.09):
         assert closed(compact, full, 0.5, speed) == full
