@@ -92,7 +92,9 @@ def commit_of(folder: Path) -> str:
     if not (folder / ".git").exists():  # git would look in the folders above
         return ""
     try:
-        return git(folder, "describe", "--always", "--dirty", "--exclude", "*")
+        # Of its own accord git shortens by how many objects it happens to count.
+        short = ("--abbrev=9", "--exclude", "*")
+        return git(folder, "describe", "--always", "--dirty", *short)
     except GitError:
         return ""
 

@@ -131,7 +131,16 @@ ABSENT = (
         "and step steer show them.",
     ),
     Absent(
-        ("pedals against the motion", "held on a", "creep against the drive"),
+        (
+            "pedals against the motion",
+            "held on a",
+            "creep against the drive",
+            "braking beyond the pedal",
+            "coasting after a start",
+            "stop from a walk",
+            "speed control at",
+            "time-step error, 10 against 1 ms",
+        ),
         "contact",
         "The driver's law is the same on any tyres; it is driven on those of training.",
     ),
