@@ -28,7 +28,7 @@ from carpark_mj.vehicle.vehicle import Vehicle
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
 HOLD_PEDAL = 0.05  # pedals smaller than this mean "no pedal"
 HOLD_SPEED = 0.3  # m/s, below it the holding brake begins to close
-# The hold's, all [est]: stops without a rebound above 0.03 m/s or a jerk above 10 m/s^3.
+# The hold's, [est]: no stop rebounds above 0.03 m/s or jerks above 10 m/s^3.
 HOLD_TIME = 0.6  # s, in which the closing of the hold becomes e times as fast
 HOLD_START = 0.15  # m/s^2 per `HOLD_TIME`, how fast the hold begins to close
 HOLD_RAMP = 14.0  # times `Actuators.hold` is what brakes a car that still rolls

@@ -55,7 +55,7 @@ def other_checkout(reference: str) -> Generator[Checkout]:
         try:
             git(ROOT, "worktree", "add", "--quiet", "--detach", str(path), commit)
             require_library(path, reference)
-            yield Checkout(reference, path, commit[:7])
+            yield Checkout(reference, path, commit_of(path))
         finally:
             with contextlib.suppress(GitError):  # it was never added
                 git(ROOT, "worktree", "remove", "--force", str(path))
@@ -92,9 +92,7 @@ def commit_of(folder: Path) -> str:
     if not (folder / ".git").exists():  # git would look in the folders above
         return ""
     try:
-        # Of its own accord git shortens by how many objects it happens to count.
-        short = ("--abbrev=9", "--exclude", "*")
-        return git(folder, "describe", "--always", "--dirty", *short)
+        return git(folder, "describe", "--always", "--dirty", "--exclude", "*")
     except GitError:
         return ""
 
