@@ -32,3 +32,19 @@ def test_a_circle_is_a_closed_band_of_its_radius_and_width(scene, radius, width)
         assert reach == pytest.approx(radius, rel=1e-5)
         assert 2 * side.size[0] == pytest.approx(width, rel=1e-5)
         assert side.size[2] < 0.02  # flat, so it hides no wheel
+
+
+def test_what_mujoco_leaves_uninitialised_is_set(scene):
+    """Memory of before decided the order of see-through geoms, and with it pixels."""
+    scene.ngeom = 0
+    for geom in scene.geoms:
+        geom.camdist, geom.category, geom.objtype, geom.objid = 1e9, 77, 77, 77
+        geom.segid = 77
+    markers = Markers(scene)
+    markers.bay(np.array([3.0, 4.0, 0.0]), np.array([5.0, 2.0]), (1.0, 0.0, 0.0, 0.5))
+    markers.line(np.zeros(2), np.array([6.0, 8.0]), (1.0, 0.0, 0.0, 0.5), 0.1, 0.0)
+    for k, geom in enumerate(scene.geoms[: scene.ngeom]):
+        assert geom.camdist == pytest.approx(5.0, abs=0.01)  # the camera is at 0
+        assert geom.category == mujoco.mjtCatBit.mjCAT_DECOR
+        assert (geom.objtype, geom.objid) == (mujoco.mjtObj.mjOBJ_UNKNOWN, -1)
+        assert geom.segid == k
