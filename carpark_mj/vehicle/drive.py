@@ -133,9 +133,9 @@ def close_hold(
     released = driven & (jnp.sign(pedal) * speed >= SWITCH_SPEED)
     wanted = ~driven | (pedal * speed < 0.0)
     closes = wanted & ((jnp.abs(speed) < HOLD_SPEED) | (hold > 0.0))
-    closed = hold + (hold + HOLD_START) * (dt / HOLD_TIME)
+    closed = hold + (hold + HOLD_START) * (dt * (1.0 / HOLD_TIME))
     # It takes over what the pedal brakes with, for the moment the pedal is released.
-    service = strength * vehicle.max_deceleration / HOLD_RAMP
+    service = strength * vehicle.max_deceleration * (1.0 / HOLD_RAMP)
     closed = jnp.where(driven, jnp.maximum(closed, service), closed)
     closed = jnp.minimum(closed, vehicle.hold_deceleration)
     return jnp.where(released, 0.0, jnp.where(closes, closed, hold))
@@ -181,13 +181,14 @@ def demanded_torques(
     # Below SWITCH_SPEED the brake fades as the drive takes over, without a jump of
     # both together. A closed hold stays: on a slope too steep for its drive, or too
     # slippery, the car creeps.
-    fading = jnp.minimum(jnp.abs(speed) / SWITCH_SPEED, 1.0)
+    fading = jnp.minimum(jnp.abs(speed) * (1.0 / SWITCH_SPEED), 1.0)
     service = fading * jnp.maximum(strength * vehicle.max_deceleration, held)
     by_drive = jnp.where(braking, 0.0, strength * vehicle.max_acceleration)
     service = jnp.maximum(service - by_drive, fading * hold)
     deceleration = jnp.where(idle, held, jnp.where(opposed, service, 0.0))
     over = jnp.maximum(speed - vehicle.max_speed, -speed - vehicle.max_reverse_speed)
-    deceleration = deceleration + jnp.maximum(over, 0.0) / vehicle.speed_limit_time
+    per_second = 1.0 / vehicle.speed_limit_time
+    deceleration = deceleration + jnp.maximum(over, 0.0) * per_second
 
     spinning = jnp.abs(wheel_speed) > jnp.abs(speed) + SPINNING
     speed = jnp.where(spinning, wheel_speed, speed)
@@ -196,8 +197,8 @@ def demanded_torques(
     wanted = pedal * vehicle.max_acceleration
     acceleration = jnp.clip(
         jnp.where(braking | (idle & (hold > 0.0)), 0.0, wanted),
-        -reverse_headroom / vehicle.speed_limit_time,
-        headroom / vehicle.speed_limit_time,
+        -reverse_headroom * per_second,
+        headroom * per_second,
     )
     force_to_torque = vehicle.rated_mass * vehicle.wheel_radius
     by_power = _quotient(vehicle.max_power * vehicle.wheel_radius, jnp.abs(speed))
