@@ -1,0 +1,126 @@
+"""Registries: parts of the gym by name, ours and those of other packages.
+
+A part is registered under a name when its module is imported. A name that nothing has
+registered yet makes a registry import the extensions:
+
+- the studies, every package in `carpark_mj.studies`;
+- the modules that installed packages name as entry points of `GROUP`;
+- the modules that the environment variable `VARIABLE` lists, separated by commas.
+
+So the core imports none of them, and every program finds all of them.
+"""
+
+import importlib
+import importlib.metadata
+import os
+import pkgutil
+from collections.abc import Callable, Iterator, Mapping
+from typing import Generic, TypeVar
+
+GROUP = "carpark_mj.extensions"
+VARIABLE = "CARPARK_MJ_EXTENSIONS"
+
+T = TypeVar("T")
+_loaded: set[str] = set()
+
+
+class Registry(Mapping[str, T], Generic[T]):
+    """Parts of one kind by name; looking a name up may import the extensions.
+
+    Examples:
+        >>> cars: Registry[float] = Registry("car")
+        >>> cars.register("mini", 3.05)
+        3.05
+        >>> cars["mini"]
+        3.05
+    """
+
+    def __init__(self, kind: str) -> None:
+        """An empty registry.
+
+        Args:
+            kind: what its parts are, for messages.
+        """
+        self._kind = kind
+        self._parts: dict[str, T] = {}
+
+    def register(self, name: str, part: T) -> T:
+        """Adds a part, and returns it.
+
+        Raises:
+            ValueError: the name is taken by another part, or is no plain name.
+        """
+        if not name or not name.replace("_", "a").replace("-", "a").isalnum():
+            raise ValueError(
+                f"the name of a {self._kind} must be of letters, digits, _ and -, "
+                f"not {name!r}"
+            )
+        if self._parts.get(name, part) is not part:
+            raise ValueError(f"there is a {self._kind} {name!r} already")
+        self._parts[name] = part
+        return part
+
+    def __getitem__(self, name: str) -> T:
+        """The part of that name.
+
+        Raises:
+            ValueError: unknown name, the message lists the known ones; or an extension
+                cannot be imported.
+        """
+        if name not in self._parts:
+            load_extensions()
+        if name not in self._parts:
+            raise ValueError(
+                f"unknown {self._kind} {name!r}; choose from {sorted(self._parts)}"
+            )
+        return self._parts[name]
+
+    def __contains__(self, name: object) -> bool:
+        if name not in self._parts:
+            load_extensions()
+        return name in self._parts
+
+    def __iter__(self) -> Iterator[str]:
+        load_extensions()
+        return iter(sorted(self._parts))
+
+    def __len__(self) -> int:
+        load_extensions()
+        return len(self._parts)
+
+
+def load_extensions() -> None:
+    """Imports every extension that has not been imported yet.
+
+    Raises:
+        ValueError: one cannot be imported; the message names it and says why.
+    """
+    for name, load in _extensions().items():
+        if name in _loaded:
+            continue
+        _loaded.add(name)  # first: while it is imported it may look names up
+        try:
+            load()
+        except Exception as error:
+            _loaded.discard(name)
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise ValueError(
+                f"the extension {name} cannot be imported: {why}"
+            ) from error
+
+
+def _extensions() -> dict[str, Callable[[], object]]:
+    """What imports each extension, by the name of its module."""
+    from carpark_mj import studies
+
+    names = [
+        f"{studies.__name__}.{module.name}"
+        for module in pkgutil.iter_modules(studies.__path__)
+    ]
+    names += [point.module for point in importlib.metadata.entry_points(group=GROUP)]
+    names += [name for name in os.environ.get(VARIABLE, "").split(",") if name]
+    return {name: _importer(name) for name in names}
+
+
+def _importer(name: str) -> Callable[[], object]:
+    return lambda: importlib.import_module(name)

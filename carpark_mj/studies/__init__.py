@@ -1,0 +1,1 @@
+"""The studies behind this gym, each an extension of the core (`extensions`)."""

@@ -1,0 +1,65 @@
+"""Registries find what packages outside the core register."""
+
+import sys
+import textwrap
+
+import pytest
+
+from carpark_mj import extensions
+from carpark_mj.extensions import VARIABLE, Registry, load_extensions
+
+
+@pytest.fixture
+def extension(tmp_path, monkeypatch):
+    """Writes a module that `VARIABLE` names; returns what writes it."""
+    monkeypatch.setattr(extensions, "_loaded", set(extensions._loaded))
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def write(name, text):
+        (tmp_path / f"{name}.py").write_text(textwrap.dedent(text))
+        monkeypatch.setenv(VARIABLE, name)
+
+    yield write
+    for name in [m for m in sys.modules if m.startswith("trial_")]:
+        del sys.modules[name]
+
+
+def test_two_parts_of_one_name_are_refused():
+    registry = Registry("car")
+    mini = registry.register("mini", [1])
+    assert registry.register("mini", mini) is mini  # a module reloaded
+    with pytest.raises(ValueError, match="mini"):
+        registry.register("mini", [1])
+
+
+@pytest.mark.parametrize("name", ["", "a,b", "a b", "a.b", "../a"])
+def test_so_are_names_that_no_flag_can_hold(name):
+    with pytest.raises(ValueError, match="name"):
+        Registry("car").register(name, 1)
+
+
+def test_an_unknown_name_imports_the_extensions(extension):
+    registry = Registry("car")
+    sys.modules["trial_registry"] = type(sys)("trial_registry")
+    sys.modules["trial_registry"].cars = registry
+    extension(
+        "trial_package",
+        """
+        from trial_registry import cars
+        cars.register("mini", 3.05)
+        """,
+    )
+    registry.register("van", 4.9)
+    assert registry["van"] == 4.9
+    assert "trial_package" not in sys.modules  # not needed yet
+    assert registry["mini"] == 3.05
+    assert list(registry) == ["mini", "van"]
+    with pytest.raises(ValueError, match=r"bus.*mini.*van"):
+        registry["bus"]
+
+
+def test_an_extension_that_does_not_import_is_named(extension):
+    extension("trial_broken", "raise RuntimeError('no such file')")
+    for _ in range(2):  # not only the first time
+        with pytest.raises(ValueError, match=r"trial_broken.*no such file"):
+            load_extensions()
