@@ -43,6 +43,9 @@ COMMANDS = {
     "analysis": Program(
         "carpark_mj.programs.analysis:run", "compare runs: tables, plots, a page"
     ),
+    "benchmark": Program(
+        "carpark_mj.programs.benchmark:run", "measure speed, compilation and memory"
+    ),
     "study": Program(
         "carpark_mj.programs.study:run", "run a program of a study or an extension"
     ),
