@@ -88,7 +88,7 @@ def ppo_subject(job: Job) -> Subject:
     configure_jax()
     from carpark_mj.training.ppo.group import GroupLearner
     from carpark_mj.training.ppo.learner import Learner
-    from carpark_mj.training.ppo.presets import PRESETS
+    from carpark_mj.training.ppo.parts import PRESETS
 
     name = job.variant
     if name == "auto":
