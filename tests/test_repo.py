@@ -24,7 +24,7 @@ FLOORS = (
     ("episodes",),
     ("env",),
     ("registry", "registration", "policy"),
-    ("planning", "rollout"),
+    ("planning",),
     ("evaluation",),
     ("analysis",),
     ("rendering",),
