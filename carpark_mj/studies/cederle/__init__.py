@@ -1,24 +1,5 @@
 """Cederle 2023: automated cars that cross a junction."""
 
-from carpark_mj.programs import STUDY_PROGRAMS, Program
+from carpark_mj.studies.cederle import programs
 
-STUDY_PROGRAMS.register(
-    "junction",
-    Program(
-        "carpark_mj.studies.cederle.training.program:run",
-        "cars that cross a junction, Cederle 2023",
-    ),
-)
-STUDY_PROGRAMS.register(
-    "junction_tables",
-    Program(
-        "carpark_mj.studies.cederle.experiments.program:run",
-        "the tables of Cederle 2023",
-    ),
-)
-STUDY_PROGRAMS.register(
-    "junction_scene",
-    Program(
-        "carpark_mj.studies.cederle.scene:run", "the junction as MJCF, or in a viewer"
-    ),
-)
+__all__ = ["programs"]

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 
-from benchmarking.timing import best_time
+from carpark_mj.benchmarking.timing import best_time
 from carpark_mj.config import EnvConfig, RayConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts.lot_config import LotConfig

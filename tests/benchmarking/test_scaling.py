@@ -3,7 +3,7 @@ import dataclasses
 import pytest
 
 import scaling
-from benchmarking.scaling import (
+from carpark_mj.benchmarking.scaling import (
     AGENTS,
     AISLES,
     Point,

@@ -15,6 +15,7 @@ from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks
 from flax import struct
 
+from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.loss import (
     Minibatch,
     Weights,
@@ -22,6 +23,7 @@ from carpark_mj.training.ppo.loss import (
     describe_policy,
     standardize,
 )
+from carpark_mj.training.ppo.variants import Prepare, Variant
 
 VALUE_COST = 0.5  # weight of the value's squared error
 LAST_LAYER = 0.1  # factor on the initial weights of the actor's last layer
@@ -170,3 +172,56 @@ def initial_weights(params: PPONetworkParams, key: jax.Array) -> PPONetworkParam
         policy=draw(params.policy, policy_key, True),
         value=draw(params.value, value_key, False),
     )
+
+
+class MLAgents(Variant):
+    """The details above."""
+
+    normalizes = False
+
+    def check(self, config: PPOConfig) -> None:
+        """Refuses other actions than choices, encoders, and absent agents."""
+        if config.env.physics != "grid":
+            raise ValueError(
+                "variant 'ml-agents' needs actions of choices only, env.physics "
+                f"'grid', not {config.env.physics!r}"
+            )
+        if config.networks.encoder != "flat":
+            raise ValueError(
+                "variant 'ml-agents' needs networks.encoder 'flat', not "
+                f"{config.networks.encoder!r}"
+            )
+        if len(config.env.agent_counts) > 1:
+            raise ValueError(
+                "variant 'ml-agents' needs the same number of agents in all lots, "
+                f"env.min_agents = None, not {config.env.min_agents}"
+            )
+
+    def initial_weights(self, params: Any, key: jax.Array) -> tuple[Any, jax.Array]:
+        """Draws all weights anew."""
+        key, weights_key = jax.random.split(key)
+        return initial_weights(params, weights_key), key
+
+    def prepared(
+        self, prepare: Prepare, params: Any, networks: PPONetworks, normalizer: Any
+    ) -> Prepare:
+        """Steps from before the update, as if each were an agent's only one."""
+        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), prepare(params))
+        steps = prepare_steps(params, networks, normalizer, flat)
+        steps = jax.tree.map(lambda x: x[None], steps)
+        return lambda params: steps
+
+    def loss(
+        self,
+        params: Any,
+        networks: PPONetworks,
+        normalizer: Any,
+        batch: Any,
+        weights: Weights,
+        key: jax.Array,
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """See `ml_agents_loss`."""
+        return ml_agents_loss(params, networks, normalizer, batch, weights, key)
+
+
+ML_AGENTS = MLAgents()

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import jax
 import pytest
+from helpers.programs import exit_code
 
-import benchmark
 import carpark_mj
-from benchmarking import checkouts, report, run, worker
-from benchmarking.checkouts import Checkout
-from benchmarking.records import Job, Measurement
-from benchmarking.report import Row
+from carpark_mj.benchmarking import checkouts, report, run, worker
+from carpark_mj.benchmarking.checkouts import Checkout
+from carpark_mj.benchmarking.records import Job, Measurement
+from carpark_mj.benchmarking.report import Row
+from carpark_mj.programs import benchmark
 
 # Where the tests' own carpark_mj lies: installed, or in the checkout.
 IMPORTED = Path(str(carpark_mj.__file__)).parents[1]
@@ -150,6 +151,9 @@ def test_impossible_settings_are_refused(change):
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
+        (["--batch", "4"], "Unrecognized options: --batch, 4"),
+        (["--batches", "0"], "batches must be positive, not (0,)"),
+        (["--steps", "many"], "many"),
         (["--against", "no-such-commit"], "not 'no-such-commit'"),
         (["--against=--help"], "not '--help'"),
         (["--against", "FOLDER"], "must hold carpark_mj"),
@@ -158,9 +162,9 @@ def test_impossible_settings_are_refused(change):
 )
 def test_bad_input_is_one_sentence_and_exit_code_2(flags, said, tmp_path, capsys):
     flags = [flag.replace("FOLDER", str(tmp_path)) for flag in flags]
-    assert benchmark.main(flags) == 2
+    assert exit_code(benchmark, flags) == 2
     error = capsys.readouterr().err
-    assert error.startswith("benchmark: ")
+    assert error.startswith("program: ")
     assert said in error
     assert error.count("\n") == 1
 
@@ -195,7 +199,7 @@ def test_a_job_is_measured_in_a_process_of_its_own_without_compiled_programs(
     assert result.peak_memory_mb > 10
     environment = run.worker_environment(Path("other"))
     assert "JAX_COMPILATION_CACHE_DIR" not in environment
-    assert environment["PYTHONPATH"].split(":")[:2] == ["other", "other/train"]
+    assert environment["PYTHONPATH"].split(":")[0] == "other"
 
 
 def test_what_a_checkout_refuses_is_said_in_its_words(monkeypatch, capsys):
@@ -243,25 +247,6 @@ def test_each_tyre_model_runs_at_the_substep_of_its_physics_report(tyres, ms, su
     subject = worker.physics_subject(dataclasses.replace(JOB, variant=tyres))
     assert subject.what == f"physics {tyres} {ms} ms"
     assert subject.count == 3 * 2 * substeps  # cars, control steps of 0.2 s
-
-
-def test_the_ppo_trainer_is_found_where_it_is():
-    assert "gpu" in worker.find_ppo("PRESETS")
-    assert worker.find_ppo("Learner").__name__ == "Learner"
-    assert callable(worker.find_ppo("configure_jax"))
-
-
-def test_what_a_module_of_the_trainer_lacks_is_not_taken_for_its_absence(
-    monkeypatch, tmp_path
-):
-    (tmp_path / "lacking.py").write_text("import a_module_that_is_not_there\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(worker.PPO_HOMES, "Learner", ("lacking", "learner"))
-    with pytest.raises(ModuleNotFoundError, match="a_module_that_is_not_there"):
-        worker.find_ppo("Learner")
-    monkeypatch.setitem(worker.PPO_HOMES, "Learner", ("absent.package", "absent"))
-    with pytest.raises(ImportError, match="no PPO trainer here"):
-        worker.find_ppo("Learner")
 
 
 def test_a_gpu_has_its_own_name_and_its_own_memory(monkeypatch):

@@ -9,9 +9,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarking.checkouts import Checkout
-from benchmarking.records import Job, Measurement
-from benchmarking.report import Row, write_csv
+from carpark_mj.benchmarking.checkouts import Checkout
+from carpark_mj.benchmarking.records import Job, Measurement
+from carpark_mj.benchmarking.report import Row, write_csv
+
+# Where the worker lies in checkouts whose trainers are scripts, not in the package.
+EARLIER = Path("eval", "benchmarking")
 
 
 class WorkerError(Exception):
@@ -55,7 +58,7 @@ def measure(
 
 
 def run_job(job: Job, checkout: Checkout) -> Measurement:
-    """Measures a job in a fresh process with the code of a checkout.
+    """Measures a job in a fresh process with the code of a checkout, its worker too.
 
     Raises:
         ValueError: settings that the checkout refuses.
@@ -66,8 +69,11 @@ def run_job(job: Job, checkout: Checkout) -> Measurement:
         "checkout": str(checkout.path),
         "started": time.time(),
     }
+    module = "carpark_mj.benchmarking.worker"
+    if (checkout.path / EARLIER).is_dir():
+        module = "benchmarking.worker"
     # -P: no script's folder on the path, which could shadow modules of the checkout.
-    command = [sys.executable, "-P", "-m", "benchmarking.worker", json.dumps(request)]
+    command = [sys.executable, "-P", "-m", module, json.dumps(request)]
     done = subprocess.run(
         command,
         env=worker_environment(checkout.path),
@@ -91,8 +97,10 @@ def run_job(job: Job, checkout: Checkout) -> Measurement:
 def worker_environment(checkout: Path) -> dict[str, str]:
     """Environment variables: the checkout's code first, no compiled programs kept."""
     environment = dict(os.environ)
-    own = [checkout, checkout / "train", Path(__file__).resolve().parents[1]]
     inherited = environment.get("PYTHONPATH", "")
+    own = [checkout]
+    if (checkout / EARLIER).is_dir():
+        own += [checkout / "train", checkout / "eval"]
     paths = [*map(str, own), *([inherited] if inherited else [])]
     environment["PYTHONPATH"] = os.pathsep.join(paths)
     environment["JAX_ENABLE_COMPILATION_CACHE"] = "false"

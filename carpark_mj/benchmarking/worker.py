@@ -1,13 +1,10 @@
 """Measures one job in a process of its own, with the carpark_mj that Python finds.
 
-`run.py` starts it with another checkout of the project first on the path, so it uses
-only what checkouts before and after a change have in common. It takes one JSON object
-and prints another; exit code 2 and one line for bad input.
+`run.py` starts that of a checkout with its code. It takes one JSON object and prints
+another; exit code 2 and one line for bad input.
 """
 
-import contextlib
 import dataclasses
-import importlib
 import json
 import os
 import sys
@@ -21,16 +18,9 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from benchmarking.records import Job, Measurement
-from benchmarking.timing import CLOCKS, best_time
-
-# Where the parts of the PPO trainer are, newest place first.
-PPO_HOMES = {
-    "Learner": ("carpark_mj.training.ppo.learner", "learners.ppo.learner"),
-    "GroupLearner": ("carpark_mj.training.ppo.group", "learners.ppo.group"),
-    "PRESETS": ("carpark_mj.training.ppo.presets", "learners.ppo.presets"),
-    "configure_jax": ("ppo", "carpark_mj.cli.common"),
-}
+from carpark_mj.benchmarking.records import Job, Measurement
+from carpark_mj.benchmarking.timing import CLOCKS, best_time
+from carpark_mj.cli.common import configure_jax, enable_output_fusion
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,22 +85,25 @@ def env_subject(job: Job) -> Subject:
 def ppo_subject(job: Job) -> Subject:
     """Whole updates of PPO: simulation, observation, learning."""
     # Before any array is made: on CPUs it divides the lots over the cores.
-    find_ppo("configure_jax")()
-    presets = find_ppo("PRESETS")
+    configure_jax()
+    from carpark_mj.training.ppo.group import GroupLearner
+    from carpark_mj.training.ppo.learner import Learner
+    from carpark_mj.training.ppo.parts import PRESETS
+
     name = job.variant
     if name == "auto":
         name = "gpu" if jax.default_backend() == "gpu" else "cpu"
-    if name not in presets:
-        raise ValueError(f"unknown preset {name!r}; choose from {sorted(presets)}")
-    config = dataclasses.replace(presets[name], num_lots=job.lots)
+    if name not in PRESETS:
+        raise ValueError(f"unknown preset {name!r}; choose from {sorted(PRESETS)}")
+    config = dataclasses.replace(PRESETS[name], num_lots=job.lots)
     what = f"ppo {name}"
     if job.runs == 1:
-        learner = find_ppo("Learner")(config)
+        learner = Learner(config)
         program = learner.compile()
     else:
         seeds = range(job.runs)
         configs = [dataclasses.replace(config, seed=seed) for seed in seeds]
-        learner = find_ppo("GroupLearner")(configs)
+        learner = GroupLearner(configs)
         program = jax.jit(learner.compile(), donate_argnums=0)
         what += f", {job.runs} runs"
     layout, carry = config.env.layout, learner.init()
@@ -139,8 +132,7 @@ def physics_subject(job: Job) -> Subject:
         physics: Any = ContactPhysics(sim)
     else:
         sim = SimConfig()
-        # Checkouts before the unrolled step have no other than `mjx.step`.
-        if job.variant == "mjx.step" and hasattr(sim, "stepper"):
+        if job.variant == "mjx.step":
             sim = dataclasses.replace(sim, stepper="mjx")
         physics = MjxPhysics(sim)
 
@@ -176,27 +168,10 @@ def scan(step: Callable[[Any, None], tuple[Any, Any]], steps: int) -> Any:
     return jax.jit(lambda carry: jax.lax.scan(step, carry, None, length=steps))
 
 
-def find_ppo(name: str) -> Any:
-    """A part of the PPO trainer, from the first of its `PPO_HOMES` that exists."""
-    for home in PPO_HOMES[name]:
-        try:
-            module = importlib.import_module(home)
-            if hasattr(module, name):
-                return getattr(module, name)
-        except ModuleNotFoundError as error:
-            if error.name is None or not f"{home}.".startswith(f"{error.name}."):
-                raise  # the module is there, but lacks something it imports
-    raise ImportError(f"no PPO trainer here: {name} is in none of {PPO_HOMES[name]}")
-
-
 def set_flags(job: Job) -> None:
-    """Sets XLA's flags as the scripts of a checkout do; older ones set none."""
-    if job.what == "physics" and job.variant != "brush":
-        return  # MJX cannot be compiled with them
-    with contextlib.suppress(ImportError, AttributeError):
-        from carpark_mj.cli import common
-
-        common.enable_output_fusion()
+    """Sets XLA's flags as the programs do."""
+    if job.what != "physics" or job.variant == "brush":  # MJX refuses them
+        enable_output_fusion()
 
 
 def measure(job: Job, started: float) -> Measurement:

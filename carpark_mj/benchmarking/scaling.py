@@ -9,7 +9,7 @@ from typing import Any
 
 import jax
 
-from benchmarking.timing import best_time
+from carpark_mj.benchmarking.timing import best_time
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import write_atomically

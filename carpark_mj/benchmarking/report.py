@@ -6,8 +6,8 @@ import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarking.checkouts import Checkout
-from benchmarking.records import Job, Measurement
+from carpark_mj.benchmarking.checkouts import Checkout
+from carpark_mj.benchmarking.records import Job, Measurement
 from carpark_mj.files import write_atomically
 
 # How the rounds of one checkout are summarized. Other work on the machine can only

@@ -2,7 +2,13 @@
 
 import pytest
 
-from benchmarking.peers import Rates, Subject, comparison, subjects, take_turns
+from carpark_mj.benchmarking.peers import (
+    Rates,
+    Subject,
+    comparison,
+    subjects,
+    take_turns,
+)
 
 
 def test_subjects_take_turns_after_they_have_compiled():
@@ -33,7 +39,7 @@ def test_a_missing_library_is_named(monkeypatch):
     def missing(*_):
         raise ModuleNotFoundError("no", name="highway_env")
 
-    monkeypatch.setattr("benchmarking.peers.highway", missing)
+    monkeypatch.setattr("carpark_mj.benchmarking.peers.highway", missing)
     with (
         pytest.raises(ValueError, match="needs highway_env: pip install"),
         subjects("highway-env", 2),
