@@ -180,10 +180,11 @@ class PPOConfig(RunConfig):
                 f"hitbox_scale {self.hitbox_scale} needs hitbox_steps of at least 1, "
                 "not 0"
             )
-        if self.hitbox_scale != 1.0 and self.env.physics == "scene":
+        physics = self.env.physics_config
+        if self.hitbox_scale != 1.0 and physics.contacts:
             raise ValueError(
-                f"hitbox_scale must be 1 in scene physics, where crashes are contacts, "
-                f"not {self.hitbox_scale}"
+                f"hitbox_scale must be 1 in {physics.back_end} physics, where crashes "
+                f"are contacts, not {self.hitbox_scale}"
             )
         if self.discount == 1.0 and self.curriculum.discount_end:
             raise ValueError(
@@ -218,7 +219,7 @@ class PPOConfig(RunConfig):
         Raises:
             ValueError: naming the setting and what it needs.
         """
-        if self.env.physics != "grid":
+        if self.env.physics_config.continuous:
             raise ValueError(
                 "variant 'ml-agents' needs actions of choices only, env.physics "
                 f"'grid', not {self.env.physics!r}"
