@@ -18,9 +18,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.config import PhysicsConfig, SimConfig
+from carpark_mj.config import PHYSICS, PhysicsConfig, SimConfig
 from carpark_mj.geometry import move_forward, wrap_angle
-from carpark_mj.physics.back_ends import BicycleConfig
 from carpark_mj.physics.base import (
     FactoredPhysics,
     contain_non_finite,
@@ -104,7 +103,7 @@ def accelerate(
 class BicyclePhysics(FactoredPhysics[BicycleState]):
     """The kinematic bicycle behind the `Physics` interface."""
 
-    config: PhysicsConfig = BicycleConfig()
+    config: PhysicsConfig = PHYSICS["bicycle"]
 
     def __init__(self, sim: SimConfig) -> None:
         """Takes the time steps.

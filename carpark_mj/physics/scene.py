@@ -16,10 +16,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.config import SimConfig
+from carpark_mj.config import PHYSICS, SimConfig
 from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.layouts.types import Layout
-from carpark_mj.physics.back_ends import SceneConfig
 from carpark_mj.physics.base import run_substeps
 from carpark_mj.physics.coordinates import CarDynamics, centre_pose, unpack_coordinates
 from carpark_mj.physics.forces import substep_forces
@@ -65,7 +64,7 @@ class SceneState:
 class ScenePhysics:
     """One C MuJoCo world per lot behind the `Physics` interface."""
 
-    config = SceneConfig()
+    config = PHYSICS["scene"]
 
     def __init__(
         self,

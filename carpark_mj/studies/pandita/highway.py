@@ -14,9 +14,9 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config import PHYSICS
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.physics.bicycle import BicyclePhysics, BicycleState, Carry, slip_angle
-from carpark_mj.studies.pandita.highway_config import HighwayConfig
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.vehicle import Vehicle
 
@@ -24,7 +24,7 @@ from carpark_mj.vehicle.vehicle import Vehicle
 class HighwayPhysics(BicyclePhysics):
     """highway-env's car behind the `Physics` interface."""
 
-    config = HighwayConfig()
+    config = PHYSICS["highway"]
 
     def read(self, state: BicycleState) -> Motion:
         """What the task may know; velocities leave the slip angle out, as its own."""

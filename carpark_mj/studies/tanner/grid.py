@@ -61,7 +61,7 @@ class GridPhysics(FactoredPhysics[GridState]):
             ValueError: a slope, a slippery surface or tyres, which have no meaning.
         """
         require_plain_ground(sim, "grid")
-        self.config = grid
+        self.grid = self.config = grid
         self.ctrl_dt = sim.ctrl_dt
         self._level_speed = grid.speed_step * grid.point_size / sim.ctrl_dt  # m/s
         turn = 2 * math.pi / grid.headings
@@ -78,13 +78,13 @@ class GridPhysics(FactoredPhysics[GridState]):
 
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> GridState:
         """Cars at rest on the nearest point and heading; see `Physics.init`."""
-        point = jnp.round(pose_w[..., :2] / self.config.point_size).astype(jnp.int32)
+        point = jnp.round(pose_w[..., :2] / self.grid.point_size).astype(jnp.int32)
         heading = jnp.round((jnp.pi / 2 - pose_w[..., 2]) / self._turn)
         still = jnp.zeros(pose_w.shape[:-1], jnp.int32)
         return GridState(
             point=point,
             level=still,
-            heading=jnp.mod(heading.astype(jnp.int32), self.config.headings),
+            heading=jnp.mod(heading.astype(jnp.int32), self.grid.headings),
             turn=still,
             vehicle=vehicle,
         )
@@ -92,12 +92,12 @@ class GridPhysics(FactoredPhysics[GridState]):
     def set_speed(self, state: GridState, speed: jax.Array) -> GridState:
         """Cars (...) as they stand, at the levels nearest to speeds (...) [m/s]."""
         level = jnp.round(speed / self._level_speed).astype(jnp.int32)
-        level = jnp.clip(level, -self.config.max_reverse, self.config.max_forward)
+        level = jnp.clip(level, -self.grid.max_reverse, self.grid.max_forward)
         return dataclasses.replace(state, level=level)
 
     def step(self, state: GridState, controls: jax.Array) -> GridState:
         """Advances by one control step; `controls` (..., 2) indices."""
-        grid = self.config
+        grid = self.grid
         level = state.level + controls[..., 0] - grid.max_acceleration
         level = jnp.clip(level, -grid.max_reverse, grid.max_forward)
         turn = controls[..., 1] - grid.max_turn
@@ -111,7 +111,7 @@ class GridPhysics(FactoredPhysics[GridState]):
 
     def read(self, state: GridState) -> Motion:
         """Metres and radians; the speed is the level's, before rounding to points."""
-        xy = state.point * jnp.float32(self.config.point_size)
+        xy = state.point * jnp.float32(self.grid.point_size)
         pose = jnp.concatenate([xy, self._yaw[state.heading][..., None]], axis=-1)
         speed = state.level * jnp.float32(self._level_speed)
         still = jnp.zeros_like(speed)
