@@ -17,3 +17,9 @@ STUDY_PROGRAMS.register(
         "the tables of Cederle 2023",
     ),
 )
+STUDY_PROGRAMS.register(
+    "junction_scene",
+    Entry(
+        "carpark_mj.studies.cederle.scene:run", "the junction as MJCF, or in a viewer"
+    ),
+)
