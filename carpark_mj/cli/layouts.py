@@ -1,9 +1,9 @@
 """Inspects layouts: pictures, files, checks of their plans, runs of their scenes.
 
-python -m carpark_mj.layouts --plot lots.png
-python -m carpark_mj.layouts --check 1000 --run 20
-python -m carpark_mj.layouts street my_lot.json --check 1000
-python -m carpark_mj.layouts lot --seed 3 --save lot.json
+carpark_mj layouts --plot lots.png
+carpark_mj layouts --check 1000 --run 20
+carpark_mj layouts street my_lot.json --check 1000
+carpark_mj layouts lot --seed 3 --save lot.json
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
 
-PROGRAM = "python -m carpark_mj.layouts"
+PROGRAM = "carpark_mj layouts"
 CHUNK = 250  # layouts drawn at once
 MAX_KEYS = 10_000_000  # of each layout; they take an hour or more
 PICTURES = (".png", ".pdf", ".svg")
@@ -148,7 +148,7 @@ def run_scene(layout: Layout) -> list[str]:
 
 @dataclasses.dataclass(frozen=True)
 class LayoutsConfig:
-    """Settings of `python -m carpark_mj.layouts`.
+    """Settings of `carpark_mj layouts`.
 
     Attributes:
         layouts: names or layout files; all families if none.

@@ -1,4 +1,4 @@
-"""What `python eval/suite.py` does: policies in the held-out cases, in one table."""
+"""What `carpark_mj suite` does: policies in the held-out cases, in one table."""
 
 import dataclasses
 import math
@@ -59,7 +59,7 @@ DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCA
 
 @dataclasses.dataclass(frozen=True)
 class SuiteConfig:
-    """Settings of `python eval/suite.py`.
+    """Settings of `carpark_mj suite`.
 
     Attributes:
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`

@@ -2,11 +2,11 @@
 
 docs/hard_cases.md says what the cases are and what the numbers mean.
 
-python eval/suite.py planner anywhere
-python eval/suite.py planner runs/gpu-0 --levels extreme --rule precise --videos 3
-python eval/suite.py planner --levels tpcap --seeds 0 1 2
-python eval/suite.py planner --levels normal --seeds 1 --out runs/normal-1
-python eval/suite.py --combine runs/normal-0 runs/normal-1 --videos 3
+carpark_mj suite planner anywhere
+carpark_mj suite planner runs/gpu-0 --levels extreme --rule precise --videos 3
+carpark_mj suite planner --levels tpcap --seeds 0 1 2
+carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
+carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
 """
 
 from collections.abc import Sequence

@@ -44,7 +44,7 @@ RUN_SETTINGS = (
 
 @dataclasses.dataclass(frozen=True)
 class SACConfig(RunConfig):
-    """Settings of `python train/sac.py`; every field is a flag.
+    """Settings of `carpark_mj study sac`; every field is a flag.
 
     The settings of `RunConfig` come first.
 

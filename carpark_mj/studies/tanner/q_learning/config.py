@@ -30,7 +30,7 @@ RUN_SETTINGS = (
 
 @dataclasses.dataclass(frozen=True)
 class QLearningConfig(RunConfig):
-    """Settings of `python train/q_learning.py`; every field is a flag.
+    """Settings of `carpark_mj study q_learning`; every field is a flag.
 
     The settings of `RunConfig` come first. The rates are those of Tanner 2022, section
     5.1.1; names follow its table C.6.
