@@ -29,6 +29,7 @@ from carpark_mj.config.observations import (
     TannerObservation,
     ViewConfig,
 )
+from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import REWARDS, RewardConfig, RewardName, reward_preset
@@ -45,6 +46,7 @@ from carpark_mj.config.terminations import (
 __all__ = [
     "CONTACT_SIM_DT",
     "LAYOUT_FILES",
+    "MOVERS",
     "PARKED_RULES",
     "REWARDS",
     "TPCAP_NAMES",
@@ -65,7 +67,9 @@ __all__ = [
     "LayoutConfig",
     "LayoutName",
     "MetricsConfig",
+    "Mover",
     "Observation",
+    "ObstacleKind",
     "ParkedRule",
     "PhysicsName",
     "RandomizationConfig",

@@ -12,6 +12,7 @@ from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.evaluation.rollout import CHUNK
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.layouts.types import Layout
+from carpark_mj.obstacles.shapes import Group, take
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.types import Motion, State
@@ -42,6 +43,7 @@ class Recording:
         parked_size: (parked cars, 2) footprints [m]; None if all are equal.
         tracked_bays: (t, agents, slots) bays tracked during the steps, `NO_BAY` in
             empty slots; None while goals are fixed.
+        movers: obstacles that move by themselves, (t, ...) in front.
     """
 
     layout: Layout
@@ -59,6 +61,7 @@ class Recording:
     size: np.ndarray | None = None
     parked_size: np.ndarray | None = None
     tracked_bays: np.ndarray | None = None
+    movers: tuple[Group, ...] = ()
 
 
 def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
@@ -71,6 +74,7 @@ def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
         recording.parked_pose.shape[2],
         env.fleet.agents,
         () if sizes is None else env.fleet.parked_vehicles(sizes),
+        take(recording.movers, 0),
     )
 
 
@@ -122,6 +126,8 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
         }
         if state.tracked_bays is not None:
             frame["tracked_bays"] = state.tracked_bays
+        if after.movers is not None:
+            frame["movers"] = after.movers.groups
         return (after, timestep.observation), frame
 
     run = jax.jit(lambda policy, *xs: jax.lax.scan(partial(step, policy), *xs))
@@ -130,10 +136,8 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     for keys in jax.random.split(act_key, num_chunks * CHUNK).reshape(num_chunks, -1):
         carry, frames = run(policy, carry, keys)
         chunks.append(jax.device_get(frames))
-    frames = {
-        name: np.concatenate([chunk[name] for chunk in chunks])[:num_steps]
-        for name in chunks[0]
-    }
+    frames = jax.tree.map(lambda *xs: np.concatenate(xs)[:num_steps], *chunks)
+    movers = frames.pop("movers", ())
     # A lot keeps its parked cars: who is absent at the start never comes.
     here = np.asarray(state.parked_cars.present)
     frames["parked_pose"] = frames["parked_pose"][:, :, here]
@@ -145,5 +149,6 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
         layout=state.layout,
         ctrl_dt=env.config.sim.ctrl_dt,
         parked_size=np.asarray(state.parked_cars.size)[here],
+        movers=movers,
         **frames,
     )

@@ -1,0 +1,1 @@
+"""Obstacles: all that agents can hit, see and keep away from."""
