@@ -37,7 +37,7 @@ from carpark_mj.mdp.spawning.placing import (
 from carpark_mj.mdp.spawning.room import has_room
 from carpark_mj.observations import rings, sensors
 from carpark_mj.obstacles.movers import begin_movers, step_movers, trace_still
-from carpark_mj.obstacles.shapes import Movers
+from carpark_mj.obstacles.shapes import NO_MOVERS, Movers
 from carpark_mj.physics.base import Physics, RollingStarts, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
 from carpark_mj.vehicle import Vehicle, VehicleParameters
@@ -278,24 +278,24 @@ class Episodes:
         nominal, key = self._fleet.draw_agents(key)
         return randomize_all(config.randomization, nominal, key)
 
-    def _begin_movers(
-        self, layout: Layout, key: jax.Array
-    ) -> tuple[jax.Array, Movers | None]:
+    def _begin_movers(self, layout: Layout, key: jax.Array) -> tuple[jax.Array, Movers]:
         """The lot's next key, and its movers if there are any."""
         if not self._movers:
-            return key, None
+            return key, NO_MOVERS
         key, mover_key = jax.random.split(key)
         return key, begin_movers(self._movers, layout, mover_key)
 
-    def step_movers(self, state: State, keys: StepKeys) -> Movers | None:
+    def step_movers(self, state: State, keys: StepKeys) -> Movers:
         """The movers after a control step; `state` is before it."""
+        if not self._movers:
+            return NO_MOVERS
         return step_movers(self._movers, state, self._config.sim.ctrl_dt, keys.movers)
 
     def _spawn_inputs(
         self,
         layout: Layout,
         parked_cars: ParkedCars,
-        movers: Movers | None,
+        movers: Movers,
         new: Vehicle,
         old: Vehicle,
     ) -> SpawnInputs:

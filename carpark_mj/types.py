@@ -14,7 +14,7 @@ from flax import struct
 from carpark_mj.config import ContextName
 from carpark_mj.layouts.routes import Routes
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import Movers
+from carpark_mj.obstacles.shapes import NO_MOVERS, Movers
 
 if TYPE_CHECKING:  # it loads MuJoCo, which the task does without
     from carpark_mj.vehicle.vehicle import Vehicle
@@ -217,7 +217,7 @@ class State:
         waited: (num_agents,) int32 control steps for which an absent agent has waited
             for room to start; 0 = it does not wait. None where nobody ever does.
         routes: ways along the lanes to the bays; None where nothing reads them.
-        movers: obstacles that move by themselves; None where there are none.
+        movers: obstacles that move by themselves.
     """
 
     physics: PhysicsState
@@ -235,7 +235,7 @@ class State:
     present: jax.Array | None = None
     waited: jax.Array | None = None
     routes: Routes | None = None
-    movers: Movers | None = None
+    movers: Movers = NO_MOVERS
 
     @property
     def exploring(self) -> jax.Array:

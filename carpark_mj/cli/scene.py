@@ -138,7 +138,7 @@ def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
         np.asarray(state.motion.pose_w),
         np.asarray(state.parked_cars.pose_w),
         config.suspension,
-        () if state.movers is None else state.movers.groups,
+        state.movers.groups,
     )
     return spec, np.asarray(state.layout.extent)
 

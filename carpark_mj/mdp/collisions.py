@@ -39,9 +39,7 @@ def find_hits(
     if motion.touched is not None:
         columns = jnp.moveaxis(motion.touched, -1, 0)
         hits = {ObstacleKind(k): column for k, column in enumerate(columns)}
-        return _labelled(
-            _add_hits(hits, motion, () if movers is None else movers.groups)
-        )
+        return _labelled(_add_hits(hits, motion, movers.groups))
     motion = dataclasses.replace(motion, size=motion.size * hitbox_scale)
     size = parked_cars.size * hitbox_scale
     parked_cars = dataclasses.replace(parked_cars, size=size)

@@ -3,7 +3,7 @@
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import rotate
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import Boxes, Discs, Group, Movers
+from carpark_mj.obstacles.shapes import NO_MOVERS, Boxes, Discs, Group, Movers
 from carpark_mj.types import Motion, ParkedCars
 
 
@@ -11,7 +11,7 @@ def lot_obstacles(
     layout: Layout,
     motion: Motion | None,
     parked_cars: ParkedCars,
-    movers: Movers | None,
+    movers: Movers = NO_MOVERS,
 ) -> tuple[Group, ...]:
     """All obstacles of a lot, agents first.
 
@@ -19,7 +19,7 @@ def lot_obstacles(
         layout: its walls and discs.
         motion: the agents; None = leave them out.
         parked_cars: where they stand.
-        movers: where they are; None = there are none.
+        movers: where they are.
     """
     groups: list[Group] = []
     if motion is not None:
@@ -53,4 +53,4 @@ def lot_obstacles(
             kind=ObstacleKind.WALL,
         ),
     ]
-    return (*groups, *(() if movers is None else movers.groups))
+    return (*groups, *movers.groups)

@@ -14,10 +14,8 @@ from carpark_mj.obstacles.shapes import Boxes, Discs, Group, Movers
 from carpark_mj.types import State
 
 
-def begin_movers(
-    movers: Sequence[Mover], layout: Layout, key: jax.Array
-) -> Movers | None:
-    """Movers of a lot that begins, not traced yet; None if there are none.
+def begin_movers(movers: Sequence[Mover], layout: Layout, key: jax.Array) -> Movers:
+    """Movers of a lot that begins, not traced yet.
 
     Args:
         movers: which.
@@ -27,25 +25,21 @@ def begin_movers(
     Raises:
         ValueError: obstacles that are no groups of boxes and discs.
     """
-    if not movers:
-        return None
     keys = jax.random.split(key, len(movers))
     pairs = zip(movers, keys, strict=True)
     states = tuple(_strong(mover.init(key, layout)) for mover, key in pairs)
     return Movers(states, _all_groups(movers, states))
 
 
-def trace_still(movers: Movers | None, num_traces: int) -> Movers | None:
+def trace_still(movers: Movers, num_traces: int) -> Movers:
     """Movers that stood still at all traced instants of a step."""
-    if movers is None:
-        return None
     groups = tuple(_trace(group, group, num_traces) for group in movers.groups)
     return dataclasses.replace(movers, groups=groups)
 
 
 def step_movers(
     movers: Sequence[Mover], state: State, dt: float, key: jax.Array
-) -> Movers | None:
+) -> Movers:
     """Movers after a control step.
 
     Args:
@@ -57,10 +51,8 @@ def step_movers(
     Raises:
         ValueError: a state or obstacles of other shapes than those before.
     """
-    old = state.movers
-    if old is None:
-        return None
-    keys, states = jax.random.split(key, len(movers)), []
+    old, states = state.movers, []
+    keys = jax.random.split(key, len(movers))
     for mover, before, own in zip(movers, old.states, keys, strict=True):
         after = _strong(mover.step(own, before, state, dt))
         _require_same(mover, "state", before, after)

@@ -189,5 +189,8 @@ class Movers:
         groups: their obstacles at the end of the last control step, traced.
     """
 
-    states: tuple[Any, ...]
-    groups: tuple[Group, ...]
+    states: tuple[Any, ...] = ()
+    groups: tuple[Group, ...] = ()
+
+
+NO_MOVERS = Movers()

@@ -123,8 +123,7 @@ def _look(state: State) -> dict[str, jax.Array]:
     goal = jnp.take_along_axis(
         layout.parked_pose, state.goal[..., None], axis=-2, mode="clip"
     )
-    boxes, discs = by_shape(lot_obstacles(layout, None, state.parked_cars, None))
-    movers = () if state.movers is None else state.movers.groups
+    boxes, discs = by_shape(lot_obstacles(layout, None, state.parked_cars))
     lead = state.goal.shape[:-1]
     nothing = Boxes(jnp.zeros((*lead, 0, 3)), jnp.zeros((*lead, 0, 2)))
     parameters = [getattr(vehicle, name) for name in PlannerCar._fields[2:]]
@@ -140,7 +139,7 @@ def _look(state: State) -> dict[str, jax.Array]:
         "car": jnp.concatenate([vehicle.size, jnp.stack(parameters, axis=-1)], axis=-1),
         **_joined("box", boxes),
         **_joined("disc", discs),
-        **_joined("mover", [nothing, *map(_outlines, movers)]),
+        **_joined("mover", [nothing, *map(_outlines, state.movers.groups)]),
         "extent": layout.extent,
     }
 

@@ -9,11 +9,12 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.mdp.parked_cars import AWAY
-from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
-from carpark_mj.rendering.rollout import parked_trace
+from carpark_mj.policy.acting import AnyPolicy, as_argument
+from carpark_mj.rendering.recording import parked_trace
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.types import ENDINGS, State, TimeStep
+from carpark_mj.rollout import Carry, Step, acts, control_step
+from carpark_mj.types import ENDINGS
 
 
 class LiveLot:
@@ -34,8 +35,8 @@ class LiveLot:
         reset_key, self._key = jax.random.split(evaluation_key(seed))
         self._reset = jax.jit(env.reset)
         self._step = jax.jit(self._control_step)
-        self._start = self._reset(reset_key)
-        state, _ = self._start
+        self._start = Carry(*self._reset(reset_key))
+        state = self._start.state
         layout = state.layout
         self.extent = np.asarray(layout.extent)
         self._layout = jax.device_get(layout)
@@ -48,7 +49,7 @@ class LiveLot:
             config.num_parked_cars,
             env.fleet.agents,
             env.fleet.parked_vehicles(np.asarray(state.parked_cars.size)),
-            () if state.movers is None else state.movers.groups,
+            state.movers.groups,
         )
         self.traces = self._run_once()
         # One call of `step` is one traced pose.
@@ -56,28 +57,21 @@ class LiveLot:
         self.reset()
 
     def _control_step(self, policy, carry, key):
-        state, observation = carry
-        action = choose_actions(policy, state, observation, key)
-        after, timestep = self._env.step(state, action)
+        carry, step = control_step(self._env, acts(policy), carry, key)
+        timestep, motion = step.timestep, step.timestep.motion
         seen = {
-            "pose_w": timestep.motion.trace_w[self._shows].swapaxes(0, 1),
-            "steering": timestep.motion.steering[self._shows],
-            "size": timestep.motion.size[self._shows],
-            "parked_pose": parked_trace(state, after, timestep.motion),
-            "goal": after.goal[self._shows],
-            "movers": () if after.movers is None else after.movers.groups,
-            **self._record(state, observation, action, timestep),
+            "pose_w": motion.trace_w[self._shows].swapaxes(0, 1),
+            "steering": motion.steering[self._shows],
+            "size": motion.size[self._shows],
+            "parked_pose": parked_trace(step.before, step.after, motion),
+            "goal": step.after.goal[self._shows],
+            "movers": step.after.movers.groups,
+            **self._record(step),
             **{name: getattr(timestep.events, name).sum() for name in ENDINGS},
         }
-        return (after, timestep.observation), seen
+        return carry, seen
 
-    def _record(
-        self,
-        state: State,
-        observation: jax.Array,
-        action: jax.Array,
-        timestep: TimeStep,
-    ) -> dict[str, jax.Array]:
+    def _record(self, step: Step) -> dict[str, jax.Array]:
         """What else to keep of a control step, by name; nothing here."""
         return {}
 
@@ -88,7 +82,8 @@ class LiveLot:
 
     def reset(self) -> None:
         """Restarts the lot with the same random keys."""
-        state, _ = self._carry = self._start
+        self._carry = self._start
+        state = self._start.state
         self._steps = self._trace = 0
         self._seen = None
         self._ended = dict.fromkeys(ENDINGS, 0)
@@ -101,7 +96,7 @@ class LiveLot:
             np.asarray(motion.steering),
             np.asarray(state.parked_cars.pose_w),
             np.asarray(motion.size),
-            () if state.movers is None else state.movers.groups,
+            state.movers.groups,
         )
 
     @property

@@ -106,8 +106,9 @@ class Screen:
         parts = tuple(getattr(state, name) for name in names)
         parts = jax.device_get(jax.tree.map(lambda x: x[lot], parts))
         layout, motion, parked_cars, goal, active, movers = parts
-        movers = () if movers is None else movers.groups
-        stage = self._stage(layout, parked_cars.size, movers, most=len(state.goal))
+        stage = self._stage(
+            layout, parked_cars.size, movers.groups, most=len(state.goal)
+        )
         goal_pose, goal_size = aimed_at(layout, goal)
         seen = Snapshot(
             seconds=0.0,
@@ -121,7 +122,7 @@ class Screen:
             tally={},
             flashes=(),
             size=motion.size,
-            movers=movers,
+            movers=movers.groups,
         )
         stage.place(
             seen.pose_w, seen.steering, seen.parked_pose, seen.size, seen.movers

@@ -31,7 +31,7 @@ def surroundings_of(
         agent=jnp.int32(0),
         others=jnp.broadcast_to(jnp.asarray(others), xy.shape[:1]),
         size=size if size is None else jnp.asarray(size, jnp.float32),
-        obstacles=lot_obstacles(layout, None, parked_at(), None),
+        obstacles=lot_obstacles(layout, None, parked_at()),
     )
 
 

@@ -20,7 +20,7 @@ TEMPLATE = lot(np.zeros((1, 3)), np.zeros((WALLS, 3)), discs=np.zeros((DISCS, 3)
 
 
 def gaps_of(layout, motion, parked):
-    return clearances(motion, lot_obstacles(layout, motion, parked, None))
+    return clearances(motion, lot_obstacles(layout, motion, parked))
 
 
 @jax.jit

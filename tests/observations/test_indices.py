@@ -134,7 +134,7 @@ def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
         outlines=None,
         agent=jnp.int32(0),
         size=None,
-        obstacles=lot_obstacles(layout, None, NOBODY, None),
+        obstacles=lot_obstacles(layout, None, NOBODY),
     )
 
     @jax.jit

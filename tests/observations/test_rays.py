@@ -34,7 +34,7 @@ NOBODY = parked_at()
 
 
 def cast(config, layout, motion, parked):
-    return cast_rays(config, motion, lot_obstacles(layout, motion, parked, None))
+    return cast_rays(config, motion, lot_obstacles(layout, motion, parked))
 
 
 cast_rays_jit = jax.jit(cast, static_argnums=0)

@@ -18,7 +18,7 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.obstacles.shapes import Group, Movers
+from carpark_mj.obstacles.shapes import NO_MOVERS, Group, Movers
 from carpark_mj.types import NO_BAY, CarParameters, ParkedCars
 
 
@@ -36,7 +36,7 @@ class SpawnInputs:
         fits: who fits into which bay.
         cars: (num_agents,) parameters of the cars drawn for agents that begin; None =
             only the centres of cars are known.
-        movers: where they are; None where there are none.
+        movers: where they are.
     """
 
     layout: Layout
@@ -45,7 +45,7 @@ class SpawnInputs:
     old_size: jax.Array | None
     fits: BayFits
     cars: CarParameters | None = None
-    movers: Movers | None = None
+    movers: Movers = NO_MOVERS
 
 
 @struct.dataclass
@@ -194,7 +194,7 @@ def surroundings(
         agent=agent,
         size=size,
         obstacles=lot_obstacles(inputs.layout, None, parked, inputs.movers),
-        movers=() if inputs.movers is None else inputs.movers.groups,
+        movers=inputs.movers.groups,
     )
 
 

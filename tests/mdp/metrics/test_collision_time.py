@@ -82,7 +82,7 @@ def test_discs_are_touched_first_when_moving_step_by_step_says_so(pairs):
 
 @jax.jit
 def run(layout, motion, parked):
-    return collision_times(motion, lot_obstacles(layout, motion, parked, None))
+    return collision_times(motion, lot_obstacles(layout, motion, parked))
 
 
 FAR = 1000.0  # m
