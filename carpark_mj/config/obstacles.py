@@ -78,11 +78,15 @@ def make_movers(choices: Sequence[MoverChoice]) -> tuple[Mover, ...]:
     """The movers that names stand for, with their default settings; others as given.
 
     Raises:
-        ValueError: an unknown name.
+        ValueError: an unknown name, or a mover that says that it is an agent.
     """
-    return tuple(
-        MOVERS[mover]() if isinstance(mover, str) else mover for mover in choices
+    movers = tuple(
+        MOVERS[name]() if isinstance(name, str) else name for name in choices
     )
+    for mover in movers:
+        if mover.kind == ObstacleKind.AGENT:
+            raise ValueError(f"the mover {mover.mover!r} must not be of the kind AGENT")
+    return movers
 
 
 def hit_kinds(movers: Sequence[MoverChoice]) -> tuple[ObstacleKind, ...]:

@@ -28,13 +28,16 @@ def begin_movers(movers: Sequence[Mover], layout: Layout, key: jax.Array) -> Mov
     keys = jax.random.split(key, len(movers))
     pairs = zip(movers, keys, strict=True)
     states = tuple(_strong(mover.init(key, layout)) for mover, key in pairs)
-    return Movers(states, _all_groups(movers, states))
+    return Movers(states, tuple(map(_groups, movers, states)))
 
 
 def trace_still(movers: Movers, num_traces: int) -> Movers:
     """Movers that stood still at all traced instants of a step."""
-    groups = tuple(_trace(group, group, num_traces) for group in movers.groups)
-    return dataclasses.replace(movers, groups=groups)
+    still = tuple(
+        tuple(_trace(group, group, num_traces) for group in groups)
+        for groups in movers.obstacles
+    )
+    return dataclasses.replace(movers, obstacles=still)
 
 
 def step_movers(
@@ -51,25 +54,22 @@ def step_movers(
     Raises:
         ValueError: a state or obstacles of other shapes than those before.
     """
-    old, states = state.movers, []
-    keys = jax.random.split(key, len(movers))
-    for mover, before, own in zip(movers, old.states, keys, strict=True):
-        after = _strong(mover.step(own, before, state, dt))
+    old, num_traces = state.movers, state.motion.trace_w.shape[-2]
+    keys, states, obstacles = jax.random.split(key, len(movers)), [], []
+    rows = zip(movers, old.states, old.obstacles, keys, strict=True)
+    for mover, before, there, own_key in rows:
+        after = _strong(mover.step(own_key, before, state, dt))
         _require_same(mover, "state", before, after)
+        groups = _groups(mover, after)
+        _require_same(mover, "obstacles", tuple(map(_untraced, there)), groups)
+        pairs = zip(there, groups, strict=True)
         states.append(after)
-    groups, first = _all_groups(movers, states), 0
-    for mover, own in zip(movers, old.states, strict=True):
-        there = _groups(mover, own)
-        _require_same(mover, "obstacles", there, groups[first : first + len(there)])
-        first += len(there)
-    num_traces = state.motion.trace_w.shape[-2]
-    pairs = zip(old.groups, groups, strict=True)
-    return Movers(tuple(states), tuple(_trace(*pair, num_traces) for pair in pairs))
+        obstacles.append(tuple(_trace(*pair, num_traces) for pair in pairs))
+    return Movers(tuple(states), tuple(obstacles))
 
 
-def _all_groups(movers: Sequence[Mover], states: Sequence[Any]) -> tuple[Group, ...]:
-    pairs = zip(movers, states, strict=True)
-    return tuple(group for pair in pairs for group in _groups(*pair))
+def _untraced(group: Group) -> Group:
+    return dataclasses.replace(group, trace_w=None)
 
 
 def _groups(mover: Mover, state: Any) -> tuple[Group, ...]:
@@ -108,16 +108,15 @@ def _strong(tree: Any) -> Any:
 
 def _require_same(mover: Mover, what: str, before: Any, after: Any) -> None:
     """Refuses arrays of other shapes or types, which no loop could carry."""
-    old, new = (_shapes(tree) for tree in (before, after))
+    old, new = (
+        (jax.tree.structure(tree), [f"{x.dtype}{list(x.shape)}" for x in leaves])
+        for tree, leaves in ((tree, jax.tree.leaves(tree)) for tree in (before, after))
+    )
     if old != new:
         raise ValueError(
-            f"the {what} of the mover {mover.mover!r} must stay of shape and type "
-            f"{old}, not become {new}"
+            f"the {what} of the mover {mover.mover!r} must keep shapes and types "
+            f"{old[1]}, not become {new[1]}"
         )
-
-
-def _shapes(tree: Any) -> str:
-    return str(jax.tree.map(lambda x: f"{x.dtype}{list(x.shape)}", tree))
 
 
 def _trace(before: Group, after: Group, num_traces: int) -> Group:

@@ -186,11 +186,16 @@ class Movers:
 
     Attributes:
         states: their own, in the order of `EnvConfig.movers`.
-        groups: their obstacles at the end of the last control step, traced.
+        obstacles: of each, at the end of the last control step, traced.
     """
 
     states: tuple[Any, ...] = ()
-    groups: tuple[Group, ...] = ()
+    obstacles: tuple[tuple[Group, ...], ...] = ()
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """The obstacles of all of them."""
+        return tuple(group for own in self.obstacles for group in own)
 
 
 NO_MOVERS = Movers()
