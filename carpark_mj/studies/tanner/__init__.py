@@ -1,0 +1,5 @@
+"""Tanner 2022: parking agents that learn to share a lot."""
+
+from carpark_mj.studies.tanner import programs
+
+__all__ = ["programs"]

@@ -1,0 +1,90 @@
+"""Presets of PPO training.
+
+`cpu` and `gpu` are made for a kind of hardware and end in time. `square`, `dynamic`,
+`anywhere` and `hope` have the names of their environments in `carpark_mj.registry`,
+train real cars and are meant for a GPU. `parts` names them.
+"""
+
+import dataclasses
+
+from carpark_mj.config import EpisodeConfig
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.registry import environment
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+
+# What all policies that drive real cars share; docs/results.md says what was tried.
+_CURRICULUM = CurriculumConfig(crash_scale=3.0, crash_ratio=0.3, discount_end=0.998)
+# Meant to end within a quarter of an hour, evaluation and video included. On two cores
+# learning takes the time: small networks, and two epochs for more steps.
+CPU = PPOConfig(
+    preset="cpu",
+    num_steps=50_000_000,
+    minutes=12.0,
+    num_epochs=2,
+    curriculum=_CURRICULUM,
+    networks=NetworkConfig(
+        (64, 64), (64, 64), own_size=64, entity_size=32, min_std=0.1
+    ),
+)
+SQUARE = PPOConfig(
+    preset="square",
+    num_steps=1_500_000_000,
+    num_lots=1024,
+    num_minibatches=64,
+    learning_rate=1e-3,
+    learning_rate_end=3e-5,
+    entropy_cost_end=3e-4,
+    curriculum=_CURRICULUM,
+    networks=NetworkConfig((256, 256), (256, 256), min_std=0.1),
+    # Who parks precisely parks strictly, too, and learns it in the same time.
+    env=dataclasses.replace(
+        environment("square"), episode=EpisodeConfig(parked_rule="precise")
+    ),
+)
+GPU = dataclasses.replace(SQUARE, preset="gpu", minutes=8.0)
+# With chosen goals `crash_ratio` means starts in conflict over a bay: not tried, nor is
+# the `min_std` of the others.
+DYNAMIC = dataclasses.replace(
+    SQUARE,
+    preset="dynamic",
+    num_steps=1_000_000_000,
+    curriculum=dataclasses.replace(_CURRICULUM, crash_ratio=0.0),
+    networks=NetworkConfig((256, 256), (256, 256)),
+    env=environment("dynamic"),
+)
+# 2,048 lots fill one GPU; two train with twice as many (docs/policies.md).
+ANYWHERE = dataclasses.replace(
+    SQUARE,
+    preset="anywhere",
+    num_steps=4_000_000_000,
+    num_lots=2048,
+    num_minibatches=32,
+    learning_rate_end=2e-5,
+    curriculum=dataclasses.replace(
+        _CURRICULUM,
+        crash_ratio=0.2,
+        reverse_ratio=0.3,
+        target_rate=0.99,
+        discount_end=0.997,
+    ),
+    networks=NetworkConfig((256, 256, 256), (256, 256, 256), min_std=0.1),
+    env=environment("anywhere"),
+)
+# One car alone: there is nobody to collide with, and no set of cars to read.
+HOPE = dataclasses.replace(
+    SQUARE,
+    preset="hope",
+    num_steps=800_000_000,
+    num_lots=8192,
+    num_minibatches=32,
+    curriculum=dataclasses.replace(
+        _CURRICULUM,
+        crash_scale=2.0,
+        crash_ratio=0.0,
+        reverse_ratio=0.5,
+        target_rate=0.99,
+    ),
+    networks=NetworkConfig((256, 256, 256), (256, 256, 256), encoder="flat"),
+    env=environment("hope"),
+)
