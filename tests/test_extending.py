@@ -80,6 +80,21 @@ def test_the_new_field_is_observed_at_reset_and_in_steps():
     np.testing.assert_allclose(names["timestep"].observation[:, -1], 1 / 200)
 
 
+def test_the_new_mover_comes_and_goes():
+    names = run("A mover")
+    env, state = names["env"], names["state"]
+
+    @jax.jit
+    def drive(state):
+        def step(state, _):
+            state, _ = env.step(state, jnp.zeros((2, 2)))
+            return state, jnp.stack([group.mask[0] for group in state.movers.groups])
+
+        return jax.lax.scan(step, state, length=100)[1]  # two periods
+
+    np.testing.assert_array_equal(drive(state).sum(axis=0), [50, 50])
+
+
 def test_the_new_vehicle_drives_alone_and_in_a_fleet():
     names = run("A vehicle")
     state, _ = jax.jit(names["env"].reset)(jax.random.key(0))
