@@ -10,7 +10,13 @@ import pytest
 from helpers.scenes import cars
 
 from carpark_mj.cli.evaluate import EvaluateConfig
-from carpark_mj.config import PARKED_RULES, ParkedRule, register_rule, terminations
+from carpark_mj.config import (
+    MOVERS,
+    PARKED_RULES,
+    ParkedRule,
+    register_rule,
+    terminations,
+)
 from carpark_mj.layouts import FAMILIES, DesignCar, generate, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import read_json
@@ -43,8 +49,8 @@ def run(name):
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
     """What examples register is gone after each test."""
-    for registry in (FAMILIES, PRESETS, terminations._RULES):
-        for name in ("court", "taxi", "straight"):
+    for registry in (FAMILIES, PRESETS, terminations._RULES, MOVERS._parts):
+        for name in ("court", "taxi", "straight", "rising_bollard"):
             monkeypatch.setitem(registry, name, None)
             monkeypatch.delitem(registry, name)
 
