@@ -15,6 +15,7 @@ from carpark_mj.config.obstacles import make_movers
 from carpark_mj.fleet.checks import is_made_for
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
+from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts import Layout, MixtureConfig, layout_config
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp import metrics
@@ -37,7 +38,6 @@ from carpark_mj.mdp.spawning.placing import (
 from carpark_mj.mdp.spawning.room import has_room
 from carpark_mj.observations import rings, sensors
 from carpark_mj.obstacles.movers import begin_movers, step_movers, trace_still
-from carpark_mj.obstacles.shapes import NO_MOVERS, Movers
 from carpark_mj.physics.base import Physics, RollingStarts, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
 from carpark_mj.vehicle import Vehicle, VehicleParameters
@@ -82,7 +82,8 @@ class Episodes:
         most = min(lot.min_bays // 2, lot.min_goals)
         self._movers = make_movers(config.movers)
         # Contacts push parked cars into the spawn regions, and movers come there.
-        self._may_touch = bool(physics.contacts or self._movers) or not all(
+        disturbed = config.physics_config.contacts or bool(self._movers)
+        self._may_touch = disturbed or not all(
             _starts_are_free(lot, car) for car in fleet.agents
         )
         room = False

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.config import ContextName
+from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts.routes import Routes
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import NO_MOVERS, Movers
 
 if TYPE_CHECKING:  # it loads MuJoCo, which the task does without
     from carpark_mj.vehicle.vehicle import Vehicle

@@ -58,14 +58,14 @@ class Mover(CheckedConfig, abc.ABC):
 
     @abc.abstractmethod
     def obstacles(self, state: Any) -> Sequence[Any]:
-        """Where it is: groups `Boxes` and `Discs` of `carpark_mj.obstacles.shapes`.
+        """Where it is: groups `Boxes` and `Discs` of `carpark_mj.obstacles`.
 
         As many always; masks say which there are. In between two steps those that stay
         move straight on, those that come are at their new places.
         """
 
 
-MOVERS: Registry[type[Mover]] = Registry("mover")
+MOVERS: Registry[Mover] = Registry("mover")
 
 # As a flag a mover is its name, as a layout is.
 if TYPE_CHECKING:
@@ -75,14 +75,12 @@ else:
 
 
 def make_movers(choices: Sequence[MoverChoice]) -> tuple[Mover, ...]:
-    """The movers that names stand for, with their default settings; others as given.
+    """The movers that names stand for; others as given.
 
     Raises:
         ValueError: an unknown name, or a mover that says that it is an agent.
     """
-    movers = tuple(
-        MOVERS[name]() if isinstance(name, str) else name for name in choices
-    )
+    movers = tuple(MOVERS[x] if isinstance(x, str) else x for x in choices)
     for mover in movers:
         if mover.kind == ObstacleKind.AGENT:
             raise ValueError(f"the mover {mover.mover!r} must not be of the kind AGENT")

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from carpark_mj.config import RayConfig
 from carpark_mj.geometry import rotate
 from carpark_mj.geometry.broad_phase import is_crowded, visit_near
+from carpark_mj.geometry.obstacles import Group, by_shape, merge, take
 from carpark_mj.observations.fields import Field
-from carpark_mj.obstacles.shapes import Group, by_shape, merge, take
 from carpark_mj.types import Motion
 
 RAYS = "rays"  # name of the field

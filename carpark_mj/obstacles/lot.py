@@ -2,8 +2,8 @@
 
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import rotate
+from carpark_mj.geometry.obstacles import NO_MOVERS, Boxes, Discs, Group, Movers
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import NO_MOVERS, Boxes, Discs, Group, Movers
 from carpark_mj.types import Motion, ParkedCars
 
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 
 from carpark_mj.config.obstacles import Mover
 from carpark_mj.geometry import wrap_angle
+from carpark_mj.geometry.obstacles import Boxes, Discs, Group, Movers
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import Boxes, Discs, Group, Movers
 from carpark_mj.types import State
 
 

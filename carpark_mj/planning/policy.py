@@ -10,16 +10,14 @@ import numpy as np
 from jax.experimental import io_callback
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.geometry.obstacles import Boxes, Group, by_shape
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.obstacles.shapes import Boxes, Group, by_shape
 from carpark_mj.planning.driving import Agent, Sight
 from carpark_mj.planning.obstacles import Solids
 from carpark_mj.planning.paths import PlannerCar
 from carpark_mj.planning.search import Search, SearchConfig, require_ompl
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.types import State
-
-PHYSICS = ("mjx", "scene", "bicycle")  # whose cars obey the pedal and the brake alike
 
 
 class Planner:
@@ -91,10 +89,11 @@ def planner_policy(
         ValueError: OMPL is not installed, or agents choose their goals, or cars do not
             obey a pedal.
     """
-    if env.config.physics not in PHYSICS:
+    physics = env.config.physics_config
+    if not (physics.steers and physics.actuated):
         raise ValueError(
-            f"the planner drives cars of {', '.join(PHYSICS)} physics, not "
-            f"{env.config.physics}"
+            f"the planner needs cars with steering, motor and brakes, not those of "
+            f"{physics.back_end} physics"
         )
     if env.config.goals.dynamic:
         raise ValueError("the planner needs fixed goals, goals.dynamic = False")

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import PHYSICS, LayoutConfig, PhysicsConfig
 from carpark_mj.config.checks import require_type
 from carpark_mj.config.obstacles import MOVERS, Mover
 from carpark_mj.layouts import FAMILIES
@@ -24,9 +24,9 @@ from carpark_mj.policy.pretrained import describe_names
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
-CONFIG_VERSION = 3
-_WIDER: dict[Any, Any] = {
-    str: LayoutConfig | str,
+CONFIG_VERSION = 4
+_WIDER: dict[Any, Any] = {  # types of values that flags know the names of only
+    str: LayoutConfig | PhysicsConfig | str,
     tuple[str, ...]: tuple[Mover | str, ...],
 }
 Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
@@ -50,7 +50,6 @@ def from_dict(cls: Any, data: Any) -> Any:
         raise ValueError(f"{cls.__name__} has no {unknown}")
     values = {name: _value(name, hints[name], value) for name, value in data.items()}
     for name, value in values.items():
-        # Of a layout or movers, which may be configs, flags know the names only.
         require_type(name, value, _WIDER.get(hints[name], hints[name]))
     return cls(**values)
 
@@ -85,11 +84,11 @@ def _tags(cls: Any) -> dict[str, Any]:
 
 
 def _plain_value(value: Any) -> Any:
-    """Lists become tuples, settings of a layout or a mover the config of its name."""
+    """Lists become tuples, settings of a layout, mover or physics their config."""
     if isinstance(value, list | tuple):
         return tuple(_plain_value(item) for item in value)
     if isinstance(value, dict) and "mover" in value:
-        return from_dict(MOVERS[value["mover"]], value)
+        return from_dict(type(MOVERS[value["mover"]]), value)
     if isinstance(value, dict) and "family" in value:
         family = value["family"]
         if family not in FAMILIES:
@@ -97,6 +96,8 @@ def _plain_value(value: Any) -> Any:
                 f"unknown family {family!r}; choose from {sorted(FAMILIES)}"
             )
         return from_dict(FAMILIES[family].config, value)
+    if isinstance(value, dict) and "back_end" in value:
+        return from_dict(type(PHYSICS[value["back_end"]]), value)
     return value
 
 

@@ -10,8 +10,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.geometry import wrap_angle
+from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import Group, take
 from carpark_mj.policy.acting import AnyPolicy, as_argument
 from carpark_mj.policy.rollout import Carry, Step, acts, roll_out
 from carpark_mj.rendering.stage import Stage

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.geometry import nearest
+from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import Group, take
 from carpark_mj.rendering.recording import Recording
 from carpark_mj.types import NO_BAY, OUTCOMES
 

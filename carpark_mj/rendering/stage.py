@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import Group
 from carpark_mj.scene.build import build_scene
 from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
 from carpark_mj.scene.parts import HIDDEN, car_prefix, mover_places

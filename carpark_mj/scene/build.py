@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import Group
 from carpark_mj.scene import cameras, markings, materials, parts
 from carpark_mj.scene.numbers import add_bay_numbers
 from carpark_mj.vehicle.contact_wheels import (

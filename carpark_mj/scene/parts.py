@@ -7,8 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from carpark_mj.geometry.obstacles import Boxes, Discs, Group
 from carpark_mj.layouts.types import DiscKind, Layout, WallKind
-from carpark_mj.obstacles.shapes import Boxes, Discs, Group
 from carpark_mj.scene import car_look, materials
 from carpark_mj.scene.cameras import add_car_cameras
 from carpark_mj.vehicle.locked_tyres import add_locked_tyres

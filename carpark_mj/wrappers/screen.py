@@ -7,8 +7,8 @@ from typing import Any, Self
 import jax
 import numpy as np
 
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles.shapes import Group
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_names
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage

@@ -9,11 +9,11 @@ from helpers.scenes import cars, lot, moved, moved_cars, polygons
 from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry.broad_phase import is_crowded
+from carpark_mj.geometry.obstacles import Boxes, Discs
 from carpark_mj.mdp import clearance
 from carpark_mj.mdp.clearance import RANGE, agent_clearance, clearances
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.obstacles.shapes import Boxes, Discs
 
 LOTS, AGENTS, PARKED, WALLS, DISCS, TRACES = 60, 4, 5, 3, 4, 3
 TEMPLATE = lot(np.zeros((1, 3)), np.zeros((WALLS, 3)), discs=np.zeros((DISCS, 3)))

@@ -12,9 +12,9 @@ from helpers.states import any_hit, state_of
 from carpark_mj.config import MOVERS, EnvConfig, Mover, ObstacleKind
 from carpark_mj.config.obstacles import hit_kinds, make_movers
 from carpark_mj.geometry import broad_phase
+from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.obstacles.movers import begin_movers, step_movers, trace_still
-from carpark_mj.obstacles.shapes import Boxes, Discs, Movers
 from carpark_mj.policy.runs import from_dict
 
 LOT = lot([(30.0, 0.0, 0.0)])
@@ -158,9 +158,9 @@ def test_obstacles_keep_their_number():
 
 def test_names_are_those_of_the_registry(monkeypatch):
     monkeypatch.setattr(MOVERS, "_parts", {})
-    MOVERS.register("hands", Hands)
+    MOVERS.register("hands", Hands())
     with pytest.raises(ValueError, match="'hands'"):
-        MOVERS.register("hands", type("Others", (Hands,), {}))
+        MOVERS.register("hands", Hands((("init", 1),)))
     with pytest.raises(ValueError, match=r"'feet'.*hands"):
         EnvConfig(movers=("feet",))
     with pytest.raises(ValueError, match="movers"):

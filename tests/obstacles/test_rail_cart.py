@@ -22,9 +22,9 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
+from carpark_mj.geometry.obstacles import Movers
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.obstacles.movers import trace_still
-from carpark_mj.obstacles.shapes import Movers
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.rendering.recording import record, recording_stage
@@ -46,7 +46,7 @@ def cart():
         patch.setenv(extensions.VARIABLE, "rail_cart")
         patch.setattr(extensions, "_loaded", set(extensions._loaded))
         patch.setattr(MOVERS, "_parts", dict(MOVERS._parts))
-        yield MOVERS["rail_cart"]
+        yield type(MOVERS["rail_cart"])
     sys.modules.pop("rail_cart", None)
 
 

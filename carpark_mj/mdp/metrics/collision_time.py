@@ -14,8 +14,8 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import norm, rotate
 from carpark_mj.geometry.broad_phase import MARGIN, least_near
+from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.mdp.clearance import least_by_kind
-from carpark_mj.obstacles.shapes import Group, take
 from carpark_mj.types import Motion
 
 HORIZON = 10.0  # s, longest time reported

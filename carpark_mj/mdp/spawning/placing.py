@@ -14,11 +14,11 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.geometry import box_distance, boxes_overlap, norm
+from carpark_mj.geometry.obstacles import NO_MOVERS, Group, Movers
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.obstacles.shapes import NO_MOVERS, Group, Movers
 from carpark_mj.types import NO_BAY, CarParameters, ParkedCars
 
 

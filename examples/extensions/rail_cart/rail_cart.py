@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import MOVERS, Mover
-from carpark_mj.obstacles.shapes import Boxes
+from carpark_mj.obstacles import Boxes
 
 Point = tuple[float, float]
 
@@ -60,4 +60,4 @@ class RailCart(Mover):
         return [Boxes(pose[None], jnp.array([self.size]), (speed * ahead)[None])]
 
 
-MOVERS.register("rail_cart", RailCart)
+MOVERS.register("rail_cart", RailCart())

@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj import geometry
 from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry import broad_phase
+from carpark_mj.geometry import boxes
+from carpark_mj.geometry.broad_phase import box_gaps, disc_gaps
+from carpark_mj.geometry.se2 import norm
 
 Array = jax.Array
 Tree = TypeVar("Tree")
@@ -75,7 +76,7 @@ class Group:
             return jnp.zeros(self.count)
         there = self.traced
         corners = self._corners(there.pose_w, there.size)
-        return geometry.norm(corners - corners[:, -1:]).max(axis=(1, 2))
+        return norm(corners - corners[:, -1:]).max(axis=(1, 2))
 
     def counts(self, num_agents: int) -> Array:
         """(num_agents, n) bool, which of them each agent can hit: never itself."""
@@ -113,24 +114,24 @@ class Group:
 class Boxes(Group):
     """Boxes; see `Group`."""
 
-    _overlap = staticmethod(geometry.boxes_overlap)
-    _distance = staticmethod(geometry.box_distance)
-    _contact_time = staticmethod(geometry.box_contact_time)
-    _corners = staticmethod(geometry.box_corners)
-    _gaps = staticmethod(broad_phase.box_gaps)
-    _ray_distance = staticmethod(geometry.ray_box_distance)
+    _overlap = staticmethod(boxes.boxes_overlap)
+    _distance = staticmethod(boxes.box_distance)
+    _contact_time = staticmethod(boxes.box_contact_time)
+    _corners = staticmethod(boxes.box_corners)
+    _gaps = staticmethod(box_gaps)
+    _ray_distance = staticmethod(boxes.ray_box_distance)
 
 
 @struct.dataclass
 class Discs(Group):
     """Discs; see `Group`."""
 
-    _overlap = staticmethod(geometry.box_disc_overlap)
-    _distance = staticmethod(geometry.box_disc_distance)
-    _contact_time = staticmethod(geometry.box_disc_contact_time)
+    _overlap = staticmethod(boxes.box_disc_overlap)
+    _distance = staticmethod(boxes.box_disc_distance)
+    _contact_time = staticmethod(boxes.box_disc_contact_time)
     _corners = staticmethod(lambda centre, radius: centre[..., None, :])
-    _gaps = staticmethod(broad_phase.disc_gaps)
-    _ray_distance = staticmethod(geometry.ray_disc_distance)
+    _gaps = staticmethod(disc_gaps)
+    _ray_distance = staticmethod(boxes.ray_disc_distance)
 
 
 def take(tree: Tree, index: Any) -> Tree:
