@@ -1,6 +1,7 @@
 """Records what a policy does in one lot, for the renderer."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -106,7 +107,7 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     reset_key, act_key = jax.random.split(evaluation_key(seed))
     state, observation = jax.jit(lambda key: env.reset(key, "test"))(reset_key)
 
-    def report(step: Step) -> dict[str, jax.Array]:
+    def report(step: Step) -> dict[str, Any]:
         before, timestep = step.before, step.timestep
         motion, events = timestep.motion, timestep.events
         frame = {
