@@ -103,7 +103,8 @@ class ParkingEnv:
         config = config if config is not None else EnvConfig()
         if physics is not None:
             physics = require_physics(physics)
-            config = dataclasses.replace(config, physics=physics.config)
+            if physics.config != config.physics_config:
+                config = dataclasses.replace(config, physics=physics.config)
         self.config = config
         self.vehicle = vehicle if vehicle is not None else preset(config.vehicle)
         self.fleet = Fleet(config, self.vehicle)
