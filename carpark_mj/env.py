@@ -7,7 +7,6 @@ The object holds constants only; everything that changes is in `State`.
 
 import copy
 import dataclasses
-import math
 import reprlib
 from collections.abc import Mapping
 from typing import Any
@@ -104,16 +103,16 @@ class ParkingEnv:
         config = config if config is not None else EnvConfig()
         if physics is not None:
             physics = require_physics(physics)
-            config = dataclasses.replace(config, physics=physics.config)
+            if physics.config != config.physics_config:
+                config = dataclasses.replace(config, physics=physics.config)
         self.config = config
         self.vehicle = vehicle if vehicle is not None else preset(config.vehicle)
         self.fleet = Fleet(config, self.vehicle)
         self.layout_config: LayoutConfig = layout_config(config.layout)
         fixed = not self.layout_config.is_random
         self._layout = make_layout(self.layout_config) if fixed else None
-        grade = math.hypot(config.sim.grade_x, config.sim.grade_y)
         for params in self.fleet.agents:
-            check_randomization(config.randomization, params, grade)
+            check_randomization(config.randomization, params, abs(config.sim.grade_x))
         check_room(config, self.layout_config)
         check_occupancy(config, self.layout_config)
         check_exits(config, self.layout_config)
@@ -323,6 +322,7 @@ class ParkingEnv:
             motion=motion,
             parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
             ring_history=ring_history,
+            movers=self._episodes.step_movers(state, keys),
             step=state.step + state.active,
             sensors=sensors.measure(
                 config.sensors, state.sensors, motion, keys.reading

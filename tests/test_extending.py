@@ -11,6 +11,7 @@ from helpers.scenes import cars
 
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.config import (
+    MOVERS,
     PARKED_RULES,
     PHYSICS,
     ParkedRule,
@@ -49,8 +50,8 @@ def run(name):
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
     """What examples register is gone after each test."""
-    for registry in (FAMILIES, PRESETS, terminations._RULES):
-        for name in ("court", "taxi", "straight"):
+    for registry in (FAMILIES, PRESETS, terminations._RULES, MOVERS._parts):
+        for name in ("court", "taxi", "straight", "rising_bollard"):
             monkeypatch.setitem(registry, name, None)
             monkeypatch.delitem(registry, name)
     monkeypatch.setitem(PHYSICS._parts, "hover", None)
@@ -86,6 +87,21 @@ def test_the_new_field_is_observed_at_reset_and_in_steps():
     assert observation.shape == (2, env.observation_size)
     np.testing.assert_array_equal(observation[:, -1], 0.0)
     np.testing.assert_allclose(names["timestep"].observation[:, -1], 1 / 200)
+
+
+def test_the_new_mover_comes_and_goes():
+    names = run("A mover")
+    env, state = names["env"], names["state"]
+
+    @jax.jit
+    def drive(state):
+        def step(state, _):
+            state, _ = env.step(state, jnp.zeros((2, 2)))
+            return state, jnp.stack([group.mask[0] for group in state.movers.groups])
+
+        return jax.lax.scan(step, state, length=100)[1]  # two periods
+
+    np.testing.assert_array_equal(drive(state).sum(axis=0), [50, 50])
 
 
 def test_the_new_vehicle_drives_alone_and_in_a_fleet():

@@ -34,6 +34,7 @@ from carpark_mj.config.observations import (
     TannerObservation,
     ViewConfig,
 )
+from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import REWARDS, RewardConfig, RewardName, reward_preset
@@ -51,6 +52,7 @@ from carpark_mj.config.units import WORLD_UNIT
 __all__ = [
     "CONTACT_SIM_DT",
     "LAYOUT_FILES",
+    "MOVERS",
     "PARKED_RULES",
     "PHYSICS",
     "REWARDS",
@@ -71,7 +73,9 @@ __all__ = [
     "LayoutConfig",
     "LayoutName",
     "MetricsConfig",
+    "Mover",
     "Observation",
+    "ObstacleKind",
     "ParkedRule",
     "PhysicsChoice",
     "PhysicsConfig",

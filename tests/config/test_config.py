@@ -60,7 +60,7 @@ IMPOSSIBLE = [
     (SimConfig, {"ctrl_dt": 0.004}, "ctrl_dt must be a multiple of sim_dt, not 0.004"),
     (SimConfig, {"trace_dt": 0.005}, "trace_dt must be at least sim_dt .* not 0.005"),
     (SimConfig, {"grade_x": 1.0}, "grade_x must lie within .* not 1.0"),
-    (SimConfig, {"grade_y": math.nan}, "grade_y must lie within .* not nan"),
+    (SimConfig, {"grade_x": math.nan}, "grade_x must lie within .* not nan"),
     (SpawnConfig, {"close_ratio": 1.5}, "close_ratio must lie in .* not 1.5"),
     (SpawnConfig, {"close_ratio": math.nan}, "close_ratio must lie in .* not nan"),
     (SpawnConfig, {"close_distance": -1.0}, "close_distance must be .* not -1.0"),
