@@ -11,7 +11,8 @@ from helpers.scenes import cars
 
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.config import PARKED_RULES, ParkedRule, register_rule, terminations
-from carpark_mj.layouts import FAMILIES, DesignCar, generate, make_layout
+from carpark_mj.config.layouts import FAMILIES
+from carpark_mj.layouts import DesignCar, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import read_json
 from carpark_mj.mdp.terminations import is_parked
@@ -57,8 +58,8 @@ def test_the_layout_file_is_valid(tmp_path):
 
 def test_every_lot_of_the_new_family_is_valid():
     config = run("A layout")["CourtConfig"]()
-    make = jax.jit(generate, static_argnums=0)
-    lots = [make(config, jax.random.key(number)) for number in range(20)]
+    make = jax.jit(config.generate)
+    lots = [make(jax.random.key(number)) for number in range(20)]
     assert not any(describe_faults(lot, DesignCar().size) for lot in lots)
     assert {int(lot.bay_mask.sum()) for lot in lots} == {6, 7, 8, 9, 10}
 

@@ -25,7 +25,14 @@ from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.evaluation.suite import (
+from carpark_mj.files import require_writable
+from carpark_mj.layouts import Layout
+from carpark_mj.planning.paths import PlannedPath, car_of
+from carpark_mj.planning.plot import plot_paths
+from carpark_mj.planning.policy import Planner, planner_policy
+from carpark_mj.policy.acting import AnyPolicy
+from carpark_mj.studies.hope.held_out import LEVELS
+from carpark_mj.studies.hope.suite import (
     MOVING_CAR,
     VEHICLE,
     CaseEvaluator,
@@ -34,7 +41,7 @@ from carpark_mj.evaluation.suite import (
     table_rows,
     worst_first,
 )
-from carpark_mj.evaluation.suite_cases import (
+from carpark_mj.studies.hope.suite_cases import (
     TPCAP_LEVEL,
     Cases,
     SuiteLevel,
@@ -43,13 +50,6 @@ from carpark_mj.evaluation.suite_cases import (
     pick_cases,
     require_aisle,
 )
-from carpark_mj.files import require_writable
-from carpark_mj.layouts import Layout
-from carpark_mj.layouts.held_out import LEVELS
-from carpark_mj.planning.paths import PlannedPath, car_of
-from carpark_mj.planning.plot import plot_paths
-from carpark_mj.planning.policy import Planner, planner_policy
-from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.vehicle import preset
 
 PLANNER = "planner"

@@ -11,10 +11,10 @@ import numpy as np
 
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.catalogue import METRICS
-from carpark_mj.evaluation.suite import MOVING_CAR, Drives
-from carpark_mj.evaluation.suite_cases import LEVELS, case_numbers, fingerprint
 from carpark_mj.files import write_atomically, write_csv
 from carpark_mj.reading import TEXT, Archive, ArrayForm, CsvRow, read_csv
+from carpark_mj.studies.hope.suite import MOVING_CAR, Drives
+from carpark_mj.studies.hope.suite_cases import LEVELS, case_numbers, fingerprint
 from carpark_mj.types import ENDINGS
 
 CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"

@@ -10,11 +10,10 @@ from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.insertion import insert, is_data, setting
 from carpark_mj.config.layouts import (
-    LAYOUT_FILES,
-    TPCAP_NAMES,
+    LAYOUTS,
     LayoutChoice,
     LayoutConfig,
-    LayoutName,
+    register_layout,
     require_layout,
 )
 from carpark_mj.config.metrics import MetricsConfig
@@ -44,10 +43,9 @@ from carpark_mj.config.terminations import (
 
 __all__ = [
     "CONTACT_SIM_DT",
-    "LAYOUT_FILES",
+    "LAYOUTS",
     "PARKED_RULES",
     "REWARDS",
-    "TPCAP_NAMES",
     "WORLD_UNIT",
     "BayPart",
     "ContextName",
@@ -63,7 +61,6 @@ __all__ = [
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
-    "LayoutName",
     "MetricsConfig",
     "Observation",
     "ParkedRule",
@@ -85,6 +82,7 @@ __all__ = [
     "ViewConfig",
     "insert",
     "is_data",
+    "register_layout",
     "register_rule",
     "require_layout",
     "require_rule",

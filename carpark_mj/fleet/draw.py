@@ -17,9 +17,14 @@ from carpark_mj.mdp.bays import Wanted, draw_bays, fits, shuffled_bays
 from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.reset_options import ResetOptions, given_goals, kept_clear
 from carpark_mj.types import NO_BAY, ParkedCars
-from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle, preset
+from carpark_mj.vehicle import (
+    VEHICLES,
+    Vehicle,
+    VehicleParameters,
+    make_vehicle,
+    preset,
+)
 from carpark_mj.vehicle.parameters import scaled
-from carpark_mj.vehicle.presets import BOXES, PRESETS
 
 
 class Start(NamedTuple):
@@ -230,8 +235,9 @@ class Fleet:
 
 def _name(vehicle: VehicleParameters, named: str) -> str:
     """What a car is called: as its preset, `named` if it is that one."""
-    names = [n for n, params in (PRESETS | BOXES).items() if params == vehicle]
-    return named if named in names else next(iter(names), "custom car")
+    if vehicle == preset(named):
+        return named
+    return VEHICLES.name_of(vehicle) or "custom car"
 
 
 def _in_bays(

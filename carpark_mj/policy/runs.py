@@ -16,14 +16,14 @@ from typing import Any
 
 from carpark_mj.config import LayoutConfig
 from carpark_mj.config.checks import require_type
-from carpark_mj.layouts import FAMILIES
+from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.pretrained import describe_names
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
-CONFIG_VERSION = 3
+CONFIG_VERSION = 4
 Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
 
 
@@ -85,12 +85,7 @@ def _plain_value(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return tuple(_plain_value(item) for item in value)
     if isinstance(value, dict) and "family" in value:
-        family = value["family"]
-        if family not in FAMILIES:
-            raise ValueError(
-                f"unknown family {family!r}; choose from {sorted(FAMILIES)}"
-            )
-        return from_dict(FAMILIES[family].config, value)
+        return from_dict(FAMILIES[value["family"]], value)
     return value
 
 

@@ -18,10 +18,10 @@ from carpark_mj.cli.suite_files import (
     write_run,
 )
 from carpark_mj.cli.suite_videos import FASTER, make_videos, recording_of
-from carpark_mj.evaluation.suite import Drives
-from carpark_mj.layouts.held_out import SHA256, load_held_out
-from carpark_mj.layouts.tpcap_cases import load_tpcap
 from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.studies.hope.held_out import SHA256, load_held_out
+from carpark_mj.studies.hope.suite import Drives
+from carpark_mj.studies.tpcap.layouts import load_tpcap
 
 
 def episode(case, seed=0, rule="strict", **more):

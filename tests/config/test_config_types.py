@@ -13,9 +13,9 @@ from carpark_mj.config import (
     SimConfig,
     TannerObservation,
 )
+from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.junction import JunctionConfig
 from carpark_mj.junction.config import RasterConfig, RewardRules
-from carpark_mj.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.wrappers.goal import PoseReward
@@ -37,7 +37,7 @@ def config_classes(cls, found):
 
 CLASSES = config_classes(EnvConfig, {TannerObservation, IndexObservation})
 CLASSES |= {PoseReward, JunctionConfig, RasterConfig, RewardRules, ParkedRule}
-CLASSES |= {family.config for family in FAMILIES.values()} - {FromFileConfig}
+CLASSES |= {*FAMILIES.values()} - {FromFileConfig}
 CLASSES |= {NetworkConfig, CurriculumConfig, PPOConfig, QLearningConfig, SACConfig}
 JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))
 

@@ -17,7 +17,8 @@ from carpark_mj.mdp.actions import sanitize_indices
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.terminations import detect_events
 from carpark_mj.physics.grid import GridPhysics
-from carpark_mj.registry import ENVIRONMENTS, TANNER_QLEARNING, environment
+from carpark_mj.registry import ENVIRONMENTS, environment
+from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.vehicle import make_vehicle, preset
 
 COARSE = TANNER_QLEARNING.grid  # 1 point per unit, 8 headings, 3 levels

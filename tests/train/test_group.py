@@ -15,7 +15,7 @@ from carpark_mj.config.goals import GoalRewards
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.registry import TANNER_DYNAMIC, TANNER_FIXED
+from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_FIXED
 from learners.metrics_log import read_metrics
 from learners.ppo.arguments import MAX_SEEDS, parse_seeds, read_runs
 from learners.ppo.config import PPOConfig

@@ -9,7 +9,8 @@ import pytest
 
 import sac
 import slots_study
-from carpark_mj.layouts import SlotsConfig, layout_config
+from carpark_mj.layouts import layout_config
+from carpark_mj.studies.pandita.layouts import SlotsConfig
 from learners.sac.config import SACConfig
 from learners.sac.deploy import deploy
 from learners.sac.phases import Phase, read_phase

@@ -18,14 +18,9 @@ import dataclasses
 
 from carpark_mj.config import EpisodeConfig
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.registry import (
-    ANYWHERE,
-    DYNAMIC,
-    HOPE,
-    SQUARE,
-    TANNER_DYNAMIC,
-    TANNER_FIXED,
-)
+from carpark_mj.registry import ANYWHERE, DYNAMIC, SQUARE
+from carpark_mj.studies.hope.environments import HOPE
+from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_FIXED
 from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum_config import CurriculumConfig
 

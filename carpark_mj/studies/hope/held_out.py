@@ -1,10 +1,9 @@
 """The held-out cases of HOPE's levels: 1,000 each, the same for everybody.
 
-They are data in the package, drawn once by `carpark_mj.layouts.hope` from lots of the
+They are data in the package, drawn once by `HopeConfig` from lots of the
 test split (`carpark_mj.layouts.splits`), in whole millimetres and 1e-4 rad. Cases of
 `normal` and `complex` are perpendicular and parallel in turn, those of `extreme` are
-parallel. `python -m carpark_mj.layouts --held-out FILE.npz` writes the same bytes
-again.
+parallel. `write` draws the same bytes again.
 """
 
 import functools
@@ -18,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
-from carpark_mj.layouts.hope import HopeConfig, hope
 from carpark_mj.layouts.splits import TEST, lot_key
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout, WallKind, layout_maxima, pad_layout
+from carpark_mj.studies.hope.layouts import HopeConfig
 
 VERSION = 1
 FILE = Path(__file__).with_name(f"held_out_{VERSION}.npz")
@@ -87,7 +86,7 @@ def draw_cases(level: Level, count: int = CASES) -> dict[str, np.ndarray]:
     # In double precision: the rounded numbers are then the same on any machine.
     with jax.enable_x64(True):
         for turn, orientation in enumerate(orientations):
-            draw = jax.jit(functools.partial(hope, HopeConfig(level, orientation)))
+            draw = jax.jit(HopeConfig(level, orientation).generate)
             for index in range(turn, count, len(orientations)):
                 key = lot_key(jnp.uint32(first + index))
                 layouts[index] = jax.device_get(draw(key))

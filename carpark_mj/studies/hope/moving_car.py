@@ -23,13 +23,13 @@ from carpark_mj.geometry import (
     to_local,
     to_world,
 )
-from carpark_mj.layouts import HopeConfig, Layout
-from carpark_mj.layouts.hope import MARGIN
+from carpark_mj.layouts import Layout
 from carpark_mj.layouts.standards import Level
-from carpark_mj.layouts.tpcap import TPCAP_CAR
 from carpark_mj.layouts.types import BayKind, layout_maxima, pad_layout
 from carpark_mj.observations import observe
 from carpark_mj.precision import full_float32
+from carpark_mj.studies.hope.layouts import MARGIN, HopeConfig
+from carpark_mj.studies.tpcap.files import TPCAP_CAR
 from carpark_mj.types import State
 from carpark_mj.vehicle.drive import HOLD_SPEED
 

@@ -8,8 +8,9 @@ import pytest
 from shapely import LineString, Point, Polygon
 
 from carpark_mj.geometry import box_corners, boxes_overlap
-from carpark_mj.layouts import BayKind, MetaDriveConfig, make_layout
+from carpark_mj.layouts import BayKind, make_layout
 from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.studies.metadrive.layouts import MetaDriveConfig
 
 CAR = (4.515, 1.852)  # MetaDrive's default car [m]
 # The lot's middle in coordinates whose x begins with the road: half of 20 + 2 * 4 +

@@ -5,10 +5,10 @@ from typing import Literal, NamedTuple, get_args
 import jax
 import numpy as np
 
-from carpark_mj.evaluation import moving_car
-from carpark_mj.layouts import Layout, layout_maxima, pad_layout, tpcap_cases
-from carpark_mj.layouts import held_out as hope_cases
+from carpark_mj.layouts import Layout, layout_maxima, pad_layout
 from carpark_mj.layouts.standards import Level
+from carpark_mj.studies.hope import held_out, moving_car
+from carpark_mj.studies.tpcap import layouts as tpcap
 
 SuiteLevel = Literal[Level, "tpcap"]
 LEVELS: tuple[SuiteLevel, ...] = get_args(SuiteLevel)
@@ -33,12 +33,12 @@ class Cases(NamedTuple):
 
 def case_numbers(level: SuiteLevel) -> range:
     """The numbers of a level's cases: of HOPE's from 0, TPCAP's as published."""
-    return tpcap_cases.NUMBERS if level == TPCAP_LEVEL else range(hope_cases.CASES)
+    return tpcap.NUMBERS if level == TPCAP_LEVEL else range(held_out.CASES)
 
 
 def fingerprint(level: SuiteLevel) -> str:
     """The beginning of the SHA-256 of the data that a level's cases are from."""
-    return (tpcap_cases if level == TPCAP_LEVEL else hope_cases).SHA256[:16]
+    return (tpcap if level == TPCAP_LEVEL else held_out).SHA256[:16]
 
 
 def require_aisle(level: SuiteLevel) -> None:
@@ -72,10 +72,10 @@ def pick_cases(
     which = slice(first, first + count)
     number = np.array(case_numbers(level)[which])
     if level == TPCAP_LEVEL:
-        layouts = jax.tree.map(lambda x: x[which], tpcap_cases.load_tpcap())
+        layouts = jax.tree.map(lambda x: x[which], tpcap.load_tpcap())
         return Cases(level, number, np.full(len(number), "published"), layouts)
-    layouts, parallel = hope_cases.load_held_out(level)
-    shapes = [hope_cases.load_held_out(name).layouts for name in hope_cases.LEVELS]
+    layouts, parallel = held_out.load_held_out(level)
+    shapes = [held_out.load_held_out(name).layouts for name in held_out.LEVELS]
     maxima, parallel = layout_maxima(shapes), parallel[which]
     padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
         jax.tree.map(lambda x: x[which], layouts)

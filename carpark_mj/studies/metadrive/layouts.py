@@ -17,7 +17,7 @@ import math
 import jax
 import numpy as np
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.layouts.build import assemble, bays, lanes, spawns, two_lanes, walls
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
 
@@ -63,49 +63,48 @@ class MetaDriveConfig(LayoutConfig):
         """Always the same lot."""
         return False
 
+    def generate(self, key: jax.Array) -> Layout:
+        """Builds the lot; the road comes from -x, and the junction lies at +x."""
+        del key
+        half = LANE / 2
+        first = ENTRANCE + BEND
+        space_x = first + LANE * np.arange(self.spaces // 2)
+        junction = space_x[-1] + BEND + SOCKET
+        near, far = (junction + JUNCTION_BEND + offset for offset in (-half, 3 * half))
+        arm_y = half + JUNCTION_BEND  # where the arms begin
+        end_y = arm_y + ARM
+        depth = half + BEND  # where spaces begin
+        outline = _outline(space_x, junction, (near, far))
+        middle = np.array([far / 2, 0.0, 0.0])
 
-def metadrive(config: MetaDriveConfig, key: jax.Array) -> Layout:
-    """Builds the lot; the road comes from -x, and the junction lies at +x."""
-    del key
-    half = LANE / 2
-    first = ENTRANCE + BEND
-    space_x = first + LANE * np.arange(config.spaces // 2)
-    junction = space_x[-1] + BEND + SOCKET
-    near, far = (junction + JUNCTION_BEND + offset for offset in (-half, 3 * half))
-    arm_y = half + JUNCTION_BEND  # where the arms begin
-    end_y = arm_y + ARM
-    depth = half + BEND  # where spaces begin
-    outline = _outline(space_x, junction, (near, far))
-    middle = np.array([far / 2, 0.0, 0.0])
-
-    up, down = math.pi / 2, -math.pi / 2
-    space_y = depth + SPACE / 2
-    space = [(x, s * space_y, -s * up) for s in (-1, 1) for x in space_x]
-    # Headings point into the lot, as those of bays do into the aisle.
-    exits = [
-        (ENTRANCE - ARM / 2, half, 0.0),
-        (near + half, -arm_y - ARM / 2, up),
-        (far - half, arm_y + ARM / 2, down),
-    ]
-    starts = [
-        (ENTRANCE - ARM + START, -half, 0.0),
-        (far - half, START - end_y, up),
-        (near + half, end_y - START, down),
-    ]
-    starts += [(x, y - math.copysign(SPACE / 2 - START, y), h) for x, y, h in space]
-    roads = two_lanes(
-        np.array([(near / 2, 0.0, 0.0), ((near + far) / 2, 0.0, up)]) - middle,
-        np.array([(near, 2 * LANE), (2 * end_y, 2 * LANE)]),
-    )
-    kerb_pose, kerb_size = _kerbs(outline - middle[:2])
-    return assemble(
-        (far / 2 + KERB, end_y + KERB),
-        bays(np.array(space) - middle, (SPACE, LANE)),
-        bays(np.array(exits) - middle, (ARM, LANE), BayKind.EXIT),
-        walls(kerb_pose, kerb_size, WallKind.KERB),
-        lanes(*roads, one_way=True),
-        spawns(np.array(starts) - middle, STRAY, 0.0),
-    )
+        up, down = math.pi / 2, -math.pi / 2
+        space_y = depth + SPACE / 2
+        space = [(x, s * space_y, -s * up) for s in (-1, 1) for x in space_x]
+        # Headings point into the lot, as those of bays do into the aisle.
+        exits = [
+            (ENTRANCE - ARM / 2, half, 0.0),
+            (near + half, -arm_y - ARM / 2, up),
+            (far - half, arm_y + ARM / 2, down),
+        ]
+        starts = [
+            (ENTRANCE - ARM + START, -half, 0.0),
+            (far - half, START - end_y, up),
+            (near + half, end_y - START, down),
+        ]
+        starts += [(x, y - math.copysign(SPACE / 2 - START, y), h) for x, y, h in space]
+        roads = two_lanes(
+            np.array([(near / 2, 0.0, 0.0), ((near + far) / 2, 0.0, up)]) - middle,
+            np.array([(near, 2 * LANE), (2 * end_y, 2 * LANE)]),
+        )
+        kerb_pose, kerb_size = _kerbs(outline - middle[:2])
+        return assemble(
+            (far / 2 + KERB, end_y + KERB),
+            bays(np.array(space) - middle, (SPACE, LANE)),
+            bays(np.array(exits) - middle, (ARM, LANE), BayKind.EXIT),
+            walls(kerb_pose, kerb_size, WallKind.KERB),
+            lanes(*roads, one_way=True),
+            spawns(np.array(starts) - middle, STRAY, 0.0),
+        )
 
 
 def _outline(
@@ -144,3 +143,6 @@ def _kerbs(outline: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     yaw = np.arctan2(along[:, 1], along[:, 0])
     pose = np.concatenate([middle, yaw[:, None]], axis=1)
     return pose, np.stack([length, np.full_like(length, KERB)], axis=1)
+
+
+register_layout("metadrive", MetaDriveConfig())

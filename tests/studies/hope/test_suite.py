@@ -12,17 +12,17 @@ from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.cli.suite_report import header, print_rows, shown_cells, write_results
 from carpark_mj.cli.suite_videos import Video
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.suite import (
+from carpark_mj.layouts import make_layout
+from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.registry import ANYWHERE, environment
+from carpark_mj.studies.hope.held_out import load_held_out
+from carpark_mj.studies.hope.suite import (
     CaseEvaluator,
     suite_env,
     table_rows,
     worst_first,
 )
-from carpark_mj.evaluation.suite_cases import pick_cases
-from carpark_mj.layouts import make_layout
-from carpark_mj.layouts.held_out import load_held_out
-from carpark_mj.policy.baselines import zero_policy
-from carpark_mj.registry import ANYWHERE, environment
+from carpark_mj.studies.hope.suite_cases import pick_cases
 
 PARKED = {"parked": 1.0, "crashed": 0.0, "timed_out": 0.0, "diverged": 0.0}
 MISSED = {"parked": 0.0, "crashed": 1.0, "timed_out": 0.0, "diverged": 0.0}

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.geometry import box_corners, box_distance, boxes_overlap, move_forward
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import (
@@ -29,8 +29,8 @@ from carpark_mj.layouts.standards import (
     TightBay,
     tight_bay,
 )
-from carpark_mj.layouts.tpcap import START, TPCAP_CAR
 from carpark_mj.layouts.types import Layout, WallKind
+from carpark_mj.studies.tpcap.files import START, TPCAP_CAR
 
 MARGIN = 0.1  # m from the parked car to the nearest obstacle, and to the bay's lines
 SOLID = 0.5  # share of the sides with a solid obstacle instead of parked cars
@@ -93,15 +93,44 @@ class HopeConfig(LayoutConfig):
         """How far parked cars can reach from the wall behind them [m]."""
         return math.hypot(*self.car.size) + SETBACK[2] + MARGIN
 
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a case; the bay lies below the aisle, which runs along x."""
+        room_key, above_key, start_key = jax.random.split(key, 3)
+        size = jnp.array(self.car.size, float)
+        bay = size + 2 * MARGIN
+        goal, room = _until(lambda key: _draw_room(self, key), room_key)
+        corners = box_corners(room.pose, room.size)[..., 1]
+        edge = jnp.max(jnp.where(room.mask[:, None], corners, 0.0)) + MARGIN
+        above = _draw_above(self, edge, above_key)
+        obstacles = _join(room, above)
 
-# The levels that HOPE has, by name.
-HOPE: dict[str, HopeConfig] = {
-    "hope_normal_perpendicular": HopeConfig(),
-    "hope_normal_parallel": HopeConfig(orientation="parallel"),
-    "hope_complex_perpendicular": HopeConfig(level="complex"),
-    "hope_complex_parallel": HopeConfig(level="complex", orientation="parallel"),
-    "hope_extreme_parallel": HopeConfig(level="extreme", orientation="parallel"),
-}
+        def draw_start(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+            pose = _draw_start(self, edge, key)
+            on_bay = boxes_overlap(pose, size + START + ROUNDING, goal, bay)
+            return ~(obstacles.meet(pose, size + START + ROUNDING) | on_bay), pose
+
+        start = _until(draw_start, start_key)
+        if self.orientation == "parallel":  # the goal faces the way the car starts
+            turned = jnp.where(jnp.cos(start[2]) < 0, jnp.pi, 0.0)
+            goal = goal.at[2].add(turned)
+        top = self.depth + self.room.aisle + SCATTER[2]
+        middle = jnp.array([0.0, (top - WALL) / 2, 0.0])
+        return assemble(
+            (self.half_length + self.car.length, (top + WALL) / 2),
+            bays((goal - middle)[None], bay),
+            walls(
+                obstacles.pose - middle, obstacles.size, WallKind.ISLAND, obstacles.mask
+            ),
+            spawns((start - middle)[None], (START, START), 0.0),
+        )
+
+
+# The levels that HOPE has.
+register_layout("hope_normal_perpendicular", HopeConfig())
+register_layout("hope_normal_parallel", HopeConfig("normal", "parallel"))
+register_layout("hope_complex_perpendicular", HopeConfig("complex"))
+register_layout("hope_complex_parallel", HopeConfig("complex", "parallel"))
+register_layout("hope_extreme_parallel", HopeConfig("extreme", "parallel"))
 
 
 class _Boxes(NamedTuple):
@@ -114,36 +143,6 @@ class _Boxes(NamedTuple):
     def meet(self, pose: jax.Array, size: jax.Array) -> jax.Array:
         """() bool, whether a box overlaps any of them."""
         return (boxes_overlap(pose, size, self.pose, self.size) & self.mask).any()
-
-
-def hope(config: HopeConfig, key: jax.Array) -> Layout:
-    """Draws a case; the bay lies below the aisle, which runs along x."""
-    room_key, above_key, start_key = jax.random.split(key, 3)
-    size = jnp.array(config.car.size, float)
-    bay = size + 2 * MARGIN
-    goal, room = _until(lambda key: _draw_room(config, key), room_key)
-    corners = box_corners(room.pose, room.size)[..., 1]
-    edge = jnp.max(jnp.where(room.mask[:, None], corners, 0.0)) + MARGIN
-    above = _draw_above(config, edge, above_key)
-    obstacles = _join(room, above)
-
-    def draw_start(key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        pose = _draw_start(config, edge, key)
-        on_bay = boxes_overlap(pose, size + START + ROUNDING, goal, bay)
-        return ~(obstacles.meet(pose, size + START + ROUNDING) | on_bay), pose
-
-    start = _until(draw_start, start_key)
-    if config.orientation == "parallel":  # the goal faces the way the car starts
-        turned = jnp.where(jnp.cos(start[2]) < 0, jnp.pi, 0.0)
-        goal = goal.at[2].add(turned)
-    top = config.depth + config.room.aisle + SCATTER[2]
-    middle = jnp.array([0.0, (top - WALL) / 2, 0.0])
-    return assemble(
-        (config.half_length + config.car.length, (top + WALL) / 2),
-        bays((goal - middle)[None], bay),
-        walls(obstacles.pose - middle, obstacles.size, WallKind.ISLAND, obstacles.mask),
-        spawns((start - middle)[None], (START, START), 0.0),
-    )
 
 
 def _until(draw, key: jax.Array):

@@ -9,14 +9,10 @@ import pytest
 import shapely
 from helpers.scenes import polygons
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import LAYOUTS, EnvConfig
 from carpark_mj.fleet.checks import check_room
 from carpark_mj.layouts import (
-    FAMILIES,
-    NAMED,
     BayKind,
-    SlotsConfig,
-    generate,
     layout_config,
     make_layout,
     member_shares,
@@ -24,9 +20,9 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import layout_text
-from carpark_mj.layouts.slots import centre_lines
+from carpark_mj.studies.pandita.layouts import SlotsConfig, centre_lines
 
-NAMES = ["slots", *(name for name in NAMED if name.startswith("slots"))]
+NAMES = [name for name in LAYOUTS if name.startswith("slots")]
 HIS_CAR = (5.0, 2.0)
 EXACT = 2e-6  # m; float32 at 30 m
 
@@ -135,7 +131,7 @@ def test_bays_are_the_largest_rectangles_between_the_lines(shift):
 def test_a_random_goal_is_any_slot_and_the_others_are_reserved():
     config = SlotsConfig(slots_per_row=3, goal_slot=None)
     keys = jax.random.split(jax.random.key(0), 100)
-    drawn = jax.vmap(lambda key: generate(config, key))(keys)
+    drawn = jax.vmap(config.generate)(keys)
     assert (drawn.goal_mask.sum(axis=1) == 1).all()
     assert set(np.argmax(drawn.goal_mask, axis=1).tolist()) == set(range(6))
     assert config.is_random
@@ -148,13 +144,12 @@ def test_a_mixture_draws_the_kinds_by_name_equally_often():
         {name: 1 / 3 for name in ("slots", "slots_diagonal", "slots_parallel")}
     )
     keys = jax.random.split(jax.random.key(0), 90)
-    drawn = jax.jit(jax.vmap(lambda key: generate(config, key)))(keys)
+    drawn = jax.jit(jax.vmap(config.generate))(keys)
     middle = np.asarray(drawn.bay_pose[:, 2, :2])
     kinds, counts = np.unique(middle.round(3), axis=0, return_counts=True)
     np.testing.assert_allclose(kinds, [(-9, 10), (-9, 14), (-6, 14)], atol=1e-3)
     assert counts.min() > 15
     assert mixture([SlotsConfig(), SlotsConfig(goal_slot=None)]).is_random
-    assert FAMILIES["slots"].config is SlotsConfig
 
 
 @pytest.mark.parametrize(

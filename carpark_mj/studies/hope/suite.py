@@ -27,7 +27,6 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation import moving_car
 from carpark_mj.evaluation.aggregation import (
     Row,
     complete_row,
@@ -36,9 +35,11 @@ from carpark_mj.evaluation.aggregation import (
 )
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.evaluation.rollout import CHUNK
-from carpark_mj.evaluation.suite_cases import LEVELS, Cases
-from carpark_mj.layouts import HopeConfig, Layout
+from carpark_mj.layouts import Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
+from carpark_mj.studies.hope import moving_car
+from carpark_mj.studies.hope.layouts import HopeConfig
+from carpark_mj.studies.hope.suite_cases import LEVELS, Cases
 from carpark_mj.types import State
 
 VEHICLE = "tpcap"

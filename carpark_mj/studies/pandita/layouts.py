@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import require_positive, require_whole
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
@@ -147,46 +147,45 @@ class SlotsConfig(LayoutConfig):
         across = abs(math.sin(self.start_heading)), abs(math.cos(self.start_heading))
         return (CAR.length * across[0] + CAR.width * across[1]) / 2
 
+    def generate(self, key: jax.Array) -> Layout:
+        """Builds the lot; only a random goal depends on the key."""
+        begin, end = centre_lines(self)
+        along = end - begin
+        axis = np.hypot(*along.T)[:, None]
+        yaw = np.arctan2(-along[:, 1], -along[:, 0])[:, None]
+        middle = np.concatenate([(begin + end) / 2, yaw], axis=1)
+        taken = begin + along / axis * self.slot_length / 2
+        taken = np.concatenate([taken, yaw], axis=1)
 
-# The five scenarios that the thesis pictures; `SlotsConfig()`, `slots`, is the fourth.
-SLOTS: dict[str, SlotsConfig] = {
-    "slots_single": SlotsConfig(slots_per_row=1, goal_slot=0),
-    "slots_single_diagonal": SlotsConfig(
-        slots_per_row=1, goal_slot=0, diagonal_shift=6.0
-    ),
-    "slots_parallel": SlotsConfig(parallel=True),
-    "slots_diagonal": SlotsConfig(diagonal_shift=6.0),
-}
+        goal = self.goal_slot
+        if goal is None:
+            goal = jax.random.randint(key, (), 0, len(begin))
+        is_goal = jnp.arange(len(begin)) == goal
+        obstacles = _obstacles(self)
+        obstacle_pose = np.pad(obstacles, ((0, 0), (0, 1)))
+        heading = self.start_heading
+        start = np.array([[*self.start, heading or 0.0]])
+        return assemble(
+            _extent(self, np.concatenate([middle, taken]), obstacle_pose, start),
+            bays(
+                jnp.where(is_goal[:, None], middle, taken),
+                self.bay_size,
+                jnp.where(is_goal, BayKind.STANDARD, BayKind.RESERVED),
+            ),
+            walls(obstacle_pose, (OBSTACLE, OBSTACLE), WallKind.ISLAND),
+            spawns(start, (START, START), math.pi if heading is None else 0.0),
+        )
 
 
-def slots(config: SlotsConfig, key: jax.Array) -> Layout:
-    """Builds the lot; only a random goal depends on the key."""
-    begin, end = centre_lines(config)
-    along = end - begin
-    axis = np.hypot(*along.T)[:, None]
-    yaw = np.arctan2(-along[:, 1], -along[:, 0])[:, None]
-    middle = np.concatenate([(begin + end) / 2, yaw], axis=1)
-    taken = begin + along / axis * config.slot_length / 2
-    taken = np.concatenate([taken, yaw], axis=1)
-
-    goal = config.goal_slot
-    if goal is None:
-        goal = jax.random.randint(key, (), 0, len(begin))
-    is_goal = jnp.arange(len(begin)) == goal
-    obstacles = _obstacles(config)
-    obstacle_pose = np.pad(obstacles, ((0, 0), (0, 1)))
-    heading = config.start_heading
-    start = np.array([[*config.start, heading or 0.0]])
-    return assemble(
-        _extent(config, np.concatenate([middle, taken]), obstacle_pose, start),
-        bays(
-            jnp.where(is_goal[:, None], middle, taken),
-            config.bay_size,
-            jnp.where(is_goal, BayKind.STANDARD, BayKind.RESERVED),
-        ),
-        walls(obstacle_pose, (OBSTACLE, OBSTACLE), WallKind.ISLAND),
-        spawns(start, (START, START), math.pi if heading is None else 0.0),
-    )
+# The five scenarios that the thesis pictures; `slots` is the fourth.
+SINGLE = SlotsConfig(slots_per_row=1, goal_slot=0)
+register_layout("slots_single", SINGLE)
+register_layout(
+    "slots_single_diagonal", dataclasses.replace(SINGLE, diagonal_shift=6.0)
+)
+register_layout("slots_parallel", SlotsConfig(parallel=True))
+register_layout("slots", SlotsConfig())
+register_layout("slots_diagonal", SlotsConfig(diagonal_shift=6.0))
 
 
 def centre_lines(config: SlotsConfig) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """The 20 published cases of TPCAP, in the package as they were published.
 
-Their sources are in `tpcap_data/README.md`; `carpark_mj.layouts.tpcap` reads them.
+Their sources are in `data/README.md`; `carpark_mj.studies.tpcap.files` reads them.
 """
 
 import dataclasses
@@ -12,14 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import TPCAP_NAMES, LayoutConfig
-from carpark_mj.layouts.tpcap import read_tpcap
-from carpark_mj.layouts.types import Layout
+from carpark_mj.config import LayoutConfig, register_layout
+from carpark_mj.layouts import Layout
+from carpark_mj.studies.tpcap.files import read_tpcap
 
-FOLDER = Path(__file__).with_name("tpcap_data")
+FOLDER = Path(__file__).with_name("data")
 # Of the texts of the files in the order of their numbers.
 SHA256 = "7ea190e8b7b5a0639d7681d573e9712b1967a77864932a7a8ca18923de95dfb3"
-NUMBERS = range(1, 1 + len(TPCAP_NAMES))
+NUMBERS = range(1, 21)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,18 +57,17 @@ class TpcapConfig(LayoutConfig):
         """Whether other keys give other cases."""
         return self.case is None
 
+    def generate(self, key: jax.Array) -> Layout:
+        """The layout of a case; of any, padded alike, if none is named."""
+        if self.case is not None:
+            return jax.tree.map(jnp.asarray, _read(self.case))
+        pick = jax.random.randint(key, (), 0, len(NUMBERS))
+        return jax.tree.map(lambda rows: jnp.asarray(rows)[pick], load_tpcap())
 
-TPCAP: dict[str, TpcapConfig] = dict(
-    zip(TPCAP_NAMES, map(TpcapConfig, NUMBERS), strict=True)
-)
 
-
-def tpcap(config: TpcapConfig, key: jax.Array) -> Layout:
-    """The layout of a case; of any, padded alike, if the config names none."""
-    if config.case is not None:
-        return jax.tree.map(jnp.asarray, _read(config.case))
-    pick = jax.random.randint(key, (), 0, len(NUMBERS))
-    return jax.tree.map(lambda rows: jnp.asarray(rows)[pick], load_tpcap())
+register_layout("tpcap", TpcapConfig())
+for number in NUMBERS:
+    register_layout(f"tpcap_{number}", TpcapConfig(number))
 
 
 @functools.cache

@@ -1,5 +1,6 @@
 """HOPE's levels against the published numbers, measured by shapely."""
 
+import dataclasses
 import itertools
 
 import jax
@@ -9,12 +10,14 @@ import pytest
 import shapely
 from helpers.scenes import polygons
 
-from carpark_mj.layouts import HOPE, HopeConfig, generate, held_out
+from carpark_mj.config import LAYOUTS
 from carpark_mj.layouts.checks import find_faults
-from carpark_mj.layouts.held_out import CASES, LEVELS, draw_cases, load_held_out
 from carpark_mj.layouts.splits import TEST, lot_key
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.tpcap import TPCAP_CAR
+from carpark_mj.studies.hope import held_out
+from carpark_mj.studies.hope.held_out import CASES, LEVELS, draw_cases, load_held_out
+from carpark_mj.studies.hope.layouts import HopeConfig
+from carpark_mj.studies.tpcap.files import TPCAP_CAR
 
 LENGTH, WIDTH = TPCAP_CAR.size
 # HOPE's `configs.py`: bay beyond the car's width or length, aisle [m].
@@ -102,12 +105,12 @@ def test_an_unknown_level_is_refused():
         HopeConfig(level="extreme")
 
 
-@pytest.mark.parametrize("name", HOPE)
+@pytest.mark.parametrize("name", [n for n in LAYOUTS if n.startswith("hope")])
 def test_levels_are_drawn_for_any_car_and_any_key(name):
     car = DesignCar()  # the compact
-    config = HopeConfig(HOPE[name].level, HOPE[name].orientation, car)
+    config = dataclasses.replace(LAYOUTS[name], car=car)
     keys = jax.vmap(lot_key)(jnp.arange(64, dtype=jnp.uint32))
-    layouts = jax.jit(jax.vmap(lambda key: generate(config, key)))(keys)
+    layouts = jax.jit(jax.vmap(config.generate))(keys)
     faults = jax.vmap(lambda lot: find_faults(lot, jnp.array(car.size)))(layouts)
     assert not any(at.any() for at in faults.values())
     room, parallel = config.room, config.orientation == "parallel"
@@ -121,7 +124,7 @@ def test_levels_are_drawn_for_any_car_and_any_key(name):
 def test_held_out_cases_come_from_the_test_split():
     config = HopeConfig("complex", "parallel")
     with jax.enable_x64(True):
-        drawn = jax.device_get(generate(config, lot_key(np.uint32(TEST.start + 1001))))
+        drawn = jax.device_get(config.generate(lot_key(np.uint32(TEST.start + 1001))))
     kept = load_held_out("complex").layouts.bay_pose[1]
     np.testing.assert_allclose(kept, drawn.bay_pose, atol=1e-3)
 

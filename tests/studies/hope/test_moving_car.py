@@ -9,14 +9,14 @@ import pytest
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.moving_car import GAP
-from carpark_mj.evaluation.suite import CaseEvaluator, suite_env
-from carpark_mj.evaluation.suite_cases import pick_cases
 from carpark_mj.geometry import box_distance
-from carpark_mj.layouts.held_out import LEVELS
-from carpark_mj.layouts.tpcap import TPCAP_CAR
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.registry import environment
+from carpark_mj.studies.hope.held_out import LEVELS
+from carpark_mj.studies.hope.moving_car import GAP
+from carpark_mj.studies.hope.suite import CaseEvaluator, suite_env
+from carpark_mj.studies.hope.suite_cases import pick_cases
+from carpark_mj.studies.tpcap.files import TPCAP_CAR
 
 SIZE = np.array(TPCAP_CAR.size)
 SECONDS, DT = 60.0, 0.2

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.config.layouts import LAYOUT_FORMATS
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.layouts.build import Group, assemble, bays, spawns, walls
 from carpark_mj.layouts.json_file import FARTHEST
@@ -241,3 +242,6 @@ def _boxes(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         (np.append(m, a), np.array([n, EDGE]))
         for m, a, n in zip(middle, yaw, length, strict=True)
     ]
+
+
+LAYOUT_FORMATS.register("csv", read_tpcap)

@@ -9,10 +9,10 @@ import pytest
 import shapely
 from helpers.scenes import polygons
 
-from carpark_mj.layouts import TpcapConfig, generate, tpcap_cases
 from carpark_mj.layouts.checks import find_faults
-from carpark_mj.layouts.tpcap import EDGE, TPCAP_CAR
-from carpark_mj.layouts.tpcap_cases import FOLDER, NUMBERS, load_tpcap
+from carpark_mj.studies.tpcap import layouts
+from carpark_mj.studies.tpcap.files import EDGE, TPCAP_CAR
+from carpark_mj.studies.tpcap.layouts import FOLDER, NUMBERS, TpcapConfig, load_tpcap
 
 AHEAD = 4.689 / 2 - 0.929  # m, rear axle to the footprint's centre
 CASES = 20
@@ -61,7 +61,7 @@ def test_the_lots_are_valid_for_the_car():
 
 def test_a_key_draws_any_of_them():
     keys = jax.random.split(jax.random.key(0), 200)
-    drawn = jax.vmap(lambda key: generate(TpcapConfig(), key))(keys)
+    drawn = jax.vmap(TpcapConfig().generate)(keys)
     assert len(np.unique(drawn.bay_pose[:, 0], axis=0)) == CASES
     assert TpcapConfig().is_random
     assert not TpcapConfig(3).is_random
@@ -74,8 +74,8 @@ def test_a_changed_file_is_refused(tmp_path, monkeypatch):
     shutil.copytree(FOLDER, tmp_path / "data")
     changed = tmp_path / "data" / "case7.csv"
     changed.write_text(changed.read_text().replace("1", "2", 1))
-    monkeypatch.setattr(tpcap_cases, "FOLDER", tmp_path / "data")
-    tpcap_cases.published_files.cache_clear()
+    monkeypatch.setattr(layouts, "FOLDER", tmp_path / "data")
+    layouts.published_files.cache_clear()
     with pytest.raises(ValueError, match="other cases than the published ones"):
-        tpcap_cases.published_files()
-    tpcap_cases.published_files.cache_clear()
+        layouts.published_files()
+    layouts.published_files.cache_clear()

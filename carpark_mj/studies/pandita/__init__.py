@@ -1,0 +1,8 @@
+"""Pandita 2022: one car parks between two rows of slots."""
+
+from carpark_mj.studies.pandita import layouts, vehicles
+
+# isort: split
+from carpark_mj.studies.pandita import environments  # of what is named above
+
+__all__ = ["environments", "layouts", "vehicles"]

@@ -1,0 +1,8 @@
+"""Tanner 2022 (arXiv 2206.13338): agents on a grid around a square."""
+
+from carpark_mj.studies.tanner import layouts, vehicles
+
+# isort: split
+from carpark_mj.studies.tanner import environments  # of what is named above
+
+__all__ = ["environments", "layouts", "vehicles"]
