@@ -11,7 +11,7 @@ from helpers.scenes import cars
 
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.config import PARKED_RULES, ParkedRule, register_rule, terminations
-from carpark_mj.config.layouts import FAMILIES
+from carpark_mj.config.layouts import FAMILIES, LAYOUTS
 from carpark_mj.layouts import DesignCar, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import read_json
@@ -19,7 +19,7 @@ from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.car_look import shape_name
 from carpark_mj.scene.car_mesh import car_meshes
-from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
+from carpark_mj.vehicle import COMPACT, PRESETS, VEHICLES, make_vehicle
 
 PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
 SECTIONS = {
@@ -44,16 +44,23 @@ def run(name):
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
     """What examples register is gone after each test."""
-    for registry in (FAMILIES, PRESETS, terminations._RULES):
-        for name in ("court", "taxi", "straight"):
-            monkeypatch.setitem(registry, name, None)
-            monkeypatch.delitem(registry, name)
+    for registry in (FAMILIES, LAYOUTS, VEHICLES):
+        monkeypatch.setattr(registry, "_parts", dict(registry._parts))
+    monkeypatch.setitem(terminations._RULES, "straight", None)
+    monkeypatch.delitem(terminations._RULES, "straight")
 
 
 def test_the_layout_file_is_valid(tmp_path):
     path = tmp_path / "my_lot.json"
     path.write_text(block("A layout", "json"))
     assert read_json(path).num_bays == 3
+
+
+def test_the_example_package_is_the_page_s_family():
+    package = Path(__file__).parents[1] / "examples" / "extensions" / "court"
+    family = (package / "court.py").read_text().partition("@dataclasses")[2]
+    assert family
+    assert family in block("A layout", "python")
 
 
 def test_every_lot_of_the_new_family_is_valid():
