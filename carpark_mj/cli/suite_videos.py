@@ -12,8 +12,8 @@ from carpark_mj.cli.suite_files import Key, key_of
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.rendering.recording import Recording
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.rollout import Recording
 from carpark_mj.rendering.snapshot import frames_per_second, num_frames
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, write_video

@@ -13,7 +13,7 @@ import pytest
 import q_learning
 from carpark_mj.cli import evaluate
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import evaluate as evaluate_policy
+from carpark_mj.evaluation.evaluator import evaluate as evaluate_policy
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.q_table import action_choices, make_table_policy, state_index
 from carpark_mj.policy.runs import checkpoint_files

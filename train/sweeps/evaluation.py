@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 
 from carpark_mj.cli.evaluate import EvaluateConfig, prepare, report
-from carpark_mj.evaluation.rollout import Evaluator
+from carpark_mj.evaluation.evaluator import Evaluator
 from carpark_mj.policy.acting import AnyPolicy
 from learners.ppo.config import PPOConfig
 from learners.ppo.group import differing, of_env

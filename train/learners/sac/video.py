@@ -12,8 +12,8 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.rendering.recording import Recording, record, recording_stage
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.rollout import Recording, record, recording_stage
 from carpark_mj.rendering.snapshot import num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.types import State

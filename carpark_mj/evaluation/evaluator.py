@@ -20,7 +20,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row, summarize
 from carpark_mj.evaluation.keys import evaluation_key, require_seed
 from carpark_mj.layouts import member_shares
-from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
+from carpark_mj.policy.acting import AnyPolicy, as_argument
+from carpark_mj.rollout import Carry, Step, acts, roll_out
 from carpark_mj.types import State
 
 CHUNK = 50  # control steps per compiled call
@@ -142,9 +143,9 @@ class Evaluator:
         quota, last = math.ceil(num_episodes / present.sum()), math.inf
         if span is not None:
             quota, last = sys.maxsize, span / env.config.sim.ctrl_dt
-        carry = (*begun, act_key)
         kinds = env.fleet.agent_names
-        episodes = self._episodes(traced, policy, carry, (quota, last))
+        start = Carry(*begun), act_key
+        episodes = self._episodes(traced, policy, start, (quota, last))
         for (lot, agent, episode), kind, metrics in episodes:
             which = {"lot": float(lot), "agent": float(agent)}
             which |= {"episode": float(episode), "agents_present": float(present[lot])}
@@ -157,7 +158,7 @@ class Evaluator:
         self,
         values: Mapping[str, jax.Array],
         policy: AnyPolicy,
-        carry: tuple[State, jax.Array, jax.Array],
+        start: tuple[Carry, jax.Array],
         limits: tuple[int, float],
     ) -> Iterator[tuple[tuple[int, int, int], int, dict[str, float]]]:
         """The episodes that count.
@@ -167,16 +168,17 @@ class Evaluator:
         Args:
             values: of settings.
             policy: acting function.
-            carry: lots at their start, what the agents observe, and a key, consumed.
+            start: lots at their start, and a key, consumed.
             limits: the number of episodes of every agent that its lot has, and the
                 control step before which they begin.
         """
-        quota, last = limits
-        finished = np.where(_takes_part(carry[0]), 0, quota)
+        (carry, key), (quota, last) = start, limits
+        finished = np.where(_takes_part(carry.state), 0, quota)
         begun, now = np.zeros(finished.shape, int), 0
         policy = as_argument(policy)
         while ((finished < quota) & (begun < last)).any():
-            carry, (done, kind, metrics) = self._chunk(values, policy, carry)
+            keys = jax.random.split(jax.random.fold_in(key, now), CHUNK)
+            carry, (done, kind, metrics) = self._chunk(values, policy, carry, keys)
             kind = np.asarray(kind)
             metrics = {name: np.asarray(value) for name, value in metrics.items()}
             for t, lot, agent in np.argwhere(np.asarray(done)):
@@ -250,20 +252,14 @@ def _chunk(
     env: ParkingEnv,
     values: Mapping[str, jax.Array],
     policy: AnyPolicy,
-    carry: tuple[State, jax.Array, jax.Array],
-) -> tuple[Any, tuple[jax.Array, jax.Array, dict[str, jax.Array]]]:
-    """Drives on by `CHUNK` steps; what ended in each of them."""
-    env = env.with_values(values)
+    carry: Carry,
+    keys: jax.Array,
+) -> tuple[Carry, tuple[jax.Array, jax.Array, dict[str, jax.Array]]]:
+    """Drives on by a control step for every key; what ended in each of them."""
 
-    def step(carry, _):
-        state, observation, key = carry
-        key, act_key = jax.random.split(key)
-        action = choose_actions(policy, state, observation, act_key)
-        state, timestep = jax.vmap(env.step)(state, action)
-        return (state, timestep.observation, key), (
-            timestep.events.done,
-            env.fleet.kind_of(timestep.motion.size),
-            timestep.metrics,
-        )
+    def report(step: Step) -> Any:
+        timestep = step.timestep
+        kind = env.fleet.kind_of(timestep.motion.size)
+        return timestep.events.done, kind, timestep.metrics
 
-    return jax.lax.scan(step, carry, None, length=CHUNK)
+    return roll_out(env.with_values(values), acts(policy), carry, keys, report)

@@ -1,19 +1,19 @@
 """Records what a policy does in one lot, for the renderer."""
 
 import dataclasses
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.evaluation.keys import evaluation_key
-from carpark_mj.evaluation.rollout import CHUNK
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.layouts.types import Layout
-from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
+from carpark_mj.policy.acting import AnyPolicy, as_argument
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.rollout import Carry, Step, acts, roll_out
 from carpark_mj.types import Motion, State
 
 
@@ -102,30 +102,30 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     reset_key, act_key = jax.random.split(evaluation_key(seed))
     state, observation = jax.jit(lambda key: env.reset(key, "test"))(reset_key)
 
-    def step(policy, carry, key):
-        state, observation = carry
-        action = choose_actions(policy, state, observation, key)
-        after, timestep = env.step(state, action)
-        events = timestep.events
+    def report(step: Step) -> dict[str, jax.Array]:
+        before, timestep = step.before, step.timestep
+        motion, events = timestep.motion, timestep.events
         frame = {
-            "pose_w": timestep.motion.trace_w.swapaxes(0, 1),
-            "steering": timestep.motion.steering,
-            "speed": timestep.motion.speed,
+            "pose_w": motion.trace_w.swapaxes(0, 1),
+            "steering": motion.steering,
+            "speed": motion.speed,
             "goal": timestep.goal,
-            "parked_pose": parked_trace(state, after, timestep.motion),
-            "active": state.active,
+            "parked_pose": parked_trace(before, step.after, motion),
+            "active": before.active,
             "parked": events.parked,
             "crashed": events.crashed,
             "timed_out": events.timed_out,
-            "step": state.step + 1,
-            "size": timestep.motion.size,
+            "step": before.step + 1,
+            "size": motion.size,
         }
-        if state.tracked_bays is not None:
-            frame["tracked_bays"] = state.tracked_bays
-        return (after, timestep.observation), frame
+        if before.tracked_bays is not None:
+            frame["tracked_bays"] = before.tracked_bays
+        return frame
 
-    run = jax.jit(lambda policy, *xs: jax.lax.scan(partial(step, policy), *xs))
-    policy, carry, chunks = as_argument(policy), (state, observation), []
+    run = jax.jit(
+        lambda policy, carry, keys: roll_out(env, acts(policy), carry, keys, report)
+    )
+    policy, carry, chunks = as_argument(policy), Carry(state, observation), []
     num_chunks = -(-num_steps // CHUNK)
     for keys in jax.random.split(act_key, num_chunks * CHUNK).reshape(num_chunks, -1):
         carry, frames = run(policy, carry, keys)

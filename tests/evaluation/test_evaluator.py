@@ -9,7 +9,7 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig, insert
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import effective_episodes, wilson_interval
-from carpark_mj.evaluation.rollout import Evaluator, allot, evaluate
+from carpark_mj.evaluation.evaluator import Evaluator, allot, evaluate
 from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.acting import as_argument
