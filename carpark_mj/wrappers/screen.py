@@ -11,6 +11,7 @@ from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_na
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.window import missing_display
+from carpark_mj.types import ParkedCars
 
 SIZE = 960, 540  # pixels
 RENDER_MODES = ["human", "rgb_array"]
@@ -101,9 +102,9 @@ class Screen:
     def _place(self, state: Any, lot: int) -> tuple[Stage, Snapshot]:
         """The scene of a lot with its cars in their places."""
         parts = state.layout, state.motion, state.parked_cars, state.goal, state.active
-        parts = jax.device_get(jax.tree.map(lambda x: x[lot], parts))
-        layout, motion, parked_cars, goal, active = parts
-        stage = self._stage(layout, parked_cars.size, most=len(state.goal))
+        parts = jax.device_get(jax.tree.map(lambda x: x[lot], (*parts, state.kind)))
+        layout, motion, parked_cars, goal, active, kind = parts
+        stage = self._stage(layout, parked_cars, most=len(state.goal))
         goal_pose, goal_size = aimed_at(layout, goal)
         seen = Snapshot(
             seconds=0.0,
@@ -116,14 +117,15 @@ class Screen:
             state=(),
             tally={},
             flashes=(),
-            size=motion.size,
+            kind=kind,
         )
-        stage.place(seen.pose_w, seen.steering, seen.parked_pose, seen.size)
+        stage.place(seen.pose_w, seen.steering, seen.parked_pose, seen.kind)
         return stage, seen
 
-    def _stage(self, layout: Layout, parked_size: np.ndarray, most: int) -> Stage:
+    def _stage(self, layout: Layout, parked_cars: ParkedCars, most: int) -> Stage:
         """The scene of a lot and its parked cars; the `most` used last are kept."""
-        env, drawn = self._env, [*jax.tree.leaves(layout), parked_size]
+        looks = parked_cars.size, parked_cars.kind
+        env, drawn = self._env, jax.tree.leaves((layout, looks))
         key = b"".join(part.tobytes() for part in drawn)
         self._stages[key] = self._stages.pop(key, None) or Stage(
             layout,
@@ -131,7 +133,7 @@ class Screen:
             env.num_agents,
             env.config.num_parked_cars,
             env.fleet.agents,
-            env.fleet.parked_vehicles(parked_size),
+            env.fleet.parked_vehicles(parked_cars),
         )
         if len(self._stages) > most:
             del self._stages[next(iter(self._stages))]
