@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.registering import restore_after
 from helpers.scenes import cars
 
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -44,8 +45,7 @@ def run(name):
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
     """What examples register is gone after each test."""
-    for registry in (FAMILIES, LAYOUTS, VEHICLES):
-        monkeypatch.setattr(registry, "_parts", dict(registry._parts))
+    restore_after(monkeypatch, FAMILIES, LAYOUTS, VEHICLES)
     monkeypatch.setitem(terminations._RULES, "straight", None)
     monkeypatch.delitem(terminations._RULES, "straight")
 

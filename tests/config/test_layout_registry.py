@@ -5,6 +5,7 @@ import json
 
 import jax
 import pytest
+from helpers.registering import restore_after
 
 from carpark_mj.cli.layouts import families
 from carpark_mj.config import LAYOUTS, EnvConfig, LayoutConfig, register_layout
@@ -30,8 +31,7 @@ class YardConfig(SquareConfig):
 @pytest.fixture
 def yard(monkeypatch):
     """Registers the family, for one test."""
-    monkeypatch.setattr(LAYOUTS, "_parts", dict(LAYOUTS._parts))
-    monkeypatch.setattr(FAMILIES, "_parts", dict(FAMILIES._parts))
+    restore_after(monkeypatch, LAYOUTS, FAMILIES)
     return register_layout("yard", YardConfig())
 
 

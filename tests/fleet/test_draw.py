@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.registering import restore_after
 from helpers.scenes import cars, check_occupancy, fields_of, lot
 from helpers.sliding import SlidePhysics, placed
 from helpers.states import parked_in, state_of
@@ -385,7 +386,7 @@ def test_a_fleet_has_flags_and_survives_its_config_file():
 
 
 def test_presets_of_one_size_are_told_apart(monkeypatch):
-    monkeypatch.setattr(VEHICLES, "_parts", dict(VEHICLES._parts))
+    restore_after(monkeypatch, VEHICLES)
     heavy = register_vehicle("heavy", dataclasses.replace(COMPACT, mass=1900.0))
     names = ("compact", "heavy")
     config = EnvConfig(
