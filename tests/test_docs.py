@@ -20,7 +20,6 @@ from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig, complete
-from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.config import (
     PARKED_RULES,
     REWARDS,
@@ -37,6 +36,7 @@ from carpark_mj.observations import make_fields, markdown_table, observation_siz
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.studies.cederle.experiments.program import JunctionStudyConfig
 from carpark_mj.studies.cederle.training.families import presets_of
+from carpark_mj.studies.hope.suite_command import SuiteConfig
 from carpark_mj.studies.pandita.experiments.program import SlotsStudyConfig
 from carpark_mj.studies.pandita.sac.config import SACConfig
 from carpark_mj.studies.pandita.sac.presets import SAC_PRESETS

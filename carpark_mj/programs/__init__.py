@@ -32,7 +32,8 @@ COMMANDS = {
     "play": Program("carpark_mj.cli.play:run", "drive a car yourself"),
     "layouts": Program("carpark_mj.cli.layouts:main", "plot, check and save layouts"),
     "suite": Program(
-        "carpark_mj.programs.suite:run", "compare policies on the held-out hard cases"
+        "carpark_mj.studies.hope.program:run",
+        "compare policies on the held-out hard cases",
     ),
     "export": Program(
         "carpark_mj.programs.export:run", "export a policy as an ONNX model"

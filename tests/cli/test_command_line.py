@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from helpers.disks import largest_file
 
-from carpark_mj.cli import evaluate, layouts, render, suite
+from carpark_mj.cli import evaluate, layouts, render
 from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -19,8 +19,9 @@ from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig
-from carpark_mj.cli.suite import SuiteConfig
 from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.studies.hope import suite_command as suite
+from carpark_mj.studies.hope.suite_command import SuiteConfig
 
 ROOT = Path(__file__).parents[2]
 

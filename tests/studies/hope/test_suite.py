@@ -8,9 +8,6 @@ import jax
 import numpy as np
 import pytest
 
-from carpark_mj.cli.suite import SuiteConfig
-from carpark_mj.cli.suite_report import header, print_rows, shown_cells, write_results
-from carpark_mj.cli.suite_videos import Video
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.policy.baselines import zero_policy
@@ -23,6 +20,14 @@ from carpark_mj.studies.hope.suite import (
     worst_first,
 )
 from carpark_mj.studies.hope.suite_cases import pick_cases
+from carpark_mj.studies.hope.suite_command import SuiteConfig
+from carpark_mj.studies.hope.suite_report import (
+    header,
+    print_rows,
+    shown_cells,
+    write_results,
+)
+from carpark_mj.studies.hope.suite_videos import Video
 
 PARKED = {"parked": 1.0, "crashed": 0.0, "timed_out": 0.0, "diverged": 0.0}
 MISSED = {"parked": 0.0, "crashed": 1.0, "timed_out": 0.0, "diverged": 0.0}

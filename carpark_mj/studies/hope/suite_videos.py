@@ -8,7 +8,6 @@ from urllib.parse import quote
 import jax
 import numpy as np
 
-from carpark_mj.cli.suite_files import Key, key_of
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.rendering.gl import choose_gl
@@ -19,6 +18,7 @@ from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, write_video
 from carpark_mj.studies.hope.suite import Drives, suite_env
 from carpark_mj.studies.hope.suite_cases import case_numbers, pick_cases
+from carpark_mj.studies.hope.suite_files import Key, key_of
 from carpark_mj.types import OUTCOMES
 from carpark_mj.vehicle import preset
 

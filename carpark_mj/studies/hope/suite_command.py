@@ -10,16 +10,6 @@ import jax
 import tyro
 
 from carpark_mj.cli.driver import find_driver
-from carpark_mj.cli.suite_files import Key, key_of, read_runs, write_run
-from carpark_mj.cli.suite_report import (
-    WORST,
-    header,
-    made_with,
-    parts_of,
-    print_rows,
-    write_results,
-)
-from carpark_mj.cli.suite_videos import Video, make_videos, require_gl
 from carpark_mj.config import EnvConfig, require_rule
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
@@ -50,6 +40,16 @@ from carpark_mj.studies.hope.suite_cases import (
     pick_cases,
     require_aisle,
 )
+from carpark_mj.studies.hope.suite_files import Key, key_of, read_runs, write_run
+from carpark_mj.studies.hope.suite_report import (
+    WORST,
+    header,
+    made_with,
+    parts_of,
+    print_rows,
+    write_results,
+)
+from carpark_mj.studies.hope.suite_videos import Video, make_videos, require_gl
 from carpark_mj.vehicle import preset
 
 PLANNER = "planner"

@@ -13,12 +13,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from carpark_mj.analysis.page import picture, table, video_figure, write_page
-from carpark_mj.cli.suite_videos import Video
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.files import write_atomically, write_csv
 from carpark_mj.studies.hope.held_out import VERSION
 from carpark_mj.studies.hope.suite import has_moving_car, worst_first
 from carpark_mj.studies.hope.suite_cases import LEVELS, TPCAP_LEVEL, fingerprint
+from carpark_mj.studies.hope.suite_videos import Video
 from carpark_mj.types import ENDINGS
 
 WORST = 10  # cases shown of a policy and level

@@ -8,19 +8,19 @@ from helpers.disks import no_printing
 from helpers.mutating import damaged
 from rich.console import Console
 
-from carpark_mj.cli import suite_videos
-from carpark_mj.cli.suite import SuiteConfig, main
-from carpark_mj.cli.suite_files import (
+from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.studies.hope import suite_videos
+from carpark_mj.studies.hope.held_out import SHA256, load_held_out
+from carpark_mj.studies.hope.suite import Drives
+from carpark_mj.studies.hope.suite_command import SuiteConfig, main
+from carpark_mj.studies.hope.suite_files import (
     CASES_FILE,
     WORST_FILE,
     key_of,
     read_runs,
     write_run,
 )
-from carpark_mj.cli.suite_videos import FASTER, make_videos, recording_of
-from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.studies.hope.held_out import SHA256, load_held_out
-from carpark_mj.studies.hope.suite import Drives
+from carpark_mj.studies.hope.suite_videos import FASTER, make_videos, recording_of
 from carpark_mj.studies.tpcap.layouts import load_tpcap
 
 
