@@ -65,7 +65,7 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 Config = TypeVar("Config", bound=LayoutConfig)
 LAYOUTS: Registry[LayoutConfig] = Registry("layout", _HOME)
 # Classes by their `family`, so that configs can be read from files.
-FAMILIES: Registry[type[LayoutConfig]] = Registry("family of layouts", _HOME)
+FAMILIES: Registry[type[LayoutConfig]] = Registry("family", _HOME)
 # What reads a layout from a file, a `Layout`, by the suffix of the file's name.
 LAYOUT_FORMATS: Registry[Callable[[Path], Any]] = Registry("layout format", _HOME)
 

@@ -53,7 +53,7 @@ def test_a_second_layout_of_a_name_and_a_second_class_of_a_family_are_refused(ya
     class OtherConfig(YardConfig):
         pass
 
-    with pytest.raises(ValueError, match="there is a family of layouts 'yard' already"):
+    with pytest.raises(ValueError, match="there is a family 'yard' already"):
         register_layout("other", OtherConfig())
     assert "other" not in LAYOUTS
 
@@ -74,7 +74,7 @@ def test_what_is_no_layout_is_refused(name, message):
 
 def test_a_family_in_a_file_that_nobody_registered_is_refused():
     stored = dataclasses.asdict(EnvConfig()) | {"layout": {"family": "yard"}}
-    with pytest.raises(ValueError, match="unknown family of layouts 'yard'"):
+    with pytest.raises(ValueError, match="unknown family 'yard'"):
         from_dict(EnvConfig, json.loads(json.dumps(stored)))
 
 
