@@ -14,10 +14,10 @@ from carpark_mj.config import (
     TannerObservation,
 )
 from carpark_mj.config.layouts import FAMILIES
-from carpark_mj.junction import JunctionConfig
-from carpark_mj.junction.config import RasterConfig, RewardRules
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.studies.cederle.junction import JunctionConfig
+from carpark_mj.studies.cederle.junction.config import RasterConfig, RewardRules
 from carpark_mj.studies.pandita.sac.config import SACConfig
 from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
 from carpark_mj.training.ppo.config import PPOConfig
@@ -37,7 +37,7 @@ def config_classes(cls, found):
 
 CLASSES = config_classes(EnvConfig, {TannerObservation, IndexObservation})
 CLASSES |= {PoseReward, JunctionConfig, RasterConfig, RewardRules, ParkedRule}
-CLASSES |= {*FAMILIES.values()} - {FromFileConfig}
+CLASSES |= {family.config for family in FAMILIES.values()} - {FromFileConfig}
 CLASSES |= {NetworkConfig, CurriculumConfig, PPOConfig, QLearningConfig, SACConfig}
 JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))
 

@@ -37,7 +37,7 @@ from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts import Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
-from carpark_mj.rollout import Carry, Step, roll_out
+from carpark_mj.policy.rollout import Carry, Step, roll_out
 from carpark_mj.studies.hope import moving_car
 from carpark_mj.studies.hope.layouts import HopeConfig
 from carpark_mj.studies.hope.suite_cases import LEVELS, Cases
