@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.config import ContextName
+from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts.routes import Routes
 from carpark_mj.layouts.types import Layout
 
@@ -221,6 +222,7 @@ class State:
         routes: ways along the lanes to the bays; None where nothing reads them.
         kind: (num_agents,) int32 which of `Fleet.agents` each drives; None where there
             is one kind.
+        movers: obstacles that move by themselves.
     """
 
     physics: PhysicsState
@@ -239,6 +241,7 @@ class State:
     waited: jax.Array | None = None
     routes: Routes | None = None
     kind: jax.Array | None = None
+    movers: Movers = NO_MOVERS
 
     @property
     def exploring(self) -> jax.Array:
@@ -263,7 +266,8 @@ class Events:
     """How each agent's episode stands after a step; all (num_agents,) bool.
 
     `parked`, `crashed`, `timed_out` and `diverged` exclude each other; together they
-    are `done`. The `hit_*` flags say what a crashed agent touched (several can hold).
+    are `done`. The `hit_*` flags say what a crashed agent touched (several can hold),
+    one for each `ObstacleKind`; None where there are none of it.
     """
 
     parked: jax.Array
@@ -273,6 +277,7 @@ class Events:
     hit_agent: jax.Array
     hit_parked_car: jax.Array
     hit_wall: jax.Array
+    hit_mover: jax.Array | None = None
 
     @property
     def success(self) -> jax.Array:

@@ -3,11 +3,16 @@
 Impossible settings raise `ValueError` at construction, in one sentence.
 """
 
-from carpark_mj.config.env import EnvConfig, PhysicsName
+from carpark_mj.config.back_ends import (
+    PHYSICS,
+    PhysicsChoice,
+    PhysicsConfig,
+    physics_config,
+)
+from carpark_mj.config.env import EnvConfig
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
-from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.insertion import insert, is_data, setting
 from carpark_mj.config.layouts import (
     LAYOUTS,
@@ -28,6 +33,7 @@ from carpark_mj.config.observations import (
     TannerObservation,
     ViewConfig,
 )
+from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import REWARDS, RewardConfig, RewardName, reward_preset
@@ -40,11 +46,14 @@ from carpark_mj.config.terminations import (
     register_rule,
     require_rule,
 )
+from carpark_mj.config.units import WORLD_UNIT
 
 __all__ = [
     "CONTACT_SIM_DT",
     "LAYOUTS",
+    "MOVERS",
     "PARKED_RULES",
+    "PHYSICS",
     "REWARDS",
     "WORLD_UNIT",
     "BayPart",
@@ -56,15 +65,17 @@ __all__ = [
     "GivingWayConfig",
     "GoalConfig",
     "GoalRewards",
-    "GridConfig",
     "IndexObservation",
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
     "MetricsConfig",
+    "Mover",
     "Observation",
+    "ObstacleKind",
     "ParkedRule",
-    "PhysicsName",
+    "PhysicsChoice",
+    "PhysicsConfig",
     "RandomizationConfig",
     "RayConfig",
     "RelocationRule",
@@ -82,6 +93,7 @@ __all__ = [
     "ViewConfig",
     "insert",
     "is_data",
+    "physics_config",
     "register_layout",
     "register_rule",
     "require_layout",

@@ -22,6 +22,7 @@ from carpark_mj.observations.rays import cast_rays, ray_fields
 from carpark_mj.observations.rings import ring_counts, ring_fields
 from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tracking import in_view, track_agents, track_parked_cars
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import NO_BAY, Motion, ParkedCars, State
 
 
@@ -100,7 +101,8 @@ def continuous_values(
     counts = ring_counts(config.rings, state)
     values |= {name: count / config.rings.cap for name, count in counts.items()}
     if config.rays.count:
-        values["rays"] = cast_rays(config.rays, layout, motion, state.parked_cars)
+        there = lot_obstacles(layout, motion, state.parked_cars, state.movers)
+        values["rays"] = cast_rays(config.rays, motion, there)
     if config.lane:
         values |= lane.own_lane(layout, motion.pose_w)
     return values

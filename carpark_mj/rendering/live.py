@@ -49,6 +49,7 @@ class LiveLot:
             config.num_parked_cars,
             env.fleet.agents,
             env.fleet.parked_vehicles(state.parked_cars),
+            state.movers.groups,
         )
         self.traces = self._run_once()
         # One call of `step` is one traced pose.
@@ -64,6 +65,7 @@ class LiveLot:
             "kind": self._kind(step.before),
             "parked_pose": parked_trace(step.before, step.after, motion),
             "goal": step.after.goal[self._shows],
+            "movers": step.after.movers.groups,
             **self._record(step),
             **{name: getattr(timestep.events, name).sum() for name in ENDINGS},
         }
@@ -94,6 +96,7 @@ class LiveLot:
             np.asarray(motion.steering),
             np.asarray(state.parked_cars.pose_w),
             self._kind(state),
+            state.movers.groups,
         )
 
     def _kind(self, state: State) -> jax.Array | None:
@@ -122,13 +125,14 @@ class LiveLot:
         pose, parked_pose = (
             seen[name][self._trace] for name in ("pose_w", "parked_pose")
         )
-        self._place(pose, seen["steering"], parked_pose, seen["kind"])
+        movers = tuple(group.instant(self._trace) for group in seen["movers"])
+        self._place(pose, seen["steering"], parked_pose, seen["kind"], movers)
         self._trace += 1
         return begins
 
     def snapshot(self) -> Snapshot:
         """The present instant, as pictures show it."""
-        pose_w, steering, parked_pose, kind = self._shown
+        pose_w, steering, parked_pose, kind, movers = self._shown
         return Snapshot(
             seconds=self.seconds,
             pose_w=pose_w,
@@ -141,10 +145,11 @@ class LiveLot:
             tally=dict(self.tally()),
             flashes=(),
             kind=kind,
+            movers=movers,
         )
 
     def _place(self, *shown: Any) -> None:
-        """Places poses, steering, parked cars' poses and kinds; see `Stage.place`."""
+        """Places cars and movers; see `Stage.place`."""
         self._shown = shown
         self.stage.place(*shown)
 

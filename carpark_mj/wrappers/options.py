@@ -7,7 +7,7 @@ from typing import TypedDict, TypeVar
 from carpark_mj.config import (
     EnvConfig,
     LayoutChoice,
-    PhysicsName,
+    PhysicsChoice,
     RewardConfig,
     RewardName,
     reward_preset,
@@ -37,7 +37,7 @@ class Options(TypedDict, total=False):
     parked_cars: int
     rule: str
     reward: RewardConfig | RewardName
-    physics: PhysicsName
+    physics: PhysicsChoice
 
 
 Env = TypeVar("Env", bound=ParkingEnv)

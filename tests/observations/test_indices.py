@@ -19,6 +19,7 @@ from carpark_mj.mdp.spawning.placing import Surroundings
 from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
 from carpark_mj.observations import make_fields, observation_size, observe
 from carpark_mj.observations.indices import cardinalities
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.studies.tanner.environments import (
     TANNER_QLEARNING,
     TANNER_QLEARNING_RINGS,
@@ -135,10 +136,8 @@ def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
         others=jnp.zeros(1, bool),
         outlines=None,
         agent=jnp.int32(0),
-        layout=layout,
         size=None,
-        parked_pose=NOBODY.pose_w,
-        parked_size=NOBODY.size,
+        obstacles=lot_obstacles(layout, None, NOBODY),
     )
 
     @jax.jit

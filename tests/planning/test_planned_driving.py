@@ -76,10 +76,12 @@ def test_no_two_agents_lots_or_plans_are_searched_with_the_same_numbers(monkeypa
     seen = {name: each(value, lots, agents) for name, value in of_agents.items()}
     seen |= {
         name: np.zeros((lots, 0, size))
-        for name, size in (("box_pose", 3), ("box_size", 2))
+        for kind in ("box", "mover")
+        for name, size in ((f"{kind}_pose", 3), (f"{kind}_size", 2))
     }
-    seen |= {name: np.zeros((lots, 0), bool) for name in ("box_mask", "disc_mask")}
-    seen |= {"disc_centre": np.zeros((lots, 0, 2)), "disc_radius": np.zeros((lots, 0))}
+    masks = ("box_mask", "disc_mask", "mover_mask")
+    seen |= {name: np.zeros((lots, 0), bool) for name in masks}
+    seen |= {"disc_pose": np.zeros((lots, 0, 2)), "disc_size": np.zeros((lots, 0))}
     seen |= {"pose": each(pose, lots), "extent": each((40.0, 10.0), lots)}
 
     drawn = []
@@ -125,7 +127,7 @@ def test_an_agent_without_a_path_stands_and_gives_up_after_a_few_searches():
 
 
 def test_environments_in_which_it_cannot_drive_are_refused():
-    with pytest.raises(ValueError, match="mjx, scene, bicycle physics, not grid"):
+    with pytest.raises(ValueError, match="brakes, not those of grid physics"):
         planner_policy(ParkingEnv(environment("tanner-fixed")))
     dynamic = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=1))
     with pytest.raises(ValueError, match="fixed goals"):

@@ -10,19 +10,18 @@ import pytest
 from helpers.scenes import cars, moved
 from helpers.states import parked_in, state_of
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, GridConfig, SimConfig
+from carpark_mj.config import WORLD_UNIT, EnvConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import sanitize_indices
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.terminations import detect_events
-from carpark_mj.physics.grid import GridPhysics
 from carpark_mj.registry import ENVIRONMENTS, environment
 from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
+from carpark_mj.studies.tanner.grid import GridPhysics
+from carpark_mj.studies.tanner.grid_config import COARSE, FINE, GridConfig
 from carpark_mj.vehicle import make_vehicle, preset
 
-COARSE = TANNER_QLEARNING.grid  # 1 point per unit, 8 headings, 3 levels
-FINE = GridConfig()  # the study's PPO: 16 points, 24 headings, 7 levels
 BOX = make_vehicle(preset("tanner"))
 KEEP = 1  # the coarse grid's middle choice: no acceleration, no turn
 
@@ -230,7 +229,7 @@ def test_parked_is_within_a_point_of_the_bay_and_wins_over_a_crash(
     events = detect_events(TANNER_QLEARNING.episode, state)
     assert bool(events.parked[0]) is parked
     # Across the bay at its mouth the car's corner is in the block beside it.
-    assert find_hits(state_of(layout, at(25, 31, 45), goal)).wall[0]
+    assert find_hits(state_of(layout, at(25, 31, 45), goal))["wall"][0]
 
 
 def test_neighbours_in_their_bays_do_not_touch_and_leaning_ones_do():
@@ -239,7 +238,7 @@ def test_neighbours_in_their_bays_do_not_touch_and_leaning_ones_do():
 
     def hits(*place):
         state = state_of(layout, at(*place), 0, parked_cars=parked)
-        return bool(find_hits(state).parked_car[0])
+        return bool(find_hits(state)["parked_car"][0])
 
     assert not hits(6, 32)
     assert not hits(4, 32)  # 3.9 wide, 4 apart
@@ -257,7 +256,7 @@ def test_who_would_leave_the_world_hits_a_wall_first():
     pose = place * [WORLD_UNIT, WORLD_UNIT, math.pi / 180]
 
     def hits(pose):
-        return find_hits(state_of(layout, cars(pose[None], size=BOX.size), 0)).wall
+        return find_hits(state_of(layout, cars(pose[None], size=BOX.size), 0))["wall"]
 
     hit = jax.jit(jax.vmap(hits))(jnp.asarray(pose, jnp.float32))
     assert hit.all()
@@ -281,7 +280,7 @@ def test_named_environments_can_be_built(name):
     env = ParkingEnv(environment(name))
     spec = env.action_spec
     grid = (3, 3) if "qlearning" in name else (5, 7)
-    choices = grid if env.config.physics == "grid" else ()
+    choices = grid if "grid" in str(env.config.physics) else ()
     assert spec.continuous == (0 if choices else 2)
     assert spec.choices == choices + ((2,) if "dynamic" in name else ())
 
