@@ -23,7 +23,6 @@ from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import check_randomization
 from carpark_mj.layouts import (
     Layout,
-    generate_member,
     layout_config,
     make_layout,
     member_shares,
@@ -211,7 +210,9 @@ class ParkingEnv:
     ) -> Layout:
         """Draws a layout as `reset` does; always of the same shape."""
         key = lot_key(lot_number(split, key))
-        return generate_member(self.layout_config, member, key)
+        if member is None:
+            return self.layout_config.generate(key)
+        return self.layout_config.generate_member(member, key)
 
     @float32_only
     def reset_to_layout(

@@ -22,8 +22,7 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fleet.checks import check_cars
 from carpark_mj.fleet.draw import Fleet
-from carpark_mj.layouts import layout_config, mixture
-from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts import LotConfig, layout_config, mixture
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.vehicle import COMPACT, PRESETS
 

@@ -5,7 +5,7 @@ from typing import Literal
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_at_least, require_ratio
-from carpark_mj.registry import TANNER_QLEARNING
+from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.training.run_folder import RunConfig
 
 QLearningPreset = Literal[
