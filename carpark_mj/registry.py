@@ -37,13 +37,11 @@ import dataclasses
 
 from carpark_mj.config import (
     WORLD_UNIT,
-    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     FleetConfig,
     GoalConfig,
     GridConfig,
-    IndexObservation,
     JitterConfig,
     RandomizationConfig,
     RayConfig,
@@ -53,9 +51,11 @@ from carpark_mj.config import (
     ShareConfig,
     SimConfig,
     SpawnConfig,
-    TannerObservation,
     reward_preset,
 )
+from carpark_mj.observations import ContinuousObservation
+from carpark_mj.studies.tanner.indices import IndexObservation
+from carpark_mj.studies.tanner.observation import TannerObservation
 
 # Tables C.1 and C.2; 216 table entries: 3 levels of speed, 8 bearings, 9 actions.
 TANNER_QLEARNING = EnvConfig(

@@ -19,15 +19,11 @@ from carpark_mj.config.layouts import (
 )
 from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observations import (
-    BayPart,
-    ContinuousObservation,
-    IndexObservation,
-    Observation,
+    ENCODERS,
+    ObservationConfig,
     RayConfig,
     RingConfig,
     ShareConfig,
-    TannerObservation,
-    ViewConfig,
 )
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.randomization import RandomizationConfig
@@ -44,14 +40,13 @@ from carpark_mj.config.terminations import (
 
 __all__ = [
     "CONTACT_SIM_DT",
+    "ENCODERS",
     "LAYOUT_FILES",
     "PARKED_RULES",
     "REWARDS",
     "TPCAP_NAMES",
     "WORLD_UNIT",
-    "BayPart",
     "ContextName",
-    "ContinuousObservation",
     "EnvConfig",
     "EpisodeConfig",
     "FleetConfig",
@@ -59,13 +54,12 @@ __all__ = [
     "GoalConfig",
     "GoalRewards",
     "GridConfig",
-    "IndexObservation",
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
     "LayoutName",
     "MetricsConfig",
-    "Observation",
+    "ObservationConfig",
     "ParkedRule",
     "PhysicsName",
     "RandomizationConfig",
@@ -80,9 +74,7 @@ __all__ = [
     "SimConfig",
     "SpawnConfig",
     "Surface",
-    "TannerObservation",
     "TyresName",
-    "ViewConfig",
     "insert",
     "is_data",
     "register_rule",

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import ENCODERS, LayoutConfig
 from carpark_mj.config.checks import require_type
 from carpark_mj.layouts import FAMILIES
 from carpark_mj.policy import checkpoints
@@ -23,7 +23,7 @@ from carpark_mj.policy.pretrained import describe_names
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
-CONFIG_VERSION = 3
+CONFIG_VERSION = 4
 Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
 
 
@@ -81,7 +81,7 @@ def _tags(cls: Any) -> dict[str, Any]:
 
 
 def _plain_value(value: Any) -> Any:
-    """Lists become tuples, and a layout's settings the config of its family."""
+    """Lists become tuples, and settings of a layout or an encoder their config."""
     if isinstance(value, list | tuple):
         return tuple(_plain_value(item) for item in value)
     if isinstance(value, dict) and "family" in value:
@@ -91,6 +91,8 @@ def _plain_value(value: Any) -> Any:
                 f"unknown family {family!r}; choose from {sorted(FAMILIES)}"
             )
         return from_dict(FAMILIES[family].config, value)
+    if isinstance(value, dict) and "encoding" in value:
+        return from_dict(ENCODERS[value["encoding"]], value)
     return value
 
 

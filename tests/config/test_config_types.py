@@ -5,19 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from carpark_mj.config import (
-    EnvConfig,
-    IndexObservation,
-    ParkedRule,
-    RewardConfig,
-    SimConfig,
-    TannerObservation,
-)
+from carpark_mj.config import EnvConfig, ParkedRule, RewardConfig, SimConfig
 from carpark_mj.junction import JunctionConfig
 from carpark_mj.junction.config import RasterConfig, RewardRules
 from carpark_mj.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.studies.tanner.indices import IndexObservation
+from carpark_mj.studies.tanner.observation import TannerObservation
 from carpark_mj.wrappers.goal import PoseReward
 from learners.ppo.config import PPOConfig
 from learners.ppo.curriculum_config import CurriculumConfig

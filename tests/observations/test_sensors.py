@@ -11,19 +11,18 @@ from helpers.sliding import SlidePhysics, placed
 from helpers.states import config_of, parked_at, state_of
 
 from carpark_mj.config import (
-    ContinuousObservation,
     EnvConfig,
-    IndexObservation,
     RayConfig,
     RingConfig,
     SensorConfig,
     ShareConfig,
-    ViewConfig,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.sensors import init_sensors, measure, observed, reset
+from carpark_mj.studies.tanner.indices import IndexObservation
 
 KEY = jax.random.key(0)
 LATE = SensorConfig(delay_min=2, delay_max=2)
@@ -117,7 +116,7 @@ EVERYTHING = ContinuousObservation(
     tracked_agents=2,
     tracked_parked_cars=2,
     rings=RingConfig((6.0, 9.0), cars=True),
-    share=ShareConfig(goal_headings=True, steering=True, order=True),
+    share=ShareConfig(steering=True, order=True),
     lines=True,
     own_car=True,
     rays=RayConfig(8),
@@ -128,7 +127,6 @@ CHOSEN = dataclasses.replace(
     EVERYTHING,
     share=ShareConfig(),
     global_information=True,
-    view=ViewConfig(field_of_view=250.0, diameter=24.0),
 )
 
 
