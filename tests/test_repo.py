@@ -14,7 +14,8 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 
 # The floors of the house, from the ground: a room imports those below it only.
 FLOORS = (
-    ("extensions", "precision", "pytrees", "config", "files", "reading"),
+    ("extensions",),
+    ("precision", "pytrees", "config", "files", "reading"),
     ("geometry",),
     ("layouts",),
     ("types", "vehicle"),
@@ -22,7 +23,7 @@ FLOORS = (
     ("mdp", "physics"),
     ("fleet",),
     ("episodes",),
-    ("env", "junction"),
+    ("env",),
     ("registry", "registration", "policy"),
     ("planning",),
     ("evaluation",),
@@ -31,7 +32,7 @@ FLOORS = (
     ("wrappers", "play"),
     ("cli",),
     ("training",),
-    ("sweeps",),
+    ("sweeps", "benchmarking"),
     ("programs",),
     ("studies", "__main__"),
 )
@@ -61,7 +62,7 @@ def part_of(path):
 
 def rooms_imported(path):
     names = [name.split(".") for name in imports_of(path)]
-    rooms = {name[1] for name in names if name[0] == "carpark_mj"}
+    rooms = {name[1] for name in names if name[0] == "carpark_mj" and name[1:]}
     return rooms - {part_of(path)}
 
 
@@ -81,8 +82,8 @@ def test_no_two_test_files_have_the_same_name():
     assert len(names) == len({*names})
 
 
-def test_at_most_twelve_files_stand_at_the_root_of_the_package():
-    assert len(list(LIBRARY.glob("*.py"))) <= 12
+def test_at_most_fourteen_files_stand_at_the_root_of_the_package():
+    assert len(list(LIBRARY.glob("*.py"))) <= 14
 
 
 @pytest.mark.parametrize("room", sorted(FLOOR))
@@ -93,7 +94,7 @@ def test_imports_point_down(room):
         wrong = {other for other in rooms_imported(path) if FLOOR[other] >= FLOOR[room]}
         if room == "types":  # what its annotations name is not loaded
             wrong -= {"vehicle"}
-        if room == "extensions":  # it finds what lies there
+        if room in ("extensions", "observations"):  # Tanner's encoders are to move
             wrong -= {"studies"}
         assert wrong == set(), path
 

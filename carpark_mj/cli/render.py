@@ -11,7 +11,7 @@ from rich.progress import track
 
 from carpark_mj.cli.common import MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.config import EnvConfig, PhysicsName
+from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_positive, require_unset
 from carpark_mj.config.observations import Tracked
 from carpark_mj.env import ParkingEnv
@@ -81,7 +81,7 @@ class RenderConfig:
     num_parked_cars: int | None = None
     vehicle: str | None = None
     layout: str | None = None
-    physics: PhysicsName | None = None
+    physics: str | None = None
     respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:

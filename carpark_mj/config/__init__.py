@@ -3,11 +3,16 @@
 Impossible settings raise `ValueError` at construction, in one sentence.
 """
 
-from carpark_mj.config.env import EnvConfig, PhysicsName
+from carpark_mj.config.back_ends import (
+    PHYSICS,
+    PhysicsChoice,
+    PhysicsConfig,
+    physics_config,
+)
+from carpark_mj.config.env import EnvConfig
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
-from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.insertion import insert, is_data, setting
 from carpark_mj.config.layouts import (
     LAYOUT_FILES,
@@ -37,12 +42,14 @@ from carpark_mj.config.terminations import (
     register_rule,
     require_rule,
 )
+from carpark_mj.config.units import WORLD_UNIT
 
 __all__ = [
     "CONTACT_SIM_DT",
     "ENCODERS",
     "LAYOUT_FILES",
     "PARKED_RULES",
+    "PHYSICS",
     "REWARDS",
     "TPCAP_NAMES",
     "WORLD_UNIT",
@@ -53,7 +60,6 @@ __all__ = [
     "GivingWayConfig",
     "GoalConfig",
     "GoalRewards",
-    "GridConfig",
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
@@ -61,7 +67,8 @@ __all__ = [
     "MetricsConfig",
     "ObservationConfig",
     "ParkedRule",
-    "PhysicsName",
+    "PhysicsChoice",
+    "PhysicsConfig",
     "RandomizationConfig",
     "RayConfig",
     "RelocationRule",
@@ -77,6 +84,7 @@ __all__ = [
     "TyresName",
     "insert",
     "is_data",
+    "physics_config",
     "register_rule",
     "require_layout",
     "require_rule",

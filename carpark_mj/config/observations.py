@@ -4,7 +4,7 @@ import abc
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 from carpark_mj.config.checks import (
     CheckedConfig,
@@ -39,9 +39,6 @@ class ObservationConfig(CheckedConfig, abc.ABC):
     Attributes:
         encoding: its name in `ENCODERS`, the default of each class and never another.
     """
-
-    REGISTRY: ClassVar["Registry[type[ObservationConfig]]"]
-    TAG: ClassVar[str] = "encoding"
 
     encoding: str
 
@@ -134,7 +131,6 @@ class ObservationConfig(CheckedConfig, abc.ABC):
 ENCODERS: Registry[type[ObservationConfig]] = Registry(
     "observation encoding", "carpark_mj.observations.continuous"
 )
-ObservationConfig.REGISTRY = ENCODERS
 
 
 @dataclasses.dataclass(frozen=True)

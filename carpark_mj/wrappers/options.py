@@ -9,7 +9,7 @@ from carpark_mj.config import (
     LAYOUT_FILES,
     EnvConfig,
     LayoutChoice,
-    PhysicsName,
+    PhysicsChoice,
     RewardConfig,
     RewardName,
     reward_preset,
@@ -40,7 +40,7 @@ class Options(TypedDict, total=False):
     parked_cars: int
     rule: str
     reward: RewardConfig | RewardName
-    physics: PhysicsName
+    physics: PhysicsChoice
 
 
 Env = TypeVar("Env", bound=ParkingEnv)

@@ -3,12 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig, GridConfig
-
-
-def grid_of(env: EnvConfig) -> GridConfig:
-    """The grid of an environment, whose numbers physical cars are observed in, too."""
-    return env.grid
+from carpark_mj.studies.tanner.grid_config import GridConfig
 
 
 def speed_level(grid: GridConfig, ctrl_dt: float, speed: jax.Array) -> jax.Array:

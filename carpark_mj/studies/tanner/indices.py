@@ -23,7 +23,8 @@ from carpark_mj.observations.rings import (
     update_history,
 )
 from carpark_mj.observations.sensors import observed
-from carpark_mj.studies.tanner.grid_numbers import bearing_index, grid_of, speed_level
+from carpark_mj.studies.tanner.grid_config import GridConfig, grid_scale
+from carpark_mj.studies.tanner.grid_numbers import bearing_index, speed_level
 from carpark_mj.types import State
 
 
@@ -41,9 +42,11 @@ class IndexObservation(ObservationConfig):
 
     def check(self, env: EnvConfig) -> None:
         """Refuses cars that are not on the grid, and goals that agents choose."""
-        if env.physics != "grid":
+        physics = env.physics_config
+        if not isinstance(physics, GridConfig):
             raise ValueError(
-                f"observation.encoding 'indices' needs grid physics, not {env.physics}"
+                "observation.encoding 'indices' needs grid physics, not "
+                f"{physics.back_end}"
             )
         if env.goals.dynamic:
             raise ValueError(
@@ -52,7 +55,7 @@ class IndexObservation(ObservationConfig):
 
     def fields(self, env: EnvConfig) -> list[Field]:
         """See the head of this module."""
-        grid, rings = grid_of(env), self.rings
+        grid, rings = grid_scale(env), self.rings
         top, last = grid.num_levels - 1, grid.headings - 1
         fields = [
             Field(
@@ -77,7 +80,7 @@ class IndexObservation(ObservationConfig):
 
     def values(self, env: EnvConfig, state: State) -> dict[str, jax.Array]:
         """Integers (num_agents, 1) by the fields' names."""
-        grid, motion = grid_of(env), observed(state)
+        grid, motion = grid_scale(env), observed(state)
         level = jnp.round(speed_level(grid, env.sim.ctrl_dt, motion.speed))
         goal_pose = state.layout.parked_pose[state.goal]
         bearing = bearing_index(grid, to_local(motion.pose_w, goal_pose))

@@ -31,7 +31,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, GridConfig, RingConfig
+from carpark_mj.config import WORLD_UNIT, EnvConfig, RingConfig
 from carpark_mj.config.checks import CheckedConfig, require_whole
 from carpark_mj.config.observations import ObservationConfig, Tracked
 from carpark_mj.geometry import norm, to_local
@@ -45,7 +45,8 @@ from carpark_mj.observations.rings import (
 )
 from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tracking import mark
-from carpark_mj.studies.tanner.grid_numbers import bearing_index, grid_of, speed_level
+from carpark_mj.studies.tanner.grid_config import GridConfig, grid_scale
+from carpark_mj.studies.tanner.grid_numbers import bearing_index, speed_level
 from carpark_mj.studies.tanner.view import ViewConfig, in_view, track_cars
 from carpark_mj.types import NO_BAY, State
 
@@ -156,7 +157,7 @@ class TannerObservation(ObservationConfig):
 
     def values(self, env: EnvConfig, state: State) -> dict[str, jax.Array]:
         """Values (num_agents, 1) of the fields by name."""
-        grid = grid_of(env)
+        grid = grid_scale(env)
         layout, goal, motion = state.layout, state.goal, observed(state)
         level = speed_level(grid, env.sim.ctrl_dt, motion.speed) + grid.max_reverse
         values = {"speed": (level / grid.num_levels)[:, None]}

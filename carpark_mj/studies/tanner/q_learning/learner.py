@@ -80,7 +80,7 @@ class QLearner:
         # The same without new episodes: three times as fast, and mostly enough.
         still = dataclasses.replace(episode, respawn=False)
         self._still_env = ParkingEnv(dataclasses.replace(config.env, episode=still))
-        self.choices = config.env.grid.choices
+        self.choices = config.env.physics_config.choices
         self.sizes = cardinalities(config.env)
         self.advance = jax.jit(self._advance)
 

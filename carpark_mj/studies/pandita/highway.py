@@ -1,0 +1,62 @@
+"""highway-env's car: the kinematic bicycle as its `Vehicle.step` integrates it.
+
+The equations are those of `bicycle`, but the axles stand at the bumpers, steering and
+acceleration are those asked for, forwards and backwards alike, and a substep is one of
+explicit Euler: everything moves on with the speed and heading at its start. Beyond a
+speed limit the car slows down by as many m/s^2 as it is too fast in m/s.
+
+Read of a car's parameters are the footprint, `max_steering`, `max_acceleration` and the
+speed limits; the preset `highway` has highway-env's. Its `sim_dt` is 1 / 15 s.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import PHYSICS
+from carpark_mj.geometry import wrap_angle
+from carpark_mj.physics.bicycle import BicyclePhysics, BicycleState, Carry, slip_angle
+from carpark_mj.types import Motion
+from carpark_mj.vehicle.vehicle import Vehicle
+
+
+class HighwayPhysics(BicyclePhysics):
+    """highway-env's car behind the `Physics` interface."""
+
+    config = PHYSICS["highway"]
+
+    def read(self, state: BicycleState) -> Motion:
+        """What the task may know; velocities leave the slip angle out, as its own."""
+        speed, vehicle = state.speed, state.vehicle
+        return dataclasses.replace(
+            super().read(state),
+            velocity_b=jnp.stack([speed, jnp.zeros_like(speed)], axis=-1),
+            yaw_rate=_yaw_rate(vehicle, speed, state.actuators.steering),
+        )
+
+    def ahead(self, vehicle: Vehicle) -> jax.Array:
+        """None: the footprint's centre is the middle between the axles."""
+        return jnp.zeros_like(vehicle.wheelbase)
+
+    def substep(self, vehicle: Vehicle, controls: jax.Array, carry: Carry) -> Carry:
+        """One car after a substep; see `BicyclePhysics.substep`."""
+        dt = self.sim.sim_dt
+        pose, speed, actuators = carry
+        steering = controls[0] * vehicle.max_steering
+        course = pose[2] + slip_angle(steering)
+        way = speed * jnp.stack([jnp.cos(course), jnp.sin(course)])
+        yaw = wrap_angle(pose[2] + _yaw_rate(vehicle, speed, steering) * dt)
+        pose = jnp.concatenate([pose[:2] + way * dt, yaw[None]])
+        wanted = controls[1] * vehicle.max_acceleration
+        headroom = vehicle.max_speed - speed
+        back = -vehicle.max_reverse_speed - speed
+        wanted = jnp.where(headroom < 0.0, jnp.minimum(wanted, headroom), wanted)
+        wanted = jnp.where(back > 0.0, jnp.maximum(wanted, back), wanted)
+        actuators = dataclasses.replace(actuators, steering=steering)
+        return pose, speed + wanted * dt, actuators
+
+
+def _yaw_rate(vehicle: Vehicle, speed: jax.Array, steering: jax.Array) -> jax.Array:
+    """Yaw rates (...) [rad/s]."""
+    return speed * jnp.sin(slip_angle(steering)) / (vehicle.size[..., 0] / 2)
