@@ -323,6 +323,7 @@ class ParkingEnv:
             motion=motion,
             parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
             memory=memory,
+            movers=self._episodes.step_movers(state, keys),
             step=state.step + state.active,
             sensors=sensors.measure(
                 config.sensors, state.sensors, motion, keys.reading

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.config import ContextName
+from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts.routes import Routes
 from carpark_mj.layouts.types import Layout
 
@@ -216,6 +217,7 @@ class State:
         waited: (num_agents,) int32 control steps for which an absent agent has waited
             for room to start; 0 = it does not wait. None where nobody ever does.
         routes: ways along the lanes to the bays; None where nothing reads them.
+        movers: obstacles that move by themselves.
     """
 
     physics: PhysicsState
@@ -233,6 +235,7 @@ class State:
     present: jax.Array | None = None
     waited: jax.Array | None = None
     routes: Routes | None = None
+    movers: Movers = NO_MOVERS
 
     @property
     def exploring(self) -> jax.Array:
@@ -257,7 +260,8 @@ class Events:
     """How each agent's episode stands after a step; all (num_agents,) bool.
 
     `parked`, `crashed`, `timed_out` and `diverged` exclude each other; together they
-    are `done`. The `hit_*` flags say what a crashed agent touched (several can hold).
+    are `done`. The `hit_*` flags say what a crashed agent touched (several can hold),
+    one for each `ObstacleKind`; None where there are none of it.
     """
 
     parked: jax.Array
@@ -267,6 +271,7 @@ class Events:
     hit_agent: jax.Array
     hit_parked_car: jax.Array
     hit_wall: jax.Array
+    hit_mover: jax.Array | None = None
 
     @property
     def success(self) -> jax.Array:

@@ -14,6 +14,7 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.config import (
     ENCODERS,
+    MOVERS,
     PARKED_RULES,
     PHYSICS,
     EnvConfig,
@@ -56,8 +57,9 @@ def run(name):
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
     """What examples register is gone after each test."""
-    for registry in (FAMILIES, PRESETS, terminations._RULES, ENCODERS._parts):
-        for name in ("court", "taxi", "straight", "nearest_wall"):
+    parts = MOVERS._parts, ENCODERS._parts
+    for registry in (FAMILIES, PRESETS, terminations._RULES, *parts):
+        for name in ("court", "taxi", "straight", "rising_bollard", "nearest_wall"):
             monkeypatch.setitem(registry, name, None)
             monkeypatch.delitem(registry, name)
     monkeypatch.setitem(PHYSICS._parts, "hover", None)
@@ -104,6 +106,21 @@ def test_the_new_field_is_observed_at_reset_and_in_steps():
         centres = shapely.points(np.asarray(motion.xy))
         nearest = shapely.distance(centres[:, None], walls).min(axis=1)
         np.testing.assert_allclose(20.0 * seen[:, -1], nearest, atol=1e-4)
+
+
+def test_the_new_mover_comes_and_goes():
+    names = run("A mover")
+    env, state = names["env"], names["state"]
+
+    @jax.jit
+    def drive(state):
+        def step(state, _):
+            state, _ = env.step(state, jnp.zeros((2, 2)))
+            return state, jnp.stack([group.mask[0] for group in state.movers.groups])
+
+        return jax.lax.scan(step, state, length=100)[1]  # two periods
+
+    np.testing.assert_array_equal(drive(state).sum(axis=0), [50, 50])
 
 
 def test_the_new_vehicle_drives_alone_and_in_a_fleet():

@@ -14,6 +14,7 @@ from carpark_mj.mdp.clearance import clearances
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.metrics.collision_time import collision_times
 from carpark_mj.observations import ContinuousObservation, observe
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import State
 
 SCENES = {
@@ -51,8 +52,9 @@ def measure(
     actions = jax.random.uniform(action_key, shape, minval=-1.0)
 
     def safety(state: State) -> Any:
-        where = state.layout, state.motion, state.parked_cars
-        return clearances(*where), collision_times(*where)
+        motion = state.motion
+        there = lot_obstacles(state.layout, motion, state.parked_cars, state.movers)
+        return clearances(motion, there), collision_times(motion, there)
 
     @jax.jit
     def drive(state: State) -> State:

@@ -138,6 +138,7 @@ def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
         np.asarray(state.motion.pose_w),
         np.asarray(state.parked_cars.pose_w),
         config.suspension,
+        state.movers.groups,
     )
     return spec, np.asarray(state.layout.extent)
 

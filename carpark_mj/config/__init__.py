@@ -30,6 +30,7 @@ from carpark_mj.config.observations import (
     RingConfig,
     ShareConfig,
 )
+from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import REWARDS, RewardConfig, RewardName, reward_preset
@@ -48,6 +49,7 @@ __all__ = [
     "CONTACT_SIM_DT",
     "ENCODERS",
     "LAYOUT_FILES",
+    "MOVERS",
     "PARKED_RULES",
     "PHYSICS",
     "REWARDS",
@@ -65,7 +67,9 @@ __all__ = [
     "LayoutConfig",
     "LayoutName",
     "MetricsConfig",
+    "Mover",
     "ObservationConfig",
+    "ObstacleKind",
     "ParkedRule",
     "PhysicsChoice",
     "PhysicsConfig",

@@ -15,6 +15,7 @@ from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observations import ENCODERS, ObservationConfig
+from carpark_mj.config.obstacles import Mover, MoverChoice, make_movers
 from carpark_mj.config.physics import SimConfig
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import RewardConfig
@@ -48,6 +49,8 @@ class EnvConfig:
             come first: where they leave fewer bays there are fewer parked cars.
         fleet: presets that cars are drawn from instead of `vehicle`.
         jitter: variation of parked cars' poses in their bays, and of their sizes.
+        movers: obstacles that move by themselves, by name, of `MOVERS`; from Python
+            also configs.
         physics: back end, by name. `mjx`: every car is simulated on its own, crashes
             are found by box tests. `scene`: the whole lot in one C MuJoCo world,
             crashes are its contacts; slow. `bicycle`: kinematic cars whose tyres never
@@ -75,6 +78,7 @@ class EnvConfig:
     occupancy: Range | None = None
     fleet: FleetConfig = dataclasses.field(default_factory=FleetConfig)
     jitter: JitterConfig = dataclasses.field(default_factory=JitterConfig)
+    movers: tuple[MoverChoice, ...] = ()
     physics: PhysicsChoice = "mjx"
     sim: SimConfig = dataclasses.field(default_factory=SimConfig)
     goals: GoalConfig = dataclasses.field(default_factory=GoalConfig)
@@ -96,7 +100,13 @@ class EnvConfig:
             raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
         for name in self.layout.split(",") if isinstance(self.layout, str) else ():
             require_layout(name)
-        require_types(self, layout=LayoutConfig | str, physics=PhysicsConfig | str)
+        require_types(
+            self,
+            layout=LayoutConfig | str,
+            movers=tuple[Mover | str, ...],
+            physics=PhysicsConfig | str,
+        )
+        make_movers(self.movers)  # refuses unknown names
         physics = self.physics_config
         require_whole(self, 1, "num_agents")
         if self.min_agents is not None:

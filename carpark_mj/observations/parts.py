@@ -6,8 +6,10 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import Field
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import CarParameters, Motion, State
 
 
@@ -32,6 +34,12 @@ class Sight:
     def goal(self) -> jax.Array:
         """(num_agents,) bays."""
         return self.state.goal
+
+    @property
+    def obstacles(self) -> tuple[Group, ...]:
+        """All there is to hit, agents first and where they are sensed."""
+        state = self.state
+        return lot_obstacles(state.layout, self.motion, state.parked_cars, state.movers)
 
     @property
     def vehicle(self) -> CarParameters:

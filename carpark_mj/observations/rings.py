@@ -1,18 +1,18 @@
 """Proximity rings: how many objects a circle about the car touches, now and before.
 
-Objects are walls, each counted once, discs and, with `RingConfig.cars`, parked cars and
-other agents.
+Objects are walls, each counted once, discs, movers and, with `RingConfig.cars`, parked
+cars and other agents.
 """
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import RingConfig
-from carpark_mj.geometry import point_box_distance
-from carpark_mj.geometry.broad_phase import disc_gaps
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.parts import Part, Sight
 from carpark_mj.observations.sensors import observed
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import State
 
 
@@ -45,23 +45,15 @@ def count_rings(config: RingConfig, state: State) -> jax.Array:
 
     Every object is tested: no cheaper test than this distance could rule one out.
     """
-    layout, motion, parked_cars = state.layout, observed(state), state.parked_cars
-    own_xy = motion.pose_w[:, :2]
-    gap = point_box_distance(own_xy[:, None], layout.wall_pose, layout.wall_size)
-    gap = jnp.where(layout.wall_mask, gap, jnp.inf)
-    if layout.disc_mask.shape[0]:
-        discs = disc_gaps(own_xy, layout.disc_centre, layout.disc_radius)
-        discs = jnp.where(layout.disc_mask, discs, jnp.inf)
-        gap = jnp.concatenate([gap, discs], axis=1)
-    if config.cars:
-        own = jnp.eye(own_xy.shape[0], dtype=bool)
-        agents = point_box_distance(own_xy[:, None], motion.pose_w, motion.size)
-        agents = jnp.where(own, jnp.inf, agents)
-        parked = point_box_distance(
-            own_xy[:, None], parked_cars.pose_w, parked_cars.size
-        )
-        parked = jnp.where(parked_cars.present, parked, jnp.inf)
-        gap = jnp.concatenate([gap, agents, parked], axis=1)
+    motion = observed(state)
+    there = lot_obstacles(state.layout, motion, state.parked_cars, state.movers)
+    cars = (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR)
+    seen = [group for group in there if config.cars or group.kind not in cars]
+    gaps = [
+        jnp.where(group.counts(motion.size.shape[0]), group.gaps(motion.xy), jnp.inf)
+        for group in seen
+    ]
+    gap = jnp.concatenate(gaps, axis=1)
     radii = jnp.array(config.diameters, gap.dtype) / 2
     count = jnp.sum(gap[:, :, None] < radii, axis=1)
     return jnp.minimum(count, config.cap)

@@ -16,6 +16,7 @@ from typing import Any
 
 from carpark_mj.config import ENCODERS, PHYSICS, LayoutConfig, PhysicsConfig
 from carpark_mj.config.checks import require_type
+from carpark_mj.config.obstacles import MOVERS, Mover
 from carpark_mj.layouts import FAMILIES
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -24,6 +25,10 @@ from carpark_mj.policy.pretrained import describe_names
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
 CONFIG_VERSION = 4
+_WIDER: dict[Any, Any] = {  # types of values that flags know the names of only
+    str: LayoutConfig | PhysicsConfig | str,
+    tuple[str, ...]: tuple[Mover | str, ...],
+}
 Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
 
 
@@ -45,10 +50,7 @@ def from_dict(cls: Any, data: Any) -> Any:
         raise ValueError(f"{cls.__name__} has no {unknown}")
     values = {name: _value(name, hints[name], value) for name, value in data.items()}
     for name, value in values.items():
-        # Of layout and physics, which may be configs, flags know the name only.
-        text = LayoutConfig | PhysicsConfig | str
-        hint = text if hints[name] is str else hints[name]
-        require_type(name, value, hint)
+        require_type(name, value, _WIDER.get(hints[name], hints[name]))
     return cls(**values)
 
 
@@ -85,6 +87,8 @@ def _plain_value(value: Any) -> Any:
     """Lists become tuples, and settings of parts that have a name their config."""
     if isinstance(value, list | tuple):
         return tuple(_plain_value(item) for item in value)
+    if isinstance(value, dict) and "mover" in value:
+        return from_dict(type(MOVERS[value["mover"]]), value)
     if isinstance(value, dict) and "family" in value:
         family = value["family"]
         if family not in FAMILIES:

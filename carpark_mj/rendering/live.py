@@ -1,6 +1,7 @@
 """A policy driving one lot step by step, for a live viewer."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import jax
 import numpy as np
@@ -48,6 +49,7 @@ class LiveLot:
             config.num_parked_cars,
             env.fleet.agents,
             env.fleet.parked_vehicles(np.asarray(state.parked_cars.size)),
+            state.movers.groups,
         )
         self.traces = self._run_once()
         # One call of `step` is one traced pose.
@@ -63,6 +65,7 @@ class LiveLot:
             "size": motion.size[self._shows],
             "parked_pose": parked_trace(step.before, step.after, motion),
             "goal": step.after.goal[self._shows],
+            "movers": step.after.movers.groups,
             **self._record(step),
             **{name: getattr(timestep.events, name).sum() for name in ENDINGS},
         }
@@ -93,6 +96,7 @@ class LiveLot:
             np.asarray(motion.steering),
             np.asarray(state.parked_cars.pose_w),
             np.asarray(motion.size),
+            state.movers.groups,
         )
 
     @property
@@ -117,13 +121,14 @@ class LiveLot:
         pose, parked_pose = (
             seen[name][self._trace] for name in ("pose_w", "parked_pose")
         )
-        self._place(pose, seen["steering"], parked_pose, seen["size"])
+        movers = tuple(group.instant(self._trace) for group in seen["movers"])
+        self._place(pose, seen["steering"], parked_pose, seen["size"], movers)
         self._trace += 1
         return begins
 
     def snapshot(self) -> Snapshot:
         """The present instant, as pictures show it."""
-        pose_w, steering, parked_pose, size = self._shown
+        pose_w, steering, parked_pose, size, movers = self._shown
         return Snapshot(
             seconds=self.seconds,
             pose_w=pose_w,
@@ -136,10 +141,11 @@ class LiveLot:
             tally=dict(self.tally()),
             flashes=(),
             size=size,
+            movers=movers,
         )
 
-    def _place(self, *shown: np.ndarray) -> None:
-        """Places poses, steering, parked cars' poses and sizes; see `Stage.place`."""
+    def _place(self, *shown: Any) -> None:
+        """Places cars and movers; see `Stage.place`."""
         self._shown = shown
         self.stage.place(*shown)
 

@@ -1,6 +1,7 @@
 """Records what a policy does in one lot, for the renderer."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.geometry import wrap_angle
+from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument
 from carpark_mj.policy.rollout import Carry, Step, acts, roll_out
@@ -42,6 +44,7 @@ class Recording:
         parked_size: (parked cars, 2) footprints [m]; None if all are equal.
         tracked_bays: (t, agents, slots) bays tracked during the steps, `NO_BAY` in
             empty slots; None while goals are fixed.
+        movers: obstacles that move by themselves, (t, ...) in front.
     """
 
     layout: Layout
@@ -59,6 +62,7 @@ class Recording:
     size: np.ndarray | None = None
     parked_size: np.ndarray | None = None
     tracked_bays: np.ndarray | None = None
+    movers: tuple[Group, ...] = ()
 
 
 def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
@@ -71,6 +75,7 @@ def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
         recording.parked_pose.shape[2],
         env.fleet.agents,
         () if sizes is None else env.fleet.parked_vehicles(sizes),
+        take(recording.movers, 0),
     )
 
 
@@ -102,7 +107,7 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     reset_key, act_key = jax.random.split(evaluation_key(seed))
     state, observation = jax.jit(lambda key: env.reset(key, "test"))(reset_key)
 
-    def report(step: Step) -> dict[str, jax.Array]:
+    def report(step: Step) -> dict[str, Any]:
         before, timestep = step.before, step.timestep
         motion, events = timestep.motion, timestep.events
         frame = {
@@ -117,6 +122,7 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
             "timed_out": events.timed_out,
             "step": before.step + 1,
             "size": motion.size,
+            "movers": step.after.movers.groups,
         }
         if before.tracked_bays is not None:
             frame["tracked_bays"] = before.tracked_bays
@@ -130,10 +136,8 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     for keys in jax.random.split(act_key, num_chunks * CHUNK).reshape(num_chunks, -1):
         carry, frames = run(policy, carry, keys)
         chunks.append(jax.device_get(frames))
-    frames = {
-        name: np.concatenate([chunk[name] for chunk in chunks])[:num_steps]
-        for name in chunks[0]
-    }
+    frames = jax.tree.map(lambda *xs: np.concatenate(xs)[:num_steps], *chunks)
+    movers = frames.pop("movers")
     # A lot keeps its parked cars: who is absent at the start never comes.
     here = np.asarray(state.parked_cars.present)
     frames["parked_pose"] = frames["parked_pose"][:, :, here]
@@ -145,5 +149,6 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
         layout=state.layout,
         ctrl_dt=env.config.sim.ctrl_dt,
         parked_size=np.asarray(state.parked_cars.size)[here],
+        movers=movers,
         **frames,
     )

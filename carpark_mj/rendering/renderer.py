@@ -134,7 +134,9 @@ class LotRenderer:
 
     def place(self, seen: Snapshot) -> None:
         """Puts all cars where they are; wheels roll by the way since the last call."""
-        self._stage.place(seen.pose_w, seen.steering, seen.parked_pose, seen.size)
+        self._stage.place(
+            seen.pose_w, seen.steering, seen.parked_pose, seen.size, seen.movers
+        )
 
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
         """Draws what was placed, (height, width, 3) uint8, by one of `cameras`."""

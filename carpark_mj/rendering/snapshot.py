@@ -8,6 +8,7 @@ import numpy as np
 
 from carpark_mj.config.observations import Tracked
 from carpark_mj.geometry import nearest
+from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.recording import Recording
 from carpark_mj.types import NO_BAY, OUTCOMES
@@ -51,6 +52,7 @@ class Snapshot:
         size: (agents, 2) footprints [m]; None if all are equal.
         tracked_bay_xy: (agents, slots, 2) centres of tracked bays, NaN in empty slots;
             None while goals are fixed.
+        movers: obstacles that move by themselves.
     """
 
     seconds: float
@@ -65,6 +67,7 @@ class Snapshot:
     flashes: tuple[Flash, ...]
     size: np.ndarray | None = None
     tracked_bay_xy: np.ndarray | None = None
+    movers: tuple[Group, ...] = ()
 
 
 def num_frames(recording: Recording) -> int:
@@ -110,6 +113,7 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
         flashes=tuple(flashes),
         size=None if recording.size is None else recording.size[step],
         tracked_bay_xy=bay_xy,
+        movers=tuple(take(group, step).instant(trace) for group in recording.movers),
     )
 
 

@@ -200,7 +200,7 @@ def test_a_car_needs_a_start_at_which_it_touches_nothing(tmp_path):
     env = make(PRESETS["van"])  # at an angle it would touch them
     state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 100))
     hits = jax.jit(jax.vmap(find_hits))(state)
-    assert not hits.wall.any()
+    assert not hits["wall"].any()
 
 
 def test_the_layouts_command_checks_with_the_car_asked_for(tmp_path):

@@ -118,3 +118,8 @@ def config_of(
     settings = {"num_agents": 7} | settings
     goals = GoalConfig(num_tracked_bays > 0, max(num_tracked_bays, 1))
     return EnvConfig(observation=observation, goals=goals, physics="grid", **settings)
+
+
+def any_hit(hits: dict[str, jax.Array]) -> jax.Array:
+    """(num_agents,) bool, who touched anything; `hits` as of `find_hits`."""
+    return jnp.any(jnp.stack([*hits.values()]), axis=0)

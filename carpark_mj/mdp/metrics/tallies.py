@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.obstacles import hit_kinds
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.metrics import driving, goals, safety
 from carpark_mj.mdp.rewards import term_names
@@ -25,7 +26,7 @@ def first_tallies(config: EnvConfig, layout: Layout) -> dict[str, jax.Array]:
     if config.metrics.driving:
         first |= dict.fromkeys(driving.SUMS, 0.0)
     if config.metrics.safety:
-        first |= safety.FIRST
+        first |= safety.first_safety(hit_kinds(config.movers))
     return {
         name: jnp.full(config.num_agents, value, jnp.float32)
         for name, value in first.items()

@@ -7,7 +7,7 @@ import pytest
 from helpers.scenes import lot, polygons
 from helpers.sliding import SlidePhysics
 from helpers.spawning import surroundings_of
-from helpers.states import parked_in
+from helpers.states import any_hit, parked_in
 
 from carpark_mj.config import EnvConfig, RayConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
@@ -91,7 +91,7 @@ def test_a_car_larger_than_lots_are_made_for_starts_clear_of_them_too(vehicle):
 
     def touches(key):
         state, _ = env.reset(key)
-        return find_hits(state).any[0], state.motion.size[0]
+        return any_hit(find_hits(state))[0], state.motion.size[0]
 
     hit, size = jax.jit(jax.vmap(touches))(jax.random.split(jax.random.key(0), 500))
     assert not hit.any()

@@ -23,6 +23,7 @@ from carpark_mj.observations import (
     observation_size,
     observe,
 )
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.registry import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 from carpark_mj.studies.tanner.observation import TannerObservation
 
@@ -137,10 +138,8 @@ def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
         others=jnp.zeros(1, bool),
         outlines=None,
         agent=jnp.int32(0),
-        layout=layout,
         size=None,
-        parked_pose=NOBODY.pose_w,
-        parked_size=NOBODY.size,
+        obstacles=lot_obstacles(layout, None, NOBODY),
     )
 
     @jax.jit
