@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import EnvConfig, ParkedRule, RewardConfig, SimConfig
-from carpark_mj.layouts import FAMILIES
+from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.studies.cederle.junction import JunctionConfig

@@ -1,7 +1,6 @@
 """The declared fields of observations: names, sizes, groups, what settings add."""
 
 import dataclasses
-import functools
 import itertools
 
 import jax
@@ -12,7 +11,7 @@ from helpers.scenes import cars, lot
 from helpers.states import config_of
 
 from carpark_mj.config import EnvConfig, RayConfig, RingConfig, ShareConfig
-from carpark_mj.layouts import generate, layout_config
+from carpark_mj.layouts import layout_config
 from carpark_mj.observations import (
     ContinuousObservation,
     make_fields,
@@ -57,7 +56,7 @@ def test_by_default_all_lots_lie_within_the_ranges():
     for layout in ANYWHERE.layout.split(","):
         config = layout_config(layout)
         keys = jax.random.split(jax.random.key(0), 200)
-        lots = jax.jit(jax.vmap(functools.partial(generate, config)))(keys)
+        lots = jax.jit(jax.vmap(config.generate))(keys)
         across = 2.0 * np.linalg.norm(lots.extent, axis=-1)
         most = max(most, float(across.max()))
     assert 80.0 < most < FAR * FARTHEST

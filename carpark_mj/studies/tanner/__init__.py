@@ -1,15 +1,22 @@
-"""Tanner 2022: parking agents that learn to share a lot (arXiv 2206.13338)."""
+"""Tanner 2022 (arXiv 2206.13338): agents on a grid around a square."""
 
-from carpark_mj.config import ENCODERS, PHYSICS
-from carpark_mj.studies.tanner import programs
-from carpark_mj.studies.tanner.grid_config import COARSE, FINE, RECORDED
-from carpark_mj.studies.tanner.indices import IndexObservation
-from carpark_mj.studies.tanner.observation import TannerObservation
+from carpark_mj.studies.tanner import (
+    grid_config,
+    indices,
+    layouts,
+    observation,
+    vehicles,
+)
 
-__all__ = ["programs"]
+# isort: split
+from carpark_mj.studies.tanner import environments, programs  # of what is named above
 
-PHYSICS.register("grid", FINE)
-PHYSICS.register("grid_coarse", COARSE)
-PHYSICS.register("grid_recorded", RECORDED)
-ENCODERS.register("tanner", TannerObservation)
-ENCODERS.register("indices", IndexObservation)
+__all__ = [
+    "environments",
+    "grid_config",
+    "indices",
+    "layouts",
+    "observation",
+    "programs",
+    "vehicles",
+]

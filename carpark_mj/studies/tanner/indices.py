@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, RingConfig
-from carpark_mj.config.observations import ObservationConfig
+from carpark_mj.config.observations import ENCODERS, ObservationConfig
 from carpark_mj.geometry import to_local
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.rings import (
@@ -102,3 +102,6 @@ class IndexObservation(ObservationConfig):
     def remember(self, state: State) -> jax.Array | None:
         """What the rings have counted."""
         return update_history(self.rings, state)
+
+
+ENCODERS.register("indices", IndexObservation)

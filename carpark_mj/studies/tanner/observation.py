@@ -33,7 +33,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, EnvConfig, RingConfig
 from carpark_mj.config.checks import CheckedConfig, require_whole
-from carpark_mj.config.observations import ObservationConfig, Tracked
+from carpark_mj.config.observations import ENCODERS, ObservationConfig, Tracked
 from carpark_mj.geometry import norm, to_local
 from carpark_mj.observations.bay_fields import goal_code, rivals
 from carpark_mj.observations.fields import Field, repeated, repeated_values
@@ -318,3 +318,6 @@ def _describe(
         "distance": norm(local[..., :2]) / DIAGONAL,
         "bearing": bearing_index(grid, local) / grid.headings,
     }
+
+
+ENCODERS.register("tanner", TannerObservation)

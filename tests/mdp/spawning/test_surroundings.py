@@ -32,7 +32,7 @@ def test_starts_keep_off_parked_cars_where_they_stand():
     placing = start_placing(jnp.array([1, 2]), bay, nowhere, jnp.ones(2, bool))
     around = surroundings(inputs, placing, jnp.array(0))
     expected = jnp.stack([pushed[0], row.bay_pose[3]])
-    np.testing.assert_array_equal(around.parked_pose, expected)
+    np.testing.assert_array_equal(around.obstacles[0].pose_w, expected)
     touched = around.touches(jnp.concatenate([expected, row.bay_pose[:2]]))
     assert touched.tolist() == [True, True, False, False]
 

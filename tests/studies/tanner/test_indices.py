@@ -24,7 +24,10 @@ from carpark_mj.observations import (
     observe,
 )
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.registry import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
+from carpark_mj.studies.tanner.environments import (
+    TANNER_QLEARNING,
+    TANNER_QLEARNING_RINGS,
+)
 from carpark_mj.studies.tanner.observation import TannerObservation
 
 BASIC, RINGS = TANNER_QLEARNING, TANNER_QLEARNING_RINGS
