@@ -37,7 +37,7 @@ from carpark_mj.mdp.reset_options import (
     read_reset_options,
 )
 from carpark_mj.mdp.wrong_way import drives_wrong_way
-from carpark_mj.observations import observation_size, observe, rings, sensors
+from carpark_mj.observations import observation_size, observe, sensors
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics, require_physics
 from carpark_mj.precision import float32_only, is_real, require_float32
@@ -309,7 +309,7 @@ class ParkingEnv:
 
     def _move(self, state: State, controls: jax.Array, keys: StepKeys) -> State:
         """The state when the cars have moved and their motion has been measured."""
-        config, ring_history = self.config, rings.update_history(self.config, state)
+        config, memory = self.config, self.config.observation.remember(state)
         physics = self.physics.step(state.physics, controls)
         motion = self.physics.read(physics)
         all_drive = config.episode.respawn and state.present is None
@@ -322,7 +322,7 @@ class ParkingEnv:
             physics=physics,
             motion=motion,
             parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
-            ring_history=ring_history,
+            memory=memory,
             movers=self._episodes.step_movers(state, keys),
             step=state.step + state.active,
             sensors=sensors.measure(

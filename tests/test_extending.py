@@ -7,29 +7,36 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from helpers.registering import restore_after
-from helpers.scenes import cars
+from helpers.scenes import cars, polygons
+from helpers.sliding import SlidePhysics
 
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.config import (
+    ENCODERS,
     MOVERS,
     PARKED_RULES,
     PHYSICS,
+    EnvConfig,
     ParkedRule,
     register_rule,
     terminations,
 )
 from carpark_mj.config.layouts import FAMILIES, LAYOUTS
+from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import DesignCar, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import read_json
 from carpark_mj.mdp.terminations import is_parked
+from carpark_mj.observations import make_fields
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.car_look import shape_name
 from carpark_mj.scene.car_mesh import car_meshes
 from carpark_mj.vehicle import COMPACT, PRESETS, VEHICLES, make_vehicle
 
-PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "extending.md").read_text()
 SECTIONS = {
     section.split("\n", 1)[0]: section
     for section in re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]
@@ -52,7 +59,7 @@ def run(name):
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
     """What examples register is gone after each test."""
-    restore_after(monkeypatch, FAMILIES, LAYOUTS, MOVERS, PHYSICS, VEHICLES)
+    restore_after(monkeypatch, ENCODERS, FAMILIES, LAYOUTS, MOVERS, PHYSICS, VEHICLES)
     monkeypatch.setitem(terminations._RULES, "straight", None)
     monkeypatch.delitem(terminations._RULES, "straight")
 
@@ -88,11 +95,22 @@ def test_the_new_reward_term_is_paid_for_haste_only():
 
 
 def test_the_new_field_is_observed_at_reset_and_in_steps():
-    names = run("An observation field")
-    env, observation = names["env"], names["observation"]
-    assert observation.shape == (2, env.observation_size)
-    np.testing.assert_array_equal(observation[:, -1], 0.0)
-    np.testing.assert_allclose(names["timestep"].observation[:, -1], 1 / 200)
+    path = ROOT / "examples" / "extensions" / "nearest_wall" / "nearest_wall.py"
+    assert block("An observation field", "python") == path.read_text()
+    run("An observation field")
+    observation = ENCODERS["nearest_wall"]()
+    env = ParkingEnv(EnvConfig(num_agents=2, observation=observation), SlidePhysics())
+    assert make_fields(env.config)[:-1] == make_fields(EnvConfig(num_agents=2))
+    state, first = jax.jit(env.reset)(jax.random.key(0))
+    _, timestep = jax.jit(env.step)(state, jnp.ones((2, 2)))
+    for seen, motion in (
+        (first, state.motion),
+        (timestep.observation, timestep.motion),
+    ):
+        walls = polygons(state.layout.wall_pose, state.layout.wall_size)
+        centres = shapely.points(np.asarray(motion.xy))
+        nearest = shapely.distance(centres[:, None], walls).min(axis=1)
+        np.testing.assert_allclose(20.0 * seen[:, -1], nearest, atol=1e-4)
 
 
 def test_the_new_mover_comes_and_goes():

@@ -23,15 +23,11 @@ from carpark_mj.config.layouts import (
 )
 from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observations import (
-    BayPart,
-    ContinuousObservation,
-    IndexObservation,
-    Observation,
+    ENCODERS,
+    ObservationConfig,
     RayConfig,
     RingConfig,
     ShareConfig,
-    TannerObservation,
-    ViewConfig,
 )
 from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
@@ -50,28 +46,26 @@ from carpark_mj.config.units import WORLD_UNIT
 
 __all__ = [
     "CONTACT_SIM_DT",
+    "ENCODERS",
     "LAYOUTS",
     "MOVERS",
     "PARKED_RULES",
     "PHYSICS",
     "REWARDS",
     "WORLD_UNIT",
-    "BayPart",
     "ContextName",
-    "ContinuousObservation",
     "EnvConfig",
     "EpisodeConfig",
     "FleetConfig",
     "GivingWayConfig",
     "GoalConfig",
     "GoalRewards",
-    "IndexObservation",
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
     "MetricsConfig",
     "Mover",
-    "Observation",
+    "ObservationConfig",
     "ObstacleKind",
     "ParkedRule",
     "PhysicsChoice",
@@ -88,9 +82,7 @@ __all__ = [
     "SimConfig",
     "SpawnConfig",
     "Surface",
-    "TannerObservation",
     "TyresName",
-    "ViewConfig",
     "insert",
     "is_data",
     "physics_config",

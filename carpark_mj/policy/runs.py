@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import PHYSICS, LayoutConfig, PhysicsConfig
+from carpark_mj.config import ENCODERS, PHYSICS, LayoutConfig, PhysicsConfig
 from carpark_mj.config.checks import require_type
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.config.obstacles import MOVERS, Mover
@@ -84,13 +84,15 @@ def _tags(cls: Any) -> dict[str, Any]:
 
 
 def _plain_value(value: Any) -> Any:
-    """Lists become tuples, settings of a layout, mover or physics their config."""
+    """Lists become tuples, and settings of parts that have a name their config."""
     if isinstance(value, list | tuple):
         return tuple(_plain_value(item) for item in value)
     if isinstance(value, dict) and "mover" in value:
         return from_dict(type(MOVERS[value["mover"]]), value)
     if isinstance(value, dict) and "family" in value:
         return from_dict(FAMILIES[value["family"]], value)
+    if isinstance(value, dict) and "encoding" in value:
+        return from_dict(ENCODERS[value["encoding"]], value)
     if isinstance(value, dict) and "back_end" in value:
         return from_dict(type(PHYSICS[value["back_end"]]), value)
     return value

@@ -7,29 +7,24 @@ from carpark_mj.config import (
     LAYOUTS,
     PARKED_RULES,
     REWARDS,
-    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     FleetConfig,
     GivingWayConfig,
     GoalConfig,
     GoalRewards,
-    IndexObservation,
     ParkedRule,
     RandomizationConfig,
-    RayConfig,
     RewardConfig,
-    RingConfig,
     ShareConfig,
     SimConfig,
     SpawnConfig,
-    TannerObservation,
-    ViewConfig,
     reward_preset,
 )
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig, layout_config
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.physics.mjx import MjxPhysics
 
 IMPOSSIBLE = [
@@ -48,7 +43,7 @@ IMPOSSIBLE = [
     (
         EnvConfig,
         {"observation": None},
-        "observation must be of ContinuousObservation or .* not None",
+        "observation must be of ObservationConfig, not None",
     ),
     (SimConfig, {"sim_dt": 0.0}, "sim_dt must be positive, not 0.0"),
     (SimConfig, {"sim_dt": -0.01}, "sim_dt must be positive, not -0.01"),
@@ -92,31 +87,6 @@ IMPOSSIBLE = [
     (RewardConfig, {"crash": -1.0}, "crash must be at least 0.0, not -1.0"),
     (RewardConfig, {"park": math.nan}, "park must be at least 0.0, not nan"),
     (RewardConfig, {"alignment_range": 0.0}, "alignment_range must be positive"),
-    (ContinuousObservation, {"tracked_agents": -1}, "tracked_agents .* not -1"),
-    (ContinuousObservation, {"tracked_parked_cars": -2}, "tracked_parked_cars .* -2"),
-    (ContinuousObservation, {"encoding": "tanner"}, "unknown encoding 'tanner'"),
-    (TannerObservation, {"tracked_cars": -1}, "tracked_cars must be .* not -1"),
-    (TannerObservation, {"bay_parts": ("colour",)}, "bay_parts .* one of .*'colour'"),
-    (TannerObservation, {"bay_parts": ("heading",) * 2}, "bay_parts must be different"),
-    (TannerObservation, {"encoding": "indices"}, "unknown encoding 'indices'"),
-    (IndexObservation, {"encoding": "index"}, "unknown encoding 'index'; choose from"),
-    (RingConfig, {"cap": 0}, "cap must be at least 1, not 0"),
-    (RingConfig, {"diameters": (5.0, 0.0)}, r"ring diameters must be .* \(5.0, 0.0\)"),
-    (RingConfig, {"diameters": (math.nan,)}, r"ring diameters must be .* \(nan,\)"),
-    (RingConfig, {"diameters": (5.0, 5.0)}, r"must be different, not \(5.0, 5.0\)"),
-    (RingConfig, {"history": -1}, "history must be at least 0, not -1"),
-    (RingConfig, {"history": 2}, "ring history 2 needs ring diameters"),
-    (ViewConfig, {"field_of_view": 0.0}, r"field_of_view must lie in .* not 0.0"),
-    (ViewConfig, {"field_of_view": 361.0}, r"field_of_view must lie in .* not 361.0"),
-    (ViewConfig, {"diameter": -1.0}, "view diameter must be positive .* not -1.0"),
-    (ViewConfig, {"diameter": math.inf}, "view diameter must be positive .* not inf"),
-    (
-        ShareConfig,
-        {"goals": False, "goal_headings": True},
-        "share.goal_headings needs share.goals",
-    ),
-    (RayConfig, {"count": -1}, "count must be at least 0, not -1"),
-    (RayConfig, {"reach": 0.0}, "reach must be positive, not 0.0"),
     (GoalConfig, {"num_tracked_bays": 0}, "num_tracked_bays must be .* not 0"),
     (GivingWayConfig, {"scheme": "G,L,X"}, "unknown scheme 'G,L,X'; choose from"),
     (GivingWayConfig, {"bad_goal": -0.1}, "bad_goal -0.1 needs a scheme"),
@@ -168,15 +138,6 @@ CONTRADICTIONS = [
         {"fleet": FleetConfig(("city",))},
         "fleet.agents needs observation.own_car = True",
     ),
-    (
-        {"fleet": FleetConfig(("city",)), "observation": TannerObservation()},
-        "fleet.agents needs observation.own_car = True of the encoding 'continuous'",
-    ),
-    ({"observation": IndexObservation()}, "'indices' needs grid physics, not mjx"),
-    (
-        {"observation": IndexObservation(), "physics": "grid", "goals": DYNAMIC},
-        "'indices' needs fixed goals",
-    ),
     ({"giving_way": GivingWayConfig("L,L,S")}, "'L,L,S' needs dynamic goals"),
     (
         {"giving_way": GivingWayConfig("G,L,S"), "goals": DYNAMIC},
@@ -189,13 +150,6 @@ CONTRADICTIONS = [
             "observation": GLOBAL,
         },
         "'L,L,S' needs observation.global_information = False, not True",
-    ),
-    (
-        {
-            "goals": DYNAMIC,
-            "observation": ContinuousObservation(share=ShareConfig(goal_headings=True)),
-        },
-        "observation.share.goal_headings needs fixed goals",
     ),
     (
         {
@@ -219,8 +173,6 @@ def test_settings_that_go_together_are_kept_as_they_are():
     for change in (
         {"fleet": FleetConfig(("city",)), "observation": own_car},
         {"fleet": FleetConfig(parked_cars=("city",))},
-        {"observation": IndexObservation(), "physics": "grid"},
-        {"observation": TannerObservation(tracked_cars=18)},
         {"giving_way": GivingWayConfig("L,L,S"), "goals": DYNAMIC},
         {
             "giving_way": GivingWayConfig("G,L,S"),
@@ -318,8 +270,6 @@ CONFIGS = [
     EpisodeConfig,
     RewardConfig,
     ContinuousObservation,
-    TannerObservation,
-    IndexObservation,
     EnvConfig,
 ]
 

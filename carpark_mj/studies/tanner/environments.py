@@ -40,14 +40,14 @@ from carpark_mj.config import (
     EnvConfig,
     EpisodeConfig,
     GoalConfig,
-    IndexObservation,
     RewardConfig,
     RingConfig,
     SpawnConfig,
-    TannerObservation,
     reward_preset,
 )
 from carpark_mj.registry import ENVIRONMENTS
+from carpark_mj.studies.tanner.indices import IndexObservation
+from carpark_mj.studies.tanner.observation import TannerObservation
 
 # Tables C.1 and C.2; 216 table entries: 3 levels of speed, 8 bearings, 9 actions.
 TANNER_QLEARNING = EnvConfig(
