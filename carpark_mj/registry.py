@@ -36,6 +36,7 @@ implementation disagree, or do not say, the choice is:
 import dataclasses
 
 from carpark_mj.config import (
+    REWARDS,
     WORLD_UNIT,
     ContinuousObservation,
     EnvConfig,
@@ -54,7 +55,6 @@ from carpark_mj.config import (
     SimConfig,
     SpawnConfig,
     TannerObservation,
-    reward_preset,
 )
 
 # Tables C.1 and C.2; 216 table entries: 3 levels of speed, 8 bearings, 9 actions.
@@ -87,10 +87,8 @@ TANNER_QLEARNING = EnvConfig(
         time=0.5,
         progress=0.0,
         alignment=0.0,
-        approach=1.0,
-        smoothness=0.0,
-        reverse=0.0,
         closeness=0.0,
+        extra={"approach": 1.0},
     ),
     observation=IndexObservation(),
 )
@@ -132,7 +130,7 @@ TANNER_FIXED = EnvConfig(
     ),
     goals=GoalConfig(may_repeat=True),
     episode=EpisodeConfig(parked_rule="tanner", max_steps=200),
-    reward=reward_preset("tanner"),
+    reward=REWARDS["tanner"],
     observation=TannerObservation(),
 )
 

@@ -8,7 +8,7 @@ from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.grid import WORLD_UNIT, GridConfig
-from carpark_mj.config.insertion import insert, is_data, setting
+from carpark_mj.config.insertion import data, insert, is_data, setting
 from carpark_mj.config.layouts import (
     LAYOUT_FILES,
     TPCAP_NAMES,
@@ -17,7 +17,7 @@ from carpark_mj.config.layouts import (
     LayoutName,
     require_layout,
 )
-from carpark_mj.config.metrics import MetricsConfig
+from carpark_mj.config.metrics import METRICS, Metric, MetricsConfig, register_metric
 from carpark_mj.config.observations import (
     BayPart,
     ContinuousObservation,
@@ -31,7 +31,13 @@ from carpark_mj.config.observations import (
 )
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.randomization import RandomizationConfig
-from carpark_mj.config.rewards import REWARDS, RewardConfig, RewardName, reward_preset
+from carpark_mj.config.reward_terms import (
+    REWARD_TERMS,
+    ExtraTerms,
+    RewardTerm,
+    term_settings,
+)
+from carpark_mj.config.rewards import REWARDS, RewardConfig
 from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import RelocationRule, SpawnConfig
 from carpark_mj.config.terminations import (
@@ -45,8 +51,10 @@ from carpark_mj.config.terminations import (
 __all__ = [
     "CONTACT_SIM_DT",
     "LAYOUT_FILES",
+    "METRICS",
     "PARKED_RULES",
     "REWARDS",
+    "REWARD_TERMS",
     "TPCAP_NAMES",
     "WORLD_UNIT",
     "BayPart",
@@ -54,6 +62,7 @@ __all__ = [
     "ContinuousObservation",
     "EnvConfig",
     "EpisodeConfig",
+    "ExtraTerms",
     "FleetConfig",
     "GivingWayConfig",
     "GoalConfig",
@@ -64,6 +73,7 @@ __all__ = [
     "LayoutChoice",
     "LayoutConfig",
     "LayoutName",
+    "Metric",
     "MetricsConfig",
     "Observation",
     "ParkedRule",
@@ -72,7 +82,7 @@ __all__ = [
     "RayConfig",
     "RelocationRule",
     "RewardConfig",
-    "RewardName",
+    "RewardTerm",
     "RingConfig",
     "Scheme",
     "SensorConfig",
@@ -83,11 +93,13 @@ __all__ = [
     "TannerObservation",
     "TyresName",
     "ViewConfig",
+    "data",
     "insert",
     "is_data",
+    "register_metric",
     "register_rule",
     "require_layout",
     "require_rule",
-    "reward_preset",
     "setting",
+    "term_settings",
 ]

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from carpark_mj.evaluation.catalogue import METRICS, START_STEPS, Metric
+from carpark_mj.config.metrics import Metric
+from carpark_mj.evaluation.catalogue import START_STEPS, metrics
 from carpark_mj.mdp.clearance import KINDS
 from carpark_mj.types import ENDINGS
 
@@ -31,12 +32,12 @@ def complete_row(row: Row, ctrl_dt: float) -> Row:
     for name in ("min_clearance", "min_collision_time"):
         if f"{name}_{KINDS[0]}" in row:
             added[name] = min(row[f"{name}_{kind}"] for kind in KINDS)
-    for metric in METRICS:
+    for metric in metrics():
         if metric.ratio is not None and row.keys() >= {*metric.ratio}:
             above, below = (row[name] for name in metric.ratio)
             added[metric.name] = above / below if below else math.nan
     whole = row | added
-    order = [metric.name for metric in METRICS if metric.name in whole]
+    order = [metric.name for metric in metrics() if metric.name in whole]
     return {name: whole[name] for name in order} | whole
 
 
@@ -54,7 +55,7 @@ def summarize(rows: Sequence[Row]) -> dict[str, Any]:
         "episodes": len(rows),
         **{
             metric.name: pool(metric, rows)
-            for metric in METRICS
+            for metric in metrics()
             if metric.name in names
         },
         "mean_returns": {

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import ExtraTerms, LayoutConfig
 from carpark_mj.config.checks import require_type
 from carpark_mj.layouts import FAMILIES
 from carpark_mj.policy import checkpoints
@@ -23,7 +23,7 @@ from carpark_mj.policy.pretrained import describe_names
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
-CONFIG_VERSION = 3
+CONFIG_VERSION = 4
 Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
 
 
@@ -55,6 +55,8 @@ def _value(name: str, hint: Any, value: Any) -> Any:
     """Rebuilds the value of a field from what JSON made of it."""
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value)
+    if hint is ExtraTerms and isinstance(value, dict):
+        return ExtraTerms(value)
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     members = typing.get_args(hint) if union else ()
     classes = [member for member in members if dataclasses.is_dataclass(member)]

@@ -7,12 +7,11 @@ from typing import TypedDict, TypeVar
 
 from carpark_mj.config import (
     LAYOUT_FILES,
+    REWARDS,
     EnvConfig,
     LayoutChoice,
     PhysicsName,
     RewardConfig,
-    RewardName,
-    reward_preset,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import FAMILIES, MixtureConfig, layout_config
@@ -39,7 +38,7 @@ class Options(TypedDict, total=False):
     agents: int
     parked_cars: int
     rule: str
-    reward: RewardConfig | RewardName
+    reward: RewardConfig | str
     physics: PhysicsName
 
 
@@ -75,7 +74,7 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
         )
     if "reward" in options:
         reward = options["reward"]
-        changes["reward"] = reward_preset(reward) if isinstance(reward, str) else reward
+        changes["reward"] = REWARDS[reward] if isinstance(reward, str) else reward
     config = dataclasses.replace(config, **changes)
     if isinstance(config.layout, str) and any(x in config.layout for x in LAYOUT_FILES):
         # The content decides, not the name: environments are shared.
