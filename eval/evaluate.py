@@ -1,33 +1,6 @@
-"""Evaluates a policy on held-out seeds: tables, `evaluation.csv`, `evaluation.json`.
+"""`python eval/evaluate.py`: see `carpark_mj.programs.evaluate`."""
 
-In a mixture of families also a table with a row per family, and `families.csv`.
-docs/metrics.md says what every number is.
-
-python eval/evaluate.py runs/cpu-0
-python eval/evaluate.py runs/cpu-mixture-0
-python eval/evaluate.py --policy random --episodes 500
-python eval/evaluate.py --policy zero --environment tanner-fixed
-"""
-
-from carpark_mj.cli.common import (
-    dispatch_synchronously,
-    enable_output_fusion,
-    keep_compiled_programs,
-)
 from carpark_mj.cli.process import enter
 
-
-def run() -> None:
-    """Evaluates."""
-    dispatch_synchronously()
-    enable_output_fusion()
-    keep_compiled_programs()
-    from carpark_mj.cli.driver import command_help
-    from carpark_mj.cli.evaluate import EvaluateConfig, main
-    from carpark_mj.cli.flags import read_flags
-
-    main(read_flags(EvaluateConfig, description=command_help(__doc__)))
-
-
 if __name__ == "__main__":
-    enter("evaluate", "evaluate:run")
+    enter("evaluate", "carpark_mj.programs.evaluate:run")

@@ -34,19 +34,21 @@ from carpark_mj.mdp.goal_rewards import goal_weights
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table, observation_size
 from carpark_mj.registry import ENVIRONMENTS, TANNER_FIXED
+from carpark_mj.studies.cederle.experiments.program import JunctionStudyConfig
+from carpark_mj.studies.cederle.training.families import presets_of
+from carpark_mj.studies.pandita.experiments.program import SlotsStudyConfig
+from carpark_mj.studies.pandita.sac.config import SACConfig
+from carpark_mj.studies.pandita.sac.presets import SAC_PRESETS
+from carpark_mj.studies.tanner.experiments.config import StudyConfig
+from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
+from carpark_mj.studies.tanner.q_learning.presets import Q_PRESETS
+from carpark_mj.sweeps.config import SweepConfig
+from carpark_mj.training.hosts import read_hosts
+from carpark_mj.training.ppo.arguments import read_runs
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.presets import PRESETS as PPO_PRESETS
+from carpark_mj.training.settings import named
 from carpark_mj.vehicle import PRESETS
-from learners.hosts import read_hosts
-from learners.junction.families import presets_of
-from learners.ppo.arguments import read_runs
-from learners.ppo.config import PPOConfig
-from learners.ppo.presets import PRESETS as PPO_PRESETS
-from learners.q_learning.config import QLearningConfig
-from learners.q_learning.presets import Q_PRESETS
-from learners.sac.config import SACConfig
-from learners.sac.presets import SAC_PRESETS
-from learners.settings import named
-from studies.config import StudyConfig
-from sweeps.config import SweepConfig
 from vehicle_suite.table import excerpt
 
 ROOT = Path(__file__).parents[1]
@@ -69,6 +71,8 @@ COMMANDS = {
     "train/export.py": ExportConfig,
     "train/study.py": StudyConfig,
     "train/sweep.py": SweepConfig,
+    "train/junction_study.py": JunctionStudyConfig,
+    "train/slots_study.py": SlotsStudyConfig,
     "eval/analysis.py": AnalysisConfig,
     "eval/evaluate.py": EvaluateConfig,
     "eval/render.py": RenderConfig,

@@ -14,7 +14,7 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 
 # The floors of the house, from the ground: a room imports those below it only.
 FLOORS = (
-    ("precision", "pytrees", "config", "files", "reading"),
+    ("extensions", "precision", "pytrees", "config", "files", "reading"),
     ("geometry",),
     ("layouts",),
     ("types", "vehicle"),
@@ -30,6 +30,10 @@ FLOORS = (
     ("rendering",),
     ("wrappers", "play"),
     ("cli",),
+    ("training",),
+    ("sweeps",),
+    ("programs",),
+    ("studies", "__main__"),
 )
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 # No room of the task or below it knows MuJoCo, or the cars that need it.
@@ -63,8 +67,8 @@ def rooms_imported(path):
 
 def sources(rooms):
     """Files of some rooms; a room's command line is a call of `cli` only."""
-    files = [path for path in FILES if path.name != "__main__.py"]
-    return [path for path in files if part_of(path) in rooms]
+    calls = {*LIBRARY.glob("*/__main__.py")}
+    return [path for path in FILES if part_of(path) in rooms and path not in calls]
 
 
 def test_every_room_has_a_floor():
@@ -89,6 +93,8 @@ def test_imports_point_down(room):
         wrong = {other for other in rooms_imported(path) if FLOOR[other] >= FLOOR[room]}
         if room == "types":  # what its annotations name is not loaded
             wrong -= {"vehicle"}
+        if room == "extensions":  # it finds what lies there
+            wrong -= {"studies"}
         assert wrong == set(), path
 
 
@@ -101,7 +107,7 @@ def test_task_and_geometry_do_not_import_mujoco(room):
 
 
 def test_command_lines_of_rooms_only_call_cli():
-    files = [path for path in FILES if path.name == "__main__.py"]
+    files = [path for path in LIBRARY.glob("*/__main__.py")]
     assert len(files) == 3
     for path in files:
         assert rooms_imported(path) == {"cli"}
@@ -110,7 +116,7 @@ def test_command_lines_of_rooms_only_call_cli():
 def test_the_library_never_imports_the_programs():
     programs = {path.stem for path in (ROOT / "train").iterdir()}
     programs |= {path.stem for path in (ROOT / "eval").glob("*.py")}
-    assert {"ppo", "learners", "evaluate"} <= programs
+    assert {"ppo", "evaluate"} <= programs
     for path in FILES:
         roots = {name.split(".")[0] for name in imports_of(path)}
         assert not roots & (programs | {"train", "eval", "tests"}), path

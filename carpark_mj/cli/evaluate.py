@@ -12,9 +12,9 @@ from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import MetricsConfig, PhysicsName, require_rule
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.evaluator import Evaluation, evaluate
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.evaluation.report import print_report, write_evaluation
-from carpark_mj.evaluation.rollout import Evaluation, evaluate
 from carpark_mj.files import require_writable
 from carpark_mj.policy.acting import AnyPolicy
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import jax
 import numpy as np
@@ -28,6 +28,7 @@ from carpark_mj.policy.onnx_export import (
     require_onnx,
     rounding_error,
 )
+from carpark_mj.rollout import Carry, Step, acts, roll_out
 
 # Most that numbers of an action of a model and of its policy may differ by. Where
 # float32 itself is not as good as that, twice its error: both are computed in it.
@@ -121,23 +122,20 @@ def rollout_observations(loaded: LoadedPolicy, count: int, seed: int) -> np.ndar
     env = ParkingEnv(loaded.env)
     num_steps = -(-count // (LOTS * min(env.config.agent_counts)))
 
-    def step(carry: Any, _: None) -> Any:
-        state, observation = carry
-        flat = observation.reshape(-1, observation.shape[-1])
-        action = loaded.policy(flat, jax.random.key(0))[0]
-        action = action.reshape(*observation.shape[:2], -1)
-        state, timestep = jax.vmap(env.step)(state, action)
-        return (state, timestep.observation), observation
-
     def run(key: jax.Array) -> jax.Array:
         reset = jax.vmap(lambda key: env.reset(key, "test"))
-        start = reset(jax.random.split(key, LOTS))
-        return jax.lax.scan(step, start, None, length=num_steps)[1]
+        start = Carry(*reset(jax.random.split(key, LOTS)))
+        keys = jax.random.split(jax.random.key(0), num_steps)  # a model has none
+        return roll_out(env, acts(loaded.policy), start, keys, _observation)[1]
 
     seen = np.asarray(jax.jit(run)(evaluation_key(seed)))
     seen = seen.reshape(-1, seen.shape[-1])
     seen = seen[seen.any(axis=-1)]  # absent agents observe zeros
     return seen[np.linspace(0, len(seen) - 1, count).astype(int)]
+
+
+def _observation(step: Step) -> jax.Array:
+    return step.observation
 
 
 def _table(loaded: LoadedPolicy) -> Table:

@@ -23,13 +23,13 @@ from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.rendering.gallery import FAMILIES, cell_size, contact_sheet, draw_lots
 from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.rendering.recording import Recording, record, recording_stage
 from carpark_mj.rendering.renderer import (
     LotRenderer,
     RenderingError,
     Show,
     camera_names,
 )
-from carpark_mj.rendering.rollout import Recording, record, recording_stage
 from carpark_mj.rendering.snapshot import Tracked, frames_per_second, num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH

@@ -14,8 +14,8 @@ from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.suite import Drives, suite_env
 from carpark_mj.evaluation.suite_cases import case_numbers, pick_cases
 from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.rendering.recording import Recording
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.rollout import Recording
 from carpark_mj.rendering.snapshot import frames_per_second, num_frames
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, write_video

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from carpark_mj.evaluation.aggregation import HITS
 from carpark_mj.evaluation.catalogue import DRIVING, GOALS, OUTCOME, SAFETY, metrics
-from carpark_mj.evaluation.rollout import Evaluation
+from carpark_mj.evaluation.evaluator import Evaluation
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.types import ENDINGS, OUTCOMES
 

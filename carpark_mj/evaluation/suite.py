@@ -34,11 +34,12 @@ from carpark_mj.evaluation.aggregation import (
     summarize,
     wilson_interval,
 )
+from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.evaluation.keys import evaluation_key
-from carpark_mj.evaluation.rollout import CHUNK
 from carpark_mj.evaluation.suite_cases import LEVELS, Cases
 from carpark_mj.layouts import HopeConfig, Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
+from carpark_mj.rollout import Carry, Step, roll_out
 from carpark_mj.types import State
 
 VEHICLE = "tpcap"
@@ -143,7 +144,7 @@ class CaseEvaluator:
         progress = moving_car.init_progress(count) if moving else None
         rows: list[Row | None] = [None] * count
         chunks: list[tuple[np.ndarray, ...]] = []
-        policy, carry = as_argument(policy), (state, observation, progress)
+        policy, carry = as_argument(policy), Carry(state, observation, progress)
         while any(row is None for row in rows):
             act_key, own = jax.random.split(act_key)
             carry, out = self._chunk(policy, carry, jax.random.split(own, CHUNK))
@@ -181,23 +182,23 @@ def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array], Any]:
     return env.reset_to_layout
 
 
-def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Any, keys: jax.Array) -> Any:
+def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) -> Any:
     """Drives on by a control step for every key; what happened in each of them."""
     drive_on = functools.partial(moving_car.drive, ctrl_dt=env.config.sim.ctrl_dt)
 
-    def step(carry, key):
-        state, observation, progress = carry
+    def act(state: State, observation: jax.Array, memory: Any, key: jax.Array) -> Any:
         action = _choose_action(policy, state, observation, key)
-        if progress is not None:
-            other, progress = jax.vmap(drive_on)(state, progress)
+        if memory is not None:  # of the moving car
+            other, memory = jax.vmap(drive_on)(state, memory)
             action = jnp.concatenate([action, other[:, None]], axis=1)
-        state, timestep = jax.vmap(env.step)(state, action)
-        motion = timestep.motion
-        recorded = (motion.trace_w, motion.steering, motion.speed)
-        ended = timestep.events.done, timestep.metrics
-        return (state, timestep.observation, progress), (*ended, recorded)
+        return action, memory
 
-    return jax.lax.scan(step, carry, keys)
+    def report(step: Step) -> Any:
+        timestep, motion = step.timestep, step.timestep.motion
+        recorded = (motion.trace_w, motion.steering, motion.speed)
+        return timestep.events.done, timestep.metrics, recorded
+
+    return roll_out(env, act, carry, keys, report)
 
 
 def _choose_action(

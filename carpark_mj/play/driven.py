@@ -12,7 +12,7 @@ from carpark_mj.play.demonstration import STEPS, Demonstration
 from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.live import LiveLot
-from carpark_mj.types import State, TimeStep
+from carpark_mj.rollout import Step
 
 
 class DrivenLot(LiveLot):
@@ -90,16 +90,11 @@ class DrivenLot(LiveLot):
     def _driven(self, action: np.ndarray) -> Partial:
         return Partial(_mix, jnp.asarray(action), self._others)
 
-    def _record(
-        self,
-        state: State,
-        observation: jax.Array,
-        action: jax.Array,
-        timestep: TimeStep,
-    ) -> dict[str, jax.Array]:
+    def _record(self, step: Step) -> dict[str, jax.Array]:
+        timestep = step.timestep
         return {
-            "observations": observation,
-            "actions": action,
+            "observations": step.observation,
+            "actions": step.action,
             "rewards": timestep.reward,
             "terminated": timestep.terminated,
             "truncated": timestep.truncated,

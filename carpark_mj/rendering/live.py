@@ -8,11 +8,12 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.mdp.parked_cars import AWAY
-from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
-from carpark_mj.rendering.rollout import parked_trace
+from carpark_mj.policy.acting import AnyPolicy, as_argument
+from carpark_mj.rendering.recording import parked_trace
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.types import ENDINGS, State, TimeStep
+from carpark_mj.rollout import Carry, Step, acts, control_step
+from carpark_mj.types import ENDINGS
 
 
 class LiveLot:
@@ -33,8 +34,8 @@ class LiveLot:
         reset_key, self._key = jax.random.split(evaluation_key(seed))
         self._reset = jax.jit(env.reset)
         self._step = jax.jit(self._control_step)
-        self._start = self._reset(reset_key)
-        state, _ = self._start
+        self._start = Carry(*self._reset(reset_key))
+        state = self._start.state
         layout = state.layout
         self.extent = np.asarray(layout.extent)
         self._layout = jax.device_get(layout)
@@ -54,27 +55,20 @@ class LiveLot:
         self.reset()
 
     def _control_step(self, policy, carry, key):
-        state, observation = carry
-        action = choose_actions(policy, state, observation, key)
-        after, timestep = self._env.step(state, action)
+        carry, step = control_step(self._env, acts(policy), carry, key)
+        timestep, motion = step.timestep, step.timestep.motion
         seen = {
-            "pose_w": timestep.motion.trace_w[self._shows].swapaxes(0, 1),
-            "steering": timestep.motion.steering[self._shows],
-            "size": timestep.motion.size[self._shows],
-            "parked_pose": parked_trace(state, after, timestep.motion),
-            "goal": after.goal[self._shows],
-            **self._record(state, observation, action, timestep),
+            "pose_w": motion.trace_w[self._shows].swapaxes(0, 1),
+            "steering": motion.steering[self._shows],
+            "size": motion.size[self._shows],
+            "parked_pose": parked_trace(step.before, step.after, motion),
+            "goal": step.after.goal[self._shows],
+            **self._record(step),
             **{name: getattr(timestep.events, name).sum() for name in ENDINGS},
         }
-        return (after, timestep.observation), seen
+        return carry, seen
 
-    def _record(
-        self,
-        state: State,
-        observation: jax.Array,
-        action: jax.Array,
-        timestep: TimeStep,
-    ) -> dict[str, jax.Array]:
+    def _record(self, step: Step) -> dict[str, jax.Array]:
         """What else to keep of a control step, by name; nothing here."""
         return {}
 
@@ -85,7 +79,8 @@ class LiveLot:
 
     def reset(self) -> None:
         """Restarts the lot with the same random keys."""
-        state, _ = self._carry = self._start
+        self._carry = self._start
+        state = self._start.state
         self._steps = self._trace = 0
         self._seen = None
         self._ended = dict.fromkeys(ENDINGS, 0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from carpark_mj.geometry import nearest
 from carpark_mj.layouts.types import Layout
-from carpark_mj.rendering.rollout import Recording
+from carpark_mj.rendering.recording import Recording
 from carpark_mj.types import NO_BAY, OUTCOMES
 
 FLASH_SECONDS = 0.8  # how long an ended episode flashes

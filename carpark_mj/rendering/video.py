@@ -12,8 +12,8 @@ import numpy as np
 
 from carpark_mj.files import write_atomically
 from carpark_mj.rendering.overlays import draw_labels, draw_status
+from carpark_mj.rendering.recording import Recording
 from carpark_mj.rendering.renderer import LotRenderer
-from carpark_mj.rendering.rollout import Recording
 from carpark_mj.rendering.snapshot import frames_per_second, num_frames, snapshot
 
 GIF_GREYS, GIF_COLOURS = 48, 144  # palette entries

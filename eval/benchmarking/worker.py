@@ -26,10 +26,10 @@ from benchmarking.timing import CLOCKS, best_time
 
 # Where the parts of the PPO trainer are, newest place first.
 PPO_HOMES = {
-    "Learner": ("learners.ppo.learner", "learner"),
-    "GroupLearner": ("learners.ppo.group",),
-    "PRESETS": ("learners.ppo.presets", "presets"),
-    "configure_jax": ("ppo",),
+    "Learner": ("carpark_mj.training.ppo.learner", "learners.ppo.learner"),
+    "GroupLearner": ("carpark_mj.training.ppo.group", "learners.ppo.group"),
+    "PRESETS": ("carpark_mj.training.ppo.presets", "learners.ppo.presets"),
+    "configure_jax": ("ppo", "carpark_mj.cli.common"),
 }
 
 
@@ -180,7 +180,9 @@ def find_ppo(name: str) -> Any:
     """A part of the PPO trainer, from the first of its `PPO_HOMES` that exists."""
     for home in PPO_HOMES[name]:
         try:
-            return getattr(importlib.import_module(home), name)
+            module = importlib.import_module(home)
+            if hasattr(module, name):
+                return getattr(module, name)
         except ModuleNotFoundError as error:
             if error.name is None or not f"{home}.".startswith(f"{error.name}."):
                 raise  # the module is there, but lacks something it imports

@@ -9,11 +9,11 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from helpers.disks import no_printing
+from helpers.programs import exit_code
 from helpers.sweeping import write_run
 from matplotlib.axes import Axes
 from rich.console import Console
 
-import analysis
 from carpark_mj.analysis.page import SHOWN_ROWS, table, videos
 from carpark_mj.analysis.plots import plot_metric
 from carpark_mj.analysis.points import group, run_rows, spread_rows
@@ -25,7 +25,8 @@ from carpark_mj.analysis.runs import (
     run_folders,
 )
 from carpark_mj.cli.analysis import MAX_ROWS, analyse
-from learners.ppo.presets import PRESETS
+from carpark_mj.programs import analysis
+from carpark_mj.training.ppo.presets import PRESETS
 
 BASE = PRESETS["tanner-fixed"]
 
@@ -133,7 +134,7 @@ def test_the_command_leaves_tables_pictures_and_one_page(tmp_path, capsys):
     runs = make_runs(tmp_path / "runs")
     (tmp_path / "runs" / "a1-0" / "video.mp4").touch()
     out = tmp_path / "out"
-    assert analysis.run([*runs, "--out", str(out)]) == 0
+    assert exit_code(analysis, [*runs, "--out", str(out)]) == 0
     assert "env.num_agents" in capsys.readouterr().out
     with (out / "runs.csv").open(newline="") as file:
         assert [row["env.num_agents"] for row in csv.DictReader(file)] == [*"1122"]
@@ -188,7 +189,7 @@ def test_no_video_is_no_list(tmp_path):
 def test_runs_without_an_evaluation_are_named(tmp_path, capsys):
     runs = make_runs(tmp_path)
     (tmp_path / "a1-0" / "evaluation.json").unlink()
-    assert analysis.run([*runs, "--out", str(tmp_path / "out")]) == 0
+    assert exit_code(analysis, [*runs, "--out", str(tmp_path / "out")]) == 0
     assert f"no evaluation.json in {tmp_path / 'a1-0'}" in capsys.readouterr().out
 
 
@@ -206,9 +207,9 @@ def test_runs_without_an_evaluation_are_named(tmp_path, capsys):
 def test_bad_input_is_one_sentence(flags, said, tmp_path, monkeypatch, capsys):
     make_runs(tmp_path)
     monkeypatch.chdir(tmp_path)
-    assert analysis.run(flags) == 2
+    assert exit_code(analysis, flags) == 2
     told = capsys.readouterr().err
-    assert told.startswith("analysis: ")
+    assert told.startswith("program: ")
     assert said in told
     assert told.count("\n") == 1
 
@@ -235,7 +236,7 @@ def test_a_run_that_is_given_twice_counts_once(tmp_path):
 def test_a_damaged_run_is_named_and_left_out(file, text, said, tmp_path, capsys):
     runs = make_runs(tmp_path)
     (tmp_path / "a1-0" / file).write_text(text)
-    assert analysis.run([*runs, "--out", str(tmp_path / "out")]) == 0
+    assert exit_code(analysis, [*runs, "--out", str(tmp_path / "out")]) == 0
     assert f"{tmp_path / 'a1-0' / said}" in capsys.readouterr().out
 
 

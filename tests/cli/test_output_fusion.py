@@ -72,16 +72,16 @@ CONFIGS = {
 def test_training_compiles_with_fused_outputs(name: str):
     program = (
         "import jax; from carpark_mj.config import EnvConfig; "
-        "from learners.ppo.config import CurriculumConfig, PPOConfig; "
+        "from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig; "
         "from carpark_mj.config import insert; "
-        "from learners.ppo.learner import Learner; "
-        "from learners.ppo.presets import PRESETS; "
+        "from carpark_mj.training.ppo.learner import Learner; "
+        "from carpark_mj.training.ppo.presets import PRESETS; "
         f"learner = Learner({CONFIGS[name]}); "
         "learner.compile().lower(learner.shapes()).compile()"
     )
     environment = os.environ | {
         "XLA_FLAGS": f"--xla_backend_optimization_level=0 {OUTPUT_FUSION}",
-        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "train")]),
+        "PYTHONPATH": str(ROOT),
     }
     done = subprocess.run(
         [sys.executable, "-c", program],

@@ -18,11 +18,11 @@ from carpark_mj.junction.config import RasterConfig, RewardRules
 from carpark_mj.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.studies.pandita.sac.config import SACConfig
+from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 from carpark_mj.wrappers.goal import PoseReward
-from learners.ppo.config import PPOConfig
-from learners.ppo.curriculum_config import CurriculumConfig
-from learners.q_learning.config import QLearningConfig
-from learners.sac.config import SACConfig
 
 
 def config_classes(cls, found):

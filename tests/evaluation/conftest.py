@@ -6,7 +6,7 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, MetricsConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import Evaluation, evaluate
+from carpark_mj.evaluation.evaluator import Evaluation, evaluate
 from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.baselines import random_policy

@@ -16,7 +16,7 @@ from carpark_mj.config import (
     RayConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import evaluate
+from carpark_mj.evaluation.evaluator import evaluate
 from carpark_mj.fleet.checks import check_room
 from carpark_mj.layouts import StreetConfig, layout_config, mixture
 from carpark_mj.mdp.actions import ActionSpec

@@ -6,11 +6,11 @@ import signal
 import time
 from pathlib import Path
 
-from learners.ppo.presets import PRESETS
-from learners.run_folder import describe
-from sweeps.axes import read_axis
-from sweeps.outcomes import run_folder
-from sweeps.plan import Plan, checked_runs, settings_of
+from carpark_mj.sweeps.axes import read_axis
+from carpark_mj.sweeps.outcomes import run_folder
+from carpark_mj.sweeps.plan import Plan, checked_runs, settings_of
+from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.run_folder import describe
 
 
 def plan_runs(*texts, repeats=1, base="tanner-fixed"):

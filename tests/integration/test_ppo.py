@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.programs import exit_code
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = (
@@ -326,14 +327,14 @@ BAD = {
 def test_bad_input_is_one_clear_sentence_and_leaves_nothing(
     case, capsys, monkeypatch, tmp_path
 ):
-    import ppo
+    from carpark_mj.programs import train as ppo
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ppo, "configure_jax", lambda: None)  # JAX is running here
     arguments, message = BAD[case]
-    assert ppo.main(["--preset", "cpu", *arguments]) == 2
+    assert exit_code(ppo, ["--preset", "cpu", *arguments]) == 2
     told = capsys.readouterr().err
-    assert told.startswith("ppo: ")
+    assert told.startswith("program: ")
     assert told.count("\n") == 1
     assert message in told
     assert list(tmp_path.iterdir()) == []

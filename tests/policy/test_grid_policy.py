@@ -14,9 +14,9 @@ from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.registry import environment
 from carpark_mj.rendering.live import LiveLot
-from learners.ppo.learner import Learner
-from learners.ppo.presets import PRESETS
-from learners.ppo.train import save
+from carpark_mj.training.ppo.learner import Learner
+from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.train import save
 
 FIXED = environment("tanner-fixed")
 TINY = dataclasses.replace(

@@ -23,10 +23,10 @@ from carpark_mj.policy.loading import FOLDER_SETTINGS
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.pretrained import find_policy, pretrained_names
 from carpark_mj.registry import environment
-from learners.ppo.config import PPOConfig
-from learners.ppo.learner import Learner
-from learners.ppo.run import finish
-from learners.ppo.train import save
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.learner import Learner
+from carpark_mj.training.ppo.run import finish
+from carpark_mj.training.ppo.train import save
 
 DOCS = Path(__file__).parents[2] / "docs"
 MAX_SIZE = 1e6  # bytes
@@ -244,7 +244,9 @@ def test_a_run_named_like_a_policy_is_evaluated_at_its_end(run, shipped, monkeyp
         find_driver(str(here))
     found = []
     monkeypatch.setattr(evaluate, "main", lambda config: found.append(config.run))
-    monkeypatch.setattr("learners.ppo.run.plot_learning_curve", lambda folder: folder)
+    monkeypatch.setattr(
+        "carpark_mj.training.ppo.run.plot_learning_curve", lambda folder: folder
+    )
     finish(dataclasses.replace(TINY, video_seconds=0.0), here)
     assert [find_driver(name).folder for name in found] == [here]
 

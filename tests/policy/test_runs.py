@@ -11,8 +11,8 @@ from helpers.mutating import with_junk
 from carpark_mj.config import EnvConfig
 from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
-from learners.ppo.config import PPOConfig
-from learners.ppo.presets import PRESETS
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.presets import PRESETS
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))

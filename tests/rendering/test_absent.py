@@ -7,9 +7,9 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.baselines import random_policy
-from carpark_mj.rendering import rollout
+from carpark_mj.rendering import recording as record_module
 from carpark_mj.rendering.live import LiveLot
-from carpark_mj.rendering.rollout import record
+from carpark_mj.rendering.recording import record
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def env():
 
 
 def test_absent_agents_are_not_recorded(env, monkeypatch):
-    monkeypatch.setattr(rollout, "CHUNK", 2)
+    monkeypatch.setattr(record_module, "CHUNK", 2)
     counts = set()
     for seed in range(4):
         recording = record(env, random_policy(env.action_spec), 2, seed)

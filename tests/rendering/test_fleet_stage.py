@@ -10,7 +10,7 @@ from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.baselines import zero_policy
-from carpark_mj.rendering.rollout import record
+from carpark_mj.rendering.recording import record
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.parameters import scaled

@@ -11,7 +11,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.rollout import evaluate
+from carpark_mj.evaluation.evaluator import evaluate
 from carpark_mj.observations import make_fields
 from carpark_mj.policy.baselines import random_policy
 from carpark_mj.policy.networks import (
@@ -21,9 +21,9 @@ from carpark_mj.policy.networks import (
     network_inputs,
 )
 from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.rendering import rollout
+from carpark_mj.rendering import recording as record_module
 from carpark_mj.rendering.live import LiveLot
-from carpark_mj.rendering.rollout import parked_trace, record
+from carpark_mj.rendering.recording import parked_trace, record
 from carpark_mj.types import NO_BAY
 
 
@@ -36,7 +36,7 @@ def env():
 def test_the_length_of_the_stretches_makes_no_difference(env, steps, monkeypatch):
     policy = random_policy(env.action_spec)
     once = record(env, policy, steps, seed=1)
-    monkeypatch.setattr(rollout, "CHUNK", 2)
+    monkeypatch.setattr(record_module, "CHUNK", 2)
     again = record(env, policy, steps, seed=1)
     assert once.pose_w.shape[0] == steps
     for field in dataclasses.fields(once):

@@ -12,12 +12,12 @@ from helpers.disks import largest_file
 from carpark_mj.layouts import generate, layout_config, make_layout
 from carpark_mj.rendering import gl, window
 from carpark_mj.rendering.overlays import draw_labels, draw_status
+from carpark_mj.rendering.recording import Recording
 from carpark_mj.rendering.renderer import (
     FLASH_COLOURS,
     LotRenderer,
     Show,
 )
-from carpark_mj.rendering.rollout import Recording
 from carpark_mj.rendering.snapshot import (
     FLASH_SECONDS,
     Flash,

@@ -1,13 +1,17 @@
 """Terms and weights of the study's reward; sums of an episode, paid a share a step."""
 
+from typing import TYPE_CHECKING
+
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import REWARD_TERMS, REWARDS, EnvConfig, RewardConfig, RewardTerm
-from carpark_mj.types import Transition
+
+if TYPE_CHECKING:
+    from carpark_mj.types import Transition
 
 
-def approach(config: EnvConfig, transition: Transition) -> jax.Array:
+def approach(config: EnvConfig, transition: "Transition") -> jax.Array:
     """Reward per step that ends nearer to the goal, penalty per step that does not."""
     from carpark_mj.mdp.progress import is_nearer
 
@@ -19,7 +23,7 @@ def approach(config: EnvConfig, transition: Transition) -> jax.Array:
 
 
 def smoothness(
-    config: EnvConfig, transition: Transition, by_speed: float = 0.0
+    config: EnvConfig, transition: "Transition", by_speed: float = 0.0
 ) -> jax.Array:
     """Penalty per step, times the steering change as a share of the largest.
 
@@ -32,7 +36,7 @@ def smoothness(
     return used.turn * used.speed if by_speed else used.turn
 
 
-def reverse(config: EnvConfig, transition: Transition) -> jax.Array:
+def reverse(config: EnvConfig, transition: "Transition") -> jax.Array:
     """Penalty per step in reverse."""
     from carpark_mj.mdp.progress import direction_of_travel
 

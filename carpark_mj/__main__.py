@@ -1,0 +1,30 @@
+"""The command `carpark_mj`; `python -m carpark_mj` is the same."""
+
+import sys
+from typing import NoReturn
+
+from carpark_mj.cli.process import enter
+from carpark_mj.programs import COMMANDS, table
+
+
+def main() -> NoReturn:
+    """Runs the program that the first argument names, as this process."""
+    name = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    if name in ("-h", "--help"):
+        print(f"usage: carpark_mj COMMAND ...\n\n{table(COMMANDS)}\n")
+        print("carpark_mj COMMAND --help lists the settings of each.")
+        sys.exit(0)
+    if name not in COMMANDS:
+        known = ", ".join(COMMANDS)
+        sys.exit(_refuse(f"unknown command {name!r}; choose from {known}"))
+    sys.argv = [f"carpark_mj {name}", *sys.argv[2:]]  # as the help calls it
+    enter(name, COMMANDS[name].entry)
+
+
+def _refuse(reason: str) -> int:
+    print(f"carpark_mj: {reason}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    main()

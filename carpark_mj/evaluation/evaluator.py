@@ -1,0 +1,265 @@
+"""Evaluation of a policy: whole episodes on held-out seeds, rates with intervals.
+
+The first few episodes of every agent count, however long they are, so that short
+episodes are not over-represented. Every member of a mixture gets its exact share of the
+lots, and every number of agents the same number of lots.
+"""
+
+import dataclasses
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config.checks import is_finite, require_count
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.aggregation import Row, complete_row, summarize
+from carpark_mj.evaluation.keys import evaluation_key, require_seed
+from carpark_mj.layouts import member_shares
+from carpark_mj.policy.acting import AnyPolicy, as_argument
+from carpark_mj.rollout import Carry, Step, acts, roll_out
+from carpark_mj.types import State
+
+CHUNK = 50  # control steps per compiled call
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """Results of an evaluation.
+
+    Attributes:
+        episodes: a row per episode: lot, agent, episode, how many agents the lot has,
+            its metrics (see `carpark_mj.evaluation.catalogue`), and the lot's family by
+            name.
+        summary: all of them together, see `aggregation.summarize`.
+        families: the same for the lots of each member of a mixture, by name; the lot's
+            own if it is no mixture.
+        agent_counts: the same for the lots with each number of agents.
+        vehicles: the same for each kind of car that agents drove.
+    """
+
+    episodes: list[Row]
+    summary: dict[str, Any]
+    families: dict[str, dict[str, Any]]
+    agent_counts: dict[int, dict[str, Any]]
+    vehicles: dict[str, dict[str, Any]]
+
+
+def evaluate(
+    env: ParkingEnv,
+    policy: AnyPolicy,
+    num_episodes: int,
+    seed: int,
+    num_lots: int = 128,
+    span: float | None = None,
+) -> Evaluation:
+    """Runs at least `num_episodes` whole episodes and summarizes them.
+
+    Args:
+        env: with respawning agents; `MetricsConfig` says what is measured.
+        policy: acting function over observations (agents, size).
+        num_episodes: rounded up to the same number for every agent.
+        seed: of the held-out lots, goals and spawns.
+        num_lots: lots run side by side; fewer if the episodes do not fill them, but
+            one for each member of a mixture with each number of agents.
+        span: of the lots so filled all episodes that begin within this time [s] count,
+            however many of an agent; None = the same number for every agent.
+
+    Raises:
+        ValueError: no episodes, or an environment without respawn, or no time.
+    """
+    return Evaluator(env).evaluate(policy, num_episodes, seed, num_lots, span)
+
+
+class Evaluator:
+    """Evaluates several policies with programs that are compiled once.
+
+    They must be of the same kind and shapes, as those of runs side by side are.
+    """
+
+    def __init__(self, env: ParkingEnv) -> None:
+        """Takes the environment, see `evaluate`.
+
+        Raises:
+            ValueError: it is without respawn.
+        """
+        if not env.config.episode.respawn:
+            raise ValueError("evaluation needs episode.respawn = True")
+        self.env = env
+        self._reset = jax.jit(lambda *arguments: _reset(env, *arguments))
+        self._chunk = jax.jit(lambda *arguments: _chunk(env, *arguments))
+
+    def evaluate(
+        self,
+        policy: AnyPolicy,
+        num_episodes: int,
+        seed: int,
+        num_lots: int = 128,
+        span: float | None = None,
+        values: Mapping[str, float] | None = None,
+    ) -> Evaluation:
+        """Runs whole episodes as `evaluate` does.
+
+        Args:
+            policy: see `evaluate`, as are the next four.
+            num_episodes: at least.
+            seed: of the lots.
+            num_lots: side by side.
+            span: in which episodes begin [s].
+            values: other values of settings, see `ParkingEnv.with_values`; the same
+                settings in every call.
+
+        Raises:
+            ValueError: no episodes, or no time.
+        """
+        require_count("num_episodes", num_episodes, 1)
+        require_count("num_lots", num_lots, 1)
+        require_seed(seed)
+        if span is not None and not (is_finite(span) and span > 0):
+            raise ValueError(f"span must be positive, not {span!r}")
+        env = self.env
+        traced = {path: jnp.float32(value) for path, value in (values or {}).items()}
+        shares, counts = member_shares(env.layout_config), env.config.agent_counts
+        mean_count = (counts.start + env.num_agents) / 2
+        num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
+        # A member gets at least its share, rounded down.
+        rarest = min(shares.values()) / sum(shares.values())
+        num_lots = max(num_lots, math.ceil(round(len(counts) / rarest, 6)))
+        num_lots = -(-num_lots // len(counts)) * len(counts)
+        lots = Lots(
+            member=allot(list(shares.values()), num_lots),
+            # In turn, so that the lots of a family are spread over the numbers as well.
+            num_present=np.resize(np.array(counts, np.int32), num_lots),
+        )
+        families = [list(shares)[index] for index in lots.member]
+        rows: list[Row] = []
+        reset_key, act_key = jax.random.split(evaluation_key(seed))
+        begun = self._reset(traced, lots, reset_key)
+        present = _takes_part(begun[0]).sum(axis=1)
+        quota, last = math.ceil(num_episodes / present.sum()), math.inf
+        if span is not None:
+            quota, last = sys.maxsize, span / env.config.sim.ctrl_dt
+        kinds = env.fleet.agent_names
+        start = Carry(*begun), act_key
+        episodes = self._episodes(traced, policy, start, (quota, last))
+        for (lot, agent, episode), kind, metrics in episodes:
+            which = {"lot": float(lot), "agent": float(agent)}
+            which |= {"episode": float(episode), "agents_present": float(present[lot])}
+            row = which | complete_row(metrics, env.config.sim.ctrl_dt)
+            rows.append(row | {"family": families[lot], "vehicle": kinds[kind]})
+        rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
+        return _summarized(rows, list(shares), kinds)
+
+    def _episodes(
+        self,
+        values: Mapping[str, jax.Array],
+        policy: AnyPolicy,
+        start: tuple[Carry, jax.Array],
+        limits: tuple[int, float],
+    ) -> Iterator[tuple[tuple[int, int, int], int, dict[str, float]]]:
+        """The episodes that count.
+
+        Each is its lot, agent and number, the kind of car driven, and its metrics.
+
+        Args:
+            values: of settings.
+            policy: acting function.
+            start: lots at their start, and a key, consumed.
+            limits: the number of episodes of every agent that its lot has, and the
+                control step before which they begin.
+        """
+        (carry, key), (quota, last) = start, limits
+        finished = np.where(_takes_part(carry.state), 0, quota)
+        begun, now = np.zeros(finished.shape, int), 0
+        policy = as_argument(policy)
+        while ((finished < quota) & (begun < last)).any():
+            keys = jax.random.split(jax.random.fold_in(key, now), CHUNK)
+            carry, (done, kind, metrics) = self._chunk(values, policy, carry, keys)
+            kind = np.asarray(kind)
+            metrics = {name: np.asarray(value) for name, value in metrics.items()}
+            for t, lot, agent in np.argwhere(np.asarray(done)):
+                if finished[lot, agent] < quota and begun[lot, agent] < last:
+                    row = {n: float(x[t, lot, agent]) for n, x in metrics.items()}
+                    which = int(lot), int(agent), int(finished[lot, agent])
+                    yield which, int(kind[t, lot, agent]), row
+                finished[lot, agent] += 1
+                begun[lot, agent] = now + t + 1
+            now += CHUNK
+
+
+def _summarized(
+    rows: list[Row], families: Sequence[str], kinds: Sequence[str]
+) -> Evaluation:
+    """What episodes come to: of all, and by family, number of agents, kind of car."""
+
+    def those(column: str, value: Any) -> list[Row]:
+        return [row for row in rows if row[column] == value]
+
+    counts = sorted({int(row["agents_present"]) for row in rows})
+    driven = {row["vehicle"] for row in rows}
+    return Evaluation(
+        episodes=rows,
+        summary=summarize(rows),
+        families={name: summarize(those("family", name)) for name in families},
+        agent_counts={n: summarize(those("agents_present", n)) for n in counts},
+        vehicles={n: summarize(those("vehicle", n)) for n in kinds if n in driven},
+    )
+
+
+class Lots(NamedTuple):
+    """The lots of an evaluation; (num_lots,) int32 each.
+
+    Attributes:
+        member: which member of a mixture a lot is of.
+        num_present: how many agents it has, if it has bays for them.
+    """
+
+    member: np.ndarray
+    num_present: np.ndarray
+
+
+def _reset(
+    env: ParkingEnv, values: Mapping[str, jax.Array], lots: Lots, key: jax.Array
+) -> tuple[State, jax.Array]:
+    """Held-out lots at their start; `key` is consumed."""
+    env = env.with_values(values)
+    varies = len(env.config.agent_counts) > 1
+    keys = jax.random.split(key, len(lots.member))
+    reset = jax.vmap(lambda key, *lot: env.reset(key, "test", *lot))
+    return reset(keys, lots.member, lots.num_present if varies else None)
+
+
+def _takes_part(state: State) -> np.ndarray:
+    """(num_lots, num_agents) bool, the agents of lots that may have bays for fewer."""
+    return np.asarray(state.takes_part)
+
+
+def allot(shares: list[float], num_lots: int) -> np.ndarray:
+    """Members (num_lots,) int32 of a mixture's lots, in proportion to their shares.
+
+    The k-th lot goes to the member within whose part of [0, 1] (k + 1/2) / n falls.
+    """
+    middle = (np.arange(num_lots) + 0.5) / num_lots
+    ends = np.cumsum(shares)[:-1]
+    return np.searchsorted(ends, middle, side="right").astype(np.int32)
+
+
+def _chunk(
+    env: ParkingEnv,
+    values: Mapping[str, jax.Array],
+    policy: AnyPolicy,
+    carry: Carry,
+    keys: jax.Array,
+) -> tuple[Carry, tuple[jax.Array, jax.Array, dict[str, jax.Array]]]:
+    """Drives on by a control step for every key; what ended in each of them."""
+
+    def report(step: Step) -> Any:
+        timestep = step.timestep
+        kind = env.fleet.kind_of(timestep.motion.size)
+        return timestep.events.done, kind, timestep.metrics
+
+    return roll_out(env.with_values(values), acts(policy), carry, keys, report)

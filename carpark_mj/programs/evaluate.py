@@ -1,0 +1,30 @@
+"""Evaluates a policy on held-out seeds: tables, `evaluation.csv`, `evaluation.json`.
+
+In a mixture of families also a table with a row per family, and `families.csv`.
+docs/metrics.md says what every number is.
+
+python eval/evaluate.py runs/cpu-0
+python eval/evaluate.py runs/cpu-mixture-0
+python eval/evaluate.py --policy random --episodes 500
+python eval/evaluate.py --policy zero --environment tanner-fixed
+"""
+
+from collections.abc import Sequence
+
+from carpark_mj.cli.common import (
+    dispatch_synchronously,
+    enable_output_fusion,
+    keep_compiled_programs,
+)
+
+
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Evaluates."""
+    dispatch_synchronously()
+    enable_output_fusion()
+    keep_compiled_programs()
+    from carpark_mj.cli.driver import command_help
+    from carpark_mj.cli.evaluate import EvaluateConfig, main
+    from carpark_mj.cli.flags import read_flags
+
+    main(read_flags(EvaluateConfig, arguments, description=command_help(__doc__)))

@@ -1,0 +1,24 @@
+"""Runs a program of a study or an extension: `carpark_mj study NAME …`."""
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+from carpark_mj.programs import STUDY_PROGRAMS, table
+from carpark_mj.rendering.gl import choose_gl
+
+
+def run(arguments: Sequence[str] | None = None) -> object:
+    """Runs the program that the first argument names; returns what it returns.
+
+    Raises:
+        ValueError: there is no such program.
+    """
+    choose_gl()  # before an extension imports MuJoCo
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(f"usage: carpark_mj study NAME ...\n\n{table(dict(STUDY_PROGRAMS))}")
+        return 0
+    module, _, function = STUDY_PROGRAMS[words[0]].entry.partition(":")
+    sys.argv = [f"carpark_mj study {words[0]}", *words[1:]]
+    return getattr(importlib.import_module(module), function)(words[1:])

@@ -1,0 +1,66 @@
+"""Trains one shared parking policy for all agents with PPO (IPPO).
+
+    python train/ppo.py                        # preset by hardware, runs/cpu-0 or gpu-0
+    python train/ppo.py --resume runs/cpu-0    # continues where it stopped
+    python train/ppo.py --preset tanner-fixed  # the study's grid world
+    python train/ppo.py --preset tanner-fixed --seeds 0..7       # runs side by side
+    python train/ppo.py --help-all             # every setting
+    python train/ppo.py --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
+    srun python train/ppo.py --coordinator auto                          # a cluster
+
+Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at once.
+"""
+
+import sys
+from collections.abc import Sequence
+
+from carpark_mj.cli.common import configure_jax, keep_compiled_programs
+from carpark_mj.rendering.gl import choose_gl
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Trains, with other hosts if asked; returns the exit code."""
+    choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
+    configure_jax()
+    keep_compiled_programs()
+    from carpark_mj.training.hosts import joined, read_hosts
+
+    hosts, arguments = read_hosts(sys.argv[1:] if arguments is None else arguments)
+    with joined(hosts):
+        return run_on_host(arguments)
+
+
+def run_on_host(arguments: Sequence[str]) -> int:
+    """Trains on this host; returns the exit code."""
+    import jax
+
+    from carpark_mj.training.ppo.arguments import read_runs
+    from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
+    from carpark_mj.training.ppo.presets import PRESETS, SUMMARIES
+    from carpark_mj.training.ppo.run import train_runs
+    from carpark_mj.training.ppo.train import MAX_SKIPPED
+    from carpark_mj.training.settings import read_settings
+
+    hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
+
+    def read(arguments: Sequence[str]) -> PPOConfig:
+        return read_settings(
+            PRESETS[hardware], PRESETS, arguments, __doc__, RUN_SETTINGS, SUMMARIES
+        )
+
+    ended = train_runs(read_runs(arguments, read))
+    stopped = [str(folder) for folder, outcome in ended if outcome == "stopped"]
+    if stopped:
+        print(
+            f"stopped; continue with: python train/ppo.py --resume {' '.join(stopped)}"
+        )
+    for folder, outcome in ended:
+        if outcome == "done":
+            print(f"done: {folder}")
+        if outcome == "diverged":
+            print(
+                f"ppo: {MAX_SKIPPED} updates in a row came out non-finite; the "
+                f"checkpoints in {folder} are from before",
+                file=sys.stderr,
+            )
+    return int(any(outcome == "diverged" for _, outcome in ended))

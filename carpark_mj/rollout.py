@@ -1,0 +1,108 @@
+"""Rolls policies out: control steps of one lot, or of many side by side."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import jax
+
+from carpark_mj.policy.acting import AnyPolicy, choose_actions
+from carpark_mj.types import State, TimeStep
+
+# `(state, observation, memory, key) -> (action, memory)` of all agents.
+Act = Callable[[State, jax.Array, Any, jax.Array], tuple[jax.Array, Any]]
+
+
+class Steps(Protocol):
+    """What a roll-out asks of an environment."""
+
+    def step(self, state: Any, action: jax.Array) -> tuple[Any, Any]:
+        """Advances one lot: the next state, and what agents get from the step."""
+        ...
+
+
+class Carry(NamedTuple):
+    """A roll-out under way; all leaves (...), the shape of the batch of lots.
+
+    Attributes:
+        state: of the lots.
+        observation: (..., num_agents, size) what their agents observe.
+        memory: what the policy keeps between steps; None = nothing.
+    """
+
+    state: State
+    observation: jax.Array
+    memory: Any = None
+
+
+class Step(NamedTuple):
+    """A control step that was made.
+
+    Attributes:
+        before: the state that the agents acted in.
+        observation: what they observed in it.
+        action: what they did.
+        after: the next state, respawns included.
+        timestep: what they got.
+    """
+
+    before: State
+    observation: jax.Array
+    action: jax.Array
+    after: State
+    timestep: TimeStep
+
+
+def acts(policy: AnyPolicy) -> Act:
+    """How a policy without memory acts."""
+
+    def act(state: State, observation: jax.Array, memory: Any, key: jax.Array) -> Any:
+        return choose_actions(policy, state, observation, key), memory
+
+    return act
+
+
+def control_step(
+    env: Steps, act: Act, carry: Carry, key: jax.Array
+) -> tuple[Carry, Step]:
+    """Makes one control step.
+
+    Args:
+        env: the environment; a batch of lots is stepped with `jax.vmap`.
+        act: what the agents do.
+        carry: before the step.
+        key: of what is random in the policy, consumed.
+    """
+    state, observation, memory = carry
+    action, memory = act(state, observation, memory, key)
+    is_batch = observation.ndim > 2
+    step = jax.vmap(env.step) if is_batch else env.step
+    after, timestep = step(state, action)
+    made = Step(state, observation, action, after, timestep)
+    return Carry(after, timestep.observation, memory), made
+
+
+def roll_out(
+    env: Steps,
+    act: Act,
+    carry: Carry,
+    keys: jax.Array,
+    report: Callable[[Step], Any],
+) -> tuple[Carry, Any]:
+    """Makes a control step for every key, as one program.
+
+    Args:
+        env: the environment.
+        act: what the agents do.
+        carry: before the first step.
+        keys: (steps,), consumed.
+        report: what to keep of a step.
+
+    Returns:
+        The carry after the last step, and the reports, with a leading axis (steps,).
+    """
+
+    def step(carry: Carry, key: jax.Array) -> tuple[Carry, Any]:
+        carry, made = control_step(env, act, carry, key)
+        return carry, report(made)
+
+    return jax.lax.scan(step, carry, keys)

@@ -1,0 +1,1 @@
+"""Tables 6.1 to 6.4 of Cederle 2023."""

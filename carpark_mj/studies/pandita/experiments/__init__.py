@@ -1,0 +1,1 @@
+"""The experiments of Pandita 2022, chapter 5."""

@@ -1,0 +1,112 @@
+"""Deployment: whole episodes on one kind of lot, as one compiled program."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.evaluation.aggregation import wilson_interval
+from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.studies.pandita.sac.config import SACConfig
+from carpark_mj.wrappers.gymnasium_slots import shared_slots_env
+from carpark_mj.wrappers.slots import PANDITA_REWARD, SlotsGoalParking
+
+OUTCOMES = ("success", "crashed", "timed_out")
+# Weights and observations to a distribution of actions.
+Actor = Callable[[Any, jax.Array], Any]
+
+
+def choose_action(
+    actor: Actor,
+    sampled: bool | jax.Array,
+    params: Any,
+    vector: jax.Array,
+    key: jax.Array,
+) -> jax.Array:
+    """Actions (1, 2) for what the agent of a lot observes (1, 18), drawn or likeliest.
+
+    Its parts follow each other as in the dictionary of which sbx makes its input.
+    """
+    choices = actor(params, vector)
+    return jnp.where(sampled, choices.sample(seed=key), choices.mode())
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _episodes(
+    env: SlotsGoalParking,
+    actor: Actor,
+    sampled: bool | jax.Array,
+    params: Any,
+    keys: jax.Array,
+) -> dict[str, jax.Array]:
+    """One episode for each key: how it ended, its steps and mean speed [m/s]."""
+
+    def episode(key: jax.Array) -> dict[str, jax.Array]:
+        reset_key, act_key = jax.random.split(key)
+        state, vector = env.reset(reset_key)
+
+        def step(carry: Any, key: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+            state, vector = carry
+            action = choose_action(actor, sampled, params, vector, key)
+            after, timestep = env.step(state, action)
+            events, active = timestep.events, state.active[0]
+            speed = jnp.abs(timestep.motion.velocity_b[0, 0])
+            return (after, timestep.observation), {
+                "success": events.parked[0] & ~events.crashed[0],
+                "crashed": events.crashed[0],
+                "timed_out": events.timed_out[0],
+                "steps": active,
+                "distance": jnp.where(active, speed, 0.0),
+            }
+
+        keys = jax.random.split(act_key, env.config.episode.max_steps)
+        _, steps = jax.lax.scan(step, (state, vector), keys)
+        return {name: x.sum(axis=0) for name, x in steps.items()}
+
+    return jax.vmap(episode)(keys)
+
+
+def deploy(
+    config: SACConfig, actor: Actor, params: Any, kind: str, sampled: bool
+) -> dict[str, Any]:
+    """Rates with Wilson's intervals, mean steps and speed [m/s] on a kind of lot.
+
+    Episodes have keys that training never uses. Where start and goal are fixed, those
+    of the deterministic policy are all alike.
+
+    Args:
+        config: of the run.
+        actor: the network.
+        params: its weights.
+        kind: of lot.
+        sampled: draw actions instead of taking the likeliest.
+    """
+    env = shared_slots_env(config.env_of(config.layout(kind)), PANDITA_REWARD)
+    keys = jax.random.split(evaluation_key(config.seed), config.eval_episodes)
+    ends = _episodes(env, actor, sampled, params, keys)
+    found = {name: np.asarray(x, float) for name, x in jax.device_get(ends).items()}
+    row: dict[str, Any] = {
+        "kind": kind,
+        "policy": "sampled" if sampled else "deterministic",
+        "episodes": config.eval_episodes,
+    }
+    for name in OUTCOMES:
+        low, high = wilson_interval(found[name].sum(), config.eval_episodes)
+        row |= {name: found[name].mean(), f"{name}_low": low, f"{name}_high": high}
+    row["steps"] = found["steps"].mean()
+    row["speed"] = found["distance"].sum() / found["steps"].sum()
+    return row
+
+
+def deploy_everywhere(
+    config: SACConfig, actor: Actor, params: Any, phase: int
+) -> list[dict[str, Any]]:
+    """Rows of `deploy` for every kind, deterministic and sampled, after a phase."""
+    return [
+        {"phase": phase, **deploy(config, actor, params, kind, sampled)}
+        for sampled in (False, True)
+        for kind in config.kinds
+    ]

@@ -1,0 +1,51 @@
+"""Trains one car to park in slots with SAC and hindsight replay, phase by phase.
+
+    python train/sac.py                              # vertical slots, runs/slots-0
+    python train/sac.py --phases slots:60000 slots_diagonal:60000   # what is forgotten?
+    python train/sac.py --phases slots,slots_diagonal,slots_parallel:400000
+    python train/sac.py --phases slots:150episodes slots_diagonal:150episodes
+    python train/sac.py --preset pandita             # the settings of Pandita 2022
+    python train/sac.py --resume runs/slots-0        # continues where it stopped
+    python train/sac.py --help-all                   # every setting
+
+It needs `pip install ".[train,sb3]"`. After every phase the policy is deployed on all
+kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at once.
+"""
+
+from collections.abc import Sequence
+
+from carpark_mj.cli.common import (
+    enable_output_fusion,
+    keep_compiled_programs,
+)
+from carpark_mj.rendering.gl import choose_gl
+
+
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Trains."""
+    choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
+    enable_output_fusion()
+    keep_compiled_programs()
+    from carpark_mj.studies.pandita.sac.config import RUN_SETTINGS
+    from carpark_mj.studies.pandita.sac.presets import SAC_PRESETS, SAC_SUMMARIES
+    from carpark_mj.training.settings import read_settings
+
+    config = read_settings(
+        SAC_PRESETS["slots"],
+        SAC_PRESETS,
+        arguments,
+        __doc__,
+        RUN_SETTINGS,
+        SAC_SUMMARIES,
+    )
+    try:
+        from carpark_mj.studies.pandita.sac.run import train_run
+    except ModuleNotFoundError as error:
+        if error.name not in ("sbx", "stable_baselines3", "torch"):
+            raise
+        raise ValueError(f'{error}: pip install ".[sb3]"') from None
+    folder, done = train_run(config)
+    if done:
+        print(f"done: {folder}")
+    else:
+        print(f"stopped; continue with: python train/sac.py --resume {folder}")

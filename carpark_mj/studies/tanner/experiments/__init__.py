@@ -1,0 +1,1 @@
+"""The experiments of Tanner 2022, beside the published numbers."""

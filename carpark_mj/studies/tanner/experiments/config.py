@@ -1,0 +1,53 @@
+"""Settings of the study's script."""
+
+import dataclasses
+
+from carpark_mj.config.checks import require_at_least
+from carpark_mj.sweeps.executor import Cluster
+from carpark_mj.sweeps.manage import Where
+from carpark_mj.sweeps.slurm import SlurmConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class StudyConfig:
+    """Settings of `python train/study.py`.
+
+    Attributes:
+        figure: number of a figure, `5.8`.
+        all: all figures, those of the fewest programs first.
+        list: say what there is, and train nothing.
+        minutes: budget [min]; what does not fit is named and left out. 0 = no limit.
+        repeats: runs of every combination; 0 = as many as are published.
+        seed: first seed.
+        set: settings of all runs, `FIELD=VALUE` as of `train/sweep.py`, instead of the
+            study's.
+        runs_dir: where sweeps are kept.
+        cluster: as of `train/sweep.py`.
+        jobs: as of `train/sweep.py`.
+        side_by_side: as of `train/sweep.py`.
+        slurm: what to ask Slurm for.
+    """
+
+    figure: str = ""
+    all: bool = False
+    list: bool = False
+    minutes: float = 0.0
+    repeats: int = 0
+    seed: int = 0
+    set: tuple[str, ...] = ()
+    runs_dir: str = "runs/study"
+    cluster: Cluster = "local"
+    jobs: int = 0
+    side_by_side: int = 8
+    slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 0, "minutes", "repeats", "seed", "jobs")
+        require_at_least(self, 1, "side_by_side")
+        if bool(self.figure) + self.all + self.list != 1:
+            raise ValueError("give one of --figure NUMBER, --all and --list")
+
+    @property
+    def where(self) -> Where:
+        """Where and how it runs; the study samples actions."""
+        return Where(self.cluster, self.jobs, self.side_by_side, self.slurm, True)

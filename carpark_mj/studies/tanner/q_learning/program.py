@@ -1,0 +1,48 @@
+"""Trains by tabular Q-learning on the grid: the first experiments of Tanner 2022.
+
+    python train/q_learning.py                                    # figure 5.1
+    python train/q_learning.py --preset tanner-qlearning-recorded # as recorded
+    python train/q_learning.py --preset tanner-qlearning-rings    # figure 5.2
+    python train/q_learning.py --resume runs/tanner-qlearning-0   # continues a run
+    python train/q_learning.py --help-all                         # every setting
+
+Independent Q-learning with one table for all agents, several seeds side by side. In
+`runs/<name>/` lie `config.json`, checkpoints, `metrics.csv` and `learning_curve.png`.
+Ctrl-C saves a checkpoint and stops.
+"""
+
+from collections.abc import Sequence
+
+from carpark_mj.cli.common import (
+    enable_output_fusion,
+    keep_compiled_programs,
+)
+
+
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Trains."""
+    enable_output_fusion()
+    keep_compiled_programs()
+    from carpark_mj.studies.tanner.q_learning.config import (
+        RUN_SETTINGS,
+        QLearningConfig,
+    )
+    from carpark_mj.studies.tanner.q_learning.learner import QLearner
+    from carpark_mj.studies.tanner.q_learning.presets import Q_PRESETS, Q_SUMMARIES
+    from carpark_mj.studies.tanner.q_learning.train import train
+    from carpark_mj.training.memory import require_memory
+    from carpark_mj.training.run_folder import open_run
+    from carpark_mj.training.settings import read_settings
+
+    config = read_settings(
+        QLearningConfig(), Q_PRESETS, arguments, __doc__, RUN_SETTINGS, Q_SUMMARIES
+    )
+    learner = QLearner(config)  # refuses impossible lots before a folder is made
+    require_memory(learner.least_memory())
+    with open_run(config) as folder:
+        if train(config, learner, folder):
+            print(f"done: {folder}; see {folder / 'learning_curve.png'}")
+        else:
+            print(
+                f"stopped; continue with: python train/q_learning.py --resume {folder}"
+            )

@@ -1,0 +1,1 @@
+"""Sweeps: every combination of some settings, trained as jobs through submitit."""

@@ -1,0 +1,86 @@
+"""Settings of a sweep."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from carpark_mj.config.checks import require_at_least
+from carpark_mj.sweeps.axes import read_axis
+from carpark_mj.sweeps.executor import Cluster
+from carpark_mj.sweeps.manage import Where
+from carpark_mj.sweeps.plan import Plan
+from carpark_mj.sweeps.slurm import SlurmConfig
+from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.run_folder import RunConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepConfig:
+    """Settings of `python train/sweep.py`.
+
+    Attributes:
+        base: preset of `train/ppo.py` that all runs start from.
+        set: `FIELD=VALUES` each: a setting by its dotted name, or the end of it that
+            no other has, and its values, separated by commas, or by semicolons if they
+            have commas themselves; `1..7` is a range. Every combination is trained.
+        repeats: runs of every combination, with different seeds.
+        seed: first seed.
+        name: folder under `runs_dir`; empty = the base and what is swept.
+        runs_dir: where sweeps are kept.
+        stochastic: evaluate sampled actions instead of the most likely ones.
+        cluster: `local`: processes of this machine; `slurm`: jobs of a Slurm cluster;
+            `debug`: this process.
+        jobs: most jobs at a time; on one machine each has its own GPU, if there are
+            several. 0 = one on this machine, all on a cluster.
+        side_by_side: most runs that a job trains in one program, if they differ only in
+            seeds and in numbers such as `discount` and `env.reward.park`; runs with
+            `minutes` are always alone.
+        slurm: what to ask Slurm for.
+    """
+
+    base: Annotated[str, tyro.conf.arg(metavar="PRESET")]
+    set: tuple[str, ...] = ()
+    repeats: int = 1
+    seed: int = 0
+    name: str = ""
+    runs_dir: str = "runs"
+    stochastic: bool = False
+    cluster: Cluster = "local"
+    jobs: int = 0
+    side_by_side: int = 8
+    slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "repeats", "side_by_side")
+        require_at_least(self, 0, "jobs")
+        # The rules of a run's name, folder and seeds.
+        RunConfig(name=self.name, runs_dir=self.runs_dir, seed=self.seed)
+        RunConfig(seed=self.seed + self.repeats - 1)
+        if self.base not in PRESETS:
+            raise ValueError(f"unknown base {self.base!r}; choose from {[*PRESETS]}")
+
+    @property
+    def plan(self) -> Plan:
+        """What is to be trained.
+
+        Raises:
+            ValueError: an unknown setting, or no values.
+        """
+        base = PRESETS[self.base]
+        axes = tuple(read_axis(text, base) for text in self.set)
+        return Plan(self.base, axes, self.repeats, self.seed)
+
+    @property
+    def where(self) -> Where:
+        """Where and how it runs."""
+        return Where(
+            self.cluster, self.jobs, self.side_by_side, self.slurm, self.stochastic
+        )
+
+
+def sweep_folder(config: SweepConfig, plan: Plan) -> Path:
+    """The folder of a sweep."""
+    swept = [axis.fields[0].rpartition(".")[2] for axis in plan.axes if axis.is_swept]
+    return Path(config.runs_dir) / (config.name or "-".join((plan.base, *swept)))

@@ -1,0 +1,150 @@
+"""Runs of a trainer side by side, each in a process on a core of its own."""
+
+import contextlib
+import dataclasses
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from carpark_mj.cli.process import patient_interrupts
+
+LEAST = 1.0  # min that must be left for a run to begin
+POLL = 0.1  # s between looks at the runs
+# One core each: libraries that would start a thread for every core of the machine.
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+def require_minutes(minutes: float) -> None:
+    """Refuses a time limit within which no run would begin.
+
+    Raises:
+        ValueError: naming it and what is allowed.
+    """
+    if 0 < minutes <= LEAST:
+        raise ValueError(
+            f"minutes must be more than {LEAST:g}, or no run begins, or 0 = no limit, "
+            f"not {minutes}"
+        )
+
+
+def is_evaluated(folder: Path) -> bool:
+    """Whether there is an evaluation, of trainers that evaluate at the end only."""
+    return (folder / "evaluation.json").exists()
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A training with a seed; experiments that train alike share it.
+
+    Attributes:
+        program: of `carpark_mj study` that trains.
+        folder: of the run.
+        flags: of the script, for a new run.
+        finished: whether the run in a folder came to its end.
+    """
+
+    program: str
+    folder: Path
+    flags: tuple[str, ...]
+    finished: Callable[[Path], bool] = is_evaluated
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the run came to its end."""
+        return self.finished(self.folder)
+
+    @property
+    def log(self) -> Path:
+        """What the run prints."""
+        return self.folder.with_name(f"{self.folder.name}.log")
+
+    def command(self, minutes: float) -> list[str]:
+        """Begins or continues the run, for some minutes at most; 0 = no limit."""
+        limit = ["--time-limit", f"{minutes:.2f}"]
+        flags: Sequence[str] = self.flags
+        if (self.folder / "config.json").exists():
+            flags = "--resume", str(self.folder)
+        command = sys.executable, "-m", "carpark_mj", "study", self.program
+        return [*command, *flags, *limit]
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    workers: int,
+    minutes: float,
+    clock: Callable[[], float] = time.monotonic,
+) -> list[Job]:
+    """Runs what is not done; returns what has failed.
+
+    Args:
+        jobs: in the order in which they begin.
+        workers: processes at a time, each on a core; 0 = one for every core.
+        minutes: after which runs save and stop, to be continued; 0 = no limit.
+        clock: gives the time [s].
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, which the runs have got too.
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    cores = cores[: workers or len(cores)]
+    waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
+    for job in jobs:
+        waiting.put(job)
+    failed: list[Job] = []
+    begun = clock()
+
+    def work(core: int) -> None:
+        while not waiting.empty():
+            left = minutes - (clock() - begun) / 60 if minutes else 0.0
+            if minutes and left < LEAST:
+                return
+            try:
+                job = waiting.get_nowait()
+            except queue.Empty:
+                return
+            code = _run(job, core, left)
+            print(f"{job.folder.name}: {_outcome(job, code)}", flush=True)
+            if code:
+                failed.append(job)
+
+    threads = [threading.Thread(target=work, args=(core,)) for core in cores]
+    for thread in threads:
+        thread.start()
+    with patient_interrupts():
+        try:
+            _wait(threads)
+        except KeyboardInterrupt:  # runs under way save and stop, no other begins
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    waiting.get_nowait()
+            _wait(threads)
+            raise
+    return failed
+
+
+def _wait(threads: Sequence[threading.Thread]) -> None:
+    """Until all have ended; an interrupted `Thread.join` leaves them behind."""
+    while any(thread.is_alive() for thread in threads):
+        time.sleep(POLL)
+
+
+def _run(job: Job, core: int, minutes: float) -> int:
+    job.folder.parent.mkdir(parents=True, exist_ok=True)
+    environment = {**os.environ, **dict.fromkeys(_THREADS, "1")}
+    with job.log.open("a") as log:
+        process = subprocess.Popen(
+            job.command(minutes), stdout=log, stderr=log, env=environment
+        )
+        os.sched_setaffinity(process.pid, {core})
+        return process.wait()
+
+
+def _outcome(job: Job, code: int) -> str:
+    if code:
+        return f"failed with exit code {code}, see {job.log}"
+    return "done" if job.is_done else "stopped, to be continued"

@@ -1,0 +1,270 @@
+"""Settings of PPO training."""
+
+import dataclasses
+from typing import Annotated, Literal
+
+import jax
+import jax.numpy as jnp
+import tyro
+
+from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
+from carpark_mj.config import EnvConfig, data
+from carpark_mj.config.checks import (
+    LARGEST_WHOLE,
+    require_at_least,
+    require_choice,
+    require_positive,
+    require_ratio,
+)
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.run_folder import RunConfig
+
+PresetName = Literal[
+    "auto",
+    "cpu",
+    "gpu",
+    "square",
+    "dynamic",
+    "anywhere",
+    "hope",
+    "tanner-fixed",
+    "tanner-fixed-original",
+    "tanner-dynamic",
+    "tanner-dynamic-original",
+]
+
+VariantName = Literal["brax", "ml-agents"]
+
+_BY_HARDWARE = tyro.conf.arg(
+    help_behavior_hint="(default: auto, which is gpu where JAX finds one, else cpu)"
+)
+
+# What the short help lists.
+RUN_SETTINGS = (
+    "preset",
+    "name",
+    "runs_dir",
+    "resume",
+    "time_limit",
+    "seed",
+    "num_steps",
+    "minutes",
+    "num_lots",
+    "checkpoint_minutes",
+    "eval_episodes",
+    "video_seconds",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class PPOConfig(RunConfig):
+    """Settings of `python train/ppo.py`; every field is a flag.
+
+    The settings of `RunConfig` come first.
+
+    Attributes:
+        preset: settings the other flags start from.
+        warm_start: run whose networks the training starts from instead of random ones:
+            folder, checkpoint, or name of a pretrained policy with `critic_steps`.
+        num_steps: agent steps to simulate in all. Those of absent agents count, here
+            and in the other settings of steps: they take as long.
+        minutes: time after which training ends before `num_steps` are made, compiling
+            included, evaluation and video not [min]; 0 = no limit. Schedules then
+            follow steps or time, whichever is further.
+        num_lots: number of lots simulated in parallel.
+        lot_life: most updates for which a random lot is kept; a few lots are drawn
+            anew after every update. 0 = never drawn anew; fixed lots never are.
+        unroll_length: control steps between updates.
+        num_minibatches: number of minibatches per epoch.
+        num_epochs: passes over the data of an update.
+        learning_rate: Adam's learning rate at the start.
+        learning_rate_end: learning rate at the end; linear in between.
+        entropy_cost: weight of the entropy bonus at the start.
+        entropy_cost_end: weight of the entropy bonus at the end; linear in between.
+        clip: PPO's clipping of the probability ratio at the start.
+        clip_end: clipping of the probability ratio at the end; linear in between.
+        discount: discount factor per control step, at the start.
+        gae_lambda: lambda of generalised advantage estimation.
+        max_grad_norm: global norm to which gradients are clipped.
+        variant: whose details: Brax's, or those of ML-Agents, see
+            `carpark_mj.training.ppo.ml_agents`.
+        averaged_updates: the policy that is evaluated is the exponential moving average
+            over about this many updates; 1 = the last one.
+        hitbox_scale: factor on the cars' lengths and widths in collision tests during
+            the first `hitbox_steps`, so that a margin is learnt; never in evaluations.
+        hitbox_steps: agent steps with `hitbox_scale`, rounded up to updates.
+        critic_steps: agent steps at the start in which only the critic learns, rounded
+            up to updates; for warm starts from a policy without a critic.
+        checkpoint_updates: updates between checkpoints, instead of minutes; 0 = use
+            `checkpoint_minutes`.
+        eval_episodes: episodes of the evaluation at the end; 0 = none.
+        video_seconds: length of the video at the end [s]; 0 = none.
+        curriculum: what is easier, or different, in training than in evaluation.
+        networks: layers of actor and critic.
+        env: the environment.
+    """
+
+    preset: Annotated[PresetName, _BY_HARDWARE] = "auto"
+    warm_start: str = ""
+    num_steps: int = 40_000_000
+    minutes: float = 0.0
+    num_lots: int = 64
+    lot_life: int = 16
+    unroll_length: int = 64
+    num_minibatches: int = 16
+    num_epochs: int = 4
+    learning_rate: float = data(1.5e-3)
+    learning_rate_end: float = data(2e-4)
+    entropy_cost: float = data(5e-3)
+    entropy_cost_end: float = data(1e-3)
+    clip: float = data(0.2)
+    clip_end: float = data(0.2)
+    discount: float = data(0.99)
+    gae_lambda: float = data(0.92)
+    max_grad_norm: float = 1.0
+    variant: VariantName = "brax"
+    averaged_updates: int = 32
+    hitbox_scale: float = 1.0
+    hitbox_steps: int = 0
+    critic_steps: int = 0
+    checkpoint_updates: int = 0
+    eval_episodes: int = 1024
+    video_seconds: float = 20.0
+    curriculum: CurriculumConfig = dataclasses.field(default_factory=CurriculumConfig)
+    networks: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
+    env: EnvConfig = dataclasses.field(default_factory=EnvConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_at_least(
+            self,
+            1,
+            "num_lots",
+            "unroll_length",
+            "num_minibatches",
+            "num_epochs",
+            "averaged_updates",
+        )
+        require_positive(self, "learning_rate", "max_grad_norm", "clip", "hitbox_scale")
+        require_ratio(self, "discount", "gae_lambda")
+        require_at_least(
+            self,
+            0,
+            "minutes",
+            "lot_life",
+            "learning_rate_end",
+            "entropy_cost",
+            "entropy_cost_end",
+            "clip_end",
+            "checkpoint_updates",
+        )
+        # Updates are counted in int32.
+        most = LARGEST_WHOLE * self.steps_per_update
+        for name, least in (("num_steps", 1), ("hitbox_steps", 0), ("critic_steps", 0)):
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(
+                    f"{name} must lie in [{least}, {most}], not {getattr(self, name)}"
+                )
+        # Refused now, not when the training is over.
+        for name, most in (
+            ("eval_episodes", MAX_EPISODES),
+            ("video_seconds", MAX_SECONDS),
+        ):
+            if not 0 <= getattr(self, name) <= most:
+                raise ValueError(
+                    f"{name} must lie in [0, {most}], not {getattr(self, name)}"
+                )
+        if self.hitbox_scale != 1.0 and not self.hitbox_steps:
+            raise ValueError(
+                f"hitbox_scale {self.hitbox_scale} needs hitbox_steps of at least 1, "
+                "not 0"
+            )
+        if self.hitbox_scale != 1.0 and self.env.physics == "scene":
+            raise ValueError(
+                f"hitbox_scale must be 1 in scene physics, where crashes are contacts, "
+                f"not {self.hitbox_scale}"
+            )
+        if self.discount == 1.0 and self.curriculum.discount_end:
+            raise ValueError(
+                "discount must be below 1 where curriculum.discount_end "
+                f"{self.curriculum.discount_end} changes it, not {self.discount}"
+            )
+        if not self.env.episode.respawn:
+            raise ValueError("PPO needs env.episode.respawn = True")
+        require_choice("variant", self.variant, VariantName)
+        if self.variant == "ml-agents":
+            self._check_ml_agents()
+        if self.curriculum.target_rate and not self.lot_life:
+            raise ValueError(
+                f"curriculum.target_rate {self.curriculum.target_rate} needs lot_life "
+                "of at least 1, not 0"
+            )
+        if self.critic_steps and self.critic_updates >= self.num_updates:
+            raise ValueError(
+                f"critic_steps must leave the actor an update of num_steps "
+                f"{self.num_steps}, not be {self.critic_steps}"
+            )
+        agents = self.num_lots * self.env.num_agents
+        if agents % self.num_minibatches:
+            raise ValueError(
+                f"num_lots x num_agents = {agents} must be a multiple of "
+                f"num_minibatches {self.num_minibatches}"
+            )
+
+    def _check_ml_agents(self) -> None:
+        """Refuses what the details of ML-Agents are not made for.
+
+        Raises:
+            ValueError: naming the setting and what it needs.
+        """
+        if self.env.physics != "grid":
+            raise ValueError(
+                "variant 'ml-agents' needs actions of choices only, env.physics "
+                f"'grid', not {self.env.physics!r}"
+            )
+        if self.networks.encoder != "flat":
+            raise ValueError(
+                "variant 'ml-agents' needs networks.encoder 'flat', not "
+                f"{self.networks.encoder!r}"
+            )
+        if len(self.env.agent_counts) > 1:
+            raise ValueError(
+                "variant 'ml-agents' needs the same number of agents in all lots, "
+                f"env.min_agents = None, not {self.env.min_agents}"
+            )
+
+    @property
+    def steps_per_update(self) -> int:
+        """Steps simulated for one update, those of absent agents included."""
+        return self.num_lots * self.env.num_agents * self.unroll_length
+
+    @property
+    def critic_updates(self) -> int:
+        """Updates in which only the critic learns."""
+        return -(-self.critic_steps // self.steps_per_update)
+
+    @property
+    def hitbox_updates(self) -> int:
+        """Updates with scaled hitboxes."""
+        return -(-self.hitbox_steps // self.steps_per_update)
+
+    @property
+    def num_updates(self) -> int:
+        """Updates in all; the last may overshoot `num_steps`."""
+        return -(-self.num_steps // self.steps_per_update)
+
+    def progress(
+        self, update: jax.Array | int, seconds: jax.Array | float
+    ) -> jax.Array:
+        """Share of the training that is done, in [0, 1].
+
+        Args:
+            update: updates made.
+            seconds: time used [s]; it counts if `minutes` limits it.
+        """
+        by_steps = jnp.asarray(update / self.num_updates)
+        if not self.minutes:
+            return by_steps
+        by_time = seconds / (60.0 * self.minutes)
+        return jnp.minimum(jnp.maximum(by_steps, by_time), 1.0)

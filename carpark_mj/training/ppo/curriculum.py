@@ -1,0 +1,49 @@
+"""What changes in the course of a training, and how its environment differs.
+
+Evaluations never see any of it: they run in `PPOConfig.env` as it is.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+
+
+def schedule(start: float, end: float, progress: jax.Array) -> jax.Array:
+    """Linear from `start` to `end` as `progress` goes from 0 to 1."""
+    return start + (end - start) * jnp.clip(progress, 0.0, 1.0)
+
+
+def crash_scale(config: CurriculumConfig, progress: jax.Array) -> jax.Array:
+    """Factor () on the crash penalty."""
+    return schedule(1.0, config.crash_scale, _within(progress, 0, config.crash_until))
+
+
+def discount(config: PPOConfig, progress: jax.Array) -> jax.Array:
+    """Discount factor () per control step."""
+    changes = config.curriculum
+    if not changes.discount_end:
+        return jnp.float32(config.discount)
+    start, end = 1 / (1 - config.discount), 1 / (1 - changes.discount_end)
+    part = _within(progress, changes.discount_from, changes.discount_until)
+    return 1.0 - 1.0 / schedule(start, end, part)
+
+
+def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
+    """Progress () from 0 at `start` to 1 at `end`; a step if they are the same."""
+    part = (progress - start) / max(end - start, 1e-6)
+    return jnp.where(progress < end, jnp.clip(part, 0.0, 1.0), 1.0)
+
+
+def training_env(config: PPOConfig) -> EnvConfig:
+    """The environment with the starts of the curriculum."""
+    spawn, curriculum = config.env.spawn, config.curriculum
+    if curriculum.crash_ratio:
+        spawn = dataclasses.replace(spawn, crash_ratio=curriculum.crash_ratio)
+    if curriculum.reverse_ratio:
+        spawn = dataclasses.replace(spawn, reverse_ratio=curriculum.reverse_ratio)
+    return dataclasses.replace(config.env, spawn=spawn)

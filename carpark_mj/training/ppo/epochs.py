@@ -1,0 +1,166 @@
+"""What an update learns from a rollout: epochs of minibatch steps."""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from brax.training.agents.ppo.losses import PPONetworkParams
+from brax.training.agents.ppo.networks import PPONetworks
+from jax.flatten_util import ravel_pytree
+
+from carpark_mj.observations.sets import ObservationSets
+from carpark_mj.policy.normalizer import update_normalizer
+from carpark_mj.training.ppo.advantages import compute_advantages
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.curriculum import discount, schedule
+from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
+from carpark_mj.training.ppo.ml_agents import ml_agents_loss, prepare_steps
+from carpark_mj.training.ppo.rollout import Rollout, drop_absent
+from carpark_mj.training.ppo.state import AXIS, TrainingState
+
+Learned = tuple[Any, Any, Any, Any]
+
+
+def network_params(policy: Any, value: Any) -> Any:
+    """Actor and critic together."""
+    params: Any = PPONetworkParams  # its fields are hidden from Pyright
+    return params(policy=policy, value=value)
+
+
+def learn(
+    config: PPOConfig,
+    networks: PPONetworks,
+    inputs: ObservationSets,
+    optimizer: optax.GradientTransformation,
+    state: TrainingState,
+    rollout: Rollout,
+    key: jax.Array,
+) -> tuple[Learned, dict[str, jax.Array]]:
+    """Learns from the rollout of this device's agents.
+
+    Values and advantages are those of the parameters at the start of an epoch. A
+    minibatch holds all steps of its agents, and its parts on all devices are one: see
+    `loss`. With the details of ML-Agents they are those of the start, and a minibatch
+    holds any steps.
+
+    Returns:
+        The new normalizer, policy, value and optimizer, and the mean losses.
+    """
+    progress = config.progress(state.update, state.seconds)
+    learning_rate = schedule(config.learning_rate, config.learning_rate_end, progress)
+    weights = Weights(
+        entropy_cost=schedule(config.entropy_cost, config.entropy_cost_end, progress),
+        clip=schedule(config.clip, config.clip_end, progress),
+    )
+    ml_agents = config.variant == "ml-agents"
+    normalizer = state.normalizer
+    if not ml_agents:
+        normalizer = update_normalizer(
+            inputs, normalizer, rollout.observation, rollout.weight, AXIS
+        )
+    if rollout.weight is not None:
+        key, drop_key = jax.random.split(key)
+        count = num_learned(config, rollout.reward.shape[1])
+        rollout = drop_absent(rollout, count, drop_key)
+    weight = 1.0 - rollout.truncated
+    if rollout.weight is not None:
+        weight *= rollout.weight
+    # One vector: one all-reduce and one Adam step instead of one for every layer.
+    start, unravel = ravel_pytree(network_params(state.policy, state.value))
+
+    def prepare(params: Any) -> Minibatch:
+        """All steps, with the advantages that the critic in `params` gives them."""
+
+        def value(observation: jax.Array) -> jax.Array:
+            apply: Any = networks.value_network.apply
+            return apply(normalizer, params.value, observation)
+
+        advantage, target = compute_advantages(
+            rollout,
+            value(_flat(rollout.observation)).reshape(rollout.reward.shape),
+            value(rollout.final_observation),
+            discount(config, progress),
+            config.gae_lambda,
+        )
+        return Minibatch(
+            observation=rollout.observation,
+            raw_action=rollout.raw_action,
+            log_prob=rollout.log_prob,
+            advantage=advantage,
+            target=target,
+            weight=weight,
+        )
+
+    old: Any = jax.tree.map(_flat, prepare(unravel(start))) if ml_agents else None
+    if ml_agents:
+        old = prepare_steps(unravel(start), networks, normalizer, old)
+    loss: Any = ml_agents_loss if ml_agents else ppo_loss
+    rate: Any = learning_rate
+    if config.critic_steps:
+        acts = (state.update >= config.critic_updates).astype(jnp.float32)
+        moves = network_params(
+            jax.tree.map(lambda x: jnp.full_like(x, acts), state.policy),
+            jax.tree.map(jnp.ones_like, state.value),
+        )
+        rate = learning_rate * ravel_pytree(moves)[0]
+
+    def epoch(carry: Any, key: jax.Array) -> tuple[Any, Any]:
+        steps = old if ml_agents else prepare(unravel(carry[0]))
+
+        def minibatch(carry: Any, part: Any) -> tuple[Any, Any]:
+            params, moments = carry
+            chosen, loss_key = part
+            batch = jax.tree.map(
+                lambda x: x[chosen] if ml_agents else _flat(x[:, chosen]), steps
+            )
+            grads, losses = jax.grad(loss, has_aux=True)(
+                unravel(params),
+                networks,
+                normalizer,
+                batch,
+                weights,
+                loss_key,
+            )
+            grads = jax.lax.pmean(ravel_pytree(grads)[0], AXIS)
+            updates: Any
+            updates, moments = optimizer.update(grads, moments)
+            return (params - rate * updates, moments), losses
+
+        shuffle_key, loss_key = jax.random.split(key)
+        # Of steps, or of agents.
+        count = rollout.reward.size if ml_agents else rollout.reward.shape[1]
+        order = jax.random.permutation(shuffle_key, count)
+        parts = (
+            order.reshape(config.num_minibatches, -1),
+            jax.random.split(loss_key, config.num_minibatches),
+        )
+        return jax.lax.scan(minibatch, carry, parts)
+
+    (params, moments), losses = jax.lax.scan(
+        epoch, (start, state.optimizer), jax.random.split(key, config.num_epochs)
+    )
+    params = unravel(params)
+    learned = (normalizer, params.policy, params.value, moments)
+    return learned, jax.lax.pmean(jax.tree.map(jnp.mean, losses), AXIS)
+
+
+def num_learned(config: PPOConfig, num_agents: int) -> int:
+    """Of how many agents an update learns, absent ones included.
+
+    As many as are present on average, in whole minibatches.
+
+    Args:
+        config: of the training.
+        num_agents: of this device, absent ones included.
+    """
+    counts = config.env.agent_counts
+    share = (counts[0] + counts[-1]) / 2 / config.env.num_agents
+    size = math.ceil(share * num_agents / config.num_minibatches)
+    return min(size * config.num_minibatches, num_agents)
+
+
+def _flat(x: jax.Array) -> jax.Array:
+    """Time and agents as one dimension, so that layers multiply plain matrices."""
+    return x.reshape(-1, *x.shape[2:])

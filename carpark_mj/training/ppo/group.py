@@ -1,0 +1,176 @@
+"""Runs side by side: several seeds, and settings that are data, in one program.
+
+One small training leaves a GPU idle. The state of a group's runs has a leading
+dimension, over which the update is vectorised, and the devices share the runs. The lots
+of a run lie on one device, so that each is the run which that device alone would train.
+"""
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from carpark_mj.config import insert, is_data
+from carpark_mj.evaluation.keys import training_key
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.learner import Learner, without_input
+from carpark_mj.training.ppo.state import AXIS, TrainingState, state_specs
+from carpark_mj.training.settings import list_settings
+from carpark_mj.wrappers.brax import BraxParking
+
+RUNS = "runs"
+
+ENV = "env."
+# What the program does not read.
+OUTSIDE = (
+    "warm_start",
+    "preset",
+    "name",
+    "runs_dir",
+    "resume",
+    "seed",
+    "eval_episodes",
+    "video_seconds",
+)
+
+
+def program(config: PPOConfig) -> PPOConfig:
+    """What decides the program: runs for which it is equal can be a group.
+
+    It is hashable, but not the config of a run: settings that may differ in a group are
+    blank.
+    """
+    data = dict.fromkeys(_data(config), 0.0)
+    return insert(config, data | dict.fromkeys(OUTSIDE))
+
+
+def differing(configs: Sequence[PPOConfig]) -> dict[str, list[float]]:
+    """The values of settings in which runs differ; equal ones stay constants.
+
+    Args:
+        configs: of runs that can be a group.
+
+    Returns:
+        By path, a value for each run.
+    """
+    settings = [dict(list_settings(config)) for config in configs]
+    values = {path: [run[path] for run in settings] for path in _data(configs[0])}
+    return {path: found for path, found in values.items() if len(set(found)) > 1}
+
+
+def of_env(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the environment, by the paths of its own config."""
+    return {
+        path.removeprefix(ENV): value
+        for path, value in values.items()
+        if path.startswith(ENV)
+    }
+
+
+def make_learner(configs: Sequence[PPOConfig]) -> Learner:
+    """The learner of one run, or of several side by side.
+
+    Raises:
+        ValueError: impossible lots, or runs that cannot be a group.
+    """
+    return Learner(configs[0]) if len(configs) == 1 else GroupLearner(configs)
+
+
+class GroupLearner(Learner):
+    """The learner of several runs, whose states have a leading dimension (runs,)."""
+
+    def __init__(self, configs: Sequence[PPOConfig]) -> None:
+        """Sets up what the runs share.
+
+        Raises:
+            ValueError: they cannot be trained side by side.
+        """
+        _require_one_program(configs)
+        super().__init__(configs[0])
+        self._configs = tuple(configs)
+        count = len(configs)
+        self.data = {
+            path: jnp.array(values, jnp.float32)
+            for path, values in differing(configs).items()
+        }
+        devices = max(n for n in range(1, jax.device_count() + 1) if count % n == 0)
+        mesh = np.array(jax.devices()[:devices]).reshape(-1, 1)
+        self.mesh = Mesh(mesh, (RUNS, AXIS))
+        self.specs = jax.tree.map(
+            lambda _: PartitionSpec(RUNS),
+            state_specs(),
+            is_leaf=lambda x: isinstance(x, PartitionSpec),
+        )
+
+    @property
+    def configs(self) -> tuple[PPOConfig, ...]:
+        """Of every run."""
+        return self._configs
+
+    def build(self) -> TrainingState:
+        """The states before the first update (pure)."""
+        keys = [training_key(config.seed) for config in self.configs]
+        return jax.vmap(self.begin)(jnp.stack(keys))
+
+    def split(self, state: TrainingState) -> list[TrainingState]:
+        """The state of every run."""
+        runs = range(len(self.configs))
+        return [jax.tree.map(lambda x, k=k: x[k], state) for k in runs]
+
+    def join(self, states: Sequence[TrainingState]) -> TrainingState:
+        """The states of all runs, from that of every one."""
+        return jax.tree.map(lambda *parts: jnp.stack(parts), *states)
+
+    def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
+        """The jitted update of all runs; metrics are (runs,)."""
+        runs = PartitionSpec(RUNS)
+        update = jax.shard_map(
+            lambda state, data: jax.vmap(self._update_run)(
+                jax.tree.map(without_input, state), data
+            ),
+            mesh=self.mesh,
+            in_specs=(self.specs, runs),
+            out_specs=(self.specs, runs),
+            check_vma=False,
+        )
+        placed = (self._shardings(), NamedSharding(self.mesh, runs))
+        jitted = jax.jit(update, donate_argnums=0, out_shardings=placed)
+        return lambda state: jitted(state, self.data)
+
+    def _update_run(
+        self, state: TrainingState, data: Mapping[str, jax.Array]
+    ) -> tuple[TrainingState, dict[str, jax.Array]]:
+        """The update of one run with its values () of the settings that differ."""
+        run = copy.copy(self)
+        run.config = insert(self.config, data)
+        # `ParkingEnv.step` pays from its own config.
+        run.env = BraxParking(self.env.env.with_values(of_env(data)))
+        return run.update(state)
+
+
+def _require_one_program(configs: Sequence[PPOConfig]) -> None:
+    """Refuses what cannot be a group.
+
+    Raises:
+        ValueError: naming a setting that differs and must not, or too many hosts.
+    """
+    if jax.process_count() > 1:
+        raise ValueError(f"runs side by side need one host, not {jax.process_count()}")
+    first = dict(list_settings(program(configs[0])))
+    for config in configs[1:]:
+        other = dict(list_settings(program(config)))
+        for path in first | other:
+            a, b = first.get(path), other.get(path)
+            if a != b:
+                raise ValueError(
+                    f"runs side by side must have the same {path}, not {a!r} and {b!r}"
+                )
+
+
+def _data(config: PPOConfig) -> list[str]:
+    """Paths of the settings that may differ as data."""
+    return [path for path, _ in list_settings(config) if is_data(config, path)]

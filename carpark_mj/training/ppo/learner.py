@@ -1,0 +1,343 @@
+"""The PPO learner: builds the training state and the compiled update.
+
+Collecting is in `rollout`, learning in `epochs`; networks, statistics and GAE are of
+Brax. Lots are sharded over the devices, parameters replicated, gradients averaged.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax.flatten_util import ravel_pytree
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.keys import training_key
+from carpark_mj.observations import make_fields
+from carpark_mj.policy.networks import make_networks, make_policy, network_inputs
+from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.training.memory import num_bytes
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.curriculum import crash_scale, training_env
+from carpark_mj.training.ppo.epochs import learn, network_params
+from carpark_mj.training.ppo.families import make_families
+from carpark_mj.training.ppo.ml_agents import initial_weights
+from carpark_mj.training.ppo.rollout import Rollout, Totals, collect
+from carpark_mj.training.ppo.state import AXIS, TrainingState, no_steps, state_specs
+from carpark_mj.wrappers.brax import BraxParking
+
+
+def num_devices(config: PPOConfig) -> int:
+    """The most devices that lots and minibatches divide over evenly.
+
+    Raises:
+        ValueError: there are several hosts and they do not divide over all devices.
+    """
+
+    def fits(n: int) -> bool:
+        agents = config.num_lots // n * config.env.num_agents
+        return config.num_lots % n == 0 and agents % config.num_minibatches == 0
+
+    count = jax.device_count()
+    if jax.process_count() > 1 and not fits(count):
+        raise ValueError(
+            f"num_lots {config.num_lots}, and the agents of a device's lots over "
+            f"num_minibatches {config.num_minibatches}, must divide evenly over the "
+            f"{count} devices of {jax.process_count()} hosts"
+        )
+    return max(n for n in range(1, count + 1) if fits(n))
+
+
+def due_lots(update: jax.Array | int, num_lots: int, life: int) -> jax.Array:
+    """Lots (n,) int32 that are drawn anew after an update; they take turns.
+
+    n is the same for all updates, and the least for which no lot outlives `life`
+    updates.
+    """
+    count = -(-num_lots // life)
+    return (update * count + jnp.arange(count)) % num_lots
+
+
+class Learner:
+    """Builds the initial training state and the compiled update of a config."""
+
+    def __init__(self, config: PPOConfig) -> None:
+        """Sets up environment, networks, optimiser and mesh."""
+        self.config = config
+        self.env = BraxParking(ParkingEnv(training_env(config)))
+        self.renews_lots = config.lot_life > 0 and self.env.env.layout_config.is_random
+        lots, target = self.env.env.layout_config, config.curriculum.target_rate
+        self.families = make_families(target, lots)
+        fields, action = make_fields(config.env), self.env.env.action_spec
+        self.inputs = network_inputs(config.networks, fields)
+        self.networks = make_networks(config.networks, fields, action)
+        self.optimizer = optax.chain(
+            optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam()
+        )
+        devices = jax.devices()[: num_devices(config)]
+        self.mesh = Mesh(devices, (AXIS,))
+        self.specs = state_specs()
+
+    @property
+    def configs(self) -> tuple[PPOConfig, ...]:
+        """Of every run that is trained."""
+        return (self.config,)
+
+    def init(self) -> TrainingState:
+        """The state before the first update, laid out over the devices."""
+        return self.place(self._jitted_build())
+
+    def build(self) -> TrainingState:
+        """The state before the first update (pure)."""
+        return self.begin(training_key(self.config.seed))
+
+    @functools.cached_property
+    def _jitted_build(self) -> Callable[[], TrainingState]:
+        """`build`, traced once for the shapes and the state."""
+        return jax.jit(self.build)
+
+    def begin(self, key: jax.Array) -> TrainingState:
+        """The state of a run with this key before the first update (pure)."""
+        policy_key, value_key, env_key, key = jax.random.split(key, 4)
+        params = network_params(
+            self.networks.policy_network.init(policy_key),
+            self.networks.value_network.init(value_key),
+        )
+        if self.config.variant == "ml-agents":
+            key, weights_key = jax.random.split(key)
+            params = initial_weights(params, weights_key)
+        rates = self.families.init()
+        lots = self.families.draw(rates, env_key, self.config.num_lots)
+        state = TrainingState(
+            normalizer=init_normalizer(self.inputs),
+            policy=params.policy,
+            average=params.policy,
+            value=params.value,
+            optimizer=self.optimizer.init(ravel_pytree(params)[0]),
+            key=key,
+            update=jnp.zeros((), jnp.int32),
+            steps=no_steps(),
+            skipped=jnp.zeros((), jnp.int32),
+            seconds=jnp.zeros((), jnp.float32),
+            family_rates=rates,
+            env=self.env.reset(*lots),
+        )
+        return jax.tree.map(_strong, state)
+
+    def shapes(self) -> TrainingState:
+        """Shapes and dtypes of a training state."""
+        return jax.eval_shape(self._jitted_build)
+
+    def least_memory(self) -> int:
+        """Bytes that training needs at least, on all devices together.
+
+        State, gradients, an unroll's observations and the activations of a minibatch.
+        """
+        config, state = self.config, self.shapes()
+        layers = (*config.networks.policy_layers, *config.networks.value_layers)
+        unroll = config.steps_per_update * self.env.observation_size
+        activations = config.steps_per_update // config.num_minibatches * sum(layers)
+        numbers = len(self.configs) * (unroll + activations)
+        return num_bytes((state, state.policy, state.value)) + 4 * numbers
+
+    def place(self, state: TrainingState) -> TrainingState:
+        """Lays a state out over the devices: lots sharded, the rest replicated."""
+        return jax.tree.map(
+            lambda sharding, part: jax.tree.map(lambda x: _put(x, sharding), part),
+            self._shardings(),
+            state,
+        )
+
+    def gather(self, state: TrainingState) -> TrainingState:
+        """The whole state in this host's memory; all hosts must call it."""
+        if jax.process_count() > 1:
+            state = jax.jit(_without_keys, out_shardings=self._whole)(state)
+        return jax.device_get(state)
+
+    def split(self, state: TrainingState) -> list[TrainingState]:
+        """The state of every run."""
+        return [state]
+
+    def join(self, states: Sequence[TrainingState]) -> TrainingState:
+        """The state of all runs, from that of every one."""
+        (state,) = states
+        return state
+
+    def set_seconds(self, state: TrainingState, seconds: float) -> TrainingState:
+        """The state with what is used of the budget; nothing recompiles for it."""
+        used = np.full(state.seconds.shape, seconds, np.float32)
+        shardings: Any = self._shardings()
+        return dataclasses.replace(state, seconds=_put(used, shardings.seconds))
+
+    @property
+    def _whole(self) -> NamedSharding:
+        return NamedSharding(self.mesh, PartitionSpec())
+
+    def _shardings(self) -> TrainingState:
+        return jax.tree.map(
+            lambda spec: NamedSharding(self.mesh, spec),
+            self.specs,
+            is_leaf=lambda x: isinstance(x, PartitionSpec),
+        )
+
+    def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
+        """The jitted update `state -> (state, metrics)`; it consumes the state."""
+        update = jax.shard_map(
+            lambda state: self.update(jax.tree.map(without_input, state)),
+            mesh=self.mesh,
+            in_specs=(self.specs,),
+            out_specs=(self.specs, PartitionSpec()),
+            check_vma=False,
+        )
+        # Also given for the results; otherwise on one device JAX treats some lots as
+        # replicated and recompiles for the second update.
+        placed = (self._shardings(), self._whole)
+        return jax.jit(update, donate_argnums=0, out_shardings=placed)
+
+    def update(
+        self, state: TrainingState
+    ) -> tuple[TrainingState, dict[str, jax.Array]]:
+        """Collects one unroll of every agent and learns from it (one device's share).
+
+        An update with any non-finite number is discarded: parameters, optimiser and
+        statistics are unchanged and `skipped` counts it.
+        """
+        key, act_key, learn_key = jax.random.split(state.key, 3)
+        local = jax.lax.axis_index(AXIS)
+        env_state, rollout, totals = self._collect(
+            state, jax.random.fold_in(act_key, local)
+        )
+        rates = state.family_rates
+        if self.families.target:
+            member = env_state.info["member"]
+            rates = self.families.update(rates, member, totals, AXIS)
+        if self.renews_lots:
+            key, renew_key = jax.random.split(key)
+            renew_key = jax.random.fold_in(renew_key, local)
+            env_state = self._renew(env_state, state.update, rates, renew_key)
+        learned, losses = learn(
+            self.config,
+            self.networks,
+            self.inputs,
+            self.optimizer,
+            state,
+            rollout,
+            jax.random.fold_in(learn_key, local),
+        )
+        finite = jnp.stack(
+            [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((learned, losses))]
+        ).all()
+        old = (state.normalizer, state.policy, state.value, state.optimizer)
+        kept = jax.tree.map(lambda new, old: jnp.where(finite, new, old), learned, old)
+        normalizer, policy, value, optimizer = kept
+        weight = 1.0 / jnp.minimum(state.update + 1.0, self.config.averaged_updates)
+        average = jax.tree.map(
+            lambda mean, last: mean + jnp.where(finite, weight, 0.0) * (last - mean),
+            state.average,
+            policy,
+        )
+        num_steps = jnp.int32(self.config.steps_per_update)
+        if rollout.weight is not None:
+            num_steps = jax.lax.psum(rollout.weight.sum(dtype=jnp.int32), AXIS)
+        new = TrainingState(
+            normalizer=normalizer,
+            policy=policy,
+            average=average,
+            value=value,
+            optimizer=optimizer,
+            key=key,
+            update=state.update + 1,
+            steps=state.steps + num_steps,
+            skipped=state.skipped + ~finite,
+            seconds=state.seconds,
+            family_rates=rates,
+            env=env_state,
+        )
+        metrics = _episode_metrics(totals, num_steps) | {
+            f"loss/{name}": loss for name, loss in losses.items()
+        }
+        metrics["progress"] = self.config.progress(state.update, state.seconds)
+        metrics |= self.families.metrics(rates)
+        return jax.tree.map(_strong, (new, metrics | {"skipped": new.skipped}))
+
+    def _collect(
+        self, state: TrainingState, key: jax.Array
+    ) -> tuple[Any, Rollout, Totals]:
+        """Drives all agents for one unroll."""
+        actor: Any = make_policy(
+            self.networks, state.normalizer, state.policy, deterministic=False
+        )
+        env = self.env
+        if self.config.hitbox_scale != 1.0:  # data, so nothing recompiles at its end
+            aided = state.update < self.config.hitbox_updates
+            env = BraxParking(env.env, jnp.where(aided, self.config.hitbox_scale, 1.0))
+        progress = self.config.progress(state.update, state.seconds)
+        scales = {"crash": crash_scale(self.config.curriculum, progress)}
+        length = self.config.unroll_length
+        return collect(env, state.env, actor, key, length, scales)
+
+    def _renew(
+        self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array
+    ) -> Any:
+        """Draws the lots that are due anew (one device's share).
+
+        It happens between unrolls, where the value is bootstrapped anyway, so the
+        episodes cut off are truncated correctly. They do not count as episodes that
+        ended.
+        """
+        num_lots = self.config.num_lots // self.mesh.shape[AXIS]
+        lots = due_lots(update, num_lots, self.config.lot_life)
+        return self.env.renew(
+            env_state, lots, *self.families.draw(rates, key, len(lots))
+        )
+
+
+def _episode_metrics(totals: Totals, num_steps: jax.Array) -> dict[str, jax.Array]:
+    """Means over the episodes that ended in the unroll, and reward terms per step."""
+    totals = jax.tree.map(lambda x: jax.lax.psum(x.sum(), AXIS), totals)
+    episodes = totals.episodes
+    metrics = {"episodes": episodes}
+    for name, total in totals.episode_metrics.items():
+        metrics[f"episode/{name}"] = total / jnp.maximum(episodes, 1.0)
+    for name, total in totals.reward_terms.items():
+        metrics[f"reward/{name}"] = total / num_steps
+    return metrics
+
+
+def _put(x: Any, sharding: NamedSharding) -> jax.Array:
+    """Lays out an array that every host has whole."""
+    if jax.process_count() == 1:
+        return jax.device_put(x, sharding)
+    if _is_key(x):
+        return jax.random.wrap_key_data(_put(jax.random.key_data(x), sharding))
+    host = np.asarray(x)
+    return jax.make_array_from_callback(host.shape, sharding, lambda i: host[i])
+
+
+def _without_keys(state: TrainingState) -> TrainingState:
+    """Keys as the integers that checkpoints hold."""
+    return jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, state)
+
+
+def _is_key(x: Any) -> bool:
+    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
+
+
+def without_input(x: jax.Array) -> jax.Array:
+    """The array, as a constant if it is empty: JAX drops inputs that nothing uses.
+
+    XLA 0.11 crashes partitioning a `shard_map` with an empty input (a lot without discs
+    has some): on two devices, of `lambda x, empty: x + empty.sum(axis=1)`.
+    """
+    return x if x.size else jnp.zeros(x.shape, x.dtype)
+
+
+def _strong(x: Any) -> jax.Array:
+    """The array without weak type, so that the second update does not recompile."""
+    x = jnp.asarray(x)
+    return x if _is_key(x) else x.astype(x.dtype)

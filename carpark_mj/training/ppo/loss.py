@@ -1,0 +1,138 @@
+"""PPO's loss of a minibatch whose advantages are known.
+
+Devices that average their gradients learn as one that holds all their steps: means of a
+loss and moments of advantages are over the steps of all devices that count.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from brax.training.agents.ppo.losses import PPONetworkParams
+from brax.training.agents.ppo.networks import PPONetworks
+from flax import struct
+
+from carpark_mj.training.ppo.state import AXIS
+
+VALUE_COST = 0.25  # weight of the value's squared error, as in Brax
+
+
+@struct.dataclass
+class Minibatch:
+    """Steps (..., size) to learn from, see `Rollout`.
+
+    Attributes:
+        observation: what the agents saw.
+        raw_action: what they did.
+        log_prob: its log-density when it was drawn.
+        advantage: of the action.
+        target: of the critic.
+        weight: 0.0 of steps that no loss counts, those of absent agents and truncated
+            ones, else 1.0.
+    """
+
+    observation: jax.Array
+    raw_action: jax.Array
+    log_prob: jax.Array
+    advantage: jax.Array
+    target: jax.Array
+    weight: jax.Array
+
+
+@struct.dataclass
+class Weights:
+    """What of the loss changes during training; () each.
+
+    Attributes:
+        entropy_cost: weight of the entropy bonus.
+        clip: clipping of the probability ratio.
+    """
+
+    entropy_cost: jax.Array
+    clip: jax.Array
+
+
+def balance(weight: jax.Array) -> jax.Array:
+    """Weights (...) scaled to sum to 1, averaged over the devices; all 0 stay so.
+
+    The average over the devices of what is summed with them is a mean over all steps.
+    """
+    total = jax.lax.pmean(jnp.sum(weight), AXIS)
+    return weight / jnp.maximum(total, 1e-6)
+
+
+def standardize(advantage: jax.Array, weight: jax.Array, floor: float) -> jax.Array:
+    """Advantages (...) less their mean, over their deviation, both of all devices.
+
+    Args:
+        advantage: of the steps.
+        weight: (...) of `balance`.
+        floor: added to the standard deviation.
+    """
+    centred = advantage - jax.lax.pmean(jnp.sum(weight * advantage), AXIS)
+    variance = jax.lax.pmean(jnp.sum(weight * jnp.square(centred)), AXIS)
+    return centred / (jnp.sqrt(variance) + floor)
+
+
+def ppo_loss(
+    params: PPONetworkParams,
+    networks: PPONetworks,
+    normalizer: Any,
+    batch: Minibatch,
+    weights: Weights,
+    key: jax.Array,
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """The clipped loss, and what of it is reported; to be averaged over the devices.
+
+    It is that of `brax.training.agents.ppo.losses.compute_ppo_loss`, which computes
+    values and advantages of the minibatch itself, for every minibatch. It differs where
+    steps are truncated, which Brax counts with an advantage of 0 before it normalises,
+    and over several devices, which normalise and average in Brax each for itself.
+
+    Args:
+        params: actor and critic.
+        networks: that take them.
+        normalizer: running statistics of the observations.
+        batch: this device's part of the minibatch; its advantages are normalised here.
+        weights: of the terms.
+        key: for the entropy, which is sampled.
+    """
+    distribution: Any = networks.parametric_action_distribution
+    logits = networks.policy_network.apply(normalizer, params.policy, batch.observation)
+    value = networks.value_network.apply(normalizer, params.value, batch.observation)
+
+    weight = balance(batch.weight)
+    advantage = standardize(batch.advantage, weight, floor=1e-8)
+
+    def mean(x: jax.Array) -> jax.Array:
+        return jnp.sum(weight * x)
+
+    log_ratio = distribution.log_prob(logits, batch.raw_action) - batch.log_prob
+    ratio = jnp.exp(log_ratio)
+    clipped = jnp.clip(ratio, 1.0 - weights.clip, 1.0 + weights.clip)
+    policy_loss = -mean(jnp.minimum(ratio * advantage, clipped * advantage))
+    v_loss = VALUE_COST * mean(jnp.square(batch.target - value))
+    entropy_loss = -weights.entropy_cost * mean(distribution.entropy(logits, key))
+    total_loss = policy_loss + v_loss + entropy_loss
+
+    return total_loss, {
+        "total_loss": total_loss,
+        "policy_loss": policy_loss,
+        "v_loss": v_loss,
+        "entropy_loss": entropy_loss,
+        # The estimate of KL(old || new) of least variance, http://joschu.net/blog/kl-approx.html
+        "kl_mean": mean(ratio - 1.0 - log_ratio),
+        **describe_policy(distribution.create_dist(logits)),
+    }
+
+
+def describe_policy(drawn_from: Any) -> dict[str, jax.Array]:
+    """Spread and location of the distribution that actions are drawn from."""
+    return {
+        "policy_dist_mean_std": drawn_from.scale.mean(),
+        "policy_dist_max_std": drawn_from.scale.max(),
+        "policy_dist_min_std": drawn_from.scale.min(),
+        "policy_dist_mean_loc": drawn_from.loc.mean(),
+        "policy_dist_max_loc": drawn_from.loc.max(),
+        "policy_dist_min_loc": drawn_from.loc.min(),
+    }

@@ -1,0 +1,200 @@
+"""Training of PPO: the loop over updates, with its log and checkpoints."""
+
+import contextlib
+import dataclasses
+import time
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import Literal
+
+import jax
+import numpy as np
+
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.training import hosts
+from carpark_mj.training.loop import Loop
+from carpark_mj.training.metrics_log import MetricsLog
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.forecast import MEASURED_SECONDS, announcement, estimate
+from carpark_mj.training.ppo.learner import Learner
+from carpark_mj.training.ppo.state import TrainingState, count_steps
+from carpark_mj.training.ppo.warm_start import warm_start
+from carpark_mj.training.run_folder import read_header
+from carpark_mj.training.settings import list_settings
+
+MAX_SKIPPED = 5  # updates in a row that may come out non-finite
+
+# Whether a run came to its end, was stopped before, or kept coming out non-finite.
+Outcome = Literal["done", "stopped", "diverged"]
+
+
+def print_settings(learner: Learner, folders: Sequence[Path]) -> None:
+    """Prints every setting, one a line; where runs differ, the values of all."""
+    device = jax.devices()[0]
+    where = f"{learner.mesh.size} x {device.device_kind}"
+    if jax.process_count() > 1:
+        where += f" of {jax.process_count()} hosts"
+    print(f"run {', '.join(map(str, folders))} on {where}")
+    for settings in zip(*map(list_settings, learner.configs), strict=True):
+        values = [str(value) for _, value in settings]
+        text = values[0] if len({*values}) == 1 else ", ".join(values)
+        print(f"  {settings[0][0]} = {text}")
+
+
+def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
+    """The newest checkpoints of the runs, or a fresh state if they have none.
+
+    Raises:
+        CheckpointError: some are damaged, or the runs share no step; see `warm_start`.
+        ValueError: see `warm_start`.
+    """
+    if not any(runs.checkpoint_files(folder) for folder in folders):
+        state = learner.init()
+        if not any(config.warm_start for config in learner.configs):
+            return state
+        states = zip(learner.configs, learner.split(learner.gather(state)), strict=True)
+        begun = [warm_start(c, s) if c.warm_start else s for c, s in states]
+        return learner.place(learner.join(begun))
+    template = vars(jax.eval_shape(lambda x: learner.split(x)[0], learner.shapes()))
+    found: list[TrainingState] = []
+    for path in _checkpoints_of_one_step(folders):
+        read_header(path, PPOConfig)
+        found.append(TrainingState(**checkpoints.load(path, template)))
+    return learner.place(learner.join(found))
+
+
+def _checkpoints_of_one_step(folders: Sequence[Path]) -> list[Path]:
+    """The newest ones that all runs have: a kill may come between two of a step."""
+    for folder in folders:
+        if not runs.checkpoint_files(folder):
+            raise CheckpointError(
+                f"{folder} has no checkpoint yet, where another run has one: resume "
+                "them one by one"
+            )
+    newest = [runs.latest_checkpoint(folder) for folder in folders]
+    name = min(path.name for path in newest)
+    paths = [path.with_name(name) for path in newest]
+    for folder, path in zip(folders, paths, strict=True):
+        if not path.exists():
+            raise CheckpointError(
+                f"{folder} has no checkpoint {name}, where another run stands: "
+                "resume them one by one"
+            )
+    return paths
+
+
+def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
+    """Writes a checkpoint of the state, which is in the host's memory."""
+    update = int(state.update)
+    header = {
+        "config": dataclasses.asdict(config),
+        "update": update,
+        "env_steps": int(count_steps(state)[0]),
+    }
+    # Its name counts absent agents too: it is the same for runs side by side.
+    simulated = update * config.steps_per_update
+    return runs.save_checkpoint(folder, vars(state), header, simulated)
+
+
+def train(
+    learner: Learner,
+    folders: Sequence[Path],
+    clock: Callable[[], float] = time.monotonic,
+) -> list[Outcome]:
+    """Trains until done, stopped or at the time limit; returns each run's outcome.
+
+    Runs are done after `num_steps`, or after `minutes` if that is sooner. One that
+    diverges writes nothing any more; its checkpoints are from before.
+
+    Args:
+        learner: of the runs.
+        folders: of the runs; only host 0 writes to them.
+        clock: gives the time [s].
+
+    Raises:
+        CheckpointError: a checkpoint to resume from is damaged.
+    """
+    config, count = learner.config, len(folders)
+    print_settings(learner, folders)
+    loop = Loop("PPO", config, clock)
+    state = load_or_init(learner, folders)
+    update = learner.compile()
+    first = done = int(np.ravel(state.update)[0])
+    used = float(np.ravel(state.seconds)[0])  # by the runs that these continue
+    print(announcement(config, done, used))
+    print("compiling ...", flush=True)
+    skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
+    diverged = np.zeros(count, bool)
+    begun, at_begin = 0.0, count_steps(state)
+    leaving = told = False
+    progress = float(config.progress(done, used))
+    with loop.over(1.0, progress), _metrics(folders, done) as log:
+        while progress < 1.0 and not leaving and not diverged.all():
+            state, metrics = update(state)
+            # By name (runs,).
+            values = {name: np.ravel(x) for name, x in jax.device_get(metrics).items()}
+            done += 1
+            due = loop.checkpoint_is_due
+            seconds, leaving, due = hosts.largest(
+                used + loop.seconds, loop.stopping, due
+            )
+            progress = float(config.progress(done, seconds))
+            if config.minutes:
+                state = learner.set_seconds(state, seconds)
+            steps, updates = count_steps(state), done - first - 1
+            if not updates:  # the first update includes compilation
+                begun, at_begin = loop.seconds, steps
+            elapsed = max(loop.seconds - begun, 1e-9)
+            rates = (steps - at_begin) / elapsed
+            in_a_row = np.where(values["skipped"] > skipped, in_a_row + 1, 0)
+            skipped = values["skipped"]
+            diverged |= in_a_row >= MAX_SKIPPED
+            going = [k for k in range(count) if not diverged[k]]
+            for k in going:
+                row = {
+                    "update": done,
+                    "env_steps": int(steps[k]),
+                    "seconds": loop.seconds,
+                    "steps_per_second": float(rates[k]),
+                }
+                log(k, row | {name: float(x[k]) for name, x in values.items()})
+            if not told and updates and elapsed > MEASURED_SECONDS:
+                simulated = updates * config.steps_per_update / elapsed
+                loop.say(estimate(config, done, seconds, simulated))
+                told = True
+            pace = f"{rates.sum():>7,.0f} steps/s  " if updates else ""
+            loop.show(
+                progress,
+                f"{steps.sum() / 1e6:.2f} M  {pace}"
+                f"[green]parked {values['episode/parked'].mean():5.1%}[/]  "
+                f"[red]crashed {values['episode/crashed'].mean():5.1%}[/]",
+            )
+            if config.checkpoint_updates:
+                due = done % config.checkpoint_updates == 0
+            if due or leaving or progress >= 1.0:
+                states = learner.split(learner.gather(state))
+                hosts.on_first(
+                    lambda states=states, going=going: [
+                        save(folders[k], learner.configs[k], states[k]) for k in going
+                    ]
+                )
+                loop.saved()
+    ended: Outcome = "done" if progress >= 1.0 else "stopped"
+    return ["diverged" if failed else ended for failed in diverged]
+
+
+@contextlib.contextmanager
+def _metrics(
+    folders: Sequence[Path], done: int
+) -> Generator[Callable[[int, dict[str, float]], None]]:
+    """What writes a row of metrics of the k-th run; on host 0 alone."""
+    if not hosts.is_first():
+        yield lambda k, row: None
+        return
+    with contextlib.ExitStack() as stack:
+        logs = [
+            stack.enter_context(contextlib.closing(MetricsLog(folder, done)))
+            for folder in folders
+        ]
+        yield lambda k, row: logs[k].write(row)

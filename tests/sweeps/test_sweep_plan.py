@@ -1,0 +1,138 @@
+"""What a sweep is asked for: its axes, its runs, its groups, and what it refuses."""
+
+import pytest
+from helpers.programs import exit_code
+
+from carpark_mj.programs import sweep
+from carpark_mj.sweeps import manage
+from carpark_mj.sweeps.axes import Axis, read_axis
+from carpark_mj.sweeps.groups import groups
+from carpark_mj.sweeps.plan import Plan, checked_runs, runs, settings_of
+from carpark_mj.training.ppo.presets import PRESETS
+
+
+def axes(*texts, base="tanner-fixed"):
+    return tuple(read_axis(text, PRESETS[base]) for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "values"),
+    [
+        ("num_agents=1..3", "env.num_agents", ["1", "2", "3"]),
+        ("env.num_agents=1,5..6", "env.num_agents", ["1", "5", "6"]),
+        ("num-lots=-1..0", "num_lots", ["-1", "0"]),
+        ("discount=0.99, 0.995", "discount", ["0.99", "0.995"]),
+        ("layout=../a.json", "env.layout", ["../a.json"]),
+        ("scheme=L,L,S;G,G,A", "env.giving_way.scheme", ["L,L,S", "G,G,A"]),
+        ("scheme=L,L,S;", "env.giving_way.scheme", ["L,L,S"]),
+    ],
+)
+def test_an_axis_is_a_field_and_its_values(text, field, values):
+    axis = read_axis(text, PRESETS["tanner-dynamic"])
+    assert axis == Axis((field,), tuple((value,) for value in values))
+
+
+def test_every_combination_has_every_seed_and_its_own_folder():
+    plan = Plan("tanner-fixed", axes("num_agents=1..3", "clip=0.1,0.2"), 2, seed=5)
+    found = checked_runs(plan)
+    assert len(plan) == len(found) == 3 * 2 * 2
+    configs = [settings_of(run) for run in found]
+    assert {(c.env.num_agents, c.clip, c.seed) for c in configs} == {
+        (n, clip, seed) for n in (1, 2, 3) for clip in (0.1, 0.2) for seed in (5, 6)
+    }
+    assert len({run.name for run in found}) == len(found)
+    assert found[0].name == "num_agents=1,clip=0.1,seed=5"
+
+
+def test_settings_of_one_value_are_in_no_name():
+    plan = Plan("tanner-fixed", axes("num_agents=2", "smoothness.by_speed=1"))
+    [run] = checked_runs(plan)
+    assert run.name == "seed=0"
+    assert settings_of(run).env.num_agents == 2
+    assert settings_of(run).env.reward.extra["smoothness.by_speed"] == 1.0
+
+
+def test_settings_can_change_together():
+    fields = ("env.giving_way.scheme", "env.observation.global_information")
+    axis = Axis(fields, (("L,L,S", "false"), ("G,G,A", "true")))
+    first, second = checked_runs(Plan("tanner-dynamic", (axis,)))
+    assert not settings_of(first).env.observation.global_information
+    assert settings_of(second).env.giving_way.scheme == "G,G,A"
+
+
+def test_runs_render_no_video_unless_they_are_asked_to():
+    [run] = runs(Plan("cpu", ()))
+    [other] = runs(Plan("cpu", axes("video_seconds=3")))
+    assert settings_of(run).video_seconds == 0
+    assert settings_of(other).video_seconds == 3
+
+
+def test_groups_differ_in_seeds_and_data_only():
+    swept = axes("num_agents=1,2", "discount=0.9,0.95,0.99")
+    found = groups(checked_runs(Plan("tanner-fixed", swept, repeats=2)), 4)
+    assert sorted(map(len, found)) == [2, 2, 4, 4]
+    for group in found:
+        assert len({settings_of(run).env.num_agents for run in group}) == 1
+
+
+def test_runs_that_end_by_the_clock_train_alone():
+    found = groups(checked_runs(Plan("cpu", (), repeats=3)), 8)
+    assert list(map(len, found)) == [1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (
+            ["--set", "num_agent=1"],
+            "unknown setting 'num_agent'; perhaps you meant num",
+        ),
+        (["--set", "bays=1"], "unknown setting 'bays'"),
+        (["--set", "tyres"], "set takes FIELD=VALUES, for example num_agents=1..7"),
+        (["--set", "num_agents=7..1"], "range '7..1' of env.num_agents is empty"),
+        (
+            ["--set", "num_agents=1..x"],
+            "range '1..x' of env.num_agents needs two whole",
+        ),
+        (["--set", "num_agents=0..99999"], "has more than 10000 values"),
+        (["--set", "num_agents="], "env.num_agents has an empty value"),
+        (["--set", "num_agents=1,1"], "env.num_agents has a value twice"),
+        (["--set", "clip=0.1,0.10"], "clip=0.10: the same settings as cpu, clip=0.1"),
+        (["--set", "clip=0.1", "clip=0.2"], "clip is given twice"),
+        (["--set", "num_agents=1,0"], "num_agents=0: num_agents must be at least 1"),
+        (["--set", "num_agents=two"], "cpu: --env.num-agents: invalid literal"),
+        (
+            ["--set", "num_agents=2,21"],
+            "num_agents=21: num_parked_cars must be at most",
+        ),
+        (["--set", "discount=0.9,1.5"], "discount=1.5: discount must lie in [0, 1]"),
+        (["--set", "own_car=maybe"], "env.observation.own_car must be true or false"),
+        (["--set", "clip=0.1 --num-steps 3,0.2"], "clip takes values, not flags"),
+        (["--set", "clip=-h,0.2"], "clip takes values, not flags"),
+        (["--set", "num_agents=-1,2"], "num_agents must be at least 1, not -1"),
+        (["--set", "seed=1..3"], "seed is not swept: give --repeats"),
+        (["--set", "resume=x"], "resume is the sweep's to set"),
+        (["--repeats", "0"], "repeats must be at least 1, not 0"),
+        (["--seed", "4294967295", "--repeats", "2"], "seed must lie in"),
+        (["--name", "a/b"], "name must be the name of one folder"),
+        (["--jobs", "-1"], "jobs must be at least 0, not -1"),
+        (["--slurm.time", "0"], "time must be at least 1, not 0"),
+        (["--cluster", "moon"], "moon"),
+    ],
+)
+def test_a_bad_sweep_is_one_sentence_before_anything_runs(
+    flags, said, capsys, monkeypatch, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(manage, "run_sweep", pytest.fail)
+    assert exit_code(sweep, ["--base", "cpu", *flags]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("program: ")
+    assert said in told
+    assert told.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_base_is_refused_with_the_known_ones(capsys):
+    assert exit_code(sweep, ["--base", "gpus"]) == 2
+    assert "unknown base 'gpus'; choose from ['cpu', 'gpu'" in capsys.readouterr().err

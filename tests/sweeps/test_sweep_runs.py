@@ -1,0 +1,267 @@
+"""Sweeps whose trainer is a stub: what is run, when, where, and what is written."""
+
+import csv
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import submitit
+from helpers.sweeping import plan_runs, train, train_badly, train_slowly
+from submitit.core.submission import process_job
+from submitit.helpers import DelayedSubmission
+from submitit.slurm.test_slurm import mocked_slurm
+
+from carpark_mj.sweeps import executor, slurm
+from carpark_mj.sweeps.environment import visible_gpus
+from carpark_mj.sweeps.executor import make_executor
+from carpark_mj.sweeps.manage import Where, run_sweep
+from carpark_mj.sweeps.outcomes import open_sweep, read_outcome
+from carpark_mj.sweeps.slurm import SlurmConfig, submit_all
+from carpark_mj.sweeps.work import Work
+
+HERE = Where("debug")
+TESTS = Path(__file__).parents[1]
+
+
+def table(folder: Path) -> list[dict[str, str]]:
+    with (folder / "sweep.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def calls(folder: Path) -> list[str]:
+    return (folder / "calls.txt").read_text().split()
+
+
+def test_the_table_has_a_row_per_run_with_settings_metrics_seed_and_versions(tmp_path):
+    plan, runs = plan_runs("num_agents=1,2", "num_steps=100", repeats=2)
+    assert run_sweep(tmp_path, plan, runs, HERE, train) == {"done": 4}
+    rows = table(tmp_path)
+    assert [row["run"] for row in rows] == [run.name for run in runs]
+    assert [row["env.num_agents"] for row in rows] == ["1", "1", "2", "2"]
+    assert [row["seed"] for row in rows] == ["0", "1", "0", "1"]
+    assert [row["length"] for row in rows] == ["10.0", "10.0", "20.0", "20.0"]
+    for row in rows:
+        assert row["status"] == "done"
+        assert row["num_steps"] == "100"
+        assert row["parked"] == "0.5"
+        assert row["version_jax"]
+
+
+def test_what_is_done_is_not_run_again_and_new_values_are_added(tmp_path):
+    plan, runs = plan_runs("num_agents=1,2")
+    run_sweep(tmp_path, plan, runs, HERE, train)
+    before = calls(tmp_path)
+    run_sweep(tmp_path, plan, runs, HERE, train)
+    assert calls(tmp_path) == before
+    plan, runs = plan_runs("num_agents=1..3", repeats=2)
+    run_sweep(tmp_path, plan, runs, HERE, train)
+    assert sorted(calls(tmp_path)) == sorted(run.name for run in runs)
+
+
+def test_a_folder_keeps_to_one_kind_of_runs(tmp_path):
+    plan, runs = plan_runs("num_agents=1,2")
+    run_sweep(tmp_path, plan, runs, HERE, train)
+    other, runs = plan_runs("num_agents=1,2", "num_steps=5")
+    with pytest.raises(ValueError, match="another sweep, with another fixed"):
+        run_sweep(tmp_path, other, runs, HERE, train)
+
+
+def test_rows_of_earlier_values_and_seeds_stay_in_the_table(tmp_path):
+    for text, repeats in (("num_agents=1,2", 2), ("num_agents=2,3", 1)):
+        plan, runs = plan_runs(text, repeats=repeats)
+        run_sweep(tmp_path, plan, runs, HERE, train)
+    rows = table(tmp_path)
+    ran = sorted((row["env.num_agents"], row["seed"], row["length"]) for row in rows)
+    lengths = (("1", "10.0"), ("1", "10.0"), ("2", "20.0"), ("2", "20.0"))
+    seeds = ("0", "1", "0", "1")
+    expected = [(n, seed, x) for (n, x), seed in zip(lengths, seeds, strict=True)]
+    assert ran == [*expected, ("3", "0", "30.0")]
+    assert {row["status"] for row in rows} == {"done"}
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]"])
+def test_a_damaged_sweep_is_refused_in_a_sentence(text, tmp_path):
+    plan, _ = plan_runs("num_agents=1,2")
+    (tmp_path / "sweep.json").write_text(text)
+    with pytest.raises(ValueError, match=r"sweep\.json is (damaged|no JSON object)"):
+        open_sweep(tmp_path, plan, False)
+
+
+def test_failed_and_killed_jobs_stop_no_others_and_are_tried_again(tmp_path):
+    plan, runs = plan_runs("num_agents=1..4")
+    where = Where("local", jobs=2)
+    counts = run_sweep(tmp_path, plan, runs, where, train_badly)
+    assert counts == {"done": 2, "failed": 2}
+    one, two, three, four = table(tmp_path)
+    assert (one["status"], four["status"]) == ("done", "done")
+    assert two["error"] == "two are a crowd"
+    assert three["error"].startswith("its process ended: ")
+    assert run_sweep(tmp_path, plan, runs, where, train_badly)["done"] == 3
+    assert sorted(calls(tmp_path)) == [runs[0].name, runs[2].name, runs[3].name]
+
+
+SWEEP = """
+import sys
+from pathlib import Path
+from helpers.sweeping import plan_runs, train_slowly
+from carpark_mj.sweeps.manage import Where, run_sweep
+plan, runs = plan_runs("num_agents=1..3")
+run_sweep(Path(sys.argv[1]), plan, runs, Where("debug"), train_slowly)
+"""
+
+
+def test_a_killed_sweep_goes_on_where_it_was(tmp_path):
+    paths = os.pathsep.join([*sys.path, str(TESTS)])
+    process = subprocess.Popen(
+        [sys.executable, "-c", SWEEP, str(tmp_path)],
+        env=os.environ | {"PYTHONPATH": paths},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    plan, runs = plan_runs("num_agents=1..3")
+    steps = [tmp_path / "runs" / run.name / "steps.txt" for run in runs]
+    while process.poll() is None and not steps[1].exists():
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not steps[2].exists()  # it was killed in the middle of the second
+    assert read_outcome(tmp_path, runs[0]).status == "done"
+    assert read_outcome(tmp_path, runs[1]).status == "waiting"
+    kept = steps[1].read_text()
+    assert run_sweep(tmp_path, plan, runs, HERE, train_slowly) == {"done": 3}
+    assert calls(tmp_path) == [run.name for run in runs]  # each once
+    assert [path.read_text() for path in steps] == ["0123456789"] * 3
+    assert "0123456789".startswith(kept)
+
+
+def test_a_group_s_failure_leaves_the_runs_that_were_done(tmp_path):
+    plan, runs = plan_runs("num_agents=1..2")
+    open_sweep(tmp_path, plan, False)
+    Work(tmp_path, tuple(runs), train_badly, own_process=False)()
+    assert [read_outcome(tmp_path, run).status for run in runs] == ["done", "failed"]
+
+
+def slurm_jobs(folder: Path, repeats=2) -> list[tuple[Work, submitit.Job]]:
+    """Jobs of two runs and what Slurm is asked for."""
+    plan, runs = plan_runs("num_agents=1", repeats=repeats)
+    open_sweep(folder, plan, False)
+    asked = SlurmConfig(
+        partition="gpu",
+        qos="long",
+        constraint="h200",
+        time=90,
+        requeues=7,
+        gpus_per_node=2,
+        cpus_per_task=6,
+        mem_gb=8,
+    )
+    submitter = make_executor("slurm", folder / "logs", 1, asked, "agents")
+    works = [Work(folder, (run,), train, own_process=False) for run in runs]
+    return submit_all(submitter, works)
+
+
+def test_a_submission_to_slurm_asks_for_what_it_was_told_and_runs(tmp_path):
+    with mocked_slurm() as mocked:
+        jobs = slurm_jobs(tmp_path)
+        [script] = (tmp_path / "logs").glob("*_submission.sh")
+        lines = script.read_text().splitlines()
+        for flag in (
+            "partition=gpu",
+            "qos=long",
+            "constraint=h200",
+            "time=90",
+            "gpus-per-node=2",
+            "cpus-per-task=6",
+            "mem=8GB",
+            "job-name=agents",
+            "array=0-1%1",
+        ):
+            assert f"#SBATCH --{flag}" in lines
+        assert not any("account" in line for line in lines)
+        for _, job in jobs:
+            delayed = DelayedSubmission.load(job.paths.submitted_pickle)
+            assert delayed._timeout_countdown == 7
+            with mocked.job_context(job.job_id):
+                process_job(job.paths.folder)
+        for work, _ in jobs:
+            assert read_outcome(tmp_path, work.runs[0]).status == "done"
+
+
+def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypatch):
+    with mocked_slurm():
+        ids = [job.job_id for _, job in slurm_jobs(tmp_path)]
+        monkeypatch.setattr(slurm, "queued_jobs", lambda: {ids[0], "999"})
+        again = slurm_jobs(tmp_path, repeats=3)
+    assert again[0][1].job_id == ids[0]
+    assert [len(work.runs) for work, _ in again] == [1, 1, 1]
+    names = [work.runs[0].name for work, _ in again]
+    assert sorted(names) == ["seed=0", "seed=1", "seed=2"]
+    assert not {job.job_id for _, job in again[1:]} & {*ids}
+    known = json.loads((tmp_path / "logs" / "jobs.json").read_text())
+    assert sorted(known) == sorted(names)
+
+
+def test_what_slurm_refuses_is_said_in_one_sentence(tmp_path, monkeypatch):
+    for name, text in (
+        ("srun", ""),
+        ("sbatch", "echo 'sbatch: no such gres' >&2\nexit 1"),
+    ):
+        (tmp_path / name).write_text(f"#!/bin/sh\n{text}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    with pytest.raises(
+        ValueError, match=r"^Slurm refuses the jobs: sbatch: no such gres$"
+    ):
+        slurm_jobs(tmp_path)
+
+
+def test_without_slurm_there_is_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ValueError, match="cluster slurm is not available"):
+        make_executor("slurm", tmp_path, 0, SlurmConfig(), "a")
+
+
+@pytest.mark.parametrize(
+    ("visible", "jobs", "seen"),
+    [
+        ("0,1", 2, [("0",), ("1",)]),
+        ("0,1", 1, [("0", "1")]),
+        ("3", 2, [("3",), ("3",)]),
+        ("", 1, [("",)]),
+    ],
+)
+def test_local_jobs_share_the_gpus(visible, jobs, seen, monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    assert [visible_gpus(slot, jobs) for slot in range(jobs)] == seen
+
+
+def test_a_job_sees_the_gpus_it_was_given(tmp_path, monkeypatch):
+    plan, runs = plan_runs()
+    open_sweep(tmp_path, plan, False)
+    seen = []
+
+    def look(runs, sweep, stochastic, tell):
+        seen.append(os.environ.get("CUDA_VISIBLE_DEVICES"))
+
+    work = Work(tmp_path, tuple(runs), look, own_process=False)
+    for gpus in (("1",), (), None):
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")  # as submitit leaves it
+        dataclasses.replace(work, gpus=gpus)()
+    assert seen == ["1", None, ""]
+
+
+def test_a_job_that_leaves_the_queue_without_a_result_has_failed(tmp_path, monkeypatch):
+    plan, runs = plan_runs("num_agents=1,2")
+    answers = iter([None, {"12_0", "12_1"}, {"12_1"}, set()])
+    monkeypatch.setattr(executor, "queued_jobs", lambda: next(answers))
+    monkeypatch.setitem(executor.POLL_SECONDS, "slurm", 0.0)
+    with mocked_slurm():
+        counts = run_sweep(tmp_path, plan, runs, Where("slurm"), train)
+    assert counts == {"failed": 2}
+    assert "left the queue without a result" in table(tmp_path)[0]["error"]

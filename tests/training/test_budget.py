@@ -1,0 +1,157 @@
+"""A training of some minutes: its end, its schedules, resumed runs, what it says."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.training.metrics_log import read_metrics
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.curriculum import schedule
+from carpark_mj.training.ppo.forecast import announcement, estimate
+from carpark_mj.training.ppo.learner import Learner
+from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.state import TrainingState, no_steps
+from carpark_mj.training.ppo.train import train
+
+CONFIG = PPOConfig(
+    num_steps=64 * 100,  # 100 updates
+    minutes=1.0,
+    num_lots=2,
+    num_minibatches=1,
+    unroll_length=16,
+    eval_episodes=0,
+    video_seconds=0.0,
+    env=EnvConfig(num_agents=2, physics="bicycle"),
+)
+PRESENT = 40  # of the 64 steps simulated for an update; the others are of absent agents
+
+
+class SlowLearner(Learner):
+    """Its updates learn nothing but take time, on a clock of its own."""
+
+    def __init__(self, config: PPOConfig, update_seconds: float) -> None:
+        super().__init__(config)
+        self.now = 1e6  # clocks do not begin at 0
+        self._update_seconds = update_seconds
+
+    def build(self) -> TrainingState:
+        zero = jnp.zeros(())
+        none = {name: zero for name in TrainingState.__dataclass_fields__}
+        lots = jnp.zeros(self.config.num_lots)
+        count, steps = jnp.zeros((), jnp.int32), no_steps()
+        return TrainingState(**none | {"update": count, "steps": steps, "env": lots})
+
+    def compile(self):
+        def update(state):
+            self.now += self._update_seconds
+            metrics = {
+                "progress": self.config.progress(state.update, state.seconds),
+                "skipped": 0,
+                "episode/parked": 0.0,
+                "episode/crashed": 0.0,
+            }
+            steps = state.steps + PRESENT
+            return state.replace(update=state.update + 1, steps=steps), metrics
+
+        return update
+
+
+def trained(folder, update_seconds, **changes):
+    """Whether training was done, and the metrics of all its updates."""
+    config = dataclasses.replace(CONFIG, **changes)
+    learner = SlowLearner(config, update_seconds)
+    (outcome,) = train(learner, [folder], lambda: learner.now)
+    return outcome == "done", read_metrics(folder)
+
+
+def test_a_slow_machine_stops_in_time_at_the_end_of_the_schedules(tmp_path):
+    done, rows = trained(tmp_path, 0.7)
+    progress = np.array([row["progress"] for row in rows])
+    assert done
+    assert len(rows) == 86  # of 0.7 s in 60 s
+    assert progress[0] == 0.0
+    assert (np.diff(progress) > 0).all()
+    # The last update has the rate of the end but for one step of the schedule.
+    rate = schedule(1e-3, 1e-4, progress[-1])
+    assert 1e-4 < rate < 1e-4 + 0.9e-3 * 0.7 / 60 + 1e-9
+
+
+def test_a_fast_machine_makes_all_steps_on_the_schedules_of_steps(tmp_path):
+    done, rows = trained(tmp_path, 0.1)
+    assert done
+    np.testing.assert_allclose(
+        [row["progress"] for row in rows], np.arange(100) / 100, atol=1e-7
+    )
+
+
+def test_without_minutes_time_does_not_count(tmp_path):
+    done, rows = trained(tmp_path, 1e4, minutes=0.0)
+    assert done
+    assert [row["progress"] for row in rows] == [
+        float(np.float32(update) / np.float32(100)) for update in range(100)
+    ]
+
+
+def test_a_resumed_run_has_the_minutes_that_are_left(tmp_path):
+    done, rows = trained(tmp_path, 7.0, time_limit=0.5)
+    assert not done
+    assert len(rows) == 5  # of 7 s in 30 s
+    done, rows = trained(tmp_path, 7.0)
+    assert done
+    assert len(rows) == 9  # of 7 s in 60 s
+    np.testing.assert_allclose(
+        [row["progress"] for row in rows], np.arange(9) * 7 / 60, rtol=1e-6
+    )
+    done, again = trained(tmp_path, 7.0)  # nothing is left
+    assert done
+    assert again == rows
+
+
+def test_steps_of_absent_agents_are_in_the_budget_but_not_in_what_is_reported(
+    tmp_path, capsys
+):
+    env = dataclasses.replace(CONFIG.env, min_agents=1)
+    trained(tmp_path, 0.7, time_limit=0.5, env=env)
+    done, rows = trained(tmp_path, 0.7, env=env)  # resumed: the count goes on
+    assert done
+    made = PRESENT * np.arange(1, len(rows) + 1)
+    assert [row["env_steps"] for row in rows] == made.tolist()
+    assert rows[-1]["steps_per_second"] == pytest.approx(PRESENT / 0.7, rel=1e-5)
+    header = checkpoints.read_header(runs.latest_checkpoint(tmp_path))
+    assert header["env_steps"] == made[-1]
+    progress = np.array([row["progress"] for row in rows])
+    assert progress[-1] > made[-1] / CONFIG.num_steps + 0.2
+    # What it says before is about the budget, and says so.
+    said = capsys.readouterr().out.replace(str(tmp_path), "")
+    assert said.count("absent") == 4
+
+
+def test_progress_is_the_further_of_steps_and_time_and_ends_at_1():
+    assert CONFIG.progress(30, 12.0) == pytest.approx(0.3)
+    assert CONFIG.progress(30, 42.0) == pytest.approx(0.7)
+    assert CONFIG.progress(30, 61.0) == CONFIG.progress(100, 0.0) == 1.0
+
+
+def test_a_run_says_before_how_long_it_takes(tmp_path, capsys):
+    trained(tmp_path, 0.7)
+    out = capsys.readouterr().out
+    assert "trains for at most 1 min or 0.0064 M steps" in out
+    assert "at 91 steps/s: 1 min, 0.00549 of 0.0064 M steps" in out
+    cpu = PRESETS["cpu"]
+    assert announcement(dataclasses.replace(cpu, minutes=0.0), 0, 0.0) == (
+        "trains for 50 M steps, then evaluates and renders"
+    )
+    resumed = announcement(cpu, 1000, 90.0)
+    left = cpu.minutes - 1.5
+    assert resumed.startswith(f"trains for at most {left:g} min or 41.8 M steps, ")
+    assert estimate(cpu, 0, 30.0, 80_000.0) == "at 80,000 steps/s: 10.9 min, 50 M steps"
+
+
+@pytest.mark.parametrize("minutes", [-1.0, float("nan")])
+def test_impossible_minutes_are_refused(minutes):
+    with pytest.raises(ValueError, match="minutes must be at least 0, not"):
+        dataclasses.replace(CONFIG, minutes=minutes)

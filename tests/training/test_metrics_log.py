@@ -1,0 +1,93 @@
+"""The log of a run: TensorBoard, damaged files, runs that go on and a full disk."""
+
+import contextlib
+
+import pytest
+from helpers.disks import largest_file
+from helpers.mutating import damaged
+
+from carpark_mj.analysis.runs import read_curve
+from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.training.metrics_log import MetricsLog, read_metrics
+
+
+def test_tensorboard_reads_what_is_logged(tmp_path):
+    accumulator = pytest.importorskip(
+        "tensorboard.backend.event_processing.event_accumulator"
+    )
+    for begun in (0, 2):  # a run, then resumed after its second update
+        with contextlib.closing(MetricsLog(tmp_path, begun)) as log:
+            for update in range(begun + 1, begun + 4):
+                log.write({"update": update, "env_steps": 10 * update, "a": update / 2})
+    events = accumulator.EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    found = [(event.step, event.value) for event in events.Scalars("a")]
+    assert found == [(10 * update, update / 2) for update in range(1, 6)]
+    rows = [(row["env_steps"], row["a"]) for row in read_metrics(tmp_path)]
+    assert rows == found
+
+
+def fill(folder):
+    with contextlib.closing(MetricsLog(folder, 0)) as log:
+        for update in range(10_000):
+            log.write({"update": update, "env_steps": update, "a": 0.5})
+
+
+def test_a_full_disk_ends_the_log_with_the_name_of_a_file(tmp_path):
+    with largest_file(20_000), pytest.raises(OSError, match=str(tmp_path)):
+        fill(tmp_path)
+
+
+def row(update):
+    return {"update": update, "env_steps": 10 * update, "loss": 0.5 * update}
+
+
+@pytest.fixture
+def log(tmp_path):
+    """A file of three updates."""
+    with contextlib.closing(MetricsLog(tmp_path, 0)) as opened:
+        for update in (1, 2, 3):
+            opened.write(row(update))
+    return tmp_path / "metrics.csv"
+
+
+def go_on(log, update):
+    with contextlib.closing(MetricsLog(log.parent, update)) as opened:
+        opened.write(row(update + 1))
+    return [row["update"] for row in read_metrics(log.parent)]
+
+
+def test_rows_after_the_checkpoint_and_half_a_line_are_written_anew(log):
+    assert go_on(log, 2) == [1, 2, 3]
+    with log.open("a") as file:
+        file.write("4,4")
+    assert [row["loss"] for row in read_metrics(log.parent)] == [0.5, 1.0, 1.5]
+    assert go_on(log, 3) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("update", "updates", "lacks the columns update"),
+        ("env_steps", "steps", "lacks the columns env_steps"),
+        ("0.5", "x", "line 2: loss is no number, 'x'"),
+        ("0.5", "0" * 200_000, "line 2: field larger"),
+        ("0.5", "0.5,1", "line 2: not as many values"),
+    ],
+)
+def test_a_damaged_log_is_refused_and_stays_as_it_is(log, old, new, said):
+    log.write_text(log.read_text().replace(old, new, 1))
+    text = log.read_bytes()
+    with pytest.raises(ValueError, match=rf"metrics\.csv.* {said}"):
+        MetricsLog(log.parent, 3)
+    assert log.read_bytes() == text
+
+
+def test_of_a_damaged_log_are_numbers_or_one_sentence(log):
+    data = log.read_bytes()
+    for seed in range(200):
+        log.write_bytes(damaged(data, seed))
+        with contextlib.suppress(ValueError):
+            assert all(type(row["update"]) is float for row in read_metrics(log.parent))
+        with contextlib.suppress(CheckpointError):
+            assert len(read_curve(log.parent, "loss")) <= 3

@@ -1,0 +1,146 @@
+"""`python train/export.py`: a checked ONNX model or a policy alone, or nothing."""
+
+import dataclasses
+import importlib.util
+
+import jax
+import numpy as np
+import onnxruntime
+import pytest
+from helpers.disks import no_printing
+from helpers.programs import exit_code
+from rich.console import Console
+
+from carpark_mj.cli import export as command
+from carpark_mj.config import EnvConfig
+from carpark_mj.observations import observation_size
+from carpark_mj.policy import loading, pretrained
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.policy.onnx_export import split_observation
+from carpark_mj.programs import export
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.learner import Learner
+from carpark_mj.training.ppo.train import save
+
+TINY = PPOConfig(
+    num_lots=2,
+    num_minibatches=2,
+    networks=NetworkConfig((16,), (16,)),
+    env=EnvConfig(physics="bicycle", num_parked_cars=4),
+)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("export") / "tiny"
+    folder.mkdir()
+    save(folder, TINY, Learner(TINY).init())
+    return folder
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Fewer observations are compared."""
+    monkeypatch.setattr(command, "CHECKED", 200)
+
+
+def told(capsys) -> str:
+    """The one line on stderr."""
+    error = capsys.readouterr().err
+    assert error.startswith("program: ")
+    assert error.count("\n") == 1
+    return error
+
+
+def test_a_run_becomes_a_model_that_is_checked_on_ten_thousand(
+    trained, capsys, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert exit_code(export, [str(trained)]) == 0
+    out = capsys.readouterr().out
+    assert "10,000 observations of a roll-out: " in out
+    assert "10,000 observations drawn at random: " in out
+    assert "own road-wheel angle [its limit], left > 0" in out
+    path = trained / "policy.onnx"
+    assert f"wrote {path}" in out
+    loaded = loading.load_policy(trained)
+    seen = command.rollout_observations(loaded, 50, seed=3)
+    session = onnxruntime.InferenceSession(path)
+    [action] = session.run(None, split_observation(loaded.env, seen))
+    expected, _ = loaded.policy(seen, jax.random.key(0))
+    np.testing.assert_allclose(action, expected, atol=1e-5)
+
+
+def test_a_model_is_written_before_it_is_described(
+    trained, tmp_path, monkeypatch, quick
+):
+    monkeypatch.setattr(Console, "print", no_printing)
+    with pytest.raises(BrokenPipeError):
+        command.main(command.ExportConfig(str(trained), str(tmp_path / "a.onnx")))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.onnx"]
+
+
+def test_a_pretrained_policy_is_exported_into_runs(
+    trained, tmp_path, monkeypatch, quick
+):
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
+    assert exit_code(export, [str(trained), "--out", str(tmp_path / "tiny.npz")]) == 0
+    monkeypatch.chdir(tmp_path)
+    assert exit_code(export, ["tiny"]) == 0
+    assert [path.name for path in tmp_path.glob("runs/tiny/*")] == ["policy.onnx"]
+
+
+def test_a_model_that_acts_otherwise_is_not_written(
+    trained, tmp_path, capsys, monkeypatch, quick
+):
+    make = command.make_model
+
+    def wrong(loaded):
+        def act(observation, key):
+            action, extras = loaded.policy(observation, key)
+            return action + 2e-5, extras
+
+        return make(dataclasses.replace(loaded, policy=act))
+
+    monkeypatch.setattr(command, "make_model", wrong)
+    assert exit_code(export, [str(trained), "--out", str(tmp_path / "a.onnx")]) == 2
+    assert "differs from the policy by 2e-05" in told(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_observations_of_a_rollout_are_those_of_agents_that_drive(trained):
+    loaded = loading.load_policy(trained)
+    env = dataclasses.replace(loaded.env, num_agents=3, min_agents=1)
+    loaded = loading.load_policy(trained, env=env)
+    seen = command.rollout_observations(loaded, 999, seed=0)
+    assert seen.shape == (999, observation_size(env))
+    assert np.isfinite(seen).all()
+    assert seen.any(axis=-1).all()  # agents that are absent do not count
+    assert len(np.unique(seen, axis=0)) == 999
+    assert np.ptp(seen[:, 0]) > 0.01  # speeds: they start at rest
+
+
+BAD = {
+    "no run": (("nowhere",), "no run folder or checkpoint at nowhere"),
+    "another format": (("zero", "--out", "a.pb"), "out must end in .onnx or .npz"),
+    "no argument": ((), "RUN"),
+    "unwritable": (("{run}", "--out", "/proc/a.npz"), "/proc/a.npz"),
+}
+
+
+@pytest.mark.parametrize("case", sorted(BAD))
+def test_bad_input_is_one_sentence_and_exit_code_2(case, trained, capsys):
+    arguments, message = BAD[case]
+    assert exit_code(export, [word.format(run=trained) for word in arguments]) == 2
+    assert message in told(capsys)
+
+
+def test_without_its_packages_a_model_is_refused_and_a_checkpoint_is_not(
+    trained, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert exit_code(export, [str(trained), "--out", str(tmp_path / "a.onnx")]) == 2
+    assert 'pip install ".[export]"' in told(capsys)
+    assert exit_code(export, [str(trained), "--out", str(tmp_path / "a.npz")]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+    assert loading.load_policy(tmp_path / "a.npz").env == TINY.env

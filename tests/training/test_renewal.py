@@ -1,0 +1,171 @@
+"""Training draws its random lots anew, a few after every update."""
+
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.sliding import SlidePhysics
+
+from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import StreetConfig
+from carpark_mj.policy import checkpoints
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.learner import Learner, due_lots
+from carpark_mj.training.ppo.state import TrainingState
+from carpark_mj.wrappers.brax import BraxParking
+
+STREET = StreetConfig(bays_per_side=(3, 4))
+LOTS, AGENTS, UNROLL = 6, 2, 5
+CONFIG = PPOConfig(
+    num_lots=LOTS,
+    lot_life=3,
+    unroll_length=UNROLL,
+    num_minibatches=1,
+    num_epochs=1,
+    networks=NetworkConfig((8,), (8,)),
+    env=EnvConfig(
+        layout=STREET,
+        num_agents=AGENTS,
+        num_parked_cars=1,
+        episode=EpisodeConfig(max_steps=50),
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def history(tmp_path_factory):
+    """A learner, its compiled update, and its states before and after four of them.
+
+    Also what loads the state before the first update, or after it, from a checkpoint.
+    """
+    learner = Learner(CONFIG)
+    learner.env = BraxParking(ParkingEnv(CONFIG.env, SlidePhysics()))
+    update = learner.compile()
+    state = learner.init()
+    folder, seen = tmp_path_factory.mktemp("run"), [host(state)]
+    for number in range(4):
+        if number < 2:
+            checkpoints.save(folder / f"{number}.npz", vars(state), {})
+        state, _ = update(state)
+        seen.append(host(state))
+    assert update._cache_size() == 1  # neither weak types nor layout recompiled it
+
+    def load(number):
+        template = vars(jax.eval_shape(learner.build))
+        tree = checkpoints.load(folder / f"{number}.npz", template)
+        return learner.place(TrainingState(**tree))
+
+    return learner, update, load, seen
+
+
+@pytest.fixture(scope="module")
+def renewal(history):
+    """An unroll, the lots after it, after renewal, and the two fresh ones in them."""
+    learner, _, load, _ = history
+
+    def run(state, key):
+        env_state, rollout, totals = learner._collect(state, key)
+        renewed = learner._renew(env_state, jnp.int32(1), state.family_rates, key)
+        return (
+            (rollout, totals),
+            env_state,
+            renewed,
+            learner.env.reset(jax.random.split(key)),
+        )
+
+    found = jax.jit(run)(load(0), jax.random.key(1))
+    return tuple(map(host, found))
+
+
+def host(state):
+    """A copy as numpy arrays, keys by their data."""
+
+    def copy(leaf):
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return np.array(jax.random.key_data(leaf) if is_key else leaf)
+
+    return jax.tree.map(copy, state)
+
+
+def layouts(state):
+    return state.env.pipeline_state.layout
+
+
+@pytest.mark.parametrize(("num_lots", "life"), [(6, 3), (64, 16), (32, 5), (4, 10)])
+def test_lots_take_turns_and_none_lasts_longer_than_its_life(num_lots, life):
+    due = [np.asarray(due_lots(u, num_lots, life)) for u in range(4 * num_lots)]
+    assert len({len(lots) for lots in due}) == 1  # as many at every update
+    for lots in due:
+        assert len(set(lots.tolist())) == len(lots)
+    for lot in range(num_lots):
+        times = [u for u, lots in enumerate(due) if lot in lots]
+        assert times[0] < life
+        assert np.diff(times).max() <= life
+        if num_lots % life == 0:
+            assert set(np.diff(times)) == {life}
+
+
+def test_an_update_draws_the_lots_that_are_due_and_keeps_the_others(history):
+    _, _, _, seen = history
+    for number, (before, after) in enumerate(itertools.pairwise(seen)):
+        due = due_lots(number, LOTS, CONFIG.lot_life).tolist()
+        changed = np.any(layouts(before).extent != layouts(after).extent, axis=-1)
+        assert np.flatnonzero(changed).tolist() == due
+        # Episodes in a new lot have just begun, with the observation of its start.
+        step = after.env.pipeline_state.step
+        assert (step[due] == 0).all()
+        kept = [lot for lot in range(LOTS) if lot not in due]
+        assert (step[kept] > 0).any()
+    drawn = {lot.tobytes() for state in seen for lot in layouts(state).bay_pose}
+    assert len(drawn) == LOTS + 4 * 2
+
+
+def test_a_renewed_lot_is_a_fresh_one_and_the_others_stay(renewal):
+    _, before, after, fresh = renewal
+    agents = np.arange(4, 8)  # of lots 2 and 3, whose turn it is
+    rest = np.setdiff1d(np.arange(LOTS * AGENTS), agents)
+    np.testing.assert_array_equal(after.obs[agents], fresh.obs)
+    np.testing.assert_array_equal(after.obs[rest], before.obs[rest])
+    lots = [jax.tree.leaves(x.pipeline_state) for x in (before, after, fresh)]
+    for old, new, start in zip(*lots, strict=True):
+        np.testing.assert_array_equal(new[[2, 3]], start)
+        np.testing.assert_array_equal(new[[0, 1, 4, 5]], old[[0, 1, 4, 5]])
+
+
+def test_the_episodes_cut_off_are_bootstrapped_in_the_lot_they_were_in(renewal):
+    """The last step of an unroll keeps what the agents saw before the renewal."""
+    (rollout, totals), before, after, _ = renewal
+    assert rollout.observation.shape[:2] == (UNROLL, LOTS * AGENTS)
+    np.testing.assert_array_equal(rollout.final_observation, before.obs)
+    cut = np.any(after.obs != rollout.final_observation, axis=-1)
+    assert np.flatnonzero(cut).tolist() == [4, 5, 6, 7]
+    # Neither the end of an episode nor a reward is made up for the cut.
+    ended = (rollout.terminated + rollout.truncated).sum(axis=0)
+    np.testing.assert_array_equal(ended, totals.episodes)
+
+
+def test_a_resumed_training_draws_the_same_lots(history):
+    _, update, load, seen = history
+    again, _ = update(load(1))
+    for mine, other in zip(*map(jax.tree.leaves, (host(again), seen[2])), strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+@pytest.mark.parametrize(
+    ("layout", "life", "expected"),
+    [("compact", 16, False), (STREET, 0, False), (STREET, 16, True)],
+)
+def test_lots_that_no_key_changes_or_with_no_end_of_life_stay(layout, life, expected):
+    env = dataclasses.replace(CONFIG.env, layout=layout)
+    config = dataclasses.replace(CONFIG, env=env, lot_life=life)
+    assert Learner(config).renews_lots is expected
+
+
+def test_a_negative_life_is_refused():
+    with pytest.raises(ValueError, match="lot_life must be at least 0, not -1"):
+        dataclasses.replace(CONFIG, lot_life=-1)

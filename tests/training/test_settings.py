@@ -1,0 +1,126 @@
+"""Flags of the trainers: presets give defaults, wherever in the line they stand."""
+
+import dataclasses
+import re
+
+import pytest
+
+from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.files import write_json
+from carpark_mj.registry import TANNER_FIXED
+from carpark_mj.studies.tanner.q_learning.presets import Q_PRESETS, Q_SUMMARIES
+from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
+from carpark_mj.training.ppo.presets import PRESETS, SUMMARIES
+from carpark_mj.training.run_folder import describe
+from carpark_mj.training.settings import read_settings
+
+
+def read(*arguments):
+    return read_settings(
+        PRESETS["cpu"], PRESETS, arguments, None, RUN_SETTINGS, SUMMARIES
+    )
+
+
+def test_a_preset_gives_the_defaults_and_flags_change_them():
+    assert read() == PRESETS["cpu"]
+    assert read("--preset", "auto") == PRESETS["cpu"]
+    changed = read("--seed", "3", "--preset=tanner-fixed", "--env.num-agents", "6")
+    expected = dataclasses.replace(
+        PRESETS["tanner-fixed"],
+        seed=3,
+        env=dataclasses.replace(TANNER_FIXED, num_agents=6),
+    )
+    assert changed == expected
+
+
+def test_settings_need_to_fit_the_named_preset_only():
+    # 128 lots x 7 agents divide by 28, the default's 64 x 2 do not.
+    assert read("--preset", "tanner-fixed", "--num-minibatches", "28").num_lots == 128
+    with pytest.raises(ValueError, match="128 must be a multiple of"):
+        read("--num-minibatches", "28")
+
+
+def test_agents_that_stay_put_are_refused():
+    """Their steps would be learned from although nothing happens in them."""
+    still = EnvConfig(episode=EpisodeConfig(respawn=False))
+    with pytest.raises(ValueError, match=r"PPO needs env\.episode\.respawn = True"):
+        PPOConfig(env=still)
+
+
+def test_other_trainers_have_their_own_presets():
+    default = Q_PRESETS["tanner-qlearning"]
+    name = "tanner-qlearning-rings"
+    arguments = (default, Q_PRESETS, ["--preset", name], None, (), Q_SUMMARIES)
+    assert read_settings(*arguments) == Q_PRESETS[name]
+    with pytest.raises(ValueError, match=r"'cpu' .*tanner-qlearning-rings"):
+        read_settings(default, Q_PRESETS, ["--preset", "cpu"], None, (), Q_SUMMARIES)
+
+
+def test_the_help_is_of_the_named_preset(capsys):
+    with pytest.raises(SystemExit) as stop:
+        read("--preset", "tanner-fixed-original", "--help")
+    assert stop.value.code == 0
+    assert "12800000" in capsys.readouterr().out
+
+
+def test_the_short_help_lists_the_run_and_names_the_rest(capsys):
+    for flag in ("--help", "-h"):
+        with pytest.raises(SystemExit) as stop:
+            read(flag)
+        assert stop.value.code == 0
+        printed = capsys.readouterr().out
+        assert printed.count("\n") < 70
+        for field in dataclasses.fields(PRESETS["cpu"]):
+            assert f"--{field.name.replace('_', '-')}" in printed
+        assert "where runs are kept" in printed
+        assert all(f"\n    {name} " in printed for name in PRESETS)
+        assert "--env.num-agents" not in printed
+
+
+def test_the_help_tells_presets_apart_and_what_no_preset_means(capsys):
+    with pytest.raises(SystemExit):
+        read("--help")
+    printed = capsys.readouterr().out
+    table = printed.partition("Presets:\n")[2].partition("\n\n")[0].splitlines()
+    assert len({line.split(maxsplit=1)[1] for line in table}) == len(PRESETS)
+    words = " ".join(re.sub("[│ \n]+", " ", printed).split())
+    assert "(default: auto, which is gpu where JAX finds one, else cpu)" in words
+
+
+def test_the_whole_help_lists_every_setting(capsys):
+    with pytest.raises(SystemExit) as stop:
+        read("--preset", "gpu", "--help-all")
+    assert stop.value.code == 0
+    printed = capsys.readouterr().out
+    for flag in ("--seed INT", "--clip FLOAT", "--env.num-agents INT"):
+        assert flag in printed
+    assert "(default: 1024)" in printed  # the preset's
+
+
+def test_a_resumed_run_keeps_its_preset(tmp_path):
+    config = dataclasses.replace(PRESETS["cpu"], seed=4)
+    write_json(tmp_path / "config.json", describe(config))
+    flags = ["--resume", str(tmp_path), "--preset"]
+    assert read(*flags, "cpu").seed == 4
+    with pytest.raises(ValueError, match="keeps its own settings: drop preset"):
+        read(*flags, "tanner-fixed")
+
+
+def test_a_resumed_run_is_given_no_setting_even_if_it_is_the_preset_s(tmp_path):
+    config = dataclasses.replace(PRESETS["square"], seed=4)
+    write_json(tmp_path / "config.json", describe(config))
+    default = read()
+    for flag in (
+        f"--num-steps={default.num_steps}",
+        f"--env.num-agents={default.env.num_agents}",
+    ):
+        name = flag[2:].partition("=")[0].partition(".")[0].replace("-", "_")
+        with pytest.raises(ValueError, match=f"keeps its own settings: drop {name}"):
+            read("--resume", str(tmp_path), flag)
+    assert read("--resume", str(tmp_path), "--time-limit", "3").seed == 4
+
+
+@pytest.mark.parametrize("flags", [["--resume", ""], ["--resume="]])
+def test_an_empty_name_is_no_run_to_resume(flags):
+    with pytest.raises(ValueError, match="resume must name the folder of a run"):
+        read(*flags)

@@ -1,0 +1,174 @@
+"""Families drawn by shortfall: rates, weights, and the lots that training gets."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.sliding import SlidePhysics
+
+from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import StreetConfig, layout_config
+from carpark_mj.layouts.registry import mixture
+from carpark_mj.policy import checkpoints
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.ppo.families import MEMORY, Families, make_families
+from carpark_mj.training.ppo.learner import Learner
+from carpark_mj.training.ppo.rollout import Totals
+from carpark_mj.training.ppo.state import TrainingState
+from carpark_mj.wrappers.brax import BraxParking
+
+THREE = Families(0.9, {"lot": 0.5, "street": 0.25, "angled": 0.25})
+STREETS = mixture(
+    [StreetConfig(bays_per_side=(3, 3)), StreetConfig(bays_per_side=(5, 5))]
+)
+CONFIG = PPOConfig(
+    num_lots=6,
+    lot_life=3,
+    unroll_length=5,
+    num_minibatches=1,
+    num_epochs=1,
+    networks=NetworkConfig((8,), (8,)),
+    curriculum=CurriculumConfig(target_rate=0.9),
+    env=EnvConfig(
+        layout=STREETS,
+        num_agents=2,
+        num_parked_cars=1,
+        episode=EpisodeConfig(max_steps=2),  # every episode ends within an unroll
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("rates", "expected"),
+    [
+        # Nothing known, all alike: half by share, half uniform.
+        ((0.0, 0.0, 0.0), (5 / 12, 7 / 24, 7 / 24)),
+        # Shortfalls 0.0, 0.1 and 0.3: half of 0, 1/4, 3/4.
+        ((0.95, 0.8, 0.6), (0.25, 0.25, 0.5)),
+        ((0.9, 0.95, 1.0), (0.5, 0.25, 0.25)),
+    ],
+)
+def test_half_of_the_probability_is_by_share_and_half_by_shortfall(rates, expected):
+    np.testing.assert_allclose(THREE.probabilities(jnp.array(rates)), expected, 1e-5)
+
+
+def test_members_are_drawn_by_these_probabilities():
+    rates = jnp.array([0.95, 0.8, 0.6])
+    keys, member = THREE.draw(rates, jax.random.key(0), 4000)
+    assert keys.shape == (4000,)
+    # Deviations 0.7 % and 0.8 %: five of them.
+    share = np.bincount(member, minlength=3) / 4000
+    np.testing.assert_allclose(share, (0.25, 0.25, 0.5), atol=0.04)
+
+
+def updated(rates, member, episodes, parked):
+    """Rates after an unroll of agents (devices, n) in three members."""
+
+    def update(member, episodes, parked):
+        totals = Totals(episodes, {"parked": parked}, {})
+        return THREE.update(jnp.array(rates), member, totals, "devices")
+
+    numbers = (jnp.asarray(x, jnp.float32) for x in (episodes, parked))
+    after = jax.vmap(update, axis_name="devices")(jnp.asarray(member), *numbers)
+    np.testing.assert_array_equal(after, np.broadcast_to(after[0], after.shape))
+    return after[0]
+
+
+def test_rates_are_running_means_by_episodes_of_each_member():
+    after = updated(
+        (0.5, 0.5, 0.2),
+        member=[[0, 1], [0, 1]],
+        episodes=[[3.0, 2.0], [1.0, 0.0]],
+        parked=[[2.0, 0.0], [1.0, 0.0]],
+    )
+    old = (1 - 1 / MEMORY) ** np.array([4.0, 2.0])
+    expected = [*(old * 0.5 + (1 - old) * (0.75, 0.0)), 0.2]
+    np.testing.assert_allclose(after, expected, rtol=1e-5)
+    # So many episodes leave nothing of what was before.
+    far = updated((0.5, 0.5, 0.2), [[2]], [[20 * MEMORY]], [[5 * MEMORY]])
+    np.testing.assert_allclose(far, [0.5, 0.5, 0.25], atol=1e-6)
+
+
+def test_a_layout_that_is_no_mixture_and_lots_kept_for_ever_are_refused():
+    with pytest.raises(
+        ValueError, match=r"target_rate 0.9 needs a mixture .* 'street'"
+    ):
+        make_families(0.9, layout_config("street"))
+    with pytest.raises(
+        ValueError, match=r"target_rate 0.9 needs lot_life of at least 1"
+    ):
+        dataclasses.replace(CONFIG, lot_life=0)
+    with pytest.raises(ValueError, match=r"target_rate must lie in \[0, 1\], not 1.5"):
+        CurriculumConfig(target_rate=1.5)
+
+
+@functools.cache
+def learner():
+    learner = Learner(CONFIG)
+    learner.env = BraxParking(ParkingEnv(CONFIG.env, SlidePhysics()))
+    return learner, learner.compile()
+
+
+def bays(state):
+    """Numbers of bays of the lots, which tell the two members apart."""
+    return np.asarray(state.env.pipeline_state.layout.bay_mask).sum(axis=1)
+
+
+def test_the_member_kept_for_every_agent_is_that_of_its_lot():
+    learner_, update = learner()
+    state = learner_.init()
+    for _ in range(4):
+        member = np.asarray(state.env.info["member"]).reshape(6, 2)
+        np.testing.assert_array_equal(member[:, 0], member[:, 1])
+        np.testing.assert_array_equal(bays(state), np.where(member[:, 0], 10, 6))
+        state, metrics = update(state)
+    assert set(metrics) >= {"family/street", "family/street 2"}
+    rates = [float(metrics[f"family/{name}"]) for name in ("street", "street 2")]
+    np.testing.assert_array_equal(rates, state.family_rates)
+
+
+def test_the_family_that_falls_short_gets_more_lots():
+    """The other one has reached the target: of its lots only half of its share."""
+    families = make_families(0.9, STREETS)
+    env = BraxParking(ParkingEnv(CONFIG.env, SlidePhysics()))
+
+    def share(rates):
+        keys, member = families.draw(jnp.array(rates), jax.random.key(3), 400)
+        lots = jax.jit(jax.vmap(env.env.draw_layout, (0, None, 0)), static_argnums=1)
+        return (
+            np.asarray(lots(keys, "train", member).bay_mask).sum(axis=1) == 10
+        ).mean()
+
+    # Deviation 2.2 %: four and a half of them.
+    assert share([0.95, 0.1]) == pytest.approx(0.75, abs=0.1)
+    assert share([0.1, 0.95]) == pytest.approx(0.25, abs=0.1)
+
+
+def test_a_resumed_training_is_the_same_bit_for_bit(tmp_path):
+    learner_, update = learner()
+    state, _ = update(learner_.init())
+    checkpoints.save(tmp_path / "1.npz", vars(jax.device_get(state)), {})
+    state = update(state)[0]
+    tree = checkpoints.load(tmp_path / "1.npz", vars(learner_.shapes()))
+    again = update(learner_.place(TrainingState(**tree)))[0]
+    assert jax.tree.structure(state) == jax.tree.structure(again)
+    for a, b in zip(jax.tree.leaves(state), jax.tree.leaves(again), strict=True):
+        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
+            a, b = map(jax.random.key_data, (a, b))
+        np.testing.assert_array_equal(a, b)
+
+
+def test_without_a_target_lots_are_drawn_with_the_keys_of_before():
+    families, key = make_families(0.0, STREETS), jax.random.key(5)
+    keys, member = families.draw(families.init(), key, 3)
+    assert member is None
+    np.testing.assert_array_equal(
+        jax.random.key_data(keys), jax.random.key_data(jax.random.split(key, 3))
+    )
+    assert families.metrics(families.init()) == {}

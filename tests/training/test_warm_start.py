@@ -1,0 +1,385 @@
+"""Warm starts take the networks of another run and nothing else."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.training.types import UInt64
+from helpers.sliding import SlidePhysics
+
+from carpark_mj.config import (
+    ContinuousObservation,
+    EnvConfig,
+    RayConfig,
+    ShareConfig,
+    SimConfig,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.observations import make_fields
+from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.loading import save_policy
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.policy.normalizer import update_normalizer
+from carpark_mj.training.ppo.group import make_learner
+from carpark_mj.training.ppo.learner import Learner
+from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.train import load_or_init, save
+from carpark_mj.training.ppo.warm_start import require_run
+from carpark_mj.training.ppo.widening import widen
+from carpark_mj.wrappers.brax import BraxParking
+
+KEY = jax.dtypes.prng_key
+NETWORKS = ("normalizer", "policy", "average", "value")
+TINY = dataclasses.replace(
+    PRESETS["cpu"],
+    num_lots=2,
+    unroll_length=8,
+    num_minibatches=1,
+    networks=NetworkConfig((16,), (16,), own_size=8, entity_size=8),
+    env=EnvConfig(num_agents=2, sim=SimConfig(sim_dt=0.02)),
+)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    """Folder and state of a run whose every float was moved."""
+    folder = tmp_path_factory.mktemp("other")
+    state = jax.device_get(Learner(TINY).init())
+    rng = np.random.default_rng(0)
+    moved = {
+        name: jax.tree.map(
+            lambda x: (x + rng.uniform(0.5, 1.0, x.shape)).astype(x.dtype), tree
+        )
+        for name, tree in vars(state).items()
+        if name in (*NETWORKS, "optimizer")
+    }
+    state = dataclasses.replace(state, **moved, update=np.int32(7))
+    save(folder, TINY, state)
+    return folder, state
+
+
+def test_networks_and_statistics_are_taken_and_the_rest_is_new(other, tmp_path):
+    folder, theirs = other
+    assert not same(theirs.policy, theirs.average)
+    # The policy that was evaluated goes on, not the last one.
+    theirs = dataclasses.replace(theirs, policy=theirs.average)
+    wider = dataclasses.replace(TINY.networks, min_std=0.1)  # no weight's shape
+    config = dataclasses.replace(TINY, warm_start=str(folder), seed=3, networks=wider)
+    own = Learner(config).init()
+    state = load_or_init(Learner(config), [tmp_path])
+    for name in vars(own):
+        expected = theirs if name in NETWORKS else own
+        found, wanted = (
+            [
+                jax.random.key_data(x) if jnp.issubdtype(x.dtype, KEY) else x
+                for x in jax.tree.leaves(getattr(tree, name))
+            ]
+            for tree in (state, expected)
+        )
+        jax.tree.map(np.testing.assert_array_equal, found, wanted)
+    assert state.update == 0
+
+
+def test_of_runs_side_by_side_each_has_its_own_warm_start_or_none(other, tmp_path):
+    folder, theirs = other
+    starts = ("", str(folder))
+    learner = make_learner([dataclasses.replace(TINY, warm_start=s) for s in starts])
+    fresh, warm = learner.split(load_or_init(learner, [tmp_path / "a", tmp_path / "b"]))
+    for expected, found in ((theirs, warm), (Learner(TINY).init(), fresh)):
+        jax.tree.map(
+            lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6),
+            expected.average,
+            found.policy,
+        )
+
+
+def test_a_resumed_run_goes_on_from_its_own_checkpoint(other, tmp_path):
+    folder, _ = other
+    config = dataclasses.replace(TINY, warm_start=str(folder))
+    own = jax.device_get(Learner(TINY).init())
+    save(tmp_path, config, own)
+    state = load_or_init(Learner(config), [tmp_path])
+    jax.tree.map(np.testing.assert_array_equal, state.policy, own.policy)
+
+
+def same(one, other):
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+    return all(np.array_equal(a, b) for a, b in pairs)
+
+
+def test_a_policy_alone_lends_its_actor_which_rests_while_a_critic_learns(
+    other, tmp_path
+):
+    folder, theirs = other
+    save_policy(folder, tmp_path / "alone.npz")
+    # A step more than one update: two.
+    steps = TINY.steps_per_update + 1
+    config = dataclasses.replace(
+        TINY, warm_start=str(tmp_path / "alone.npz"), critic_steps=steps
+    )
+    require_run(config)
+    learner = Learner(config)
+    learner.env = BraxParking(ParkingEnv(config.env, SlidePhysics()))
+    state = load_or_init(learner, [tmp_path / "run"])
+    start = jax.device_get(state)
+    for actor in (start.policy, start.average):
+        assert same(actor, theirs.average)
+    assert same(start.normalizer, theirs.normalizer)
+    assert same(start.value, jax.device_get(Learner(config).init()).value)
+    update, moved = learner.compile(), []
+    for _ in range(3):
+        state, _ = update(state)
+        now = jax.device_get(state)
+        moved.append(
+            [not same(now.policy, start.policy), not same(now.value, start.value)]
+        )
+    assert moved == [[False, True], [False, True], [True, True]]
+    assert now.skipped == 0
+
+
+def test_critic_steps_in_which_the_actor_never_learns_are_refused():
+    update = TINY.steps_per_update
+    changes = {"num_steps": 3 * update, "critic_steps": 2 * update}
+    dataclasses.replace(TINY, **changes)
+    with pytest.raises(ValueError, match="critic_steps must leave the actor an update"):
+        dataclasses.replace(TINY, **changes | {"critic_steps": 2 * update + 1})
+
+
+WIDER = dataclasses.replace(
+    TINY,
+    env=dataclasses.replace(
+        TINY.env,
+        observation=ContinuousObservation(
+            own_car=True, lines=True, share=ShareConfig(steering=True, order=True)
+        ),
+    ),
+)
+NEW = {
+    "own_size",
+    "own_wheelbase",
+    "own_rear_axle",
+    "own_turning_radius",
+    "line_room",
+    "agent_0_steering",
+    "agent_0_order",
+}
+
+
+def columns(config, keep=None):
+    """Columns of the observation vector whose fields are `keep`, or all."""
+    fields = make_fields(config.env)
+    starts = np.cumsum([0, *(field.size for field in fields)])
+    return np.concatenate(
+        [
+            np.arange(starts[k], starts[k + 1])
+            for k, field in enumerate(fields)
+            if keep is None or keep(field.name)
+        ]
+    )
+
+
+def memory(x):
+    """Address of an array."""
+    return x.addressable_data(0).unsafe_buffer_pointer()
+
+
+def test_a_policy_alone_is_widened_too(other, tmp_path):
+    save_policy(other[0], tmp_path / "alone.npz")
+    config = dataclasses.replace(
+        WIDER, warm_start=str(tmp_path / "alone.npz"), critic_steps=1
+    )
+    state = load_or_init(Learner(config), [tmp_path / "run"])
+    # An update donates both: XLA aborts if memory is donated twice.
+    actor, average = (
+        {*map(memory, jax.tree.leaves(x))} for x in (state.policy, state.average)
+    )
+    assert not actor & average
+    state = jax.device_get(state)
+    whole = dataclasses.replace(WIDER, warm_start=str(other[0]))
+    expected = jax.device_get(load_or_init(Learner(whole), [tmp_path / "run"]))
+    for name in ("normalizer", "average"):
+        assert same(getattr(state, name), getattr(expected, name))
+    assert same(state.policy, expected.average)
+    assert same(state.value, jax.device_get(Learner(config).init()).value)
+
+
+def test_agents_that_observe_more_act_as_before_and_learn_from_it(other, tmp_path):
+    folder, theirs = other
+    config = dataclasses.replace(WIDER, warm_start=str(folder))
+    narrow, wide = Learner(TINY), Learner(config)
+    state = jax.device_get(load_or_init(wide, [tmp_path]))
+    kept = columns(WIDER, lambda name: name not in NEW)
+    rng = np.random.default_rng(1)
+    more = rng.uniform(-1, 1, (50, columns(WIDER).size)).astype(np.float32)
+    less = more[:, kept]
+    assert less.shape[1] == columns(TINY).size < more.shape[1]
+    for network, theirs_of, ours in (
+        ("policy", theirs.average, state.policy),
+        ("policy", theirs.average, state.average),
+        ("value", theirs.value, state.value),
+    ):
+        before, after = (
+            getattr(learner.networks, f"{network}_network").apply(
+                each.normalizer, params, observation
+            )
+            for learner, each, params, observation in (
+                (narrow, theirs, theirs_of, less),
+                (wide, state, ours, more),
+            )
+        )
+        np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-5)
+
+    def loss(params):
+        out = wide.networks.value_network.apply(state.normalizer, params, more)
+        return jnp.sum(out**2)
+
+    slope = jax.grad(loss)(state.value)["params"]["SetEncoder_0"]["own"]["kernel"]
+    assert (jnp.abs(slope).max(axis=1) > 0).all()
+
+
+def test_statistics_of_new_fields_have_unit_variance_and_go_on(other):
+    _, theirs = other
+    count = UInt64(hi=np.uint32(0), lo=np.uint32(10_000))
+    seen = {
+        part: state.replace(count=count, std_eps=0.0)
+        for part, state in theirs.normalizer.items()
+    }
+    wide = widen(WIDER, TINY.env, {"normalizer": seen})["normalizer"]
+    inputs = Learner(WIDER).inputs
+    names = [
+        f.name for f in make_fields(WIDER.env) if not f.group for _ in range(f.size)
+    ]
+    new = np.isin(names, sorted(NEW))
+    np.testing.assert_array_equal(wide["own"].mean[new], 0.0)
+    np.testing.assert_array_equal(wide["own"].std[new], 1.0)
+    np.testing.assert_array_equal(wide["own"].std[~new], theirs.normalizer["own"].std)
+    observed = np.full((10_000, inputs.size), 3.0, np.float32)
+    again = update_normalizer(inputs, wide, observed)["own"]
+    # Half of the numbers seen are 3, the others were of mean 0 and variance 1.
+    np.testing.assert_allclose(again.mean[new], 1.5, rtol=1e-4)
+    np.testing.assert_allclose(again.std[new] ** 2, 0.5 + 1.5**2, rtol=1e-3)
+
+
+def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path):
+    folder, theirs = other
+    assert TINY.env.observation.rays.count == 24
+    seen = ContinuousObservation(rays=RayConfig(72))
+    env = dataclasses.replace(TINY.env, observation=seen)
+    config = dataclasses.replace(TINY, env=env, warm_start=str(folder))
+    narrow, wide = Learner(TINY), Learner(config)
+    state = jax.device_get(load_or_init(wide, [tmp_path]))
+    # Every third of 72 bearings is one of 24.
+    kept = columns(config, lambda name: name != "rays")
+    rays = columns(config, lambda name: name == "rays")
+    kept = np.sort(np.concatenate([kept, rays[::3]]))
+    rng = np.random.default_rng(2)
+    more = rng.uniform(-1, 1, (20, columns(config).size)).astype(np.float32)
+    before, after = (
+        learner.networks.policy_network.apply(
+            each.normalizer, each.average, observation
+        )
+        for learner, each, observation in (
+            (narrow, theirs, more[:, kept]),
+            (wide, state, more),
+        )
+    )
+    np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("rays", [RayConfig(36), RayConfig(72, reach=20.0)])
+def test_rays_of_other_bearings_or_reach_are_refused(other, tmp_path, rays):
+    seen = ContinuousObservation(rays=rays)
+    env = dataclasses.replace(TINY.env, observation=seen)
+    match = "trained on other observations: rays"
+    refused(tmp_path, ValueError, match, warm_start=str(other[0]), env=env)
+
+
+def refused(tmp_path, error, match, **changes):
+    with pytest.raises(error, match=match):
+        load_or_init(Learner(dataclasses.replace(TINY, **changes)), [tmp_path])
+
+
+def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
+    folder = str(other[0])
+    with pytest.raises(
+        ValueError, match=r"or a pretrained policy \(.*\), not 'nobody'"
+    ):
+        require_run(dataclasses.replace(TINY, warm_start="nobody"))
+    with pytest.raises(ValueError, match="square is a policy without a critic: give"):
+        require_run(dataclasses.replace(TINY, warm_start="square"))
+    alone = dataclasses.replace(TINY, warm_start="square", critic_steps=1)
+    with pytest.raises(
+        ValueError, match=r"networks.policy_layers \(256, 256\), not \(16,\)"
+    ):
+        require_run(alone)
+    sizes = PRESETS["square"].networks
+    require_run(dataclasses.replace(alone, networks=sizes))
+    other_critic = dataclasses.replace(sizes, value_layers=(8,))  # it is a new one
+    require_run(dataclasses.replace(alone, networks=other_critic))
+    require_run(dataclasses.replace(TINY, warm_start=folder))
+    other_critic = dataclasses.replace(TINY.networks, value_layers=(8,))
+    whole = dataclasses.replace(TINY, warm_start=folder, networks=other_critic)
+    with pytest.raises(ValueError, match=r"networks.value_layers \(16,\), not \(8,\)"):
+        require_run(whole)
+    refused(tmp_path, CheckpointError, "no checkpoint", warm_start=str(tmp_path))
+    refused(
+        tmp_path,
+        CheckpointError,
+        r"is needed",
+        warm_start=folder,
+        networks=dataclasses.replace(TINY.networks, policy_layers=(8,)),
+    )
+    refused(
+        tmp_path,
+        ValueError,
+        r"was trained on other observations: agent_0_goal",
+        warm_start=folder,
+        env=dataclasses.replace(
+            TINY.env,
+            observation=ContinuousObservation(
+                own_car=True, share=ShareConfig(goals=False)
+            ),
+        ),
+    )
+    refused(
+        tmp_path,
+        ValueError,
+        r"was trained on other observations \(",
+        warm_start=folder,
+        env=dataclasses.replace(
+            TINY.env, observation=ContinuousObservation(share=ShareConfig(goals=False))
+        ),
+    )
+    refused(
+        tmp_path,
+        ValueError,
+        r"was trained without agent_0_order, .*; only a set encoder",
+        warm_start=folder,
+        networks=NetworkConfig((16,), (16,), encoder="flat"),
+        env=WIDER.env,
+    )
+    refused(
+        tmp_path,
+        ValueError,
+        r"was trained for other actions",
+        warm_start=folder,
+        env=dataclasses.replace(WIDER.env, physics="grid", sim=SimConfig()),
+    )
+
+
+def test_entities_of_a_new_kind_are_refused(tmp_path):
+    seen = ContinuousObservation(tracked_parked_cars=0)
+    alone = dataclasses.replace(
+        TINY, env=dataclasses.replace(TINY.env, observation=seen)
+    )
+    folder = tmp_path / "alone"
+    folder.mkdir()
+    save(folder, alone, jax.device_get(Learner(alone).init()))
+    refused(
+        tmp_path,
+        ValueError,
+        "trained without entities of the kind parked_car; only more",
+        warm_start=str(folder),
+    )
