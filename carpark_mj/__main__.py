@@ -18,7 +18,7 @@ def main() -> NoReturn:
         known = ", ".join(COMMANDS)
         sys.exit(_refuse(f"unknown command {name!r}; choose from {known}"))
     sys.argv = [f"carpark_mj {name}", *sys.argv[2:]]  # as the help calls it
-    enter(name, COMMANDS[name].entry)
+    enter(name, COMMANDS[name].home)
 
 
 def _refuse(reason: str) -> int:

@@ -10,12 +10,13 @@ registered yet makes a registry import the extensions:
 So the core imports none of them, and every program finds all of them.
 """
 
+import dataclasses
 import importlib
 import importlib.metadata
 import os
 import pkgutil
 from collections.abc import Callable, Iterator, Mapping
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 GROUP = "carpark_mj.extensions"
 VARIABLE = "CARPARK_MJ_EXTENSIONS"
@@ -87,6 +88,24 @@ class Registry(Mapping[str, T], Generic[T]):
     def __len__(self) -> int:
         load_extensions()
         return len(self._parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """A part that is imported when it is used, so that naming it costs nothing.
+
+    Attributes:
+        home: `module:name` where it is.
+        summary: what it is, in a line.
+    """
+
+    home: str
+    summary: str = ""
+
+    def load(self) -> Any:
+        """Imports it."""
+        module, _, name = self.home.partition(":")
+        return getattr(importlib.import_module(module), name)
 
 
 def load_extensions() -> None:

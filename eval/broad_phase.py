@@ -22,7 +22,7 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from benchmarking.broad_phase import SCENES, make_env, measure
+from carpark_mj.benchmarking.broad_phase import SCENES, make_env, measure
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.config.checks import require_at_least
 

@@ -20,12 +20,12 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
-from benchmarking.timing import best_time
+from carpark_mj.benchmarking.timing import best_time
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.config.checks import require_whole
-from carpark_mj.junction import JunctionConfig, JunctionEnv
-from carpark_mj.junction.actions import ACTIONS
-from carpark_mj.junction.config import CarModel, Encoding
+from carpark_mj.studies.cederle.junction import JunctionConfig, JunctionEnv
+from carpark_mj.studies.cederle.junction.actions import ACTIONS
+from carpark_mj.studies.cederle.junction.config import CarModel, Encoding
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,7 +21,7 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from benchmarking.scaling import (
+from carpark_mj.benchmarking.scaling import (
     Point,
     draw,
     environments,

@@ -46,7 +46,7 @@ from carpark_mj.sweeps.config import SweepConfig
 from carpark_mj.training.hosts import read_hosts
 from carpark_mj.training.ppo.arguments import read_runs
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.presets import PRESETS as PPO_PRESETS
+from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
 from carpark_mj.training.settings import named
 from carpark_mj.vehicle import PRESETS
 from vehicle_suite.table import excerpt

@@ -23,8 +23,9 @@ FLOORS = (
     ("mdp", "physics"),
     ("fleet",),
     ("episodes",),
-    ("env", "junction"),
+    ("env",),
     ("registry", "registration", "policy"),
+    ("rollout",),
     ("planning",),
     ("evaluation",),
     ("analysis",),
@@ -32,7 +33,7 @@ FLOORS = (
     ("wrappers", "play"),
     ("cli",),
     ("training",),
-    ("sweeps",),
+    ("sweeps", "benchmarking"),
     ("programs",),
     ("studies", "__main__"),
 )
@@ -62,7 +63,7 @@ def part_of(path):
 
 def rooms_imported(path):
     names = [name.split(".") for name in imports_of(path)]
-    rooms = {name[1] for name in names if name[0] == "carpark_mj"}
+    rooms = {name[1] for name in names if name[0] == "carpark_mj" and name[1:]}
     return rooms - {part_of(path)}
 
 
@@ -82,8 +83,8 @@ def test_no_two_test_files_have_the_same_name():
     assert len(names) == len({*names})
 
 
-def test_at_most_twelve_files_stand_at_the_root_of_the_package():
-    assert len(list(LIBRARY.glob("*.py"))) <= 12
+def test_at_most_fourteen_files_stand_at_the_root_of_the_package():
+    assert len(list(LIBRARY.glob("*.py"))) <= 14
 
 
 @pytest.mark.parametrize("room", sorted(FLOOR))

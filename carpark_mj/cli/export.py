@@ -28,7 +28,7 @@ from carpark_mj.policy.onnx_export import (
     require_onnx,
     rounding_error,
 )
-from carpark_mj.rollout import Carry, Step, acts, roll_out
+from carpark_mj.policy.rollout import Carry, Step, acts, roll_out
 
 # Most that numbers of an action of a model and of its policy may differ by. Where
 # float32 itself is not as good as that, twice its error: both are computed in it.

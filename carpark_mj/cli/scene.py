@@ -6,7 +6,6 @@ python -m carpark_mj.scene --layout lot --seed 3 --view
 python -m carpark_mj.scene --layout lot --seed 3 --view web
 python -m carpark_mj.scene --policy runs/cpu-0 --view web
 python -m carpark_mj.scene --layout square --suspension --view
-python -m carpark_mj.scene --junction 3av-hd --out junction.xml
 """
 
 import dataclasses
@@ -27,9 +26,6 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_atomically
 from carpark_mj.fleet.checks import has_exits
-from carpark_mj.junction import JunctionConfig, JunctionEnv
-from carpark_mj.junction.scene import HALF, drivable_junction
-from carpark_mj.junction.steered_car import road_car
 from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
 from carpark_mj.rendering.live import LiveLot
@@ -46,7 +42,6 @@ from carpark_mj.scene.export import drivable_scene, scene_xml
 from carpark_mj.vehicle import VehicleParameters, preset
 
 PROGRAM = "python -m carpark_mj.scene"
-LOT = ("layout", "policy", "num_agents", "num_parked_cars", "suspension")
 WITHOUT_DISPLAY = (
     "use a desktop session or `ssh -X`, or look at it in a browser with --view web, or "
     "write a file with --out and open it elsewhere with `python -m mujoco.viewer "
@@ -55,15 +50,41 @@ WITHOUT_DISPLAY = (
 
 
 @dataclasses.dataclass(frozen=True)
-class SceneConfig:
-    """Settings of `python -m carpark_mj.scene`.
+class SceneOutput:
+    """Where a scene goes.
 
     Attributes:
-        layout: name of a lot or a family (`square`, `street`, `lot`...), or a layout
-            file, as in `EnvConfig`; default `square`, or the policy's.
         out: MJCF file to write; it needs no other file and no carpark_mj.
         view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
             a page on this machine for a browser.
+        port: port of the browser page.
+    """
+
+    out: str = ""
+    view: Literal["", "window", "web"] = ""
+    port: int = PORT
+
+    def __post_init__(self) -> None:
+        if not self.out and not self.view:
+            raise ValueError("give --out FILE.xml to write the scene, --view, or both")
+        if self.view != "web":
+            require_unset(self, "without --view web", "port")
+        if self.out and Path(self.out).suffix != ".xml":
+            raise ValueError(f"out must end in .xml, not {self.out!r}")
+        check_port(self.port)
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneConfig(SceneOutput):
+    """Settings of `python -m carpark_mj.scene`.
+
+    Attributes:
+        out: MJCF file to write; it needs no other file and no carpark_mj.
+        view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
+            a page on this machine for a browser.
+        port: port of the browser page.
+        layout: name of a lot or a family (`square`, `street`, `lot`...), or a layout
+            file, as in `EnvConfig`; default `square`, or the policy's.
         policy: pretrained policy, run folder or checkpoint file that drives, or `zero`
             or `random`; in the browser only.
         num_agents: number of cars to drive; default 2, or 1 where a lot has one goal,
@@ -72,42 +93,26 @@ class SceneConfig:
             has room for, or as the policy was trained.
         vehicle: preset of all cars; default `compact`, or the policy's.
         suspension: springs between the wheels and the cars to drive.
-        junction: scenario of the road junction, instead of a lot: `2av`, `2av-hd`,
-            `3av` or `3av-hd`, all cars to drive.
         seed: random seed of the lot and its cars.
-        port: port of the browser page.
     """
 
     layout: str | None = None
-    out: str = ""
-    view: Literal["", "window", "web"] = ""
     policy: str = ""
     num_agents: int | None = None
     num_parked_cars: int | None = None
     vehicle: str | None = None
     suspension: bool = False
-    junction: str = ""
     seed: int = 0
-    port: int = PORT
 
     def __post_init__(self) -> None:
-        if not self.out and not self.view:
-            raise ValueError("give --out FILE.xml to write the scene, --view, or both")
+        super().__post_init__()
         if self.policy and (self.view != "web" or self.out):
             raise ValueError(
                 "a policy drives in the browser only: give --view web alone"
             )
-        if self.junction:
-            where = "with --junction, which has its own roads and cars"
-            require_unset(self, where, *LOT)
         if self.policy:
             require_unset(self, "with --policy", "suspension")
-        if self.view != "web":
-            require_unset(self, "without --view web", "port")
         require_seed(self.seed)
-        if self.out and Path(self.out).suffix != ".xml":
-            raise ValueError(f"out must end in .xml, not {self.out!r}")
-        check_port(self.port)
 
 
 def env_config(config: SceneConfig, base: EnvConfig) -> EnvConfig:
@@ -123,13 +128,8 @@ def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
         The scene and the lot's half widths (2,) [m].
 
     Raises:
-        ValueError: unknown vehicle or scenario, or more cars than the lot holds.
+        ValueError: unknown vehicle, or more cars than the lot holds.
     """
-    if config.junction:
-        junction = JunctionEnv(JunctionConfig(config.junction))
-        state, _ = junction.reset(jax.random.key(config.seed))
-        pose_w = np.asarray(state.motion.pose_w)
-        return drivable_junction(vehicle(config), pose_w), np.array([HALF, HALF])
     env = ParkingEnv(env_config(config, default_env(config)))
     state, _ = jax.jit(env.reset)(jax.random.key(config.seed))
     spec = drivable_scene(
@@ -148,8 +148,6 @@ def vehicle(config: SceneConfig) -> VehicleParameters:
     Raises:
         ValueError: unknown vehicle.
     """
-    if config.junction:
-        return road_car(preset(config.vehicle or JunctionConfig.vehicle))
     return preset(env_config(config, default_env(config)).vehicle)
 
 
@@ -194,26 +192,51 @@ def main(config: SceneConfig) -> None:
     if config.policy:
         show_policy(config)
         return
-    missing = missing_display() if config.view == "window" else None
-    if missing and not config.out:
-        raise OSError(f"{missing}: {WITHOUT_DISPLAY}")
-    if config.view == "web":
-        require_web()
+    require_view(config)
     spec, extent = make_scene(config)
-    if config.out:
-        path = Path(config.out)
+    show_scene(config, spec, extent, scene_xml(spec, vehicle(config)))
+
+
+def require_view(output: SceneOutput) -> None:
+    """Refuses, before the work, what cannot be shown; a file is written all the same.
+
+    Raises:
+        OSError: there is no display, or no browser view.
+    """
+    missing = missing_display() if output.view == "window" else None
+    if missing and not output.out:
+        raise OSError(f"{missing}: {WITHOUT_DISPLAY}")
+    if output.view == "web":
+        require_web()
+
+
+def show_scene(
+    output: SceneOutput, spec: mujoco.MjSpec, extent: np.ndarray, text: str
+) -> None:
+    """Writes a scene and shows it.
+
+    Args:
+        output: where it goes.
+        spec: the scene.
+        extent: (2,) half widths that the browser shows [m].
+        text: the scene as MJCF.
+
+    Raises:
+        OSError: the file cannot be written, or there is no display.
+    """
+    if output.out:
+        path = Path(output.out)
         path.parent.mkdir(parents=True, exist_ok=True)
-        text = scene_xml(spec, vehicle(config))
         write_atomically(path, lambda temporary: temporary.write_text(text))
         print(f"wrote {path}; open it: python -m mujoco.viewer --mjcf={path}")
-    if missing:
+    if output.view == "window" and (missing := missing_display()):
         raise OSError(f"{missing}: {WITHOUT_DISPLAY}")
-    if config.view == "web":
+    if output.view == "web":
         model = spec.compile()
-        viewer, server = make_viewer(model, mujoco.MjData(model), extent, config.port)
+        viewer, server = make_viewer(model, mujoco.MjData(model), extent, output.port)
         print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
         viewer.run()
-    elif config.view:
+    elif output.view:
         from mujoco import viewer as window
 
         window.launch(spec.compile())

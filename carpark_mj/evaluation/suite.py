@@ -39,7 +39,7 @@ from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.evaluation.suite_cases import LEVELS, Cases
 from carpark_mj.layouts import HopeConfig, Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
-from carpark_mj.rollout import Carry, Step, roll_out
+from carpark_mj.policy.rollout import Carry, Step, roll_out
 from carpark_mj.types import State
 
 VEHICLE = "tpcap"

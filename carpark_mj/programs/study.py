@@ -1,6 +1,5 @@
 """Runs a program of a study or an extension: `carpark_mj study NAME …`."""
 
-import importlib
 import sys
 from collections.abc import Sequence
 
@@ -17,8 +16,8 @@ def run(arguments: Sequence[str] | None = None) -> object:
     choose_gl()  # before an extension imports MuJoCo
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
-        print(f"usage: carpark_mj study NAME ...\n\n{table(dict(STUDY_PROGRAMS))}")
+        print(f"usage: carpark_mj study NAME ...\n\n{table(STUDY_PROGRAMS)}")
         return 0
-    module, _, function = STUDY_PROGRAMS[words[0]].entry.partition(":")
+    program = STUDY_PROGRAMS[words[0]]
     sys.argv = [f"carpark_mj study {words[0]}", *words[1:]]
-    return getattr(importlib.import_module(module), function)(words[1:])
+    return program.load()(words[1:])

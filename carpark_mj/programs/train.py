@@ -36,7 +36,7 @@ def run_on_host(arguments: Sequence[str]) -> int:
 
     from carpark_mj.training.ppo.arguments import read_runs
     from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
-    from carpark_mj.training.ppo.presets import PRESETS, SUMMARIES
+    from carpark_mj.training.ppo.parts import PRESETS, summaries
     from carpark_mj.training.ppo.run import train_runs
     from carpark_mj.training.ppo.train import MAX_SKIPPED
     from carpark_mj.training.settings import read_settings
@@ -45,7 +45,7 @@ def run_on_host(arguments: Sequence[str]) -> int:
 
     def read(arguments: Sequence[str]) -> PPOConfig:
         return read_settings(
-            PRESETS[hardware], PRESETS, arguments, __doc__, RUN_SETTINGS, SUMMARIES
+            PRESETS[hardware], PRESETS, arguments, __doc__, RUN_SETTINGS, summaries()
         )
 
     ended = train_runs(read_runs(arguments, read))

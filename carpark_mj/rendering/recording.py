@@ -12,8 +12,8 @@ from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.layouts.types import Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument
+from carpark_mj.policy.rollout import Carry, Step, acts, roll_out
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.rollout import Carry, Step, acts, roll_out
 from carpark_mj.types import Motion, State
 
 

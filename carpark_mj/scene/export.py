@@ -20,7 +20,6 @@ from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 SETTLING = 5.0  # s, after which a car placed on the ground is at rest
 
-_PLACES = {"carpark": "car park", "junction": "road junction"}  # by model
 _GUIDE = """
   A {place} with {agents} to drive, made by carpark_mj.
   Open it with `python -m mujoco.viewer`: drop the file into the window.
@@ -133,15 +132,22 @@ def _place(
     body.quat = quat
 
 
-def scene_xml(spec: mujoco.MjSpec, params: VehicleParameters) -> str:
+def scene_xml(
+    spec: mujoco.MjSpec, params: VehicleParameters, place: str = "car park"
+) -> str:
     """The scene as MJCF text, with a guide to its controls at the top.
 
     It is well-formed XML for other readers too: comments must not contain `--`.
+
+    Args:
+        spec: the scene.
+        params: the vehicle of the cars to drive.
+        place: what the guide calls the scene.
     """
     spec.compile()
     agents = sum(body.name.startswith("agent") for body in spec.worldbody.bodies)
     guide = _GUIDE.format(
-        place=_PLACES[spec.modelname],
+        place=place,
         agents="1 car" if agents == 1 else f"{agents} cars",
         rate=params.steering_rate,
         reverse=-params.max_reverse_speed / params.max_speed,

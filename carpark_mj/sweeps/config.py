@@ -12,7 +12,7 @@ from carpark_mj.sweeps.executor import Cluster
 from carpark_mj.sweeps.manage import Where
 from carpark_mj.sweeps.plan import Plan
 from carpark_mj.sweeps.slurm import SlurmConfig
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.run_folder import RunConfig
 
 

@@ -11,7 +11,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.sweeps.axes import Axis, flags
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.presets import PRESETS, SUMMARIES
+from carpark_mj.training.ppo.parts import PRESETS, summaries
 from carpark_mj.training.settings import read_settings
 
 MAX_RUNS = 100_000
@@ -150,7 +150,7 @@ def settings_of(run: Run) -> PPOConfig:
     arguments = run.arguments
     if "video_seconds" not in dict(run.settings):
         arguments += ["--video-seconds", "0"]
-    return read_settings(PRESETS[run.base], PRESETS, arguments, None, (), SUMMARIES)
+    return read_settings(PRESETS[run.base], PRESETS, arguments, None, (), summaries())
 
 
 def _describe(run: Run) -> str:

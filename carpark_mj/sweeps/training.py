@@ -10,7 +10,7 @@ from carpark_mj.sweeps.outcomes import run_folder
 from carpark_mj.sweeps.plan import Run, settings_of
 from carpark_mj.sweeps.work import Tell, describe
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.presets import PRESETS, SUMMARIES
+from carpark_mj.training.ppo.parts import PRESETS, summaries
 from carpark_mj.training.ppo.run import finish, train_runs
 from carpark_mj.training.ppo.train import MAX_SKIPPED
 from carpark_mj.training.settings import read_settings
@@ -76,7 +76,7 @@ def _settings(run: Run, sweep: Path) -> PPOConfig:
     folder = run_folder(sweep, run)
     if checkpoint_files(folder):
         words = ["--resume", str(folder)]
-        return read_settings(PRESETS[run.base], PRESETS, words, None, (), SUMMARIES)
+        return read_settings(PRESETS[run.base], PRESETS, words, None, (), summaries())
     shutil.rmtree(folder, ignore_errors=True)  # killed before its first checkpoint
     return dataclasses.replace(
         settings_of(run), name=run.name, runs_dir=str(folder.parent)

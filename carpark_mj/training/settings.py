@@ -42,9 +42,15 @@ def read_settings(
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     # The preset is read first: settings may be valid only on top of the one named.
-    preset = presets.get(named(arguments, "preset"), default)
+    preset = default
+    if (name := named(arguments, "preset")) in presets:
+        preset = presets[name]
     text = f"{description or ''}\nPresets:\n{_preset_table(presets, summaries)}\n"
     config = read_flags(type(default), arguments, preset, text, short)
+    if config.preset not in ("", "auto", *presets):
+        raise ValueError(
+            f"unknown preset {config.preset!r}; choose from {', '.join(presets)}"
+        )
     if not config.resume:
         if any(word.partition("=")[0] == "--resume" for word in arguments):
             raise ValueError("resume must name the folder of a run, not ''")

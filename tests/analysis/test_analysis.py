@@ -26,7 +26,7 @@ from carpark_mj.analysis.runs import (
 )
 from carpark_mj.cli.analysis import MAX_ROWS, analyse
 from carpark_mj.programs import analysis
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 
 BASE = PRESETS["tanner-fixed"]
 

@@ -75,7 +75,7 @@ def test_training_compiles_with_fused_outputs(name: str):
         "from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig; "
         "from carpark_mj.config import insert; "
         "from carpark_mj.training.ppo.learner import Learner; "
-        "from carpark_mj.training.ppo.presets import PRESETS; "
+        "from carpark_mj.training.ppo.parts import PRESETS; "
         f"learner = Learner({CONFIGS[name]}); "
         "learner.compile().lower(learner.shapes()).compile()"
     )

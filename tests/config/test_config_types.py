@@ -13,11 +13,11 @@ from carpark_mj.config import (
     SimConfig,
     TannerObservation,
 )
-from carpark_mj.junction import JunctionConfig
-from carpark_mj.junction.config import RasterConfig, RewardRules
 from carpark_mj.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.studies.cederle.junction import JunctionConfig
+from carpark_mj.studies.cederle.junction.config import RasterConfig, RewardRules
 from carpark_mj.studies.pandita.sac.config import SACConfig
 from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
 from carpark_mj.training.ppo.config import PPOConfig

@@ -2,7 +2,6 @@
 
 import pytest
 
-import benchmark
 import broad_phase
 import junction_speed
 import physics_report
@@ -14,9 +13,6 @@ import soak
 @pytest.mark.parametrize(
     ("script", "flags", "said"),
     [
-        (benchmark, ["--batch", "4"], "Unrecognized options: --batch, 4"),
-        (benchmark, ["--batches", "0"], "batches must be positive, not (0,)"),
-        (benchmark, ["--steps", "many"], "many"),
         (broad_phase, ["--lot", "4"], "Unrecognized options: --lot, 4"),
         (broad_phase, ["--lots", "0"], "lots must be at least 1, not 0"),
         (broad_phase, ["--scenes", "sea"], "unknown scenes ['sea']; choose from"),

@@ -6,7 +6,7 @@ import functools
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.junction import JunctionConfig, JunctionEnv
+from carpark_mj.studies.cederle.junction import JunctionConfig, JunctionEnv
 
 
 @functools.lru_cache

@@ -9,7 +9,7 @@ from pathlib import Path
 from carpark_mj.sweeps.axes import read_axis
 from carpark_mj.sweeps.outcomes import run_folder
 from carpark_mj.sweeps.plan import Plan, checked_runs, settings_of
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.run_folder import describe
 
 

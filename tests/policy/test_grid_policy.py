@@ -15,7 +15,7 @@ from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.registry import environment
 from carpark_mj.rendering.live import LiveLot
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import save
 
 FIXED = environment("tanner-fixed")

@@ -12,7 +12,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))

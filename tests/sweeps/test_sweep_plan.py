@@ -8,7 +8,7 @@ from carpark_mj.sweeps import manage
 from carpark_mj.sweeps.axes import Axis, read_axis
 from carpark_mj.sweeps.groups import groups
 from carpark_mj.sweeps.plan import Plan, checked_runs, runs, settings_of
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 
 
 def axes(*texts, base="tanner-fixed"):
@@ -135,4 +135,6 @@ def test_a_bad_sweep_is_one_sentence_before_anything_runs(
 
 def test_an_unknown_base_is_refused_with_the_known_ones(capsys):
     assert exit_code(sweep, ["--base", "gpus"]) == 2
-    assert "unknown base 'gpus'; choose from ['cpu', 'gpu'" in capsys.readouterr().err
+    assert (
+        "unknown base 'gpus'; choose from ['anywhere', 'cpu'" in capsys.readouterr().err
+    )

@@ -13,7 +13,7 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import schedule
 from carpark_mj.training.ppo.forecast import announcement, estimate
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.state import TrainingState, no_steps
 from carpark_mj.training.ppo.train import train
 

@@ -11,7 +11,7 @@ from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.wrappers.brax import BraxParking
 
 TINY = dataclasses.replace(

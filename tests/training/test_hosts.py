@@ -8,7 +8,7 @@ import pytest
 from carpark_mj.training import hosts
 from carpark_mj.training.hosts import Hosts, read_hosts
 from carpark_mj.training.ppo.learner import num_devices
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 
 
 def test_flags_of_hosts_are_taken_out_of_the_others():

@@ -27,7 +27,7 @@ from carpark_mj.training.ppo.advantages import compute_advantages
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.rollout import Rollout
 from carpark_mj.training.ppo.state import AXIS
 

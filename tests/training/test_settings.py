@@ -10,14 +10,14 @@ from carpark_mj.files import write_json
 from carpark_mj.registry import TANNER_FIXED
 from carpark_mj.studies.tanner.q_learning.presets import Q_PRESETS, Q_SUMMARIES
 from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
-from carpark_mj.training.ppo.presets import PRESETS, SUMMARIES
+from carpark_mj.training.ppo.parts import PRESETS, summaries
 from carpark_mj.training.run_folder import describe
 from carpark_mj.training.settings import read_settings
 
 
 def read(*arguments):
     return read_settings(
-        PRESETS["cpu"], PRESETS, arguments, None, RUN_SETTINGS, SUMMARIES
+        PRESETS["cpu"], PRESETS, arguments, None, RUN_SETTINGS, summaries()
     )
 
 
@@ -84,7 +84,7 @@ def test_the_help_tells_presets_apart_and_what_no_preset_means(capsys):
     table = printed.partition("Presets:\n")[2].partition("\n\n")[0].splitlines()
     assert len({line.split(maxsplit=1)[1] for line in table}) == len(PRESETS)
     words = " ".join(re.sub("[│ \n]+", " ", printed).split())
-    assert "(default: auto, which is gpu where JAX finds one, else cpu)" in words
+    assert "`auto` is `gpu` where JAX finds one, else `cpu`" in words
 
 
 def test_the_whole_help_lists_every_setting(capsys):

@@ -24,7 +24,7 @@ from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.normalizer import update_normalizer
 from carpark_mj.training.ppo.group import make_learner
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import load_or_init, save
 from carpark_mj.training.ppo.warm_start import require_run
 from carpark_mj.training.ppo.widening import widen

@@ -7,7 +7,7 @@ import pytest
 import carpark_mj
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.registration import ENTRY_POINTS
-from carpark_mj.wrappers.junction_pettingzoo import junction_parallel_env
+from carpark_mj.studies.cederle.adapters.pettingzoo import junction_parallel_env
 
 PARK, GOAL, SLOTS, MANY = ENTRY_POINTS
 QUICK = EnvConfig(

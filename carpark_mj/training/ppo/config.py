@@ -1,44 +1,22 @@
 """Settings of PPO training."""
 
 import dataclasses
-from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
-import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig, data
 from carpark_mj.config.checks import (
     LARGEST_WHOLE,
     require_at_least,
-    require_choice,
     require_positive,
     require_ratio,
 )
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.ppo.parts import VARIANTS
 from carpark_mj.training.run_folder import RunConfig
-
-PresetName = Literal[
-    "auto",
-    "cpu",
-    "gpu",
-    "square",
-    "dynamic",
-    "anywhere",
-    "hope",
-    "tanner-fixed",
-    "tanner-fixed-original",
-    "tanner-dynamic",
-    "tanner-dynamic-original",
-]
-
-VariantName = Literal["brax", "ml-agents"]
-
-_BY_HARDWARE = tyro.conf.arg(
-    help_behavior_hint="(default: auto, which is gpu where JAX finds one, else cpu)"
-)
 
 # What the short help lists.
 RUN_SETTINGS = (
@@ -64,7 +42,8 @@ class PPOConfig(RunConfig):
     The settings of `RunConfig` come first.
 
     Attributes:
-        preset: settings the other flags start from.
+        preset: settings the other flags start from; `auto` is `gpu` where JAX finds
+            one, else `cpu`.
         warm_start: run whose networks the training starts from instead of random ones:
             folder, checkpoint, or name of a pretrained policy with `critic_steps`.
         num_steps: agent steps to simulate in all. Those of absent agents count, here
@@ -87,8 +66,7 @@ class PPOConfig(RunConfig):
         discount: discount factor per control step, at the start.
         gae_lambda: lambda of generalised advantage estimation.
         max_grad_norm: global norm to which gradients are clipped.
-        variant: whose details: Brax's, or those of ML-Agents, see
-            `carpark_mj.training.ppo.ml_agents`.
+        variant: whose details: `brax`, or of a study, as `ml-agents`.
         averaged_updates: the policy that is evaluated is the exponential moving average
             over about this many updates; 1 = the last one.
         hitbox_scale: factor on the cars' lengths and widths in collision tests during
@@ -105,7 +83,7 @@ class PPOConfig(RunConfig):
         env: the environment.
     """
 
-    preset: Annotated[PresetName, _BY_HARDWARE] = "auto"
+    preset: str = "auto"
     warm_start: str = ""
     num_steps: int = 40_000_000
     minutes: float = 0.0
@@ -123,7 +101,7 @@ class PPOConfig(RunConfig):
     discount: float = data(0.99)
     gae_lambda: float = data(0.92)
     max_grad_norm: float = 1.0
-    variant: VariantName = "brax"
+    variant: str = "brax"
     averaged_updates: int = 32
     hitbox_scale: float = 1.0
     hitbox_steps: int = 0
@@ -192,9 +170,7 @@ class PPOConfig(RunConfig):
             )
         if not self.env.episode.respawn:
             raise ValueError("PPO needs env.episode.respawn = True")
-        require_choice("variant", self.variant, VariantName)
-        if self.variant == "ml-agents":
-            self._check_ml_agents()
+        VARIANTS[self.variant].load().check(self)
         if self.curriculum.target_rate and not self.lot_life:
             raise ValueError(
                 f"curriculum.target_rate {self.curriculum.target_rate} needs lot_life "
@@ -210,28 +186,6 @@ class PPOConfig(RunConfig):
             raise ValueError(
                 f"num_lots x num_agents = {agents} must be a multiple of "
                 f"num_minibatches {self.num_minibatches}"
-            )
-
-    def _check_ml_agents(self) -> None:
-        """Refuses what the details of ML-Agents are not made for.
-
-        Raises:
-            ValueError: naming the setting and what it needs.
-        """
-        if self.env.physics != "grid":
-            raise ValueError(
-                "variant 'ml-agents' needs actions of choices only, env.physics "
-                f"'grid', not {self.env.physics!r}"
-            )
-        if self.networks.encoder != "flat":
-            raise ValueError(
-                "variant 'ml-agents' needs networks.encoder 'flat', not "
-                f"{self.networks.encoder!r}"
-            )
-        if len(self.env.agent_counts) > 1:
-            raise ValueError(
-                "variant 'ml-agents' needs the same number of agents in all lots, "
-                f"env.min_agents = None, not {self.env.min_agents}"
             )
 
     @property

@@ -15,10 +15,10 @@ from carpark_mj.policy.normalizer import update_normalizer
 from carpark_mj.training.ppo.advantages import compute_advantages
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import discount, schedule
-from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
-from carpark_mj.training.ppo.ml_agents import ml_agents_loss, prepare_steps
+from carpark_mj.training.ppo.loss import Minibatch, Weights
 from carpark_mj.training.ppo.rollout import Rollout, drop_absent
 from carpark_mj.training.ppo.state import AXIS, TrainingState
+from carpark_mj.training.ppo.variants import variant
 
 Learned = tuple[Any, Any, Any, Any]
 
@@ -42,8 +42,7 @@ def learn(
 
     Values and advantages are those of the parameters at the start of an epoch. A
     minibatch holds all steps of its agents, and its parts on all devices are one: see
-    `loss`. With the details of ML-Agents they are those of the start, and a minibatch
-    holds any steps.
+    `loss`. All this is as Brax has it, and `PPOConfig.variant` may change it.
 
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.
@@ -54,9 +53,9 @@ def learn(
         entropy_cost=schedule(config.entropy_cost, config.entropy_cost_end, progress),
         clip=schedule(config.clip, config.clip_end, progress),
     )
-    ml_agents = config.variant == "ml-agents"
+    details = variant(config.variant)
     normalizer = state.normalizer
-    if not ml_agents:
+    if details.normalizes:
         normalizer = update_normalizer(
             inputs, normalizer, rollout.observation, rollout.weight, AXIS
         )
@@ -93,10 +92,7 @@ def learn(
             weight=weight,
         )
 
-    old: Any = jax.tree.map(_flat, prepare(unravel(start))) if ml_agents else None
-    if ml_agents:
-        old = prepare_steps(unravel(start), networks, normalizer, old)
-    loss: Any = ml_agents_loss if ml_agents else ppo_loss
+    steps_for = details.prepared(prepare, unravel(start), networks, normalizer)
     rate: Any = learning_rate
     if config.critic_steps:
         acts = (state.update >= config.critic_updates).astype(jnp.float32)
@@ -107,15 +103,13 @@ def learn(
         rate = learning_rate * ravel_pytree(moves)[0]
 
     def epoch(carry: Any, key: jax.Array) -> tuple[Any, Any]:
-        steps = old if ml_agents else prepare(unravel(carry[0]))
+        steps = steps_for(unravel(carry[0]))
 
         def minibatch(carry: Any, part: Any) -> tuple[Any, Any]:
             params, moments = carry
             chosen, loss_key = part
-            batch = jax.tree.map(
-                lambda x: x[chosen] if ml_agents else _flat(x[:, chosen]), steps
-            )
-            grads, losses = jax.grad(loss, has_aux=True)(
+            batch = jax.tree.map(lambda x: _flat(x[:, chosen]), steps)
+            grads, losses = jax.grad(details.loss, has_aux=True)(
                 unravel(params),
                 networks,
                 normalizer,
@@ -129,9 +123,7 @@ def learn(
             return (params - rate * updates, moments), losses
 
         shuffle_key, loss_key = jax.random.split(key)
-        # Of steps, or of agents.
-        count = rollout.reward.size if ml_agents else rollout.reward.shape[1]
-        order = jax.random.permutation(shuffle_key, count)
+        order = jax.random.permutation(shuffle_key, steps.weight.shape[1])
         parts = (
             order.reshape(config.num_minibatches, -1),
             jax.random.split(loss_key, config.num_minibatches),

@@ -26,9 +26,9 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import crash_scale, training_env
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.families import make_families
-from carpark_mj.training.ppo.ml_agents import initial_weights
 from carpark_mj.training.ppo.rollout import Rollout, Totals, collect
 from carpark_mj.training.ppo.state import AXIS, TrainingState, no_steps, state_specs
+from carpark_mj.training.ppo.variants import variant
 from carpark_mj.wrappers.brax import BraxParking
 
 
@@ -108,9 +108,7 @@ class Learner:
             self.networks.policy_network.init(policy_key),
             self.networks.value_network.init(value_key),
         )
-        if self.config.variant == "ml-agents":
-            key, weights_key = jax.random.split(key)
-            params = initial_weights(params, weights_key)
+        params, key = variant(self.config.variant).initial_weights(params, key)
         rates = self.families.init()
         lots = self.families.draw(rates, env_key, self.config.num_lots)
         state = TrainingState(

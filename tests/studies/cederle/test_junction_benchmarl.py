@@ -14,9 +14,8 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.envs import Compose, TransformedEnv
 
-from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
-from carpark_mj.junction.evaluation import NEVER
 from carpark_mj.policy import runs
+from carpark_mj.studies.cederle.adapters.torchrl import TorchRLJunction
 from carpark_mj.studies.cederle.benchmarl import train
 from carpark_mj.studies.cederle.benchmarl.build import HeldActions, make_task
 from carpark_mj.studies.cederle.benchmarl.config import BenchMARLConfig
@@ -24,8 +23,9 @@ from carpark_mj.studies.cederle.benchmarl.episodes import Evaluation, GreedyPoli
 from carpark_mj.studies.cederle.benchmarl.presets import benchmarl_presets
 from carpark_mj.studies.cederle.benchmarl.run import train_run
 from carpark_mj.studies.cederle.benchmarl.train import Training
+from carpark_mj.studies.cederle.junction.actions import KEEP_LANE, SLOW_DOWN
+from carpark_mj.studies.cederle.junction.evaluation import NEVER
 from carpark_mj.studies.cederle.training.video import record
-from carpark_mj.wrappers.junction_torchrl import TorchRLJunction
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of libraries
 
@@ -178,7 +178,7 @@ def test_greedy_episodes_are_counted_with_observations_scaled():
 
 
 def junction_start():
-    from carpark_mj.junction import JunctionEnv
+    from carpark_mj.studies.cederle.junction import JunctionEnv
 
     return JunctionEnv().reset(jax.random.key(0))
 

@@ -6,7 +6,6 @@ import math
 import pytest
 from helpers.programs import exit_code
 
-from carpark_mj.junction.scenarios import scenario
 from carpark_mj.studies.cederle.experiments import program as junction_study
 from carpark_mj.studies.cederle.experiments.cells import (
     BESIDE,
@@ -24,6 +23,7 @@ from carpark_mj.studies.cederle.experiments.runs import (
     read_outcome,
     tail,
 )
+from carpark_mj.studies.cederle.junction.scenarios import scenario
 from carpark_mj.studies.cederle.training.families import read_junction_settings
 
 

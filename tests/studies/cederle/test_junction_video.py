@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.junction.actions import KEEP_LANE, SLOW_DOWN
-from carpark_mj.rendering import junction_video
 from carpark_mj.studies.cederle.dqn.config import DQNConfig
+from carpark_mj.studies.cederle.junction.actions import KEEP_LANE, SLOW_DOWN
+from carpark_mj.studies.cederle.rendering import video
 from carpark_mj.studies.cederle.training.video import record, write_video
 
 CONFIG = DQNConfig(scenario="2av-hd", video_episodes=2, eval_jitter=0.0)
@@ -43,11 +43,9 @@ def test_below_every_car_stands_what_it_intends_or_how_it_ended(
         seen.append(shown)
         return frame
 
-    monkeypatch.setattr(junction_video, "draw_labels", labels)
-    monkeypatch.setattr(junction_video, "SIZE", (64, 64))
-    path = junction_video.write_drives(
-        tmp_path / "video.mp4", CONFIG.junction, drives[:1]
-    )
+    monkeypatch.setattr(video, "draw_labels", labels)
+    monkeypatch.setattr(video, "SIZE", (64, 64))
+    path = video.write_drives(tmp_path / "video.mp4", CONFIG.junction, drives[:1])
     frames = 2 * len(drives[0].states)  # two traced instants of a step
     assert len(seen) == frames
     assert seen[19].seconds == pytest.approx(1.0)
@@ -70,11 +68,11 @@ def test_cars_are_called_by_their_missions_whichever_agents_have_them(
 ):
     seen = []
     monkeypatch.setattr(
-        junction_video, "draw_labels", lambda frame, _, shown, *__: seen.append(shown)
+        video, "draw_labels", lambda frame, _, shown, *__: seen.append(shown)
     )
-    monkeypatch.setattr(junction_video, "draw_status", lambda *_: np.zeros((64, 64, 3)))
-    monkeypatch.setattr(junction_video, "write_video", lambda _, frames, *__: [*frames])
-    monkeypatch.setattr(junction_video, "SIZE", (64, 64))
+    monkeypatch.setattr(video, "draw_status", lambda *_: np.zeros((64, 64, 3)))
+    monkeypatch.setattr(video, "write_video", lambda _, frames, *__: [*frames])
+    monkeypatch.setattr(video, "SIZE", (64, 64))
     first = drives[0].states[0]
     task = dataclasses.replace(first.task, order=np.array([1, 0, 2]))
     dealt = dataclasses.replace(
@@ -82,7 +80,7 @@ def test_cars_are_called_by_their_missions_whichever_agents_have_them(
         states=[dataclasses.replace(first, task=task)],
         actions=drives[0].actions[:1],
     )
-    junction_video.write_drives(tmp_path / "video.mp4", CONFIG.junction, [dealt])
+    video.write_drives(tmp_path / "video.mp4", CONFIG.junction, [dealt])
     names = [text.split(":")[0] for text in seen[0].state]
     assert names == ["west", "east", "human"]
 

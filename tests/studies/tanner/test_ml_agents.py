@@ -17,17 +17,17 @@ from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.training.ppo import epochs
-from carpark_mj.training.ppo.advantages import compute_advantages
-from carpark_mj.training.ppo.epochs import learn, network_params
-from carpark_mj.training.ppo.loss import Minibatch, Weights
-from carpark_mj.training.ppo.ml_agents import (
+from carpark_mj.studies.tanner import ml_agents
+from carpark_mj.studies.tanner.ml_agents import (
     Steps,
     initial_weights,
     ml_agents_loss,
     prepare_steps,
 )
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.advantages import compute_advantages
+from carpark_mj.training.ppo.epochs import learn, network_params
+from carpark_mj.training.ppo.loss import Minibatch, Weights
+from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.rollout import Rollout
 from carpark_mj.training.ppo.state import AXIS
 
@@ -241,7 +241,7 @@ def test_an_epoch_learns_once_from_every_step_in_minibatches_from_anywhere(monke
         loss = sum(jnp.sum(x) for x in jax.tree.leaves(params))
         return loss, seen | {"same_agent": same_agent}
 
-    monkeypatch.setattr(epochs, "ml_agents_loss", watch)
+    monkeypatch.setattr(ml_agents, "ml_agents_loss", watch)
 
     def update(key):
         found = learn(

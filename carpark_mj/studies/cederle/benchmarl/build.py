@@ -19,10 +19,10 @@ from tensordict import TensorDict, TensorDictBase
 from torch import nn
 from torchrl.envs import Compose, EnvBase, ObservationNorm, RewardScaling, Transform
 
+from carpark_mj.studies.cederle.adapters.benchmarl import JunctionTaskClass
+from carpark_mj.studies.cederle.adapters.torchrl import TorchRLJunction
 from carpark_mj.studies.cederle.benchmarl.config import BenchMARLConfig
 from carpark_mj.studies.cederle.training.config import VECTOR_SCALE
-from carpark_mj.wrappers.junction_benchmarl import JunctionTaskClass
-from carpark_mj.wrappers.junction_torchrl import TorchRLJunction
 from carpark_mj.wrappers.torchrl import GROUP
 
 # Returns of `ippo` and `mappo` are divided by it: those of an agent come to 40 to 80,

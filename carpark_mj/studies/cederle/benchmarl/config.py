@@ -8,7 +8,7 @@ from carpark_mj.config.checks import (
     require_ratio,
     require_whole,
 )
-from carpark_mj.junction.config import EndRule
+from carpark_mj.studies.cederle.junction.config import EndRule
 from carpark_mj.studies.cederle.training.config import Algorithm, JunctionRunConfig
 
 ON_POLICY: tuple[Algorithm, ...] = ("ippo", "mappo")

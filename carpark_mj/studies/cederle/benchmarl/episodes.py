@@ -11,8 +11,13 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from carpark_mj.junction.evaluation import Outcomes, advance, begin, evaluation_env
 from carpark_mj.studies.cederle.benchmarl.config import BenchMARLConfig
+from carpark_mj.studies.cederle.junction.evaluation import (
+    Outcomes,
+    advance,
+    begin,
+    evaluation_env,
+)
 from carpark_mj.studies.cederle.training.config import VECTOR_SCALE
 from carpark_mj.wrappers.torchrl import GROUP
 

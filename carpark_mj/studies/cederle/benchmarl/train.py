@@ -16,7 +16,6 @@ import torch
 from benchmarl.experiment import Callback, Experiment
 from tensordict import TensorDictBase
 
-from carpark_mj.junction.evaluation import summarize
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.studies.cederle.benchmarl.build import (
     make_algorithm,
@@ -26,6 +25,7 @@ from carpark_mj.studies.cederle.benchmarl.build import (
 )
 from carpark_mj.studies.cederle.benchmarl.config import BenchMARLConfig
 from carpark_mj.studies.cederle.benchmarl.episodes import Evaluation, GreedyPolicy
+from carpark_mj.studies.cederle.junction.evaluation import summarize
 from carpark_mj.studies.cederle.training.evaluations import (
     progress,
     summary,

@@ -7,9 +7,6 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.evaluation.keys import training_key
-from carpark_mj.junction import JunctionEnv
-from carpark_mj.junction.actions import ACTIONS
-from carpark_mj.junction.evaluation import Outcomes, evaluate, evaluation_env
 from carpark_mj.studies.cederle.dqn.config import DQNConfig
 from carpark_mj.studies.cederle.dqn.networks import make_network, to_agents, to_learners
 from carpark_mj.studies.cederle.dqn.state import Report, Training
@@ -19,6 +16,13 @@ from carpark_mj.studies.cederle.dqn.update import (
     make_buffer,
     make_optimizer,
     update,
+)
+from carpark_mj.studies.cederle.junction import JunctionEnv
+from carpark_mj.studies.cederle.junction.actions import ACTIONS
+from carpark_mj.studies.cederle.junction.evaluation import (
+    Outcomes,
+    evaluate,
+    evaluation_env,
 )
 
 

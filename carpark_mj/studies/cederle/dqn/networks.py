@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from carpark_mj.junction.actions import ACTIONS
 from carpark_mj.studies.cederle.dqn.config import DQNConfig
+from carpark_mj.studies.cederle.junction.actions import ACTIONS
 from carpark_mj.studies.cederle.training.config import VECTOR_SCALE
 
 # Of the study's convolutional network: features, size and stride of a layer.

@@ -5,8 +5,8 @@ from typing import Any
 import jax
 from flax import struct
 
-from carpark_mj.junction.types import State
 from carpark_mj.studies.cederle.dqn.update import Learner
+from carpark_mj.studies.cederle.junction.types import State
 
 
 @struct.dataclass

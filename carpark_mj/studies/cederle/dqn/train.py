@@ -7,11 +7,11 @@ from typing import Any
 
 import jax
 
-from carpark_mj.junction.evaluation import summarize
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.studies.cederle.dqn.config import DQNConfig
 from carpark_mj.studies.cederle.dqn.learner import DQNLearner
 from carpark_mj.studies.cederle.dqn.state import Report, Training
+from carpark_mj.studies.cederle.junction.evaluation import summarize
 from carpark_mj.studies.cederle.training.evaluations import (
     progress,
     summary,

@@ -3,7 +3,7 @@
 import dataclasses
 from typing import get_args
 
-from carpark_mj.junction.config import CarModel
+from carpark_mj.studies.cederle.junction.config import CarModel
 from carpark_mj.studies.cederle.training.config import Algorithm, ScenarioName
 
 SCENARIOS: dict[str, ScenarioName] = dict(

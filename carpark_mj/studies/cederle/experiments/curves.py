@@ -14,9 +14,9 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from carpark_mj.junction.scenarios import scenario
 from carpark_mj.studies.cederle.experiments.cells import Cell
 from carpark_mj.studies.cederle.experiments.runs import Outcome
+from carpark_mj.studies.cederle.junction.scenarios import scenario
 from carpark_mj.training.panels import make_panels, write_figure
 
 PATH = Path(__file__).parent / "cederle_2023.csv"

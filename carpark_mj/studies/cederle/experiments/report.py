@@ -9,11 +9,11 @@ import numpy as np
 from carpark_mj.analysis.seeds import ENOUGH, always
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import write_atomically
-from carpark_mj.junction.scenarios import scenario
 from carpark_mj.studies.cederle.experiments.cells import SCENARIOS, Cell, Published
 from carpark_mj.studies.cederle.experiments.claims import CLAIMS, Runs, compare
 from carpark_mj.studies.cederle.experiments.curves import published_curve
 from carpark_mj.studies.cederle.experiments.runs import TAIL, Outcome, tail
+from carpark_mj.studies.cederle.junction.scenarios import scenario
 
 SAFE = 0.99  # share of episodes in which everybody gets through
 

@@ -8,8 +8,12 @@ import jax
 from carpark_mj.cli.common import MAX_EPISODES
 from carpark_mj.config.checks import require_choice, require_whole
 from carpark_mj.evaluation.keys import evaluation_key
-from carpark_mj.junction import JunctionConfig, RasterConfig, RewardRules
-from carpark_mj.junction.config import (
+from carpark_mj.studies.cederle.junction import (
+    JunctionConfig,
+    RasterConfig,
+    RewardRules,
+)
+from carpark_mj.studies.cederle.junction.config import (
     ActionKind,
     CarModel,
     Encoding,

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.junction import actions
-from carpark_mj.junction.evaluation import evaluation_env
-from carpark_mj.rendering.junction_video import ENDS, Drive, write_drives
 from carpark_mj.rendering.renderer import RenderingError
+from carpark_mj.studies.cederle.junction import actions
+from carpark_mj.studies.cederle.junction.evaluation import evaluation_env
+from carpark_mj.studies.cederle.rendering.video import ENDS, Drive, write_drives
 from carpark_mj.studies.cederle.training.config import JunctionRunConfig
 
 Act = Callable[

@@ -95,7 +95,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     from carpark_mj.sweeps.manage import run_sweep
     from carpark_mj.sweeps.plan import checked_runs
     from carpark_mj.sweeps.work import prepare
-    from carpark_mj.training.ppo.presets import PRESETS
+    from carpark_mj.training.ppo.parts import PRESETS
 
     config = read_flags(StudyConfig, arguments, description=__doc__)
     if config.list:

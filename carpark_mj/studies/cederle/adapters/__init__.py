@@ -1,0 +1,1 @@
+"""The junction in the interfaces of other libraries."""

@@ -1,0 +1,227 @@
+"""The details of PPO as ML-Agents 0.27 has them, which Tanner 2022 used.
+
+They are `PPOConfig.variant = "ml-agents"`: generalised advantage estimation as it was
+published (Brax applies lambda a step late), computed and normalised once, over the
+whole update; minibatches of steps from anywhere in it; the ratio of every branch of an
+action clipped by itself; the value's change clipped as well; observations as they are;
+its own initial weights.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from brax.training.agents.ppo.losses import PPONetworkParams
+from brax.training.agents.ppo.networks import PPONetworks
+from flax import struct
+
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.loss import (
+    Minibatch,
+    Weights,
+    balance,
+    describe_policy,
+    standardize,
+)
+from carpark_mj.training.ppo.variants import Prepare, Variant
+
+VALUE_COST = 0.5  # weight of the value's squared error
+LAST_LAYER = 0.1  # factor on the initial weights of the actor's last layer
+
+
+@struct.dataclass
+class Steps:
+    """Steps (..., size) to learn from, with what the networks said of them before.
+
+    Attributes:
+        observation: what the agents saw.
+        raw_action: what they did.
+        log_prob: (..., k) log-probabilities of its branches before the update.
+        advantage: of the action, normalised.
+        target: of the critic.
+        value: of the critic before the update.
+        weight: see `Minibatch`.
+    """
+
+    observation: jax.Array
+    raw_action: jax.Array
+    log_prob: jax.Array
+    advantage: jax.Array
+    target: jax.Array
+    value: jax.Array
+    weight: jax.Array
+
+
+def prepare_steps(
+    params: PPONetworkParams,
+    networks: PPONetworks,
+    normalizer: Any,
+    steps: Minibatch,
+) -> Steps:
+    """All steps of an update, as one dimension.
+
+    Args:
+        params: actor and critic before the update.
+        networks: that take them.
+        normalizer: running statistics, those of the start.
+        steps: (n, ...); of their targets, with lambda from the first step on, and of
+            the critic are the advantages.
+    """
+    distribution: Any = networks.parametric_action_distribution
+    actor: Any = networks.policy_network.apply
+    critic: Any = networks.value_network.apply
+    drawn_from = distribution.create_dist(
+        actor(normalizer, params.policy, steps.observation)
+    )
+    value = critic(normalizer, params.value, steps.observation)
+    weight = balance(steps.weight)
+    return Steps(
+        observation=steps.observation,
+        raw_action=steps.raw_action,
+        log_prob=drawn_from.log_prob(steps.raw_action),
+        advantage=standardize(steps.target - value, weight, floor=1e-10),
+        target=steps.target,
+        value=value,
+        weight=steps.weight,
+    )
+
+
+def ml_agents_loss(
+    params: PPONetworkParams,
+    networks: PPONetworks,
+    normalizer: Any,
+    batch: Steps,
+    weights: Weights,
+    key: jax.Array,
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """The loss of a minibatch, and what of it is reported, as `ppo_loss`.
+
+    Branches are averaged in the policy's loss and added in the entropy, as there.
+
+    Args:
+        params: actor and critic.
+        networks: that take them.
+        normalizer: running statistics, those of the start.
+        batch: this device's part of the minibatch.
+        weights: of the terms.
+        key: unused: the entropy of choices is exact.
+    """
+    del key
+    distribution: Any = networks.parametric_action_distribution
+    actor: Any = networks.policy_network.apply
+    critic: Any = networks.value_network.apply
+    logits = actor(normalizer, params.policy, batch.observation)
+    value = critic(normalizer, params.value, batch.observation)
+    clip, drawn_from = weights.clip, distribution.create_dist(logits)
+    weight = balance(batch.weight)
+
+    def mean(x: jax.Array) -> jax.Array:
+        return jnp.sum(weight * x)
+
+    log_ratio = drawn_from.log_prob(batch.raw_action) - batch.log_prob
+    ratio, advantage = jnp.exp(log_ratio), batch.advantage[..., None]
+    clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
+    gain = jnp.minimum(ratio * advantage, clipped * advantage)
+    policy_loss = -mean(gain.mean(axis=-1))
+    near = batch.value + jnp.clip(value - batch.value, -clip, clip)
+    error = jnp.maximum(
+        jnp.square(batch.target - value), jnp.square(batch.target - near)
+    )
+    v_loss = VALUE_COST * mean(error)
+    entropy_loss = -weights.entropy_cost * mean(drawn_from.entropy().sum(axis=-1))
+    total_loss = policy_loss + v_loss + entropy_loss
+    return total_loss, {
+        "total_loss": total_loss,
+        "policy_loss": policy_loss,
+        "v_loss": v_loss,
+        "entropy_loss": entropy_loss,
+        "kl_mean": mean(jnp.sum(ratio - 1.0 - log_ratio, axis=-1)),
+        **describe_policy(drawn_from),
+    }
+
+
+def initial_weights(params: PPONetworkParams, key: jax.Array) -> PPONetworkParams:
+    """Weights drawn anew for networks of dense layers; biases are 0.
+
+    Hidden layers are normal with variance 1 / inputs; so is the actor's last layer,
+    times `LAST_LAYER`. The critic's last layer is uniform with variance 2 / (inputs +
+    outputs), Glorot's.
+    """
+    hidden = jax.nn.initializers.variance_scaling(1.0, "fan_in", "normal")
+    glorot = jax.nn.initializers.glorot_uniform()
+
+    def draw(tree: Any, key: jax.Array, is_actor: bool) -> Any:
+        layers = tree["params"]
+        last = f"hidden_{len(layers) - 1}"
+        drawn = {}
+        keys = jax.random.split(key, len(layers))
+        for name, layer_key in zip(layers, keys, strict=True):
+            shape = layers[name]["kernel"].shape
+            kernel = hidden(layer_key, shape, jnp.float32)
+            if name == last and is_actor:
+                kernel = LAST_LAYER * kernel
+            elif name == last:
+                kernel = glorot(layer_key, shape, jnp.float32)
+            bias = jnp.zeros_like(layers[name]["bias"])
+            drawn[name] = {"kernel": kernel, "bias": bias}
+        return {"params": drawn}
+
+    policy_key, value_key = jax.random.split(key)
+    fresh: Any = params
+    return fresh.replace(
+        policy=draw(params.policy, policy_key, True),
+        value=draw(params.value, value_key, False),
+    )
+
+
+class MLAgents(Variant):
+    """The details above."""
+
+    normalizes = False
+
+    def check(self, config: PPOConfig) -> None:
+        """Refuses other actions than choices, encoders, and absent agents."""
+        if config.env.physics != "grid":
+            raise ValueError(
+                "variant 'ml-agents' needs actions of choices only, env.physics "
+                f"'grid', not {config.env.physics!r}"
+            )
+        if config.networks.encoder != "flat":
+            raise ValueError(
+                "variant 'ml-agents' needs networks.encoder 'flat', not "
+                f"{config.networks.encoder!r}"
+            )
+        if len(config.env.agent_counts) > 1:
+            raise ValueError(
+                "variant 'ml-agents' needs the same number of agents in all lots, "
+                f"env.min_agents = None, not {config.env.min_agents}"
+            )
+
+    def initial_weights(self, params: Any, key: jax.Array) -> tuple[Any, jax.Array]:
+        """Draws all weights anew."""
+        key, weights_key = jax.random.split(key)
+        return initial_weights(params, weights_key), key
+
+    def prepared(
+        self, prepare: Prepare, params: Any, networks: PPONetworks, normalizer: Any
+    ) -> Prepare:
+        """Steps from before the update, as if each were an agent's only one."""
+        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), prepare(params))
+        steps = prepare_steps(params, networks, normalizer, flat)
+        steps = jax.tree.map(lambda x: x[None], steps)
+        return lambda params: steps
+
+    def loss(
+        self,
+        params: Any,
+        networks: PPONetworks,
+        normalizer: Any,
+        batch: Any,
+        weights: Weights,
+        key: jax.Array,
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """See `ml_agents_loss`."""
+        return ml_agents_loss(params, networks, normalizer, batch, weights, key)
+
+
+ML_AGENTS = MLAgents()

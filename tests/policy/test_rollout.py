@@ -1,0 +1,57 @@
+"""A roll-out is the steps of the environment, one after the other."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.policy.rollout import Carry, control_step, roll_out
+
+STEPS = 4
+
+
+@pytest.fixture(scope="module")
+def env():
+    return ParkingEnv(EnvConfig(layout="compact", num_parked_cars=2, physics="bicycle"))
+
+
+def act(state, observation, memory, key):
+    """Steers by the own observation, the step's noise and what was done before."""
+    steer = jnp.tanh(observation[..., :1] + memory[..., None])
+    pedal = jax.random.uniform(key, steer.shape)
+    return jnp.concatenate([steer, pedal], axis=-1), memory + 0.1
+
+
+def start(env, lots):
+    """A lot at its start, or several; memory is a number of every agent."""
+    if not lots:
+        return Carry(*env.reset(jax.random.key(1)), jnp.zeros(env.num_agents))
+    keys = jax.random.split(jax.random.key(1), lots)
+    return Carry(*jax.vmap(env.reset)(keys), jnp.zeros((lots, env.num_agents)))
+
+
+@pytest.mark.parametrize("lots", [0, 2])
+def test_a_roll_out_is_its_control_steps(env, lots):
+    keys = jax.random.split(jax.random.key(2), STEPS)
+
+    def report(step):
+        return step.before.step, step.after.step, step.action, step.timestep.reward
+
+    def whole(carry):
+        return roll_out(env, act, carry, keys, report)
+
+    end, reports = jax.jit(whole)(start(env, lots))
+    step = jax.jit(lambda carry, key: control_step(env, act, carry, key))
+    carry = start(env, lots)
+    for t, key in enumerate(keys):
+        before = carry
+        carry, made = step(carry, key)
+        np.testing.assert_array_equal(made.observation, before.observation)
+        for one, all_steps in zip(report(made), reports, strict=True):
+            np.testing.assert_allclose(one, all_steps[t], atol=1e-5)
+    np.testing.assert_allclose(carry.observation, end.observation, atol=1e-5)
+    np.testing.assert_allclose(end.memory, 0.1 * STEPS, rtol=1e-6)
+    assert (np.asarray(reports[2][..., 1]) > 0).all()  # drawn with other keys
+    assert len(np.unique(reports[2][..., 1])) > STEPS
