@@ -41,7 +41,7 @@ from carpark_mj.mdp.reset_options import (
 from carpark_mj.mdp.wrong_way import drives_wrong_way
 from carpark_mj.observations import observation_size, observe, rings, sensors
 from carpark_mj.physics.base import Physics, where_cars
-from carpark_mj.physics.make import make_physics
+from carpark_mj.physics.make import make_physics, require_physics
 from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
@@ -52,9 +52,9 @@ class ParkingEnv:
     """N agents park in a lot; see `EnvConfig` for what can be set.
 
     - observation: (num_agents, observation_size) float32, `observations`.
-    - action: (num_agents, 2) steer and pedal in [-1, 1], `vehicle.drive`; on the grid
-      indices of an acceleration and a turn. With dynamic goals one index more: 0 =
-      explore, k = head for the k-th of the tracked bays. See `action_spec`.
+    - action: (num_agents, 2) steer and pedal in [-1, 1], `vehicle.drive`, or other
+      controls of the back end. With dynamic goals one index more: 0 = explore, k = head
+      for the k-th of the tracked bays. See `action_spec`.
     - reward: (num_agents,), `mdp.rewards`.
     - episodes belong to agents: one that parks, crashes or times out respawns alone
       (or stays put, `EpisodeConfig.respawn`) while the others continue.
@@ -83,14 +83,16 @@ class ParkingEnv:
 
         Args:
             config: the environment; defaults to `EnvConfig()`.
-            physics: back end; defaults to the one that `config.physics` names.
+            physics: back end; defaults to the one that `config.physics` names. The
+                environment's `config.physics` is then that of the object.
             vehicle: a custom car instead of the preset `config.vehicle`.
 
         Raises:
             ValueError: the lot cannot hold the cars asked for, the randomization
                 could draw an impossible car, there is no such preset, or JAX computes
                 in float64.
-            TypeError: the config, the back end or the car is something else.
+            TypeError: the config, the back end or the car is something else, or the
+                back end lacks something.
         """
         require_float32()
         if not isinstance(config, EnvConfig | None):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -98,9 +100,12 @@ class ParkingEnv:
                 f"config must be an EnvConfig, not {config!r}; "
                 "`carpark_mj.registry.environment` gives those that have a name"
             )
-        require_kind("physics", physics, Physics | None)
         require_kind("vehicle", vehicle, VehicleParameters | None)
-        self.config = config = config if config is not None else EnvConfig()
+        config = config if config is not None else EnvConfig()
+        if physics is not None:
+            physics = require_physics(physics)
+            config = dataclasses.replace(config, physics=physics.config)
+        self.config = config
         self.vehicle = vehicle if vehicle is not None else preset(config.vehicle)
         self.fleet = Fleet(config, self.vehicle)
         self.layout_config: LayoutConfig = layout_config(config.layout)
@@ -307,7 +312,7 @@ class ParkingEnv:
         physics = self.physics.step(state.physics, controls)
         motion = self.physics.read(physics)
         all_drive = config.episode.respawn and state.present is None
-        if not (all_drive or self.physics.contacts):
+        if not (all_drive or config.physics_config.contacts):
             physics, motion = _freeze(state, physics, motion)
         parked_cars = state.parked_cars
         pose_w = self.physics.parked_poses(physics, parked_cars.pose_w)
@@ -325,12 +330,14 @@ class ParkingEnv:
 
     def _stop_finished(self, state: State, action: jax.Array) -> jax.Array:
         """Actions (num_agents, size); of agents that are not active, the brake."""
-        spec = self.action_spec
-        if not spec.continuous:  # on the grid finished agents are frozen anyway
+        spec, physics = self.action_spec, self.config.physics_config
+        if not (spec.continuous or physics.contacts):  # they are frozen anyway
             return action
-        stop = drive.stopping_action(state.motion.speed)
-        stop = jnp.pad(stop, ((0, 0), (0, len(spec.choices))))
-        return jnp.where(state.active[:, None], action, stop).astype(jnp.float32)
+        stop = spec.middle
+        if physics.steers:
+            stop = drive.stopping_action(state.motion.speed)
+            stop = jnp.pad(stop, ((0, 0), (0, spec.size - 2)))
+        return jnp.where(state.active[:, None], action, stop).astype(spec.dtype)
 
 
 def _require_index(name: str, value: Any, least: int, most: int) -> None:

@@ -77,7 +77,7 @@ class Episodes:
         lot = layout_config(config.layout)
         most = min(lot.min_bays // 2, lot.min_goals)
         # Contacts push parked cars into the spawn regions.
-        self._may_touch = physics.contacts or not all(
+        self._may_touch = config.physics_config.contacts or not all(
             _starts_are_free(lot, car) for car in fleet.agents
         )
         room = False

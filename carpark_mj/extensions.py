@@ -1,7 +1,7 @@
 """Registries: parts of the gym by name, ours and those of other packages.
 
 A part is registered under a name when its module is imported. A name that nothing has
-registered yet makes a registry import the extensions:
+registered yet makes a registry import the core's own parts, then the extensions:
 
 - the studies, every package in `carpark_mj.studies`;
 - the modules that installed packages name as entry points of `GROUP`;
@@ -36,13 +36,15 @@ class Registry(Mapping[str, T], Generic[T]):
         3.05
     """
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind: str, home: str = "") -> None:
         """An empty registry.
 
         Args:
             kind: what its parts are, for messages.
+            home: the module that registers the core's own parts.
         """
         self._kind = kind
+        self._home = home
         self._parts: dict[str, T] = {}
 
     def register(self, name: str, part: T) -> T:
@@ -61,6 +63,11 @@ class Registry(Mapping[str, T], Generic[T]):
         self._parts[name] = part
         return part
 
+    def name_of(self, part: T) -> str | None:
+        """The first name that an equal part has been registered under so far."""
+        equal = (name for name, other in self._parts.items() if other == part)
+        return next(equal, None)
+
     def __getitem__(self, name: str) -> T:
         """The part of that name.
 
@@ -68,26 +75,31 @@ class Registry(Mapping[str, T], Generic[T]):
             ValueError: unknown name, the message lists the known ones; or an extension
                 cannot be imported.
         """
-        if name not in self._parts:
-            load_extensions()
-        if name not in self._parts:
+        if name not in self:
             raise ValueError(
                 f"unknown {self._kind} {name!r}; choose from {sorted(self._parts)}"
             )
         return self._parts[name]
 
     def __contains__(self, name: object) -> bool:
+        if name not in self._parts and self._home:
+            importlib.import_module(self._home)
         if name not in self._parts:
             load_extensions()
         return name in self._parts
 
     def __iter__(self) -> Iterator[str]:
-        load_extensions()
+        self._load()
         return iter(sorted(self._parts))
 
     def __len__(self) -> int:
-        load_extensions()
+        self._load()
         return len(self._parts)
+
+    def _load(self) -> None:
+        if self._home:
+            importlib.import_module(self._home)
+        load_extensions()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -43,7 +43,6 @@ from carpark_mj.config import (
     EpisodeConfig,
     FleetConfig,
     GoalConfig,
-    GridConfig,
     IndexObservation,
     JitterConfig,
     RandomizationConfig,
@@ -63,16 +62,7 @@ TANNER_QLEARNING = EnvConfig(
     vehicle="tanner",
     num_agents=1,
     num_parked_cars=0,
-    physics="grid",
-    grid=GridConfig(
-        points=1,
-        speed_step=1,
-        headings=8,
-        max_forward=1,
-        max_reverse=1,
-        max_acceleration=1,
-        max_turn=1,
-    ),
+    physics="grid_coarse",
     spawn=SpawnConfig(
         close_ratio=0.0,
         min_distance=9 * WORLD_UNIT,
@@ -96,7 +86,7 @@ TANNER_QLEARNING = EnvConfig(
 # As the runs of figure 5.1 were recorded.
 TANNER_QLEARNING_RECORDED = dataclasses.replace(
     TANNER_QLEARNING,
-    grid=dataclasses.replace(TANNER_QLEARNING.grid, turn_at_rest=True),
+    physics="grid_recorded",
     episode=dataclasses.replace(TANNER_QLEARNING.episode, max_steps=70),
 )
 
@@ -116,7 +106,6 @@ TANNER_FIXED = EnvConfig(
     num_agents=7,
     num_parked_cars=16,
     physics="grid",
-    grid=GridConfig(),
     spawn=SpawnConfig(
         close_ratio=0.2,
         close_distance=10 * WORLD_UNIT,
@@ -124,7 +113,7 @@ TANNER_FIXED = EnvConfig(
         crash_distance=13.125 * WORLD_UNIT,
         min_distance=13.125 * WORLD_UNIT,
         max_redraws=1000,
-        spacing=GridConfig().point_size,
+        spacing=WORLD_UNIT / 16,
         relocation="any",
         kinds_at_reset=True,
     ),

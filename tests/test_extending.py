@@ -14,6 +14,7 @@ from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.config import (
     METRICS,
     PARKED_RULES,
+    PHYSICS,
     REWARD_TERMS,
     MetricsConfig,
     ParkedRule,
@@ -57,6 +58,8 @@ def registries(monkeypatch):
         for name in ("court", "taxi", "straight"):
             monkeypatch.setitem(registry, name, None)
             monkeypatch.delitem(registry, name)
+    monkeypatch.setitem(PHYSICS._parts, "hover", None)
+    monkeypatch.delitem(PHYSICS._parts, "hover")
 
 
 def test_the_layout_file_is_valid(tmp_path):
@@ -146,24 +149,34 @@ def test_the_new_vehicle_is_drawn_in_its_own_measures():
     assert width == pytest.approx(taxi.width, abs=0.01)
 
 
-def test_the_new_back_end_drives_a_circle_about_the_rear_axle():
+def test_the_new_back_end_follows_its_controls_with_a_lag():
     names = run("A physics back end")
-    physics = names["env"].physics
-    vehicle = make_vehicle(COMPACT)
-    state = physics.init(jnp.zeros(3), vehicle)
-    rear = []
-    for _ in range(20):
-        state = physics.step(state, jnp.array([1.0, 0.3]))
-        x, y, yaw = physics.read(state).pose_w
-        offset = vehicle.centre_offset
-        rear.append((x - offset * jnp.cos(yaw), y - offset * jnp.sin(yaw)))
-    radius = vehicle.wheelbase / jnp.tan(vehicle.max_steering)
-    middle = np.array([-vehicle.centre_offset, radius])
-    distance = np.linalg.norm(np.array(rear) - middle, axis=-1)
-    np.testing.assert_allclose(distance, radius, atol=5e-3)
-    speed = names["timestep"].motion.speed
-    assert speed[0] == pytest.approx(0.5 * vehicle.max_speed)
-    assert speed[1] == pytest.approx(-vehicle.max_reverse_speed)
+    env, lag = names["env"], names["HoverConfig"]().lag
+    still = env.physics.init(jnp.zeros((2, 3)), make_vehicle(COMPACT))
+    slide, spin = jnp.array([0.0, 0.5, 0.0]), jnp.array([1.0, 0.0, 0.5])
+    state = still
+    for step in range(1, 11):
+        state = env.physics.step(state, jnp.stack([slide, spin]))
+        t = 0.2 * step
+        rise = 1.0 - np.exp(-t / lag)
+        motion = env.physics.read(state)
+        np.testing.assert_allclose(motion.pose_w[0, 1], t - lag * rise, atol=1e-5)
+        np.testing.assert_allclose(motion.pose_w[0, ::2], 0.0, atol=1e-6)
+        np.testing.assert_allclose(motion.yaw_rate, [0.0, 0.4 * rise], atol=1e-6)
+    # Steadily turning ahead it flies a circle of speed over yaw rate.
+    x, y, yaw = np.asarray(motion.trace_w[1], float).T
+    turned = np.diff(yaw).sum()
+    chord = np.hypot(x[-1] - x[0], y[-1] - y[0])
+    assert chord / (2 * np.sin(turned / 2)) == pytest.approx(2.0 / 0.4, rel=1e-3)
+    assert env.action_spec.size == 3
+    assert names["timestep"].motion.velocity_b[0, 1] > 0.5
+
+
+def test_the_page_shows_the_back_end_of_the_example_package():
+    package = Path(__file__).parents[1] / "examples" / "extensions" / "hover"
+    code = (package / "hover.py").read_text().partition("@dataclasses")[2]
+    assert code
+    assert code in block("A physics back end", "python")
 
 
 def test_the_new_parked_rule_holds_with_straight_wheels_only():

@@ -10,6 +10,7 @@ from carpark_mj.config import (
     FleetConfig,
     RandomizationConfig,
     SensorConfig,
+    physics_config,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fleet.checks import parked_cars_needed
@@ -127,10 +128,11 @@ def adapt(
         given["num_parked_cars"] = max(env.num_parked_cars, needed)
     if "vehicle" in given:
         given["fleet"] = FleetConfig()
-    physics = given.get("physics", env.physics)
-    if (physics == "grid") != (env.physics == "grid"):
-        raise ValueError(
-            f"a policy for {env.physics} physics cannot drive on {physics}: actions "
-            "are integers on the grid and continuous elsewhere"
-        )
+    if "physics" in given:
+        old, new = env.physics_config, physics_config(given["physics"])
+        if (old.continuous, old.choices) != (new.continuous, new.choices):
+            raise ValueError(
+                f"a policy for {env.physics} physics cannot drive on "
+                f"{given['physics']}, which takes other controls"
+            )
     return dataclasses.replace(env, **given)

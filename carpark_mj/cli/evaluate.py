@@ -10,7 +10,7 @@ import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.config import MetricsConfig, PhysicsName, require_rule
+from carpark_mj.config import MetricsConfig, require_rule
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import Evaluation, evaluate
 from carpark_mj.evaluation.keys import require_seed
@@ -74,7 +74,7 @@ class EvaluateConfig:
     vehicle: str | None = None
     layout: str | None = None
     num_parked_cars: int | None = None
-    physics: PhysicsName | None = None
+    physics: str | None = None
     nominal: bool = False
     stochastic: bool = False
     out: str = ""

@@ -14,7 +14,6 @@ from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import (
     ContinuousObservation,
     EnvConfig,
-    PhysicsName,
     TannerObservation,
 )
 from carpark_mj.config.checks import require_positive, require_unset
@@ -85,7 +84,7 @@ class RenderConfig:
     num_parked_cars: int | None = None
     vehicle: str | None = None
     layout: str | None = None
-    physics: PhysicsName | None = None
+    physics: str | None = None
     respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:

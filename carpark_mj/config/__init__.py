@@ -3,11 +3,16 @@
 Impossible settings raise `ValueError` at construction, in one sentence.
 """
 
-from carpark_mj.config.env import EnvConfig, PhysicsName
+from carpark_mj.config.back_ends import (
+    PHYSICS,
+    PhysicsChoice,
+    PhysicsConfig,
+    physics_config,
+)
+from carpark_mj.config.env import EnvConfig
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
-from carpark_mj.config.grid import WORLD_UNIT, GridConfig
 from carpark_mj.config.insertion import data, insert, is_data, setting
 from carpark_mj.config.layouts import (
     LAYOUT_FILES,
@@ -47,12 +52,14 @@ from carpark_mj.config.terminations import (
     register_rule,
     require_rule,
 )
+from carpark_mj.config.units import WORLD_UNIT
 
 __all__ = [
     "CONTACT_SIM_DT",
     "LAYOUT_FILES",
     "METRICS",
     "PARKED_RULES",
+    "PHYSICS",
     "REWARDS",
     "REWARD_TERMS",
     "TPCAP_NAMES",
@@ -67,7 +74,6 @@ __all__ = [
     "GivingWayConfig",
     "GoalConfig",
     "GoalRewards",
-    "GridConfig",
     "IndexObservation",
     "JitterConfig",
     "LayoutChoice",
@@ -77,7 +83,8 @@ __all__ = [
     "MetricsConfig",
     "Observation",
     "ParkedRule",
-    "PhysicsName",
+    "PhysicsChoice",
+    "PhysicsConfig",
     "RandomizationConfig",
     "RayConfig",
     "RelocationRule",
@@ -96,6 +103,7 @@ __all__ = [
     "data",
     "insert",
     "is_data",
+    "physics_config",
     "register_metric",
     "register_rule",
     "require_layout",

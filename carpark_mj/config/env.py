@@ -1,8 +1,8 @@
 """The environment's configuration."""
 
 import dataclasses
-from typing import Literal
 
+from carpark_mj.config.back_ends import PhysicsChoice, PhysicsConfig, physics_config
 from carpark_mj.config.checks import (
     Range,
     require_range,
@@ -12,7 +12,6 @@ from carpark_mj.config.checks import (
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
-from carpark_mj.config.grid import GridConfig
 from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observations import (
@@ -27,8 +26,6 @@ from carpark_mj.config.rewards import RewardConfig
 from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import SpawnConfig
 from carpark_mj.config.terminations import EpisodeConfig
-
-PhysicsName = Literal["mjx", "scene", "bicycle", "highway", "grid"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,13 +53,13 @@ class EnvConfig:
             come first: where they leave fewer bays there are fewer parked cars.
         fleet: presets that cars are drawn from instead of `vehicle`.
         jitter: variation of parked cars' poses in their bays, and of their sizes.
-        physics: back end. `mjx`: every car is simulated on its own, crashes are found
-            by box tests. `scene`: the whole lot in one C MuJoCo world, crashes are its
-            contacts; slow. `bicycle`: kinematic cars whose tyres never slip. `highway`:
-            highway-env's, which obey at once. `grid`: the grid world of the study, with
-            integer actions.
+        physics: back end, by name. `mjx`: every car is simulated on its own, crashes
+            are found by box tests. `scene`: the whole lot in one C MuJoCo world,
+            crashes are its contacts; slow. `bicycle`: kinematic cars whose tyres never
+            slip. `highway`: highway-env's, which obey at once (Pandita 2022). `grid`,
+            `grid_coarse`, `grid_recorded`: the grid worlds of Tanner 2022, with integer
+            actions. From Python also the config of a back end, a `PhysicsConfig`.
         sim: time steps and ground.
-        grid: granularities of `grid` physics.
         goals: whether the environment or the agents choose the goals.
         giving_way: when agents that choose goals should give them up.
         spawn: where episodes start.
@@ -82,9 +79,8 @@ class EnvConfig:
     occupancy: Range | None = None
     fleet: FleetConfig = dataclasses.field(default_factory=FleetConfig)
     jitter: JitterConfig = dataclasses.field(default_factory=JitterConfig)
-    physics: PhysicsName = "mjx"
+    physics: PhysicsChoice = "mjx"
     sim: SimConfig = dataclasses.field(default_factory=SimConfig)
-    grid: GridConfig = dataclasses.field(default_factory=GridConfig)
     goals: GoalConfig = dataclasses.field(default_factory=GoalConfig)
     giving_way: GivingWayConfig = dataclasses.field(default_factory=GivingWayConfig)
     spawn: SpawnConfig = dataclasses.field(default_factory=SpawnConfig)
@@ -102,7 +98,8 @@ class EnvConfig:
             raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
         for name in self.layout.split(",") if isinstance(self.layout, str) else ():
             require_layout(name)
-        require_types(self, layout=LayoutConfig | str)
+        require_types(self, layout=LayoutConfig | str, physics=PhysicsConfig | str)
+        physics = self.physics_config
         require_whole(self, 1, "num_agents")
         if self.min_agents is not None:
             require_whole(self, 1, "min_agents")
@@ -152,34 +149,34 @@ class EnvConfig:
                 "num_parked_cars = 0 and no fleet.agents"
             )
         reverse = self.spawn.reverse_ratio
-        if reverse and (self.goals.dynamic or self.physics == "grid"):
+        if reverse and (self.goals.dynamic or not physics.steers):
             raise ValueError(
                 f"spawn.reverse_ratio {reverse} needs fixed goals and cars that steer: "
-                "goals.dynamic = False, and a physics other than grid"
+                f"goals.dynamic = False, and a physics other than {physics.back_end}"
             )
-        if self.physics in ("grid", "highway") and self.randomization.is_on:
+        if self.randomization.is_on and not physics.randomized:
             raise ValueError(
-                f"randomization has no effect in {self.physics} physics, whose cars "
-                "have no such parameters: leave it off, or use another physics"
+                f"randomization has no effect in {physics.back_end} physics, whose "
+                "cars have no such parameters: leave it off, or use another physics"
             )
-        if self.follows_routes and (self.goals.dynamic or self.physics == "grid"):
+        if self.follows_routes and (self.goals.dynamic or not physics.steers):
             raise ValueError(
-                "reward.route and observation.route need fixed goals and cars on open "
-                "ground: goals.dynamic = False, and a physics other than grid"
+                "reward.route and observation.route need fixed goals and cars that "
+                "steer: goals.dynamic = False, and a physics other than "
+                f"{physics.back_end}"
             )
-        if self.reward.reeds_shepp and self.physics == "grid":
+        if self.reward.reeds_shepp and not physics.steers:
             raise ValueError(
                 f"reward.reeds_shepp {self.reward.reeds_shepp} needs cars that steer: "
-                "a physics other than grid"
+                f"a physics other than {physics.back_end}"
             )
-        if self.physics in ("mjx", "scene"):
-            self.sim.require_fine_steps()
         scale = self.episode.hitbox_scale
-        if scale != 1.0 and self.physics == "scene":
+        if scale != 1.0 and physics.contacts:
             raise ValueError(
-                "episode.hitbox_scale must be 1 in scene physics, where crashes are "
-                f"contacts, not {scale}"
+                f"episode.hitbox_scale must be 1 in {physics.back_end} physics, where "
+                f"crashes are contacts, not {scale}"
             )
+        physics.check(self)
         self._check_observation()
 
     def _check_observation(self) -> None:
@@ -198,7 +195,7 @@ class EnvConfig:
                 "'continuous': agents with different cars must observe their own car"
             )
         if isinstance(observation, IndexObservation):
-            if self.physics != "grid":
+            if self.physics_config.continuous:
                 raise ValueError(
                     "observation.encoding 'indices' needs grid physics, not "
                     f"{self.physics}"
@@ -227,6 +224,11 @@ class EnvConfig:
                 f"giving_way.scheme {scheme!r} is about tracked agents: observation "
                 "must track at least 1, not 0"
             )
+
+    @property
+    def physics_config(self) -> PhysicsConfig:
+        """The back end, with the traits that the task asks of it."""
+        return physics_config(self.physics)
 
     @property
     def agent_counts(self) -> range:

@@ -9,7 +9,7 @@ from carpark_mj.config.checks import (
     require_positive,
     require_whole,
 )
-from carpark_mj.config.grid import WORLD_UNIT
+from carpark_mj.config.units import WORLD_UNIT
 
 BayPart = Literal["heading", "distance", "bearing"]
 BAY_PARTS: tuple[BayPart, ...] = ("heading", "distance", "bearing")

@@ -14,8 +14,8 @@ from carpark_mj.config.checks import (
     require_positive,
     require_whole,
 )
-from carpark_mj.config.grid import WORLD_UNIT
 from carpark_mj.config.insertion import data
+from carpark_mj.config.units import WORLD_UNIT
 
 
 @dataclasses.dataclass(frozen=True)

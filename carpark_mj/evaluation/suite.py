@@ -57,12 +57,13 @@ def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvCo
         with_moving_car: of two agents, the second of which is the moving car.
 
     Raises:
-        ValueError: the policy drives on the grid; or it chooses its goals, and the
+        ValueError: the policy steers no car; or it chooses its goals, and the
             moving car has its own.
     """
-    if env.physics == "grid":
+    if not env.physics_config.steers:
         raise ValueError(
-            "the suite's cases need a policy that steers a car, not one of grid physics"
+            "the suite's cases need a policy that steers a car, not one of "
+            f"{env.physics_config.back_end} physics"
         )
     if with_moving_car and env.goals.dynamic:
         raise ValueError(

@@ -109,7 +109,7 @@ def check_cars(
     """Refuses cars that cannot start, enter a bay from the aisle, or fit into one.
 
     A single kind of car must fit into all bays of a lot that is not random, a fleet's
-    into one. On the grid cars turn on the spot, so no entry is needed.
+    into one. What does not steer needs no room to turn into a bay.
 
     Args:
         config: of the environment.
@@ -121,7 +121,7 @@ def check_cars(
         ValueError: naming the car and what is allowed.
     """
     for name, params in zip(fleet.agent_names, fleet.agents, strict=True):
-        if config.physics != "grid":
+        if config.physics_config.steers:
             _require_entry(name, params, lot.entries)
         if layout is not None:
             _require_start(name, params, lot, layout)

@@ -12,7 +12,7 @@ import numpy as np
 
 from carpark_mj.config import LayoutConfig
 from carpark_mj.config.checks import require_at_least, require_whole
-from carpark_mj.config.grid import WORLD_UNIT
+from carpark_mj.config.units import WORLD_UNIT
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry

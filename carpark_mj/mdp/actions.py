@@ -46,8 +46,8 @@ class Action(NamedTuple):
     """A sanitized action of agents (...).
 
     Attributes:
-        controls: (..., 2) steer and pedal in [-1, 1]; on the grid int32 indices of an
-            acceleration and a turn.
+        controls: (..., k) of the back end: steer and pedal in [-1, 1] of cars; int32
+            where they are indices only.
         goal_choice: (...) int32 0 = explore, k = head for the k-th tracked bay; None
             while goals are fixed.
         invalid: (...) bool, whether anything had to be replaced.
@@ -59,22 +59,22 @@ class Action(NamedTuple):
 
 
 def action_spec(config: EnvConfig) -> ActionSpec:
-    """What an action consists of: two controls and, with dynamic goals, a choice."""
-    goals = config.goals
+    """What an action consists of: controls and, with dynamic goals, a choice."""
+    goals, physics = config.goals, config.physics_config
     choice = (1 + goals.num_tracked_bays,) if goals.dynamic else ()
-    if config.physics == "grid":
-        return ActionSpec(0, (*config.grid.choices, *choice))
-    return ActionSpec(2, choice)
+    return ActionSpec(physics.continuous, (*physics.choices, *choice))
 
 
 def parse(config: EnvConfig, action: jax.Array) -> Action:
     """Sanitizes actions (..., size) and takes them apart."""
     numbers, indices, invalid = sanitize_action(action_spec(config), action)
-    controls = numbers
-    if config.physics == "grid":
-        controls, indices = indices[..., :2], indices[..., 2:]
-    choice = indices[..., 0] if config.goals.dynamic else None
-    return Action(controls, choice, invalid)
+    choice = indices[..., -1] if config.goals.dynamic else None
+    chosen = indices[..., : len(config.physics_config.choices)]
+    if not chosen.shape[-1]:
+        return Action(numbers, choice, invalid)
+    if not numbers.shape[-1]:
+        return Action(chosen, choice, invalid)
+    return Action(jnp.concatenate([numbers, chosen], axis=-1), choice, invalid)
 
 
 def sanitize_action(

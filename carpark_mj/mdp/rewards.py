@@ -5,7 +5,6 @@ choose, and `RewardConfig.extra` any that other code has registered. The order i
 they are added is that of `term_weights`.
 """
 
-import math
 from typing import NamedTuple
 
 import jax
@@ -64,7 +63,7 @@ class Effort(NamedTuple):
     """Steering change and speed of a step, as shares of the most; (num_agents,) each.
 
     Attributes:
-        turn: change of steering over the largest; on the grid, change of heading.
+        turn: what `PhysicsConfig.turn` says, over the largest.
         speed: absolute speed at the end of the step over the higher of both limits.
     """
 
@@ -75,21 +74,16 @@ class Effort(NamedTuple):
 def effort(config: EnvConfig, transition: Transition) -> Effort:
     """How hard agents steered in a step, and how fast they are."""
     before, after = transition.before.motion, transition.after.motion
-    ctrl_dt = config.sim.ctrl_dt
-    if config.physics == "grid":
-        grid = config.grid
-        turn = jnp.abs(after.yaw_rate) * ctrl_dt
-        most = grid.max_turn * 2 * math.pi / grid.headings
-        level = grid.speed_step * grid.point_size / ctrl_dt
-        top = level * max(grid.max_forward, grid.max_reverse)
-    else:
-        vehicle = transition.before.physics.vehicle
-        turn = jnp.abs(after.steering - before.steering)
-        most = vehicle.steering_rate * ctrl_dt
-        if config.physics == "highway":  # obeys at once, from lock to lock
-            most = 2.0 * vehicle.max_steering
-        top = jnp.maximum(vehicle.max_speed, vehicle.max_reverse_speed)
-    return Effort(turn=turn / most, speed=jnp.abs(after.speed) / top)
+    vehicle, ctrl_dt = transition.before.physics.vehicle, config.sim.ctrl_dt
+    physics = config.physics_config
+    turn, top = (
+        physics.turn(before, after, ctrl_dt),
+        physics.top_speed(vehicle, ctrl_dt),
+    )
+    return Effort(
+        turn=turn / physics.largest_turn(vehicle, ctrl_dt),
+        speed=jnp.abs(after.speed) / top,
+    )
 
 
 def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax.Array:

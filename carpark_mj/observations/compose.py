@@ -16,6 +16,7 @@ from carpark_mj.observations.continuous import continuous_fields, continuous_val
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.indices import index_fields, index_values
 from carpark_mj.observations.tanner import tanner_fields, tanner_values
+from carpark_mj.studies.tanner.grid_config import grid_scale
 from carpark_mj.types import State
 
 
@@ -30,7 +31,7 @@ def make_fields(config: EnvConfig) -> tuple[Field, ...]:
         return tuple(continuous_fields(observation, num_tracked_bays))
     if isinstance(observation, TannerObservation):
         return tuple(tanner_fields(observation, num_tracked_bays))
-    return tuple(index_fields(observation, config.grid))
+    return tuple(index_fields(observation, grid_scale(config)))
 
 
 def observe(config: EnvConfig, state: State) -> jax.Array:
@@ -42,9 +43,9 @@ def observe(config: EnvConfig, state: State) -> jax.Array:
     if isinstance(observation, ContinuousObservation):
         values = continuous_values(observation, state)
     elif isinstance(observation, TannerObservation):
-        values = tanner_values(observation, config.grid, ctrl_dt, state)
+        values = tanner_values(observation, grid_scale(config), ctrl_dt, state)
     else:
-        values = index_values(observation, config.grid, ctrl_dt, state)
+        values = index_values(observation, grid_scale(config), ctrl_dt, state)
     ordered = [values.pop(field.name) for field in make_fields(config)]
     if values:
         raise AssertionError(f"undeclared observation fields: {sorted(values)}")

@@ -9,12 +9,13 @@ k-th ring has the k-th diameter: the reference implementation gives it the one b
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig, GridConfig, IndexObservation
+from carpark_mj.config import EnvConfig, IndexObservation
 from carpark_mj.geometry import to_local
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.rings import ring_counts, ring_fields
 from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tanner import bearing_index, speed_level
+from carpark_mj.studies.tanner.grid_config import GridConfig, grid_scale
 from carpark_mj.types import State
 
 
@@ -60,5 +61,5 @@ def cardinalities(config: EnvConfig) -> tuple[int, ...]:
             "a table needs observation.encoding 'indices', not "
             f"{observation.encoding!r}"
         )
-    fields = index_fields(observation, config.grid)
+    fields = index_fields(observation, grid_scale(config))
     return tuple(int(field.high) + 1 for field in fields)

@@ -27,7 +27,7 @@ Where the study's text and its reference implementation disagree:
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import WORLD_UNIT, GridConfig, TannerObservation
+from carpark_mj.config import WORLD_UNIT, TannerObservation
 from carpark_mj.config.observations import BAY_PARTS
 from carpark_mj.geometry import norm, to_local
 from carpark_mj.observations.bay_fields import goal_code, rivals
@@ -35,6 +35,7 @@ from carpark_mj.observations.fields import Field, repeated, repeated_values
 from carpark_mj.observations.rings import ring_counts, ring_fields
 from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tracking import in_view, track_cars
+from carpark_mj.studies.tanner.grid_config import GridConfig
 from carpark_mj.types import NO_BAY, State
 
 DIAGONAL = 74 * 2**0.5 * WORLD_UNIT  # m, of the study's world of 74 x 74 world units

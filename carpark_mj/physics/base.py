@@ -5,12 +5,12 @@ Every function takes any leading batch shape, but `ScenePhysics.step`: see there
 
 import abc
 from collections.abc import Callable
-from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import SimConfig
+from carpark_mj.config import PhysicsConfig, SimConfig
 from carpark_mj.types import Motion, PhysicsState
 from carpark_mj.vehicle.vehicle import Vehicle
 
@@ -23,11 +23,10 @@ class Physics(Protocol[S]):
     """A physics back end.
 
     Attributes:
-        contacts: whether cars push each other. If so, `read` reports what they
-            touched, and a car that has crashed goes on being simulated.
+        config: its traits. With `contacts`, `read` reports what cars touched.
     """
 
-    contacts: bool
+    config: PhysicsConfig
 
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> S:
         """Cars at rest.
@@ -43,8 +42,8 @@ class Physics(Protocol[S]):
 
         Args:
             state: current state.
-            controls: (..., 2) steer and pedal in [-1, 1]; on the grid indices, see
-                `GridPhysics`.
+            controls: (..., k) those of `PhysicsConfig`: steer and pedal in [-1, 1] of
+                cars.
         """
         ...
 
@@ -98,19 +97,17 @@ class RollingStarts(Protocol[S]):
         ...
 
 
-def erase_state(physics: Physics[S]) -> Physics[PhysicsState]:
-    """The back end for callers to whom all back ends are alike."""
-    return cast(Physics[PhysicsState], physics)
-
-
 class FactoredPhysics(abc.ABC, Generic[S]):
     """Base of back ends in which every car has a world of its own.
 
     Cars meet only in the task layer, which detects collisions with exact box tests;
     parked cars stay where they were set.
+
+    Attributes:
+        config: its traits.
     """
 
-    contacts = False
+    config: PhysicsConfig
 
     @abc.abstractmethod
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> S:

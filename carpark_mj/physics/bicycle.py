@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.config import SimConfig
+from carpark_mj.config import PHYSICS, PhysicsConfig, SimConfig
 from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.physics.base import (
     FactoredPhysics,
@@ -103,7 +103,7 @@ def accelerate(
 class BicyclePhysics(FactoredPhysics[BicycleState]):
     """The kinematic bicycle behind the `Physics` interface."""
 
-    name = "bicycle"
+    config: PhysicsConfig = PHYSICS["bicycle"]
 
     def __init__(self, sim: SimConfig) -> None:
         """Takes the time steps.
@@ -112,7 +112,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
             ValueError: a slope, a slippery surface or contact tyres, which would have
                 no effect.
         """
-        require_plain_ground(sim, self.name)
+        require_plain_ground(sim, self.config.back_end)
         self.sim = sim
 
     @full_float32

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import mujoco
 from flax import struct
 
-from carpark_mj.config import SimConfig
+from carpark_mj.config import PHYSICS, SimConfig
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.physics.base import FactoredPhysics, contain_non_finite
 from carpark_mj.physics.coordinates import CarDynamics, CarIndex, unpack_coordinates
@@ -60,6 +60,8 @@ class CarState:
 
 class MjxPhysics(FactoredPhysics[CarState]):
     """Cars on brush tyres behind the `Physics` interface."""
+
+    config = PHYSICS["mjx"]
 
     def __init__(self, sim: SimConfig) -> None:
         """Compiles the car model for the given time steps, slope and surface.

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.config import SimConfig
+from carpark_mj.config import PHYSICS, SimConfig
 from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import run_substeps
@@ -64,7 +64,7 @@ class SceneState:
 class ScenePhysics:
     """One C MuJoCo world per lot behind the `Physics` interface."""
 
-    contacts = True
+    config = PHYSICS["scene"]
 
     def __init__(
         self,

@@ -17,8 +17,6 @@ from carpark_mj.planning.search import Search, SearchConfig, require_ompl
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.types import State
 
-PHYSICS = ("mjx", "scene", "bicycle")  # whose cars obey the pedal and the brake alike
-
 
 class Planner:
     """Drives all agents of some lots; remembers their paths from step to step.
@@ -89,10 +87,11 @@ def planner_policy(
         ValueError: OMPL is not installed, or agents choose their goals, or cars do not
             obey a pedal.
     """
-    if env.config.physics not in PHYSICS:
+    physics = env.config.physics_config
+    if not (physics.steers and physics.actuated):
         raise ValueError(
-            f"the planner drives cars of {', '.join(PHYSICS)} physics, not "
-            f"{env.config.physics}"
+            f"the planner needs cars with steering, motor and brakes, not those of "
+            f"{physics.back_end} physics"
         )
     if env.config.goals.dynamic:
         raise ValueError("the planner needs fixed goals, goals.dynamic = False")

@@ -42,10 +42,13 @@ class DrivenLot(LiveLot):
             keep: called before the lot restarts, with what has been recorded.
 
         Raises:
-            ValueError: the grid, whose cars do not steer.
+            ValueError: a back end whose cars do not steer.
         """
-        if env.config.physics == "grid":
-            raise ValueError("physics must be of cars that steer, not 'grid'")
+        physics = env.config.physics_config
+        if not physics.steers:
+            raise ValueError(
+                f"physics must be of cars that steer, not {physics.back_end!r}"
+            )
         self._others, self._read, self._seed = as_argument(others), read, seed
         self._recorded: list[dict[str, np.ndarray]] = []
         self._keep = keep

@@ -84,7 +84,7 @@ def load_policy(
     _require_fit(run, config, own, env)
     if config is None:
         table = jnp.asarray(parameters["table"][header["best"]])
-        policy = make_table_policy(table, cardinalities(env), env.grid.choices)
+        policy = make_table_policy(table, cardinalities(env), action_spec(env).choices)
     else:
         networks = make_networks(config, make_fields(env), action_spec(env))
         normalizer, actor = parameters["normalizer"], parameters["average"]
@@ -140,7 +140,8 @@ def _template(header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
     """Shapes of a policy's parameters by kind."""
     config = network_config(header)
     if config is None:
-        states, actions = math.prod(cardinalities(env)), math.prod(env.grid.choices)
+        states = math.prod(cardinalities(env))
+        actions = math.prod(action_spec(env).choices)
         num_seeds = header["config"]["num_seeds"]
         require_count("num_seeds", num_seeds, 1)
         require_count("best", header["best"], 0)

@@ -35,7 +35,7 @@ def make_table_policy(
     Args:
         table: (states, actions) values.
         sizes: of the observation's numbers, `cardinalities`.
-        choices: of the action's branches, `GridConfig.choices`.
+        choices: of the action's branches, `ActionSpec.choices`.
     """
     best = action_choices(jnp.argmax(table, axis=-1), choices)
 

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import ExtraTerms, LayoutConfig
+from carpark_mj.config import PHYSICS, ExtraTerms, LayoutConfig, PhysicsConfig
 from carpark_mj.config.checks import require_type
 from carpark_mj.layouts import FAMILIES
 from carpark_mj.policy import checkpoints
@@ -45,8 +45,9 @@ def from_dict(cls: Any, data: Any) -> Any:
         raise ValueError(f"{cls.__name__} has no {unknown}")
     values = {name: _value(name, hints[name], value) for name, value in data.items()}
     for name, value in values.items():
-        # Of a layout, which may be a config, flags know the name only.
-        hint = LayoutConfig | str if hints[name] is str else hints[name]
+        # Of layout and physics, which may be configs, flags know the name only.
+        text = LayoutConfig | PhysicsConfig | str
+        hint = text if hints[name] is str else hints[name]
         require_type(name, value, hint)
     return cls(**values)
 
@@ -83,7 +84,7 @@ def _tags(cls: Any) -> dict[str, Any]:
 
 
 def _plain_value(value: Any) -> Any:
-    """Lists become tuples, and a layout's settings the config of its family."""
+    """Lists become tuples, and settings of a layout or of physics their config."""
     if isinstance(value, list | tuple):
         return tuple(_plain_value(item) for item in value)
     if isinstance(value, dict) and "family" in value:
@@ -93,6 +94,8 @@ def _plain_value(value: Any) -> Any:
                 f"unknown family {family!r}; choose from {sorted(FAMILIES)}"
             )
         return from_dict(FAMILIES[family].config, value)
+    if isinstance(value, dict) and "back_end" in value:
+        return from_dict(type(PHYSICS[value["back_end"]]), value)
     return value
 
 

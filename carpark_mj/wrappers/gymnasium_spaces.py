@@ -13,15 +13,15 @@ from carpark_mj.wrappers.goal import GoalParking
 
 
 def action_space(spec: ActionSpec) -> spaces.Space[Any]:
-    """Numbers in [-1, 1], or indices (`grid` physics).
+    """Numbers in [-1, 1], or indices.
 
     Raises:
-        ValueError: actions of numbers and indices, which no array holds.
+        ValueError: actions of numbers and indices.
     """
     if spec.continuous and spec.choices:
         raise ValueError(
-            "goals.dynamic must be False except with physics 'grid': an array cannot "
-            "hold the controls of a car and the index of a goal"
+            "an array holds numbers or indices: goals.dynamic must be False except "
+            "with physics whose controls are indices"
         )
     return agent_spaces.action_space(spec)
 

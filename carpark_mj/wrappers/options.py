@@ -10,7 +10,7 @@ from carpark_mj.config import (
     REWARDS,
     EnvConfig,
     LayoutChoice,
-    PhysicsName,
+    PhysicsChoice,
     RewardConfig,
 )
 from carpark_mj.env import ParkingEnv
@@ -39,7 +39,7 @@ class Options(TypedDict, total=False):
     parked_cars: int
     rule: str
     reward: RewardConfig | str
-    physics: PhysicsName
+    physics: PhysicsChoice
 
 
 Env = TypeVar("Env", bound=ParkingEnv)

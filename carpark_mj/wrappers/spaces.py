@@ -22,8 +22,8 @@ def observation_space(
     """The vector (size,) of some fields, float32; of all an agent observes by default.
 
     Bounded by the ranges of the fields. Where these do not hold for lengths and speeds,
-    by what a car can reach in an episode: where nothing keeps cars on the lot, or
-    `highway` physics has no speed limit of a car park. Noise of sensors has no bounds.
+    by what a car can reach in an episode: where nothing keeps cars on the lot, or it is
+    faster than in a car park. Noise of sensors has no bounds.
     """
     if fields is None:
         fields = make_fields(config)
@@ -40,7 +40,7 @@ def observation_space(
 def _excess(config: EnvConfig, field: Field) -> float:
     """By how much the numbers of a field may exceed its range."""
     lot = layout_config(config.layout)
-    fast = config.physics == "highway"
+    fast = not config.physics_config.keeps_ranges
     own_range = isinstance(config.observation, ContinuousObservation)
     varies = bool(field.metres or field.speed) or not own_range
     if varies and (config.sensors.is_on or not (own_range or lot.is_enclosed)):

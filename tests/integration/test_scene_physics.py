@@ -63,7 +63,7 @@ def driven():
         state = jax.vmap(physics.set_parked_poses)(physics.init(pose, vehicle), parked)
 
         def step(state, control, physics=physics):
-            if physics.contacts:
+            if physics.config.contacts:
                 state = jax.vmap(physics.step)(state, control)
             else:
                 state = physics.step(state, control)

@@ -7,13 +7,13 @@ from helpers.scenes import cars, lot
 from helpers.states import HandPhysics, hand_cars
 from helpers.transitions import no_events, transition
 
-from carpark_mj.config import EnvConfig, GridConfig
+from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.rewards import Effort, effort
-from carpark_mj.physics.grid import GridPhysics, GridState
+from carpark_mj.studies.tanner.grid import GridPhysics, GridState
+from carpark_mj.studies.tanner.grid_config import FINE
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 LOT = lot([(0.0, 0.0, 0.0)])
-FINE = GridConfig()  # 24 headings, turns of up to 3, levels -2 to 4
 
 
 def grid_cars(points, level=0, turn=0):

@@ -23,6 +23,7 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.types import BayKind
 from carpark_mj.mdp.reset_options import ResetOptions, check_starts
 from carpark_mj.physics.base import FactoredPhysics
+from carpark_mj.studies.tanner.grid_config import FINE
 from carpark_mj.types import NO_BAY
 
 NAN = float("nan")
@@ -82,7 +83,7 @@ def test_on_the_grid_a_car_has_a_point_a_heading_and_a_level():
     env = ParkingEnv(
         EnvConfig(layout="tanner", vehicle="tanner", num_agents=1, physics="grid")
     )
-    size, level = env.config.grid.point_size, 4 * env.config.grid.point_size / 0.2
+    size, level = FINE.point_size, 4 * FINE.point_size / 0.2
     pose = jnp.array([[8 * size, -16 * size, jnp.pi / 2]])
     asked = ResetOptions(pose, jnp.array([2 * level]), jnp.array([3]))
     reset = jax.jit(lambda options: env.reset(jax.random.key(0), options=options)[0])

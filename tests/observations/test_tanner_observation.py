@@ -16,7 +16,6 @@ from carpark_mj.config import (
     WORLD_UNIT,
     EnvConfig,
     EpisodeConfig,
-    GridConfig,
     IndexObservation,
     RingConfig,
     ShareConfig,
@@ -27,10 +26,11 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import make_fields, observation_size, observe
 from carpark_mj.registry import TANNER_QLEARNING
+from carpark_mj.studies.tanner.grid_config import FINE
 from carpark_mj.types import NO_BAY
 
 CONFIG = TannerObservation()
-GRID = GridConfig()
+GRID = FINE
 CTRL_DT = 0.2
 PER_LEVEL = 4 / 16 * WORLD_UNIT / CTRL_DT  # m/s: 4 points a step, 16 in a world unit
 D = 74 * math.sqrt(2)  # world units

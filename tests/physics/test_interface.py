@@ -30,7 +30,7 @@ def test_parked_cars_stay_where_they_were_set(physics):
     state = physics.init(POSE, vehicles(COMPACT, COMPACT))
     parked = jnp.array([[9.0, 9.0, 1.0]])
     state = physics.set_parked_poses(state, parked)
-    assert not physics.contacts
+    assert not physics.config.contacts
     np.testing.assert_array_equal(physics.parked_poses(state, parked), parked)
 
 

@@ -125,7 +125,7 @@ def test_an_agent_without_a_path_stands_and_gives_up_after_a_few_searches():
 
 
 def test_environments_in_which_it_cannot_drive_are_refused():
-    with pytest.raises(ValueError, match="mjx, scene, bicycle physics, not grid"):
+    with pytest.raises(ValueError, match="brakes, not those of grid physics"):
         planner_policy(ParkingEnv(environment("tanner-fixed")))
     dynamic = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=1))
     with pytest.raises(ValueError, match="fixed goals"):

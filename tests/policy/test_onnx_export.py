@@ -49,7 +49,7 @@ def untrained(env: EnvConfig, encoder: str = "set", seed: int = 1) -> LoadedPoli
     """A policy with random weights, whose statistics are those of random numbers."""
     size, keys = observation_size(env), jax.random.split(jax.random.key(seed), 3)
     if env.observation.encoding == "indices":
-        sizes, choices = cardinalities(env), env.grid.choices
+        sizes, choices = cardinalities(env), env.physics_config.choices
         table = jax.random.normal(keys[0], (np.prod(sizes), np.prod(choices)))
         policy = make_table_policy(table, sizes, choices)
         return LoadedPolicy(env, policy, 0, Path("none"))

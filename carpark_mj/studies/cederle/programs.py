@@ -19,7 +19,7 @@ STUDY_PROGRAMS.register(
 )
 STUDY_PROGRAMS.register(
     "junction_scene",
-    Program(
+    Entry(
         "carpark_mj.studies.cederle.scene:run", "the junction as MJCF, or in a viewer"
     ),
 )

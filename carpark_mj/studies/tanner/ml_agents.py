@@ -181,7 +181,7 @@ class MLAgents(Variant):
 
     def check(self, config: PPOConfig) -> None:
         """Refuses other actions than choices, encoders, and absent agents."""
-        if config.env.physics != "grid":
+        if config.env.physics_config.continuous:
             raise ValueError(
                 "variant 'ml-agents' needs actions of choices only, env.physics "
                 f"'grid', not {config.env.physics!r}"

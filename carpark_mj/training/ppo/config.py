@@ -158,10 +158,11 @@ class PPOConfig(RunConfig):
                 f"hitbox_scale {self.hitbox_scale} needs hitbox_steps of at least 1, "
                 "not 0"
             )
-        if self.hitbox_scale != 1.0 and self.env.physics == "scene":
+        physics = self.env.physics_config
+        if self.hitbox_scale != 1.0 and physics.contacts:
             raise ValueError(
-                f"hitbox_scale must be 1 in scene physics, where crashes are contacts, "
-                f"not {self.hitbox_scale}"
+                f"hitbox_scale must be 1 in {physics.back_end} physics, where crashes "
+                f"are contacts, not {self.hitbox_scale}"
             )
         if self.discount == 1.0 and self.curriculum.discount_end:
             raise ValueError(

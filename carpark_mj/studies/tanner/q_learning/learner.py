@@ -85,7 +85,7 @@ class QLearner:
                 "Q-learning needs env.observation.encoding 'indices', not "
                 f"{config.env.observation.encoding!r}"
             )
-        self.choices = config.env.grid.choices
+        self.choices = config.env.physics_config.choices
         self.sizes = cardinalities(config.env)
         self.advance = jax.jit(self._advance)
 

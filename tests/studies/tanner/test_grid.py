@@ -10,18 +10,17 @@ import pytest
 from helpers.scenes import cars, moved
 from helpers.states import parked_in, state_of
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, GridConfig, SimConfig
+from carpark_mj.config import WORLD_UNIT, EnvConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import sanitize_indices
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.terminations import detect_events
-from carpark_mj.physics.grid import GridPhysics
 from carpark_mj.registry import ENVIRONMENTS, TANNER_QLEARNING, environment
+from carpark_mj.studies.tanner.grid import GridPhysics
+from carpark_mj.studies.tanner.grid_config import COARSE, FINE, GridConfig
 from carpark_mj.vehicle import make_vehicle, preset
 
-COARSE = TANNER_QLEARNING.grid  # 1 point per unit, 8 headings, 3 levels
-FINE = GridConfig()  # the study's PPO: 16 points, 24 headings, 7 levels
 BOX = make_vehicle(preset("tanner"))
 KEEP = 1  # the coarse grid's middle choice: no acceleration, no turn
 
@@ -280,7 +279,7 @@ def test_named_environments_can_be_built(name):
     env = ParkingEnv(environment(name))
     spec = env.action_spec
     grid = (3, 3) if "qlearning" in name else (5, 7)
-    choices = grid if env.config.physics == "grid" else ()
+    choices = grid if "grid" in str(env.config.physics) else ()
     assert spec.continuous == (0 if choices else 2)
     assert spec.choices == choices + ((2,) if "dynamic" in name else ())
 

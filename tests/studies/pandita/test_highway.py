@@ -9,7 +9,7 @@ import pytest
 
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.physics.highway import HighwayPhysics
+from carpark_mj.studies.pandita.highway import HighwayPhysics
 from carpark_mj.vehicle import make_vehicle, preset
 
 SIM = SimConfig(sim_dt=1 / 15, trace_dt=1 / 15)

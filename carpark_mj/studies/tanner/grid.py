@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj.config import GridConfig, SimConfig
+from carpark_mj.config import SimConfig
 from carpark_mj.physics.base import FactoredPhysics, require_plain_ground
+from carpark_mj.studies.tanner.grid_config import GridConfig
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.vehicle import Vehicle
 
@@ -60,7 +61,7 @@ class GridPhysics(FactoredPhysics[GridState]):
             ValueError: a slope, a slippery surface or tyres, which have no meaning.
         """
         require_plain_ground(sim, "grid")
-        self.grid = grid
+        self.grid = self.config = grid
         self.ctrl_dt = sim.ctrl_dt
         self._level_speed = grid.speed_step * grid.point_size / sim.ctrl_dt  # m/s
         turn = 2 * math.pi / grid.headings

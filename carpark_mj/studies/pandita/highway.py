@@ -14,6 +14,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config import PHYSICS
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.physics.bicycle import BicyclePhysics, BicycleState, Carry, slip_angle
 from carpark_mj.types import Motion
@@ -23,7 +24,7 @@ from carpark_mj.vehicle.vehicle import Vehicle
 class HighwayPhysics(BicyclePhysics):
     """highway-env's car behind the `Physics` interface."""
 
-    name = "highway"
+    config = PHYSICS["highway"]
 
     def read(self, state: BicycleState) -> Motion:
         """What the task may know; velocities leave the slip angle out, as its own."""

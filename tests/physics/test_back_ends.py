@@ -1,0 +1,261 @@
+"""Traits of back ends are honoured by whoever asks, and what has none is refused."""
+
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import cars, lot
+from helpers.states import HandPhysics, hand_cars
+from helpers.transitions import no_events, transition
+
+from carpark_mj.config import (
+    PHYSICS,
+    EnvConfig,
+    EpisodeConfig,
+    PhysicsConfig,
+    RandomizationConfig,
+    RewardConfig,
+    SpawnConfig,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.suite import suite_env
+from carpark_mj.mdp.rewards import effort
+from carpark_mj.physics.bicycle import BicyclePhysics
+from carpark_mj.physics.make import MEMBERS
+from carpark_mj.planning.policy import planner_policy
+from carpark_mj.play.driven import DrivenLot
+from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.policy.runs import from_dict
+from carpark_mj.studies.tanner.grid_config import GridConfig
+from carpark_mj.wrappers.spaces import observation_space
+
+BASE = EnvConfig(
+    num_agents=2,
+    num_parked_cars=0,
+    physics="bicycle",
+    spawn=SpawnConfig(close_ratio=0.0),
+    episode=EpisodeConfig(respawn=False),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial(PhysicsConfig):
+    """The bicycle, said to be something else."""
+
+    back_end: str = "trial"
+    continuous: int = 2  # pyright: ignore
+    steers: bool = True
+    actuated: bool = True
+    contacts: bool = False
+    randomized: bool = True
+    keeps_ranges: bool = True
+    branches: tuple[int, ...] = ()
+
+    @property
+    def choices(self):
+        return self.branches
+
+    def make(self, config, layout, vehicle):
+        return TrialPhysics(self, config.sim)
+
+
+class TrialPhysics(BicyclePhysics):
+    """Drives on by the first two controls; remembers how many it was given."""
+
+    def __init__(self, config, sim):
+        super().__init__(sim)
+        self.config = config
+
+    def step(self, state, controls):
+        self.given = controls.shape, controls.dtype
+        return super().step(state, controls[..., :2].astype(jnp.float32))
+
+
+def trial(config=BASE, **traits):
+    """An environment on a back end with these traits."""
+    return ParkingEnv(dataclasses.replace(config, physics=Trial(**traits)))
+
+
+@pytest.mark.parametrize("contacts", [False, True])
+def test_finished_cars_roll_on_with_contacts_and_stay_put_without(contacts):
+    env = trial(contacts=contacts)
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
+    physics = env.physics.set_speed(state.physics, jnp.array([2.0, 2.0]))
+    motion = env.physics.read(physics)
+    state = state.replace(
+        physics=physics, motion=motion, active=jnp.array([True, False])
+    )
+    start = motion.pose_w
+    after, _ = jax.jit(env.step)(state, jnp.zeros((2, 2)))
+    moved = np.linalg.norm((after.motion.pose_w - start)[:, :2], axis=1)
+    assert moved[0] > 0.3
+    assert (moved[1] > 0.05) == contacts
+    assert after.motion.speed[1] < 1.9 < after.motion.speed[0]  # it brakes
+
+
+@pytest.mark.parametrize(
+    ("continuous", "branches", "dtype"),
+    [(2, (), jnp.float32), (3, (4,), jnp.float32), (0, (5, 7, 2), jnp.int32)],
+)
+@pytest.mark.parametrize("steers", [True, False])
+def test_the_back_end_gets_the_controls_that_it_declares(
+    continuous, branches, dtype, steers
+):
+    env = trial(continuous=continuous, branches=branches, steers=steers)
+    size = continuous + len(branches)
+    assert env.action_spec.continuous == continuous
+    assert (env.action_spec.size, env.action_spec.choices) == (size, branches)
+    state, _ = jax.eval_shape(env.reset, jax.random.key(0))
+    jax.eval_shape(env.step, state, jnp.zeros((2, size), dtype))
+    assert env.physics.given == ((2, size), dtype)
+
+
+def test_an_object_of_ones_own_brings_its_traits():
+    given = TrialPhysics(Trial(continuous=4, keeps_ranges=False), BASE.sim)
+    env = ParkingEnv(BASE, physics=given)
+    assert env.physics is given
+    assert env.config.physics_config is given.config
+    assert env.action_spec.size == 4
+    with pytest.raises(ValueError, match=r"randomization .* in trial physics"):
+        ParkingEnv(
+            dataclasses.replace(BASE, randomization=RandomizationConfig((0.9, 1.1))),
+            physics=TrialPhysics(Trial(randomized=False), BASE.sim),
+        )
+
+
+@pytest.mark.parametrize(
+    ("traits", "changes", "named"),
+    [
+        ({"contacts": True}, {"episode": EpisodeConfig(hitbox_scale=1.5)}, "hitbox"),
+        ({"steers": False}, {"spawn": SpawnConfig(reverse_ratio=0.5)}, "reverse_ratio"),
+        ({"steers": False}, {"reward": RewardConfig(route=True)}, "route"),
+        ({"steers": False}, {"reward": RewardConfig(reeds_shepp=2.0)}, "reeds_shepp"),
+        (
+            {"randomized": False},
+            {"randomization": RandomizationConfig(mass=(0.9, 1.1))},
+            "randomization",
+        ),
+    ],
+)
+def test_what_a_back_end_cannot_do_is_refused_and_else_allowed(traits, changes, named):
+    assert dataclasses.replace(BASE, **changes, physics=Trial())
+    with pytest.raises(ValueError, match=rf"{named}.* trial"):
+        dataclasses.replace(BASE, **changes, physics=Trial(**traits))
+
+
+def test_a_config_refuses_for_itself():
+    class Fussy(Trial):
+        def check(self, config):
+            if config.num_agents > 1:
+                raise ValueError("one agent only")
+
+    assert dataclasses.replace(BASE, num_agents=1, physics=Fussy())
+    with pytest.raises(ValueError, match="one agent only"):
+        dataclasses.replace(BASE, physics=Fussy())
+
+
+def test_what_needs_cars_refuses_what_does_not_steer():
+    sliding, obeying = trial(steers=False), trial(actuated=False)
+    with pytest.raises(ValueError, match="trial"):
+        suite_env(sliding.config, "strict")
+    with pytest.raises(ValueError, match="trial"):
+        DrivenLot(sliding, zero_policy(sliding.action_spec), 0, lambda lot: lot)
+    for env in (sliding, obeying):
+        with pytest.raises(ValueError, match=r"planner .* trial"):
+            planner_policy(env)
+    assert suite_env(obeying.config, "strict")
+
+
+def test_cars_faster_than_in_a_car_park_have_wider_observations():
+    slow, fast = (
+        observation_space(dataclasses.replace(BASE, physics=Trial(keeps_ranges=keeps)))
+        for keeps in (True, False)
+    )
+    assert (fast.high >= slow.high).all()
+    assert (fast.high > slow.high).any()
+
+
+def test_effort_is_in_shares_of_what_the_back_end_says():
+    class Spinner(Trial):
+        def turn(self, before, after, ctrl_dt):
+            return abs(after.yaw_rate) * ctrl_dt
+
+        def largest_turn(self, vehicle, ctrl_dt):
+            return 3.0 * ctrl_dt
+
+        def top_speed(self, vehicle, ctrl_dt):
+            return 8.0
+
+    config = dataclasses.replace(BASE, physics=Spinner())
+    before = cars([(0.0, 0.0, 0.0)] * 2)
+    after = dataclasses.replace(
+        cars([(0.0, 0.0, 0.0)] * 2, [2.0, -4.0]), yaw_rate=jnp.array([1.5, -3.0])
+    )
+    used = effort(
+        config,
+        transition(
+            config,
+            lot([(0.0, 0.0, 0.0)]),
+            before,
+            after,
+            {"physics": HandPhysics(hand_cars(before))},
+            target_pose=jnp.zeros((2, 3)),
+            events=no_events(2),
+        ),
+    )
+    np.testing.assert_allclose(used.turn, [0.5, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(used.speed, [0.25, 0.5], rtol=1e-6)
+
+
+@pytest.mark.parametrize("missing", MEMBERS)
+def test_an_object_that_lacks_something_is_refused_by_its_name(missing):
+    has = {name: BASE.physics_config for name in MEMBERS if name != missing}
+    with pytest.raises(TypeError, match=rf"SimpleNamespace lacks {missing} "):
+        ParkingEnv(BASE, physics=SimpleNamespace(**has))  # pyright: ignore
+
+
+def test_so_is_one_whose_config_is_none_or_that_a_config_makes():
+    broken = SimpleNamespace(**dict.fromkeys(MEMBERS))
+    with pytest.raises(TypeError, match=r"SimpleNamespace must be a PhysicsConfig"):
+        ParkingEnv(BASE, physics=broken)  # pyright: ignore
+
+    class Idle(Trial):
+        def make(self, config, layout, vehicle):
+            return 3
+
+    with pytest.raises(TypeError, match="int lacks config"):
+        ParkingEnv(dataclasses.replace(BASE, physics=Idle()))
+
+
+def test_configs_that_are_none_are_refused():
+    with pytest.raises(TypeError, match="make"):
+        type("Bare", (PhysicsConfig,), {})()
+    nameless = dataclasses.make_dataclass(
+        "Nameless", [], bases=(PhysicsConfig,), frozen=True, namespace={"make": print}
+    )
+    with pytest.raises(ValueError, match=r"Nameless lacks .* back_end"):
+        nameless()
+    with pytest.raises(ValueError, match=r"unknown physics 'moon'.*mjx"):
+        EnvConfig(physics="moon")
+    with pytest.raises(ValueError, match="physics must be"):
+        EnvConfig(physics=3)  # pyright: ignore
+    with pytest.raises(ValueError, match="'mjx' already"):
+        PHYSICS.register("mjx", Trial())
+
+
+@pytest.mark.parametrize("physics", ["grid_coarse", GridConfig(points=3)])
+def test_files_give_the_same_back_end_back(physics):
+    config = dataclasses.replace(BASE, physics=physics)
+    read = from_dict(EnvConfig, json.loads(json.dumps(dataclasses.asdict(config))))
+    assert read == config
+    assert type(read.physics) is type(physics)
+
+
+def test_files_of_a_back_end_that_nobody_registered_are_refused():
+    config = dataclasses.asdict(dataclasses.replace(BASE, physics=Trial()))
+    with pytest.raises(ValueError, match="unknown physics 'trial'"):
+        from_dict(EnvConfig, config)
