@@ -5,8 +5,6 @@ choose, and `RewardConfig.extra` any that other code has registered. The order i
 they are added is that of `term_weights`.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 
@@ -57,33 +55,6 @@ def reward_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Arr
         return jnp.where(pays, term, 0.0).astype(jnp.float32)
 
     return {name: paid(name, weight) for name, weight in term_weights(config).items()}
-
-
-class Effort(NamedTuple):
-    """Steering change and speed of a step, as shares of the most; (num_agents,) each.
-
-    Attributes:
-        turn: what `PhysicsConfig.turn` says, over the largest.
-        speed: absolute speed at the end of the step over the higher of both limits.
-    """
-
-    turn: jax.Array
-    speed: jax.Array
-
-
-def effort(config: EnvConfig, transition: Transition) -> Effort:
-    """How hard agents steered in a step, and how fast they are."""
-    before, after = transition.before.motion, transition.after.motion
-    vehicle, ctrl_dt = transition.before.physics.vehicle, config.sim.ctrl_dt
-    physics = config.physics_config
-    turn, top = (
-        physics.turn(before, after, ctrl_dt),
-        physics.top_speed(vehicle, ctrl_dt),
-    )
-    return Effort(
-        turn=turn / physics.largest_turn(vehicle, ctrl_dt),
-        speed=jnp.abs(after.speed) / top,
-    )
 
 
 def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax.Array:

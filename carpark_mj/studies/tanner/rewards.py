@@ -1,6 +1,6 @@
 """Terms and weights of the study's reward; sums of an episode, paid a share a step."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +9,31 @@ from carpark_mj.config import REWARD_TERMS, REWARDS, EnvConfig, RewardConfig, Re
 
 if TYPE_CHECKING:
     from carpark_mj.types import Transition
+
+
+class Effort(NamedTuple):
+    """Steering change and speed of a step, as shares of the most; (num_agents,) each.
+
+    Attributes:
+        turn: what `PhysicsConfig.turn` says, over the largest.
+        speed: absolute speed at the end of the step over the higher of both limits.
+    """
+
+    turn: jax.Array
+    speed: jax.Array
+
+
+def effort(config: EnvConfig, transition: "Transition") -> Effort:
+    """How hard agents steered in a step, and how fast they are."""
+    before, after = transition.before.motion, transition.after.motion
+    vehicle, ctrl_dt = transition.before.physics.vehicle, config.sim.ctrl_dt
+    physics = config.physics_config
+    turn = physics.turn(before, after, ctrl_dt)
+    top = physics.top_speed(vehicle, ctrl_dt)
+    return Effort(
+        turn=turn / physics.largest_turn(vehicle, ctrl_dt),
+        speed=jnp.abs(after.speed) / top,
+    )
 
 
 def approach(config: EnvConfig, transition: "Transition") -> jax.Array:
@@ -30,8 +55,6 @@ def smoothness(
     On the grid it is the turn. With `by_speed` it is multiplied by the speed as a share
     of the top speed.
     """
-    from carpark_mj.mdp.rewards import effort
-
     used = effort(config, transition)
     return used.turn * used.speed if by_speed else used.turn
 
