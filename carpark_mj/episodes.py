@@ -11,9 +11,11 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, LayoutConfig
+from carpark_mj.config.obstacles import make_movers
 from carpark_mj.fleet.checks import is_made_for
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
+from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts import Layout, MixtureConfig, layout_config
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp import metrics
@@ -34,7 +36,8 @@ from carpark_mj.mdp.spawning.placing import (
     start_placing,
 )
 from carpark_mj.mdp.spawning.room import has_room
-from carpark_mj.observations import rings, sensors
+from carpark_mj.observations import sensors
+from carpark_mj.obstacles.movers import begin_movers, step_movers, trace_still
 from carpark_mj.physics.base import Physics, RollingStarts, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
 from carpark_mj.vehicle import Vehicle, VehicleParameters
@@ -55,6 +58,7 @@ class StepKeys(NamedTuple):
     spawn: jax.Array
     first_goals: jax.Array
     relocate: jax.Array
+    movers: jax.Array
 
 
 class Episodes:
@@ -76,8 +80,10 @@ class Episodes:
         may_be_fewer = config.occupancy is not None and config.min_agents is not None
         lot = layout_config(config.layout)
         most = min(lot.min_bays // 2, lot.min_goals)
-        # Contacts push parked cars into the spawn regions.
-        self._may_touch = config.physics_config.contacts or not all(
+        self._movers = make_movers(config.movers)
+        # Contacts push parked cars into the spawn regions, and movers come there.
+        disturbed = config.physics_config.contacts or bool(self._movers)
+        self._may_touch = disturbed or not all(
             _starts_are_free(lot, car) for car in fleet.agents
         )
         room = False
@@ -88,7 +94,7 @@ class Episodes:
                 layout, (length, width), config.num_agents, config.spawn.spacing
             )
         # One agent alone has nobody to wait for.
-        self._may_wait = config.num_agents > 1 and not room
+        self._may_wait = (config.num_agents > 1 or bool(self._movers)) and not room
         self._limits_agents = (
             may_be_fewer and not config.goals.dynamic and config.num_agents > most
         )
@@ -121,10 +127,13 @@ class Episodes:
         if num_present is not None:
             present = jnp.arange(num_agents) < num_present
         key, vehicle_key, sensor_key = self._split(key)
+        key, movers = self._begin_movers(layout, key)
         key, start_key, spawn_key = jax.random.split(key, 3)
         start = self._fleet.start(layout, start_key, present, options)
         vehicles = randomize_all(config.randomization, start.vehicles, vehicle_key)
-        inputs = self._spawn_inputs(layout, start.parked_cars, vehicles, vehicles)
+        inputs = self._spawn_inputs(
+            layout, start.parked_cars, movers, vehicles, vehicles
+        )
         bay = start.parked_cars.bay
         goal = start.goal
         if present is not None:
@@ -170,7 +179,7 @@ class Episodes:
             goal=goal,
             tracked_bays=self._goals.init_tracked_bays(),
             parked_cars=start.parked_cars,
-            ring_history=rings.init_history(config),
+            memory=config.observation.init_memory(config),
             step=jnp.zeros(num_agents, jnp.int32),
             active=everybody if present is None else present,
             stats=metrics.init_stats(config, layout),
@@ -179,6 +188,8 @@ class Episodes:
             present=present,
             waited=waited,
             routes=make_routes(layout) if config.follows_routes else None,
+            kind=start.kind if self._fleet.mixed else None,
+            movers=trace_still(movers, motion.trace_w.shape[-2]),
         )
         return self._goals.begin(state, placing, state.active, first_key)
 
@@ -210,8 +221,11 @@ class Episodes:
             return state
         if state.waited is not None:
             begun = begun | (state.waited > 0)
-        old, vehicles = state.physics.vehicle, self._draw_vehicles(state, keys.vehicles)
-        inputs = self._spawn_inputs(layout, state.parked_cars, vehicles, old)
+        old = state.physics.vehicle
+        kind, vehicles = self._draw_vehicles(state, keys.vehicles)
+        inputs = self._spawn_inputs(
+            layout, state.parked_cars, state.movers, vehicles, old
+        )
         bay, pose_w = state.parked_cars.bay, state.motion.pose_w
         placing = start_placing(state.goal, bay, pose_w, begun, state.waited)
         # Starts are drawn: where the others stand decides about them, without a slope.
@@ -224,7 +238,9 @@ class Episodes:
             STEP_TRIES if self._may_wait else SURE,
         )
         if self._fleet.mixed:  # without a bay for the new car, goal and car are kept
-            vehicles = where_cars(placing.found & ~placing.waiting, vehicles, old)
+            fitting = placing.found & ~placing.waiting
+            vehicles = where_cars(fitting, vehicles, old)
+            kind = where_cars(fitting & begun, kind, state.kind)
         pose_w = placing.pose_w
         if self._may_wait:
             pose_w = place_absent_agents(pose_w, ~placing.waiting)
@@ -241,7 +257,10 @@ class Episodes:
             motion=motion,
             goal=placing.goal,
             parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
-            ring_history=rings.forget(state.ring_history, begun),
+            kind=kind,
+            memory=where_cars(
+                begun, config.observation.init_memory(config), state.memory
+            ),
             step=jnp.where(begun, 0, state.step),
             stats=where_cars(begun, metrics.init_stats(config, layout), state.stats),
             sensors=sensors.reset(
@@ -259,21 +278,46 @@ class Episodes:
             )
         return self._goals.begin(state, placing, begun, keys.first_goals)
 
-    def _draw_vehicles(self, state: State, key: jax.Array) -> Vehicle:
-        """Parameters (num_agents,) of cars for agents that begin; `key` is consumed."""
+    def _draw_vehicles(
+        self, state: State, key: jax.Array
+    ) -> tuple[jax.Array | None, Vehicle]:
+        """Kinds (num_agents,) of cars for agents that begin, and their parameters.
+
+        `key` is consumed. The kinds are None where there is one.
+        """
         config = self._config
         if not (config.randomization.is_on or self._fleet.mixed):
-            return state.physics.vehicle
-        nominal, key = self._fleet.draw_agents(key)
-        return randomize_all(config.randomization, nominal, key)
+            return None, state.physics.vehicle
+        kind, key = self._fleet.draw_kinds(key)
+        nominal = self._fleet.of_kind(kind)
+        vehicles = randomize_all(config.randomization, nominal, key)
+        return kind if self._fleet.mixed else None, vehicles
+
+    def _begin_movers(self, layout: Layout, key: jax.Array) -> tuple[jax.Array, Movers]:
+        """The lot's next key, and its movers if there are any."""
+        if not self._movers:
+            return key, NO_MOVERS
+        key, mover_key = jax.random.split(key)
+        return key, begin_movers(self._movers, layout, mover_key)
+
+    def step_movers(self, state: State, keys: StepKeys) -> Movers:
+        """The movers after a control step; `state` is before it."""
+        if not self._movers:
+            return NO_MOVERS
+        return step_movers(self._movers, state, self._config.sim.ctrl_dt, keys.movers)
 
     def _spawn_inputs(
-        self, layout: Layout, parked_cars: ParkedCars, new: Vehicle, old: Vehicle
+        self,
+        layout: Layout,
+        parked_cars: ParkedCars,
+        movers: Movers,
+        new: Vehicle,
+        old: Vehicle,
     ) -> SpawnInputs:
         fits = bay_fits(self._config, layout, new.size, parked_cars.size)
         sized = self._fleet.mixed or self._may_touch
         sizes = (new.size, old.size) if sized else (None, None)
-        return SpawnInputs(layout, parked_cars, *sizes, fits, new)
+        return SpawnInputs(layout, parked_cars, *sizes, fits, new, movers)
 
     def _split(self, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """The lot's next key, and one each for vehicles and sensors, if they vary."""
@@ -291,6 +335,9 @@ class Episodes:
         spawn = first_goals = relocate = key
         if self._config.episode.respawn:
             key, spawn, first_goals, relocate = jax.random.split(key, 4)
+        movers = key
+        if self._movers:
+            key, movers = jax.random.split(key)
         return StepKeys(
             next=key,
             vehicles=vehicles,
@@ -299,6 +346,7 @@ class Episodes:
             spawn=spawn,
             first_goals=first_goals,
             relocate=relocate,
+            movers=movers,
         )
 
 

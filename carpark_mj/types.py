@@ -5,13 +5,14 @@ Units are SI and radians; poses are (x [m], y [m], yaw [rad]) of a footprint's c
 Floats are float32.
 """
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.config import ContextName
+from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts.routes import Routes
 from carpark_mj.layouts.types import Layout
 
@@ -121,12 +122,15 @@ class ParkedCars:
         size: (num_parked_cars, 2) footprints [m].
         offset: (num_parked_cars, 3) where they stand in their bays if these allow it,
             bay frame; None while all stand in the middle.
+        kind: (num_parked_cars,) int32 which of `Fleet.parked_cars` each is; None where
+            there is one kind.
     """
 
     bay: jax.Array
     pose_w: jax.Array
     size: jax.Array
     offset: jax.Array | None = None
+    kind: jax.Array | None = None
 
     @property
     def present(self) -> jax.Array:
@@ -203,8 +207,8 @@ class State:
         tracked_bays: (num_agents, num_tracked_bays) int32 free bays each agent tracks,
             `NO_BAY` in empty slots; None while goals are fixed.
         parked_cars: the cars that stand in bays.
-        ring_history: (num_agents, history, rings) int32 what rings counted before,
-            oldest first; None if the past is not observed.
+        memory: what agents observe of the past, arrays (num_agents, ...), see
+            `ObservationConfig.init_memory`; None if they observe none of it.
         step: (num_agents,) int32 control steps made in the running episodes.
         active: (num_agents,) bool; False once finished when nobody respawns, and of
             absent agents.
@@ -216,6 +220,9 @@ class State:
         waited: (num_agents,) int32 control steps for which an absent agent has waited
             for room to start; 0 = it does not wait. None where nobody ever does.
         routes: ways along the lanes to the bays; None where nothing reads them.
+        kind: (num_agents,) int32 which of `Fleet.agents` each drives; None where there
+            is one kind.
+        movers: obstacles that move by themselves.
     """
 
     physics: PhysicsState
@@ -224,7 +231,7 @@ class State:
     goal: jax.Array
     tracked_bays: jax.Array | None
     parked_cars: ParkedCars
-    ring_history: jax.Array | None
+    memory: Any
     step: jax.Array
     active: jax.Array
     stats: EpisodeStats
@@ -233,6 +240,8 @@ class State:
     present: jax.Array | None = None
     waited: jax.Array | None = None
     routes: Routes | None = None
+    kind: jax.Array | None = None
+    movers: Movers = NO_MOVERS
 
     @property
     def exploring(self) -> jax.Array:
@@ -257,7 +266,8 @@ class Events:
     """How each agent's episode stands after a step; all (num_agents,) bool.
 
     `parked`, `crashed`, `timed_out` and `diverged` exclude each other; together they
-    are `done`. The `hit_*` flags say what a crashed agent touched (several can hold).
+    are `done`. The `hit_*` flags say what a crashed agent touched (several can hold),
+    one for each `ObstacleKind`; None where there are none of it.
     """
 
     parked: jax.Array
@@ -267,6 +277,7 @@ class Events:
     hit_agent: jax.Array
     hit_parked_car: jax.Array
     hit_wall: jax.Array
+    hit_mover: jax.Array | None = None
 
     @property
     def success(self) -> jax.Array:

@@ -7,31 +7,41 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import cars
+import shapely
+from helpers.registering import restore_after
+from helpers.scenes import cars, polygons
+from helpers.sliding import SlidePhysics
 
-from carpark_mj import EnvConfig, ParkingEnv, RewardConfig
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.config import (
+    ENCODERS,
     METRICS,
+    MOVERS,
     PARKED_RULES,
     PHYSICS,
     REWARD_TERMS,
+    EnvConfig,
     MetricsConfig,
     ParkedRule,
+    RewardConfig,
     register_rule,
     terminations,
 )
-from carpark_mj.layouts import FAMILIES, DesignCar, generate, make_layout
+from carpark_mj.config.layouts import FAMILIES, LAYOUTS
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import DesignCar, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import read_json
 from carpark_mj.mdp.terminations import is_parked
+from carpark_mj.observations import make_fields
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.car_look import shape_name
 from carpark_mj.scene.car_mesh import car_meshes
-from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
+from carpark_mj.vehicle import COMPACT, PRESETS, VEHICLES, make_vehicle
 
-PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
-PACKAGES = Path(__file__).parents[1] / "examples" / "extensions"
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "extending.md").read_text()
+PACKAGES = ROOT / "examples" / "extensions"
 SECTIONS = {
     section.split("\n", 1)[0]: section
     for section in re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]
@@ -54,12 +64,9 @@ def run(name):
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
     """What examples register is gone after each test."""
-    for registry in (FAMILIES, PRESETS, terminations._RULES):
-        for name in ("court", "taxi", "straight"):
-            monkeypatch.setitem(registry, name, None)
-            monkeypatch.delitem(registry, name)
-    monkeypatch.setitem(PHYSICS._parts, "hover", None)
-    monkeypatch.delitem(PHYSICS._parts, "hover")
+    restore_after(monkeypatch, ENCODERS, FAMILIES, LAYOUTS, MOVERS, PHYSICS, VEHICLES)
+    monkeypatch.setitem(terminations._RULES, "straight", None)
+    monkeypatch.delitem(terminations._RULES, "straight")
 
 
 def test_the_layout_file_is_valid(tmp_path):
@@ -68,10 +75,17 @@ def test_the_layout_file_is_valid(tmp_path):
     assert read_json(path).num_bays == 3
 
 
+def test_the_example_package_is_the_page_s_family():
+    package = Path(__file__).parents[1] / "examples" / "extensions" / "court"
+    family = (package / "court.py").read_text().partition("@dataclasses")[2]
+    assert family
+    assert family in block("A layout", "python")
+
+
 def test_every_lot_of_the_new_family_is_valid():
     config = run("A layout")["CourtConfig"]()
-    make = jax.jit(generate, static_argnums=0)
-    lots = [make(config, jax.random.key(number)) for number in range(20)]
+    make = jax.jit(config.generate)
+    lots = [make(jax.random.key(number)) for number in range(20)]
     assert not any(describe_faults(lot, DesignCar().size) for lot in lots)
     assert {int(lot.bay_mask.sum()) for lot in lots} == {6, 7, 8, 9, 10}
 
@@ -122,11 +136,37 @@ def test_the_new_metric_is_the_largest_of_the_episode(hasty):
 
 
 def test_the_new_field_is_observed_at_reset_and_in_steps():
-    names = run("An observation field")
-    env, observation = names["env"], names["observation"]
-    assert observation.shape == (2, env.observation_size)
-    np.testing.assert_array_equal(observation[:, -1], 0.0)
-    np.testing.assert_allclose(names["timestep"].observation[:, -1], 1 / 200)
+    path = ROOT / "examples" / "extensions" / "nearest_wall" / "nearest_wall.py"
+    assert block("An observation field", "python") == path.read_text()
+    run("An observation field")
+    observation = ENCODERS["nearest_wall"]()
+    env = ParkingEnv(EnvConfig(num_agents=2, observation=observation), SlidePhysics())
+    assert make_fields(env.config)[:-1] == make_fields(EnvConfig(num_agents=2))
+    state, first = jax.jit(env.reset)(jax.random.key(0))
+    _, timestep = jax.jit(env.step)(state, jnp.ones((2, 2)))
+    for seen, motion in (
+        (first, state.motion),
+        (timestep.observation, timestep.motion),
+    ):
+        walls = polygons(state.layout.wall_pose, state.layout.wall_size)
+        centres = shapely.points(np.asarray(motion.xy))
+        nearest = shapely.distance(centres[:, None], walls).min(axis=1)
+        np.testing.assert_allclose(20.0 * seen[:, -1], nearest, atol=1e-4)
+
+
+def test_the_new_mover_comes_and_goes():
+    names = run("A mover")
+    env, state = names["env"], names["state"]
+
+    @jax.jit
+    def drive(state):
+        def step(state, _):
+            state, _ = env.step(state, jnp.zeros((2, 2)))
+            return state, jnp.stack([group.mask[0] for group in state.movers.groups])
+
+        return jax.lax.scan(step, state, length=100)[1]  # two periods
+
+    np.testing.assert_array_equal(drive(state).sum(axis=0), [50, 50])
 
 
 def test_the_new_vehicle_drives_alone_and_in_a_fleet():

@@ -19,6 +19,7 @@ FLOORS = (
     ("geometry",),
     ("layouts",),
     ("types", "vehicle"),
+    ("obstacles",),
     ("observations", "scene"),
     ("mdp", "physics"),
     ("fleet",),
@@ -39,7 +40,15 @@ FLOORS = (
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 # No room of the task or below it knows MuJoCo, or the cars that need it.
 TASK = ("observations", "mdp")
-WITHOUT_MUJOCO = ("precision", "config", "geometry", "layouts", "types", *TASK)
+WITHOUT_MUJOCO = (
+    "precision",
+    "config",
+    "geometry",
+    "layouts",
+    "types",
+    "obstacles",
+    *TASK,
+)
 AROUND_TASK = {"vehicle", "scene", "physics"}
 
 

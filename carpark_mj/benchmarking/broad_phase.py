@@ -9,11 +9,12 @@ import jax
 from carpark_mj.benchmarking.timing import best_time
 from carpark_mj.config import EnvConfig, RayConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts import LotConfig
 from carpark_mj.mdp.clearance import clearances
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.metrics.collision_time import collision_times
-from carpark_mj.observations import observe
+from carpark_mj.observations import ContinuousObservation, observe
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import State
 
 SCENES = {
@@ -30,7 +31,7 @@ def make_env(scene: str, rays: int) -> ParkingEnv:
     """The environment of a scene of `SCENES`; with `rays` bearings, if above 0."""
     config = SCENES[scene]
     if rays:
-        seen = dataclasses.replace(config.observation, rays=RayConfig(rays))
+        seen = ContinuousObservation(rays=RayConfig(rays))
         config = dataclasses.replace(config, observation=seen)
     return ParkingEnv(config)
 
@@ -51,8 +52,9 @@ def measure(
     actions = jax.random.uniform(action_key, shape, minval=-1.0)
 
     def safety(state: State) -> Any:
-        where = state.layout, state.motion, state.parked_cars
-        return clearances(*where), collision_times(*where)
+        motion = state.motion
+        there = lot_obstacles(state.layout, motion, state.parked_cars, state.movers)
+        return clearances(motion, there), collision_times(motion, there)
 
     @jax.jit
     def drive(state: State) -> State:

@@ -23,7 +23,15 @@ from tyro.constructors import (
     UnsupportedTypeAnnotationError,
 )
 
-from carpark_mj.config import REWARD_TERMS, ExtraTerms, term_settings
+from carpark_mj.config import (
+    ENCODERS,
+    REWARD_TERMS,
+    ExtraTerms,
+    ObservationConfig,
+    insert,
+    setting,
+    term_settings,
+)
 from carpark_mj.config.checks import Range
 
 Config = TypeVar("Config")
@@ -95,6 +103,8 @@ def read_flags(
 ) -> Config:
     """Reads the flags of a dataclass.
 
+    The flag `--….encoding NAME` of an observation chooses that encoder, and its flags.
+
     Args:
         cls: a field is a flag; its docstring says what `--help` prints.
         arguments: of the command line; None = those of the program.
@@ -113,6 +123,7 @@ def read_flags(
         arguments = ["--help"]
     elif short and {"-h", "--help"} & {*arguments}:
         _print_short_help(cls, default or cls(), short, options)
+    default = _with_encoders(cls, arguments, default)
     if default is not None:
         options["default"] = default
     if {"-h", "--help"} & {*arguments}:
@@ -127,6 +138,28 @@ def read_flags(
             if not box.getvalue():
                 raise
     raise ValueError(_sentence(box.getvalue()))
+
+
+def _with_encoders(
+    cls: type[Config], arguments: Sequence[str], default: Config | None
+) -> Config | None:
+    """The default with the encoders that flags ask for, their settings by default."""
+    for word, after in itertools.pairwise([*arguments, ""]):
+        flag, equals, value = word.partition("=")
+        path = flag.removeprefix("--").removesuffix(".encoding")
+        if flag != f"--{path}.encoding":
+            continue
+        config = cls() if default is None else default
+        try:
+            now = setting(config, path)
+        except ValueError:
+            continue  # no such flag, which tyro says
+        if isinstance(now, ObservationConfig):
+            encoder = ENCODERS[value if equals else after]
+            if type(now) is not encoder:
+                # Checked with the other flags, some of which may belong to it.
+                default = insert(config, {path: encoder()})
+    return default
 
 
 @contextlib.contextmanager
@@ -180,7 +213,8 @@ def _print_short_help(
 
 def _by_line(text: str | None) -> str | None:
     """Indents commands, as tyro joins lines that begin with a letter."""
-    return text and re.sub(r"^(?=(python|srun) )", "    ", text, flags=re.MULTILINE)
+    command = r"^(?=(carpark_mj|python|srun) )"
+    return text and re.sub(command, "    ", text, flags=re.MULTILINE)
 
 
 def _sentence(box: str) -> str:

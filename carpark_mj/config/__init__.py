@@ -15,25 +15,21 @@ from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.insertion import data, insert, is_data, setting
 from carpark_mj.config.layouts import (
-    LAYOUT_FILES,
-    TPCAP_NAMES,
+    LAYOUTS,
     LayoutChoice,
     LayoutConfig,
-    LayoutName,
+    register_layout,
     require_layout,
 )
 from carpark_mj.config.metrics import METRICS, Metric, MetricsConfig, register_metric
 from carpark_mj.config.observations import (
-    BayPart,
-    ContinuousObservation,
-    IndexObservation,
-    Observation,
+    ENCODERS,
+    ObservationConfig,
     RayConfig,
     RingConfig,
     ShareConfig,
-    TannerObservation,
-    ViewConfig,
 )
+from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.reward_terms import (
@@ -56,17 +52,16 @@ from carpark_mj.config.units import WORLD_UNIT
 
 __all__ = [
     "CONTACT_SIM_DT",
-    "LAYOUT_FILES",
+    "ENCODERS",
+    "LAYOUTS",
     "METRICS",
+    "MOVERS",
     "PARKED_RULES",
     "PHYSICS",
     "REWARDS",
     "REWARD_TERMS",
-    "TPCAP_NAMES",
     "WORLD_UNIT",
-    "BayPart",
     "ContextName",
-    "ContinuousObservation",
     "EnvConfig",
     "EpisodeConfig",
     "ExtraTerms",
@@ -74,14 +69,14 @@ __all__ = [
     "GivingWayConfig",
     "GoalConfig",
     "GoalRewards",
-    "IndexObservation",
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
-    "LayoutName",
     "Metric",
     "MetricsConfig",
-    "Observation",
+    "Mover",
+    "ObservationConfig",
+    "ObstacleKind",
     "ParkedRule",
     "PhysicsChoice",
     "PhysicsConfig",
@@ -97,13 +92,12 @@ __all__ = [
     "SimConfig",
     "SpawnConfig",
     "Surface",
-    "TannerObservation",
     "TyresName",
-    "ViewConfig",
     "data",
     "insert",
     "is_data",
     "physics_config",
+    "register_layout",
     "register_metric",
     "register_rule",
     "require_layout",

@@ -14,12 +14,8 @@ from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.config.metrics import MetricsConfig
-from carpark_mj.config.observations import (
-    ContinuousObservation,
-    IndexObservation,
-    Observation,
-    TannerObservation,
-)
+from carpark_mj.config.observations import ENCODERS, ObservationConfig
+from carpark_mj.config.obstacles import Mover, MoverChoice, make_movers
 from carpark_mj.config.physics import SimConfig
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import RewardConfig
@@ -33,15 +29,12 @@ class EnvConfig:
     """A parking environment.
 
     Attributes:
-        layout: the lot, by name: `tanner` (the study's square, 3.375 m x 5.625 m
-            bays), `compact` (the same with 2.5 m x 5.0 m bays), or a family with its
-            default settings: `street`, `street_parallel`, `angled`, `lot`,
-            `garage_row`, `dead_end`, `slots` (Pandita 2022; also `slots_diagonal`,
-            `slots_parallel`, `slots_single`, `slots_single_diagonal`), HOPE's levels
-            (`hope_normal_perpendicular` and others), `metadrive`, `mixture`. Or a
-            layout file (.json, or a TPCAP case as .csv). A comma-separated list is a
-            mixture. From Python also the config of a family, see `carpark_mj.layouts`.
-        vehicle: name of a preset in `carpark_mj.vehicle`.
+        layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `compact` (the same
+            with 2.5 m x 5.0 m bays), a random family as `street`, or any other of
+            `LAYOUTS`, to which studies and other packages add theirs. Or a layout file
+            (.json). A comma-separated list is a mixture. From Python also the config
+            of a family, see `carpark_mj.layouts`.
+        vehicle: name of one of `carpark_mj.vehicle.VEHICLES`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,
             uniform from here to `num_agents`. With fixed goals and `occupancy` a lot
@@ -53,6 +46,8 @@ class EnvConfig:
             come first: where they leave fewer bays there are fewer parked cars.
         fleet: presets that cars are drawn from instead of `vehicle`.
         jitter: variation of parked cars' poses in their bays, and of their sizes.
+        movers: obstacles that move by themselves, by name, of `MOVERS`; from Python
+            also configs.
         physics: back end, by name. `mjx`: every car is simulated on its own, crashes
             are found by box tests. `scene`: the whole lot in one C MuJoCo world,
             crashes are its contacts; slow. `bicycle`: kinematic cars whose tyres never
@@ -65,13 +60,14 @@ class EnvConfig:
         spawn: where episodes start.
         episode: when episodes end.
         reward: reward weights.
-        observation: what agents observe; one config per encoding.
+        observation: what agents observe, an encoder; those that have a name are in
+            `carpark_mj.config.observations.ENCODERS`.
         randomization: parameters that differ between cars.
         sensors: noise and delay of what agents observe.
         metrics: optional measurements.
     """
 
-    layout: LayoutChoice = "tanner"
+    layout: LayoutChoice = "square"
     vehicle: str = "compact"
     num_agents: int = 2
     min_agents: int | None = None
@@ -79,6 +75,7 @@ class EnvConfig:
     occupancy: Range | None = None
     fleet: FleetConfig = dataclasses.field(default_factory=FleetConfig)
     jitter: JitterConfig = dataclasses.field(default_factory=JitterConfig)
+    movers: tuple[MoverChoice, ...] = ()
     physics: PhysicsChoice = "mjx"
     sim: SimConfig = dataclasses.field(default_factory=SimConfig)
     goals: GoalConfig = dataclasses.field(default_factory=GoalConfig)
@@ -86,7 +83,9 @@ class EnvConfig:
     spawn: SpawnConfig = dataclasses.field(default_factory=SpawnConfig)
     episode: EpisodeConfig = dataclasses.field(default_factory=EpisodeConfig)
     reward: RewardConfig = dataclasses.field(default_factory=RewardConfig)
-    observation: Observation = dataclasses.field(default_factory=ContinuousObservation)
+    observation: ObservationConfig = dataclasses.field(
+        default_factory=lambda: ENCODERS["continuous"]()
+    )
     randomization: RandomizationConfig = dataclasses.field(
         default_factory=RandomizationConfig
     )
@@ -98,7 +97,13 @@ class EnvConfig:
             raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
         for name in self.layout.split(",") if isinstance(self.layout, str) else ():
             require_layout(name)
-        require_types(self, layout=LayoutConfig | str, physics=PhysicsConfig | str)
+        require_types(
+            self,
+            layout=LayoutConfig | str,
+            movers=tuple[Mover | str, ...],
+            physics=PhysicsConfig | str,
+        )
+        make_movers(self.movers)  # refuses unknown names
         physics = self.physics_config
         require_whole(self, 1, "num_agents")
         if self.min_agents is not None:
@@ -186,38 +191,19 @@ class EnvConfig:
             ValueError: naming the setting and what it needs.
         """
         observation, scheme = self.observation, self.giving_way.scheme
-        sees_own_car = (
-            isinstance(observation, ContinuousObservation) and observation.own_car
-        )
-        if self.fleet.agents and not sees_own_car:
+        observation.check(self)
+        if self.fleet.agents and not observation.sees_own_car:
             raise ValueError(
                 "fleet.agents needs observation.own_car = True of the encoding "
                 "'continuous': agents with different cars must observe their own car"
             )
-        if isinstance(observation, IndexObservation):
-            if self.physics_config.continuous:
-                raise ValueError(
-                    "observation.encoding 'indices' needs grid physics, not "
-                    f"{self.physics}"
-                )
-            if self.goals.dynamic:
-                raise ValueError(
-                    "observation.encoding 'indices' needs fixed goals, not dynamic ones"
-                )
-            return
-        if self.goals.dynamic and observation.share.goal_headings:
-            raise ValueError("observation.share.goal_headings needs fixed goals")
-        wanted = self.giving_way.global_information
-        if scheme is not None and observation.global_information != wanted:
+        wanted, found = self.giving_way.global_information, observation.sees_everywhere
+        if scheme is not None and found != wanted:
             raise ValueError(
                 f"giving_way.scheme {scheme!r} needs observation.global_information = "
-                f"{wanted}, not {observation.global_information}"
+                f"{wanted}, not {found}"
             )
-        tracked = (
-            observation.tracked_cars
-            if isinstance(observation, TannerObservation)
-            else observation.tracked_agents
-        )
+        tracked = observation.tracked.agents or observation.tracked.cars
         context = self.giving_way.context or ""
         if context.startswith("local") and not tracked:
             raise ValueError(
@@ -239,9 +225,7 @@ class EnvConfig:
     @property
     def follows_routes(self) -> bool:
         """Whether the way along the lanes is rewarded or observed."""
-        observation = self.observation
-        seen = isinstance(observation, ContinuousObservation) and observation.route
-        return seen or self.reward.route
+        return self.observation.sees_routes or self.reward.route
 
     @property
     def varies(self) -> bool:

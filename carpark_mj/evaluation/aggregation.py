@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.config.metrics import Metric
+from carpark_mj.config.obstacles import ObstacleKind, hit_kinds
 from carpark_mj.evaluation.catalogue import START_STEPS, metrics
-from carpark_mj.mdp.clearance import KINDS
 from carpark_mj.types import ENDINGS
 
-HITS = tuple(f"hit_{kind}" for kind in KINDS)
+HITS = tuple(f"hit_{kind.label}" for kind in hit_kinds(()))
 
 Row = dict[str, Any]  # an episode: its metrics, and which it is, by name
 
@@ -30,8 +30,9 @@ def complete_row(row: Row, ctrl_dt: float) -> Row:
     time = row["length"] * ctrl_dt if row["parked"] else math.nan
     added = {"crashed_at_start": float(at_start), "time_to_park": time}
     for name in ("min_clearance", "min_collision_time"):
-        if f"{name}_{KINDS[0]}" in row:
-            added[name] = min(row[f"{name}_{kind}"] for kind in KINDS)
+        kinds = [f"{name}_{kind.label}" for kind in ObstacleKind]
+        if found := [row[kind] for kind in kinds if kind in row]:
+            added[name] = min(found)
     for metric in metrics():
         if metric.ratio is not None and row.keys() >= {*metric.ratio}:
             above, below = (row[name] for name in metric.ratio)

@@ -47,6 +47,7 @@ _WHAT = {
     "_agent": "another agent",
     "_parked_car": "a parked car",
     "_wall": "a wall or disc",
+    "_mover": "a mover, if any",
 }
 OUTCOME = (
     _rate("parked", "parked under the rule in force", "p"),
@@ -56,6 +57,7 @@ OUTCOME = (
     _rate("hit_agent", "crashed into an agent; both count", "Total Crashes Car"),
     _rate("hit_parked_car", "crashed into a parked car", "Total Crashes StaticCar"),
     _rate("hit_wall", "crashed into a wall or disc", "Total Crashes Wall"),
+    _rate("hit_mover", "crashed into a mover, if any"),
     _rate(
         "crashed_at_start",
         "crashed in the first step",

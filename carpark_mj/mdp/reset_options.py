@@ -1,6 +1,7 @@
 """Starts that the caller of `reset` gives instead of having them drawn."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -191,7 +192,8 @@ def _faults(config: EnvConfig, options: ResetOptions, state: State) -> Iterator[
         yield aims & wrong, lambda i: f"its car does not fit into bay {goal[i]}"
 
     boxes = dataclasses.replace(state, motion=dataclasses.replace(motion, touched=None))
-    hit = _hits(boxes, config.episode.hitbox_scale).any
+    hits = _hits(boxes, config.episode.hitbox_scale)
+    hit = functools.reduce(jnp.logical_or, hits.values())
     yield stands & hit, lambda _: "it would touch a car or a wall"
 
 

@@ -1,5 +1,7 @@
 """How an agent's episode ends: parked, crashed, timed out or diverged."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
@@ -81,6 +83,7 @@ def detect_events(
     layout, goal, motion = state.layout, state.goal, state.motion
     aid = 1.0 if hitbox_scale is None else hitbox_scale
     hits = find_hits(state, config.hitbox_scale * aid)
+    hit = functools.reduce(jnp.logical_or, hits.values())
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
@@ -91,9 +94,9 @@ def detect_events(
     in_bay = in_bay & ~(shared & in_bay).any(axis=1)
     if PARKED_RULES[config.parked_rule].before_crash:
         parked = in_bay
-        crashed = alive & hits.any & ~parked
+        crashed = alive & hit & ~parked
     else:
-        crashed = alive & hits.any
+        crashed = alive & hit
         parked = in_bay & ~crashed
     timed_out = alive & ~parked & ~crashed & (state.step >= config.max_steps)
     return Events(
@@ -101,7 +104,5 @@ def detect_events(
         crashed=crashed,
         timed_out=timed_out,
         diverged=diverged,
-        hit_agent=crashed & hits.agent,
-        hit_parked_car=crashed & hits.parked_car,
-        hit_wall=crashed & hits.wall,
+        **{f"hit_{kind}": crashed & touched for kind, touched in hits.items()},
     )

@@ -41,7 +41,7 @@ class Sight(NamedTuple):
         goal: the bay's middle, see `search`.
         car: what it drives.
         solids: what stands still.
-        others: (k, 3) poses and (k, 2) sizes of the other agents.
+        others: (k, 3) poses and (k, 2) sizes of the other agents, and of movers.
         extent: (2,) of the lot [m].
     """
 

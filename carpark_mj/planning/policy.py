@@ -1,7 +1,7 @@
 """The planner as a policy: `--policy planner`."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -10,6 +10,8 @@ import numpy as np
 from jax.experimental import io_callback
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.geometry.obstacles import Boxes, Group, by_shape
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.planning.driving import Agent, Sight
 from carpark_mj.planning.obstacles import Solids
 from carpark_mj.planning.paths import PlannerCar
@@ -120,6 +122,9 @@ def _look(state: State) -> dict[str, jax.Array]:
     goal = jnp.take_along_axis(
         layout.parked_pose, state.goal[..., None], axis=-2, mode="clip"
     )
+    boxes, discs = by_shape(lot_obstacles(layout, None, state.parked_cars))
+    lead = state.goal.shape[:-1]
+    nothing = Boxes(jnp.zeros((*lead, 0, 3)), jnp.zeros((*lead, 0, 2)))
     parameters = [getattr(vehicle, name) for name in PlannerCar._fields[2:]]
     return {
         "active": state.active,
@@ -131,16 +136,33 @@ def _look(state: State) -> dict[str, jax.Array]:
         "goal": goal,
         "one_way": jnp.take_along_axis(one_way, state.goal, axis=-1, mode="clip"),
         "car": jnp.concatenate([vehicle.size, jnp.stack(parameters, axis=-1)], axis=-1),
-        "box_pose": jnp.concatenate([layout.wall_pose, state.parked_cars.pose_w], -2),
-        "box_size": jnp.concatenate([layout.wall_size, state.parked_cars.size], -2),
-        "box_mask": jnp.concatenate(
-            [layout.wall_mask, state.parked_cars.present], axis=-1
-        ),
-        "disc_centre": layout.disc_centre,
-        "disc_radius": layout.disc_radius,
-        "disc_mask": layout.disc_mask,
+        **_joined("box", boxes),
+        **_joined("disc", discs),
+        **_joined("mover", [nothing, *map(_outlines, state.movers.groups)]),
         "extent": layout.extent,
     }
+
+
+def _joined(name: str, groups: Sequence[Group]) -> dict[str, jax.Array]:
+    """Poses, sizes and masks of groups (..., n) of one shape."""
+    masks = [
+        jnp.ones(g.pose_w.shape[:-1], bool) if g.mask is None else g.mask
+        for g in groups
+    ]
+    axis = masks[0].ndim - 1
+    return {
+        f"{name}_pose": jnp.concatenate([group.pose_w for group in groups], axis),
+        f"{name}_size": jnp.concatenate([group.size for group in groups], axis),
+        f"{name}_mask": jnp.concatenate(masks, axis),
+    }
+
+
+def _outlines(group: Group) -> Boxes:
+    """Boxes about the obstacles of a group (..., n)."""
+    if isinstance(group, Boxes):
+        return group
+    pose = jnp.pad(group.pose_w, [(0, 0)] * (group.pose_w.ndim - 1) + [(0, 1)])
+    return Boxes(pose, jnp.stack([2 * group.size] * 2, axis=-1), mask=group.mask)
 
 
 def _solids(lot: dict[str, np.ndarray]) -> Solids:
@@ -148,14 +170,18 @@ def _solids(lot: dict[str, np.ndarray]) -> Solids:
     return Solids(
         lot["box_pose"][boxes].astype(float),
         lot["box_size"][boxes].astype(float),
-        lot["disc_centre"][discs].astype(float),
-        lot["disc_radius"][discs].astype(float),
+        lot["disc_pose"][discs].astype(float),
+        lot["disc_size"][discs].astype(float),
     )
 
 
 def _sight(seen: dict[str, np.ndarray], lot: int, agent: int, solids: Solids) -> Sight:
     pose = seen["pose"][lot].astype(float)
     others = np.arange(len(pose)) != agent
+    moving = seen["mover_mask"][lot]
+    other_pose = np.concatenate([pose[others], seen["mover_pose"][lot][moving]])
+    size = seen["size"][lot][others]
+    other_size = np.concatenate([size, seen["mover_size"][lot][moving]])
     goal = seen["goal"][lot, agent].astype(float)
     return Sight(
         begins=bool(seen["begins"][lot, agent]),
@@ -165,6 +191,6 @@ def _sight(seen: dict[str, np.ndarray], lot: int, agent: int, solids: Solids) ->
         goal=goal[None] if seen["one_way"][lot, agent] else goal,
         car=PlannerCar(*seen["car"][lot, agent].astype(float).tolist()),
         solids=solids,
-        others=(pose[others], seen["size"][lot][others].astype(float)),
+        others=(other_pose.astype(float), other_size.astype(float)),
         extent=seen["extent"][lot].astype(float),
     )

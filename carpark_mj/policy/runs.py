@@ -14,9 +14,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import PHYSICS, ExtraTerms, LayoutConfig, PhysicsConfig
+from carpark_mj.config import (
+    ENCODERS,
+    PHYSICS,
+    ExtraTerms,
+    LayoutConfig,
+    PhysicsConfig,
+)
 from carpark_mj.config.checks import require_type
-from carpark_mj.layouts import FAMILIES
+from carpark_mj.config.layouts import FAMILIES
+from carpark_mj.config.obstacles import MOVERS, Mover
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.pretrained import describe_names
@@ -24,6 +31,10 @@ from carpark_mj.policy.pretrained import describe_names
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
 CONFIG_VERSION = 4
+_WIDER: dict[Any, Any] = {  # types of values that flags know the names of only
+    str: LayoutConfig | PhysicsConfig | str,
+    tuple[str, ...]: tuple[Mover | str, ...],
+}
 Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
 
 
@@ -45,10 +56,7 @@ def from_dict(cls: Any, data: Any) -> Any:
         raise ValueError(f"{cls.__name__} has no {unknown}")
     values = {name: _value(name, hints[name], value) for name, value in data.items()}
     for name, value in values.items():
-        # Of layout and physics, which may be configs, flags know the name only.
-        text = LayoutConfig | PhysicsConfig | str
-        hint = text if hints[name] is str else hints[name]
-        require_type(name, value, hint)
+        require_type(name, value, _WIDER.get(hints[name], hints[name]))
     return cls(**values)
 
 
@@ -84,16 +92,15 @@ def _tags(cls: Any) -> dict[str, Any]:
 
 
 def _plain_value(value: Any) -> Any:
-    """Lists become tuples, and settings of a layout or of physics their config."""
+    """Lists become tuples, and settings of parts that have a name their config."""
     if isinstance(value, list | tuple):
         return tuple(_plain_value(item) for item in value)
+    if isinstance(value, dict) and "mover" in value:
+        return from_dict(type(MOVERS[value["mover"]]), value)
     if isinstance(value, dict) and "family" in value:
-        family = value["family"]
-        if family not in FAMILIES:
-            raise ValueError(
-                f"unknown family {family!r}; choose from {sorted(FAMILIES)}"
-            )
-        return from_dict(FAMILIES[family].config, value)
+        return from_dict(FAMILIES[value["family"]], value)
+    if isinstance(value, dict) and "encoding" in value:
+        return from_dict(ENCODERS[value["encoding"]], value)
     if isinstance(value, dict) and "back_end" in value:
         return from_dict(type(PHYSICS[value["back_end"]]), value)
     return value

@@ -1,6 +1,7 @@
 """Records what a policy does in one lot, for the renderer."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +11,12 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.geometry import wrap_angle
+from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument
 from carpark_mj.policy.rollout import Carry, Step, acts, roll_out
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.types import Motion, State
+from carpark_mj.types import Motion, ParkedCars, State
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,10 +40,12 @@ class Recording:
         crashed: (t, agents) bool, the agent crashed in this step.
         timed_out: (t, agents) bool, the agent timed out in this step.
         step: (t, agents) control steps made in the episode, this one included.
-        size: (t, agents, 2) footprints during the steps [m]; None if all are equal.
-        parked_size: (parked cars, 2) footprints [m]; None if all are equal.
+        kind: (t, agents) which of the fleet's kinds of cars they drive; None if it has
+            one.
+        parked_cars: (parked cars,) as the lot began; None if all are alike.
         tracked_bays: (t, agents, slots) bays tracked during the steps, `NO_BAY` in
             empty slots; None while goals are fixed.
+        movers: obstacles that move by themselves, (t, ...) in front.
     """
 
     layout: Layout
@@ -56,21 +60,23 @@ class Recording:
     crashed: np.ndarray
     timed_out: np.ndarray
     step: np.ndarray
-    size: np.ndarray | None = None
-    parked_size: np.ndarray | None = None
+    kind: np.ndarray | None = None
+    parked_cars: ParkedCars | None = None
     tracked_bays: np.ndarray | None = None
+    movers: tuple[Group, ...] = ()
 
 
 def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
     """The stage with the lot and the cars of a recording."""
-    sizes = recording.parked_size
+    parked_cars = recording.parked_cars
     return Stage(
         recording.layout,
         env.vehicle,
         recording.pose_w.shape[2],
         recording.parked_pose.shape[2],
         env.fleet.agents,
-        () if sizes is None else env.fleet.parked_vehicles(sizes),
+        () if parked_cars is None else env.fleet.parked_vehicles(parked_cars),
+        take(recording.movers, 0),
     )
 
 
@@ -102,7 +108,7 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     reset_key, act_key = jax.random.split(evaluation_key(seed))
     state, observation = jax.jit(lambda key: env.reset(key, "test"))(reset_key)
 
-    def report(step: Step) -> dict[str, jax.Array]:
+    def report(step: Step) -> dict[str, Any]:
         before, timestep = step.before, step.timestep
         motion, events = timestep.motion, timestep.events
         frame = {
@@ -116,8 +122,10 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
             "crashed": events.crashed,
             "timed_out": events.timed_out,
             "step": before.step + 1,
-            "size": motion.size,
+            "movers": step.after.movers.groups,
         }
+        if before.kind is not None:
+            frame["kind"] = before.kind
         if before.tracked_bays is not None:
             frame["tracked_bays"] = before.tracked_bays
         return frame
@@ -130,10 +138,8 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     for keys in jax.random.split(act_key, num_chunks * CHUNK).reshape(num_chunks, -1):
         carry, frames = run(policy, carry, keys)
         chunks.append(jax.device_get(frames))
-    frames = {
-        name: np.concatenate([chunk[name] for chunk in chunks])[:num_steps]
-        for name in chunks[0]
-    }
+    frames = jax.tree.map(lambda *xs: np.concatenate(xs)[:num_steps], *chunks)
+    movers = frames.pop("movers")
     # A lot keeps its parked cars: who is absent at the start never comes.
     here = np.asarray(state.parked_cars.present)
     frames["parked_pose"] = frames["parked_pose"][:, :, here]
@@ -144,6 +150,7 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     return Recording(
         layout=state.layout,
         ctrl_dt=env.config.sim.ctrl_dt,
-        parked_size=np.asarray(state.parked_cars.size)[here],
+        parked_cars=jax.tree.map(lambda x: x[here], jax.device_get(state.parked_cars)),
+        movers=movers,
         **frames,
     )

@@ -6,7 +6,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.config.observations import Tracked
 from carpark_mj.geometry import nearest
+from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.recording import Recording
 from carpark_mj.types import NO_BAY, OUTCOMES
@@ -47,9 +49,11 @@ class Snapshot:
         state: a word or two per agent: what it does, or how its episode ended.
         tally: numbers to show by name: episodes ended so far, by outcome.
         flashes: episodes that ended a moment ago.
-        size: (agents, 2) footprints [m]; None if all are equal.
+        kind: (agents,) which of the fleet's kinds of cars they drive; None if it has
+            one.
         tracked_bay_xy: (agents, slots, 2) centres of tracked bays, NaN in empty slots;
             None while goals are fixed.
+        movers: obstacles that move by themselves.
     """
 
     seconds: float
@@ -62,8 +66,9 @@ class Snapshot:
     state: tuple[str, ...]
     tally: dict[str, float]
     flashes: tuple[Flash, ...]
-    size: np.ndarray | None = None
+    kind: np.ndarray | None = None
     tracked_bay_xy: np.ndarray | None = None
+    movers: tuple[Group, ...] = ()
 
 
 def num_frames(recording: Recording) -> int:
@@ -107,8 +112,9 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
         state=tuple(_state(recording, step, agent) for agent in range(len(goal_pose))),
         tally={name: int(events[:over].sum()) for name, events in ended.items()},
         flashes=tuple(flashes),
-        size=None if recording.size is None else recording.size[step],
+        kind=None if recording.kind is None else recording.kind[step],
         tracked_bay_xy=bay_xy,
+        movers=tuple(take(group, step).instant(trace) for group in recording.movers),
     )
 
 
@@ -133,21 +139,6 @@ def _state(recording: Recording, step: int, agent: int) -> str:
     state = "stands" if abs(speed) < STANDING else moving
     exploring = recording.goal[step, agent] == NO_BAY
     return f"{state}, explores" if exploring else state
-
-
-@dataclasses.dataclass(frozen=True)
-class Tracked:
-    """How many of the nearest an observation tracks, for the links to them.
-
-    Attributes:
-        agents: other agents.
-        parked_cars: parked cars.
-        cars: agents and parked cars in one list.
-    """
-
-    agents: int = 0
-    parked_cars: int = 0
-    cars: int = 0
 
 
 def tracked_points(snapshot: Snapshot, tracked: Tracked) -> list[tuple[int, Any]]:

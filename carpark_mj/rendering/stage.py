@@ -6,14 +6,13 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene.build import build_scene
 from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
-from carpark_mj.scene.parts import car_prefix
+from carpark_mj.scene.parts import HIDDEN, car_prefix, mover_places
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS
 from carpark_mj.vehicle.parameters import VehicleParameters
-
-HIDDEN = -50.0  # m, under the ground: where the cars stand that an agent does not drive
 
 
 class Stage:
@@ -35,6 +34,7 @@ class Stage:
         num_parked_cars: int,
         agent_kinds: Sequence[VehicleParameters] = (),
         parked_cars: Sequence[VehicleParameters] = (),
+        movers: Sequence[Group] = (),
     ) -> None:
         """Compiles the scene.
 
@@ -45,12 +45,13 @@ class Stage:
             num_parked_cars: parked cars.
             agent_kinds: vehicles that agents may drive.
             parked_cars: vehicles of the parked cars, one each.
+            movers: obstacles that move by themselves, anywhere.
         """
         self.layout, self.params, self.num_agents = layout, params, num_agents
         self._kinds = tuple(agent_kinds) or (params,)
-        self._sizes = np.array([(p.length, p.width) for p in self._kinds])
         self._kind = np.zeros(num_agents, int)
         self._parked_cars = tuple(parked_cars) or (params,) * num_parked_cars
+        self._movers = tuple(movers)
         self.model = self.build().compile()
         self.data = mujoco.MjData(self.model)
         self._parked = [
@@ -66,6 +67,7 @@ class Stage:
             self.num_agents,
             self._parked_cars,
             agent_kinds=self._kinds,
+            movers=self._movers,
         )
 
     def reset(self) -> None:
@@ -79,7 +81,8 @@ class Stage:
         pose_w: np.ndarray,
         steering: np.ndarray,
         parked_pose: np.ndarray,
-        size: np.ndarray | None = None,
+        kind: np.ndarray | None = None,
+        movers: Sequence[Group] = (),
     ) -> None:
         """Puts all cars in their places; wheels roll by the way since the last call.
 
@@ -87,22 +90,29 @@ class Stage:
             pose_w: (agents, 3) footprint centres.
             steering: (agents,) bicycle angles [rad].
             parked_pose: (parked cars, 3) footprint centres.
-            size: (agents, 2) footprints [m], by which the cars that agents drive are
-                told apart; None if there is one kind.
+            kind: (agents,) which of the kinds of cars each agent drives; None if there
+                is one.
+            movers: as many as the scene was made for.
         """
-        if size is not None:
-            error = np.abs(size[:, None] - self._sizes).max(axis=-1)
-            self._kind = error.argmin(axis=1)
+        if kind is not None:
+            self._kind = np.asarray(kind)
         self._roll(pose_w)
         for agent, shown in enumerate(self._kind):
-            for kind in range(len(self._kinds)):
-                root = self.data.joint(f"{car_prefix(agent, kind)}root")
+            for each in range(len(self._kinds)):
+                root = self.data.joint(f"{car_prefix(agent, each)}root")
                 root.qpos = [0.0, 0.0, HIDDEN, 1.0, 0.0, 0.0, 0.0]
             self._place_agent(agent, int(shown), pose_w[agent], float(steering[agent]))
         for address, pose, params in zip(
             self._parked, parked_pose, self._parked_cars, strict=True
         ):
             self.data.qpos[address : address + 3] = _rear_axle(params, pose)
+        places = [place for group in movers for place in mover_places(group)]
+        for number, (place, half) in enumerate(places):
+            body = self.data.body(f"mover{number}").id
+            mocap = self.model.body_mocapid[body]
+            self.data.mocap_pos[mocap] = place[:3]
+            self.data.mocap_quat[mocap] = place[3:]
+            self.model.geom(f"mover{number}").size = half
         self._update()
 
     def fill_frames(self, aspect: float) -> None:

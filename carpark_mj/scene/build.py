@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import cameras, markings, materials, parts
 from carpark_mj.scene.numbers import add_bay_numbers
@@ -30,6 +31,7 @@ def build_scene(
     contact_wheels: bool = False,
     agent_kinds: Sequence[VehicleParameters] = (),
     suspension: bool = False,
+    movers: Sequence[Group] = (),
 ) -> mujoco.MjSpec:
     """Builds the scene of one lot, all cars at the origin.
 
@@ -47,6 +49,7 @@ def build_scene(
         agent_kinds: several cars for each agent, of which a picture shows one, instead
             of `params`; the names of the second begin with `agentK/kind1/`...
         suspension: springs between the contact wheels and the cars.
+        movers: obstacles that move by themselves, bodies `mover0`...
 
     Returns:
         A spec; cameras are `topdown`, `overview`, `agentK/chase` and
@@ -65,6 +68,7 @@ def build_scene(
     add_bay_numbers(spec, layout)
     parts.add_walls(spec, layout)
     parts.add_discs(spec, layout)
+    parts.add_movers(spec, movers)
     parts.add_parked_cars(spec, parked_cars)
     for k, kind in enumerate(tuple(agent_kinds) or (params,)):
         parts.add_agents(

@@ -1,10 +1,12 @@
 """Exported scenes: self-contained MJCF for any MuJoCo viewer."""
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import parts
 from carpark_mj.scene.build import build_scene
@@ -48,6 +50,7 @@ def drivable_scene(
     agent_pose: np.ndarray,
     parked_pose: np.ndarray,
     suspension: bool = False,
+    movers: Sequence[Group] = (),
 ) -> mujoco.MjSpec:
     """Builds a scene on contact wheels, all cars placed and at rest.
 
@@ -57,6 +60,7 @@ def drivable_scene(
         agent_pose: (num_agents, 3) footprint centres of the cars to drive.
         parked_pose: (num_parked_cars, 3) footprint centres of the parked cars.
         suspension: springs between the wheels and the cars to drive.
+        movers: other obstacles, which stay where they are.
     """
     spec = build_scene(
         layout,
@@ -65,6 +69,7 @@ def drivable_scene(
         (params,) * len(parked_pose),
         contact_wheels=True,
         suspension=suspension,
+        movers=movers,
     )
     height, pitch = rest_attitude(params, suspension)
     for k, pose in enumerate(agent_pose):

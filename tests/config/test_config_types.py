@@ -5,20 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from carpark_mj.config import (
-    EnvConfig,
-    IndexObservation,
-    ParkedRule,
-    RewardConfig,
-    SimConfig,
-    TannerObservation,
-)
-from carpark_mj.layouts import FAMILIES
+from carpark_mj.config import EnvConfig, ParkedRule, RewardConfig, SimConfig
+from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.studies.cederle.junction import JunctionConfig
 from carpark_mj.studies.cederle.junction.config import RasterConfig, RewardRules
 from carpark_mj.studies.pandita.sac.config import SACConfig
+from carpark_mj.studies.tanner.indices import IndexObservation
+from carpark_mj.studies.tanner.observation import TannerObservation
 from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig

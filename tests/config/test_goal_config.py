@@ -10,7 +10,6 @@ from carpark_mj.config import (
     GivingWayConfig,
     GoalConfig,
     GoalRewards,
-    IndexObservation,
     RewardConfig,
 )
 
@@ -50,8 +49,6 @@ def test_other_impossible_settings_are_refused_in_a_sentence():
         GoalConfig(num_tracked_bays=0)
     with pytest.raises(ValueError, match="stop_goal must be finite, not nan"):
         GoalRewards(stop_goal=math.nan)
-    with pytest.raises(ValueError, match="'indices' needs fixed goals"):
-        EnvConfig(physics="grid", goals=DYNAMIC, observation=IndexObservation())
 
 
 def test_a_scheme_needs_agents_that_choose_their_goals():

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from carpark_mj.config.obstacles import hit_kinds
 from carpark_mj.evaluation.catalogue import GOALS, POOLS, metrics
-from carpark_mj.mdp.clearance import KINDS
 
 BY_NAME = {metric.name: metric for metric in metrics()}
 
@@ -14,8 +14,9 @@ def test_every_number_of_an_episode_is_in_the_catalogue(everything):
     known = set(BY_NAME) | {"lot", "agent", "episode", "agents_present", "family"}
     known |= {"vehicle"}
     known |= {name for metric in metrics() for name in metric.ratio or ()}
-    # No lanes in this lot, and the goals are fixed.
-    absent = {"wrong_way", "wrong_way_share"} | {metric.name for metric in GOALS}
+    # No lanes and no movers in this lot, and the goals are fixed.
+    absent = {"wrong_way", "wrong_way_share"} | {n for n in BY_NAME if "mover" in n}
+    absent |= {metric.name for metric in GOALS}
     absent |= {name for metric in GOALS for name in metric.ratio or ()} - {"length"}
     for row in everything.episodes:
         assert known - set(row) == absent
@@ -30,7 +31,7 @@ def test_a_crash_is_a_clearance_of_zero_to_what_was_hit_and_nothing_else_is(
     everything,
 ):
     rows = everything.episodes
-    for kind in KINDS:
+    for kind in (kind.label for kind in hit_kinds(())):
         zero = [row[f"min_clearance_{kind}"] == 0.0 for row in rows]
         assert zero == [row[f"hit_{kind}"] == 1.0 for row in rows]
         assert any(zero)

@@ -122,7 +122,7 @@ def compiled(crowded):
         )
         there = parked_at(parked, parked_size)
         hits = find_hits(state_of(layout, motion, 0, parked_cars=there))
-        return jnp.stack(hits, axis=-1), agent_clearance(motion)
+        return jnp.stack([*hits.values()], axis=-1), agent_clearance(motion)
 
     def call(*scene):
         before = broad_phase.MANY_PAIRS

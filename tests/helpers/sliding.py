@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.config import PHYSICS, EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.physics.base import FactoredPhysics
 from carpark_mj.types import Motion, State
@@ -57,8 +57,10 @@ class SlidePhysics(FactoredPhysics[SlideState]):
     """A stand-in back end for hand-worked steps: turn on the spot, then slide ahead.
 
     `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a car whose
-    speed is NaN diverges.
+    speed is NaN diverges. To the task they are cars like any other.
     """
+
+    config = PHYSICS["mjx"]
 
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SlideState:
         zero = jnp.zeros(pose_w.shape[:-1], jnp.float32)

@@ -5,10 +5,12 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from helpers.states import parked_at
 
 from carpark_mj.config import SpawnConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.spawning.placing import Surroundings
+from carpark_mj.obstacles.lot import lot_obstacles
 
 
 def surroundings_of(
@@ -28,10 +30,8 @@ def surroundings_of(
         outlines=outlines if outlines is None else jnp.asarray(outlines, jnp.float32),
         agent=jnp.int32(0),
         others=jnp.broadcast_to(jnp.asarray(others), xy.shape[:1]),
-        layout=layout,
         size=size if size is None else jnp.asarray(size, jnp.float32),
-        parked_pose=jnp.zeros((0, 3)),
-        parked_size=jnp.zeros((0, 2)),
+        obstacles=lot_obstacles(layout, None, parked_at()),
     )
 
 

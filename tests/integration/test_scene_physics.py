@@ -178,7 +178,7 @@ def test_box_tests_and_contacts_agree_on_ten_thousand_configurations():
         )
         parked = parked_in(LAYOUT, bays, size)
         state = state_of(LAYOUT, motion, 0, parked_cars=parked)
-        hits = jnp.stack(find_hits(state), axis=-1)
+        hits = jnp.stack([*find_hits(state).values()], axis=-1)
         # How near each kind is to being hit, and how deep, by growing and shrinking.
         gaps = []
         for grown in (size + 0.1, size - 0.1):

@@ -14,7 +14,7 @@ from helpers.scenes import (
     overlap_oracle,
     polygons,
 )
-from helpers.states import parked_at, parked_in, state_of
+from helpers.states import any_hit, parked_at, parked_in, state_of
 
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.collisions import find_hits
@@ -57,9 +57,10 @@ def test_hits_agree_with_shapely_at_every_traced_instant():
         assert 0.1 < expected.mean() < 0.9  # both answers are well represented
 
     others = ~np.eye(3, dtype=bool)[None, :, :, None]
-    check(got.agent, own[0][:, None], own[1][:, None], others)
-    check(got.parked_car, bays[:, parked_bay][:, None, :, None], parked_size[:, None])
-    check(got.wall, walls[:, None, :, None], wall_size[:, None, :, None])
+    check(got["agent"], own[0][:, None], own[1][:, None], others)
+    stand = bays[:, parked_bay][:, None, :, None]
+    check(got["parked_car"], stand, parked_size[:, None])
+    check(got["wall"], walls[:, None, :, None], wall_size[:, None, :, None])
 
 
 FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
@@ -67,18 +68,18 @@ FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
 
 def test_a_car_that_passes_through_another_between_two_instants_is_caught():
     hits = hits_of(FAR_LOT, crossing(True))
-    np.testing.assert_array_equal(hits.agent, [True, True])
-    assert not (hits.parked_car | hits.wall).any()
+    np.testing.assert_array_equal(hits["agent"], [True, True])
+    assert not (hits["parked_car"] | hits["wall"]).any()
     # At the end of the step alone nothing is to be seen.
-    assert not hits_of(FAR_LOT, crossing(False)).any.any()
+    assert not any_hit(hits_of(FAR_LOT, crossing(False))).any()
 
 
 def test_padding_walls_hit_nobody():
     layout = lot([(30.0, 0.0, 0.0)], walls=[(0.0, 0.0, 0.0)])
     motion = cars([(0.0, 0.0, 0.0)])
-    assert hits_of(layout, motion).wall.all()
+    assert hits_of(layout, motion)["wall"].all()
     layout = layout.replace(wall_mask=jnp.zeros(1, bool))
-    assert not hits_of(layout, motion).wall.any()
+    assert not hits_of(layout, motion)["wall"].any()
 
 
 def test_discs_are_hit_where_shapely_says_and_only_if_they_count():
@@ -88,7 +89,7 @@ def test_discs_are_hit_where_shapely_says_and_only_if_they_count():
     template = lot([(30.0, 0.0, 0.0)], discs=[(1.0, 0.5, 0.3), (-2.0, -1.0, 0.8)])
 
     def hit(pose, layout):
-        return hits_of(layout, cars(pose)).wall
+        return hits_of(layout, cars(pose))["wall"]
 
     run = jax.jit(jax.vmap(hit, (0, None)))
     centres = shapely.points([(1.0, 0.5), (-2.0, -1.0)])
@@ -108,10 +109,10 @@ def test_the_parked_cars_of_a_full_tanner_lot_hit_no_wall_and_not_each_other():
     layout = make_layout("tanner")
     size = jnp.broadcast_to(jnp.array([4.255, 1.799]), (36, 2))
     motion = cars(layout.bay_pose, size=size)
-    assert not hits_of(layout, motion).any.any()
+    assert not any_hit(hits_of(layout, motion)).any()
     moved_layout = moved_lot(layout, (0.1, 0.2, 0.3))
     motion = moved_cars(motion, (0.1, 0.2, 0.3))
-    assert not hits_of(moved_layout, motion).any.any()
+    assert not any_hit(hits_of(moved_layout, motion)).any()
 
 
 def scaled_hits(scale, gap=1.0):
@@ -128,7 +129,7 @@ def scaled_hits(scale, gap=1.0):
     )
     parked = parked_at([(30.0, width + gap, 0.0)], CAR)  # beside agent 2
     scale = None if scale is None else jnp.float32(scale)
-    return np.array(hits_of(layout, motion, parked, scale))
+    return np.array([*hits_of(layout, motion, parked, scale).values()])
 
 
 def test_a_hitbox_scale_multiplies_length_and_width_of_all_cars_and_of_no_wall():
@@ -148,11 +149,11 @@ def test_physics_with_contacts_says_itself_what_was_touched():
     motion = crossing(False).replace(touched=touched)
     for scale in (1.0, 9.0):
         hits = hits_of(FAR_LOT, motion, hitbox_scale=scale)
-        np.testing.assert_array_equal(np.stack(hits, axis=-1), touched)
-        assert hits.any.tolist() == [True, True]
+        np.testing.assert_array_equal(np.stack([*hits.values()], axis=-1), touched)
+        assert any_hit(hits).tolist() == [True, True]
 
 
 def test_a_parked_car_is_hit_where_it_stands_and_not_in_its_bay():
     pushed = parked_in(FAR_LOT, [0]).replace(pose_w=jnp.array([[0.0, 3.0, 0.0]]))
     motion = cars([(0.0, 3.5, 0.0), (30.0, 0.0, 0.0)])
-    assert hits_of(FAR_LOT, motion, pushed).parked_car.tolist() == [True, False]
+    assert hits_of(FAR_LOT, motion, pushed)["parked_car"].tolist() == [True, False]

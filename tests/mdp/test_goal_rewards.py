@@ -12,7 +12,6 @@ from helpers.transitions import no_goal_events, transition
 
 from carpark_mj.config import (
     REWARDS,
-    ContinuousObservation,
     EnvConfig,
     GivingWayConfig,
     GoalConfig,
@@ -23,6 +22,7 @@ from carpark_mj.layouts import Maxima, pad_layout
 from carpark_mj.mdp.goal_rewards import chosen_progress
 from carpark_mj.mdp.rewards import reward_terms, term_weights
 from carpark_mj.mdp.tracked_bays import target_bay
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.types import NO_BAY
 
 # Five bays in a row, 4 m apart, and as many bays' worth of padding.

@@ -11,16 +11,12 @@ from helpers.lanes import EAST, NORTH, PLAN, SOUTH, WEST
 from helpers.scenes import cars, fields_of, lot, moved_cars, moved_lot, polygons
 from helpers.sliding import SlidePhysics, placed
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    EnvConfig,
-    EpisodeConfig,
-    RingConfig,
-)
+from carpark_mj.config import EnvConfig, EpisodeConfig, RingConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.lanes import has_lanes
 from carpark_mj.mdp.wrong_way import drives_wrong_way
+from carpark_mj.observations import ContinuousObservation
 
 wrong_way_jit = jax.jit(drives_wrong_way)
 CASES = [

@@ -20,17 +20,24 @@ from helpers.scenes import (
 )
 from helpers.states import config_of, parked_at, parked_in, state_of
 
-from carpark_mj.config import ContinuousObservation, RayConfig, RingConfig
+from carpark_mj.config import RayConfig, RingConfig
 from carpark_mj.geometry import broad_phase, ray_box_distance, ray_disc_distance
-from carpark_mj.observations import make_fields, observe
+from carpark_mj.observations import ContinuousObservation, make_fields, observe
 from carpark_mj.observations.rays import cast_rays
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import NO_BAY, ParkedCars
 
 COUNT, REACH = 8, 10.0
 AGENTS, PARKED, WALLS, DISCS = 3, 4, 3, 3
-cast_rays_jit = jax.jit(cast_rays, static_argnums=0)
 observe_jit = jax.jit(observe, static_argnums=0)
 NOBODY = parked_at()
+
+
+def cast(config, layout, motion, parked):
+    return cast_rays(config, motion, lot_obstacles(layout, motion, parked))
+
+
+cast_rays_jit = jax.jit(cast, static_argnums=0)
 
 
 def ways(motion, layout, parked=NOBODY, count=4, reach=10.0):
@@ -126,7 +133,7 @@ def compiled(crowded):
     @jax.jit
     @jax.vmap
     def run(motion, parked, layout):
-        return REACH * cast_rays(RayConfig(COUNT, REACH), layout, motion, parked)
+        return REACH * cast(RayConfig(COUNT, REACH), layout, motion, parked)
 
     def call(*scene):
         before = broad_phase.MANY_PAIRS

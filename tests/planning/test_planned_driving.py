@@ -7,13 +7,13 @@ from helpers.planned import CAR, case
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.suite import CaseEvaluator, suite_env
-from carpark_mj.evaluation.suite_cases import pick_cases
 from carpark_mj.planning import search as search_module
 from carpark_mj.planning.driving import MAX_PLANS, PATIENCE, Agent, Sight
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.planning.search import SearchConfig
 from carpark_mj.registry import environment
+from carpark_mj.studies.hope.suite import CaseEvaluator, suite_env
+from carpark_mj.studies.hope.suite_cases import pick_cases
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 2))
 
@@ -76,10 +76,12 @@ def test_no_two_agents_lots_or_plans_are_searched_with_the_same_numbers(monkeypa
     seen = {name: each(value, lots, agents) for name, value in of_agents.items()}
     seen |= {
         name: np.zeros((lots, 0, size))
-        for name, size in (("box_pose", 3), ("box_size", 2))
+        for kind in ("box", "mover")
+        for name, size in ((f"{kind}_pose", 3), (f"{kind}_size", 2))
     }
-    seen |= {name: np.zeros((lots, 0), bool) for name in ("box_mask", "disc_mask")}
-    seen |= {"disc_centre": np.zeros((lots, 0, 2)), "disc_radius": np.zeros((lots, 0))}
+    masks = ("box_mask", "disc_mask", "mover_mask")
+    seen |= {name: np.zeros((lots, 0), bool) for name in masks}
+    seen |= {"disc_pose": np.zeros((lots, 0, 2)), "disc_size": np.zeros((lots, 0))}
     seen |= {"pose": each(pose, lots), "extent": each((40.0, 10.0), lots)}
 
     drawn = []

@@ -15,7 +15,7 @@ from carpark_mj.config.goals import GoalRewards
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.registry import TANNER_DYNAMIC, TANNER_FIXED
+from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_FIXED
 from carpark_mj.training.metrics_log import read_metrics
 from carpark_mj.training.ppo.arguments import MAX_SEEDS, parse_seeds, read_runs
 from carpark_mj.training.ppo.config import PPOConfig
@@ -31,7 +31,7 @@ FIXED = PPOConfig(
     unroll_length=8,
     num_minibatches=2,
     num_epochs=2,
-    checkpoint_updates=1,
+    checkpoint_minutes=1e-9,  # after every update
     curriculum=dataclasses.replace(PPOConfig().curriculum, discount_end=0.995),
     networks=NetworkConfig((16,), (16,), encoder="flat"),
     env=dataclasses.replace(TANNER_FIXED, num_agents=2, num_parked_cars=4),

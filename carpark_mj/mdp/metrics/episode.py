@@ -75,8 +75,9 @@ def episode_metrics(
     """
     pose_w, target = transition.after.motion.pose_w, transition.target_pose
     events = {
-        field.name: getattr(transition.events, field.name)
+        field.name: value
         for field in dataclasses.fields(Events)
+        if (value := getattr(transition.events, field.name)) is not None
     }
     metrics = {
         **events,

@@ -1,40 +1,52 @@
 """How safely and smoothly agents drive."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import rotate
-from carpark_mj.mdp.clearance import KINDS, RANGE, clearances
+from carpark_mj.mdp.clearance import RANGE, clearances
 from carpark_mj.mdp.metrics.collision_time import HORIZON, collision_times
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import Motion, Transition
 
-# Names, and values at the start of an episode: at rest, unaccelerated, nothing near.
-FIRST = {
-    "acceleration_sum": 0.0,
-    "jerk_sum": 0.0,
-    "peak_acceleration": 0.0,
-    "peak_jerk": 0.0,
-    "last_acceleration_x": 0.0,
-    "last_acceleration_y": 0.0,
-    **{f"min_clearance_{kind}": RANGE for kind in KINDS},
-    **{f"min_collision_time_{kind}": HORIZON for kind in KINDS},
-}
+
+def first_safety(kinds: Sequence[ObstacleKind]) -> dict[str, float]:
+    """Names, and values at the start of an episode: at rest, nothing near.
+
+    Args:
+        kinds: what agents can hit.
+    """
+    labels = [kind.label for kind in kinds]
+    return {
+        "acceleration_sum": 0.0,
+        "jerk_sum": 0.0,
+        "peak_acceleration": 0.0,
+        "peak_jerk": 0.0,
+        "last_acceleration_x": 0.0,
+        "last_acceleration_y": 0.0,
+        **{f"min_clearance_{label}": RANGE for label in labels},
+        **{f"min_collision_time_{label}": HORIZON for label in labels},
+    }
 
 
 def measure_safety(ctrl_dt: float, transition: Transition) -> dict[str, jax.Array]:
-    """The numbers (num_agents,) of a step by the names of `FIRST`.
+    """The numbers (num_agents,) of a step by the names of `first_safety`.
 
     Args:
         ctrl_dt: control period [s].
         transition: the step.
     """
     after = transition.after
-    where = after.layout, after.motion, after.parked_cars
-    gap, time = clearances(*where), collision_times(*where)
+    motion = after.motion
+    there = lot_obstacles(after.layout, motion, after.parked_cars, after.movers)
+    gaps, times = clearances(motion, there), collision_times(motion, there)
     return {
         **_smoothness(ctrl_dt, transition),
-        **{f"min_clearance_{kind}": gap[kind] for kind in KINDS},
-        **{f"min_collision_time_{kind}": time[kind] for kind in KINDS},
+        **{f"min_clearance_{kind}": gap for kind, gap in gaps.items()},
+        **{f"min_collision_time_{kind}": time for kind, time in times.items()},
     }
 
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import METRICS, EnvConfig, Metric
+from carpark_mj.config.obstacles import hit_kinds
 from carpark_mj.mdp.metrics import driving, goals, safety
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.types import Transition
@@ -28,7 +29,7 @@ def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
     if config.metrics.driving:
         first |= dict.fromkeys(driving.SUMS, 0.0)
     if config.metrics.safety:
-        first |= safety.FIRST
+        first |= safety.first_safety(hit_kinds(config.movers))
     for metric in _extra(config):
         if metric.tally in first:
             raise ValueError(f"there is a metric {metric.tally!r} already")

@@ -5,6 +5,7 @@ top of another car, or of a wall, is not made: where there is no room an agent w
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -12,10 +13,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.geometry import box_disc_overlap, box_distance, boxes_overlap, norm
+from carpark_mj.geometry import box_distance, boxes_overlap, norm
+from carpark_mj.geometry.obstacles import NO_MOVERS, Group, Movers
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
+from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import NO_BAY, CarParameters, ParkedCars
 
 
@@ -33,6 +36,7 @@ class SpawnInputs:
         fits: who fits into which bay.
         cars: (num_agents,) parameters of the cars drawn for agents that begin; None =
             only the centres of cars are known.
+        movers: where they are.
     """
 
     layout: Layout
@@ -41,6 +45,7 @@ class SpawnInputs:
     old_size: jax.Array | None
     fits: BayFits
     cars: CarParameters | None = None
+    movers: Movers = NO_MOVERS
 
 
 @struct.dataclass
@@ -100,34 +105,44 @@ class Surroundings:
         outlines: (num_agents, 2) footprints of the cars that agents drive or are about
             to drive, whichever is larger [m]; None = unknown.
         agent: () int32 which agent it is.
-        layout: whose walls and discs must not be touched.
         size: (2,) footprint of the agent's car [m]; None if it fits wherever it can
             spawn.
-        parked_pose: (num_parked_cars, 3) parked cars that must not be touched.
-        parked_size: (num_parked_cars, 2) [m].
+        obstacles: all but the agents, which must not be touched.
+        movers: those of them to keep away from as from agents.
     """
 
     pose_w: jax.Array
     others: jax.Array
     outlines: jax.Array | None
     agent: jax.Array
-    layout: Layout
     size: jax.Array | None
-    parked_pose: jax.Array
-    parked_size: jax.Array
+    obstacles: tuple[Group, ...]
+    movers: tuple[Group, ...] = ()
 
     def distance(self, xy: jax.Array) -> jax.Array:
-        """Distance (n,) [m] of points (n, 2) to the nearest other agent's centre."""
+        """Distance (n,) [m] of points (n, 2) to the nearest other agent's centre.
+
+        Or to the outline of a mover.
+        """
         gap = norm(xy[:, None] - self.pose_w[:, :2])
-        return jnp.where(self.others, gap, jnp.inf).min(axis=-1)
+        least = jnp.where(self.others, gap, jnp.inf).min(axis=-1)
+        return self._least(least, lambda mover: mover.gaps(xy))
 
     def room(self, pose: jax.Array) -> jax.Array:
-        """Clearance (n,) [m] of the car at poses (n, 3) to the nearest other agent."""
+        """Clearance (n,) [m] of the car at poses (n, 3) to other agents and movers."""
         if self.outlines is None:
             return self.distance(pose[:, :2])
         own = self.outlines[self.agent]
         gap = box_distance(pose[:, None], own, self.pose_w, self.outlines)
-        return jnp.where(self.others, gap, jnp.inf).min(axis=-1)
+        least = jnp.where(self.others, gap, jnp.inf).min(axis=-1)
+        return self._least(least, lambda mover: mover.distance(pose[:, None], own))
+
+    def _least(self, least: jax.Array, find: Callable[[Group], jax.Array]) -> jax.Array:
+        """Numbers (n,), or those (n, m) of movers where these are less."""
+        for mover in self.movers:
+            found = jnp.where(mover.counts(1), find(mover), jnp.inf)
+            least = jnp.minimum(least, found.min(axis=-1, initial=jnp.inf))
+        return least
 
     def free(self, pose: jax.Array) -> jax.Array:
         """(n,) bool, whether the car at poses (n, 3) would overlap nothing at all."""
@@ -145,15 +160,11 @@ class Surroundings:
 
     def blocks(self, pose: jax.Array, size: jax.Array) -> jax.Array:
         """(n,) bool, whether a box (2,) [m] at poses (n, 3) overlaps any of that."""
-        layout, own = self.layout, pose[:, None]
-        walls = boxes_overlap(own, size, layout.wall_pose, layout.wall_size)
-        discs = box_disc_overlap(own, size, layout.disc_centre, layout.disc_radius)
-        parked = boxes_overlap(own, size, self.parked_pose, self.parked_size)
-        return (
-            (walls & layout.wall_mask).any(1)
-            | (discs & layout.disc_mask).any(1)
-            | parked.any(1)
-        )
+        hits = [
+            (group.overlap(pose[:, None], size) & group.counts(1)).any(axis=1)
+            for group in self.obstacles
+        ]
+        return functools.reduce(jnp.logical_or, hits)
 
 
 def surroundings(
@@ -181,10 +192,9 @@ def surroundings(
         others=jnp.arange(placing.goal.shape[0]) != agent,
         outlines=outlines,
         agent=agent,
-        layout=inputs.layout,
         size=size,
-        parked_pose=parked.pose_w,
-        parked_size=parked.size,
+        obstacles=lot_obstacles(inputs.layout, None, parked, inputs.movers),
+        movers=inputs.movers.groups,
     )
 
 

@@ -1,11 +1,24 @@
-"""Tanner 2022: parking agents that learn to share a lot."""
+"""Tanner 2022 (arXiv 2206.13338): agents on a grid around a square."""
 
-from carpark_mj.config import PHYSICS
-from carpark_mj.studies.tanner import programs, rewards
-from carpark_mj.studies.tanner.grid_config import COARSE, FINE, RECORDED
+from carpark_mj.studies.tanner import (
+    grid_config,
+    indices,
+    layouts,
+    observation,
+    rewards,
+    vehicles,
+)
 
-__all__ = ["programs", "rewards"]
+# isort: split
+from carpark_mj.studies.tanner import environments, programs  # of what is named above
 
-PHYSICS.register("grid", FINE)
-PHYSICS.register("grid_coarse", COARSE)
-PHYSICS.register("grid_recorded", RECORDED)
+__all__ = [
+    "environments",
+    "grid_config",
+    "indices",
+    "layouts",
+    "observation",
+    "programs",
+    "rewards",
+    "vehicles",
+]

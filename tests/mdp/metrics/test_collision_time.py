@@ -12,6 +12,7 @@ from helpers.states import parked_at
 
 from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
 from carpark_mj.mdp.metrics.collision_time import HORIZON, collision_times
+from carpark_mj.obstacles.lot import lot_obstacles
 
 PAIRS = 400
 TIMES = np.arange(0.0, HORIZON, 0.02)
@@ -79,7 +80,11 @@ def test_discs_are_touched_first_when_moving_step_by_step_says_so(pairs):
     check(np.asarray(found, np.float64), gap_at, velocity.any(axis=1))
 
 
-run = jax.jit(collision_times)
+@jax.jit
+def run(layout, motion, parked):
+    return collision_times(motion, lot_obstacles(layout, motion, parked))
+
+
 FAR = 1000.0  # m
 
 

@@ -354,7 +354,7 @@ def test_what_a_start_would_touch_is_what_the_judge_of_collisions_says():
         return find_hits(state_of(layout, here, 0, parked_cars=after))
 
     hits = jax.vmap(judge)(jnp.asarray(pose))
-    expected = np.asarray(hits.parked_car | hits.wall)[:, 0]
+    expected = np.asarray(hits["parked_car"] | hits["wall"])[:, 0]
     assert 100 < expected.sum() < 500
     before = parked_in(layout, [1, 0], parked_size)
     inputs = SpawnInputs(layout, before, size, size, BayFits())

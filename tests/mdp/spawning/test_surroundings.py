@@ -7,15 +7,16 @@ import pytest
 from helpers.scenes import lot, polygons
 from helpers.sliding import SlidePhysics
 from helpers.spawning import surroundings_of
-from helpers.states import parked_in
+from helpers.states import any_hit, parked_in
 
-from carpark_mj.config import ContinuousObservation, EnvConfig, RayConfig, SpawnConfig
+from carpark_mj.config import EnvConfig, RayConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.vehicle import preset
 
 
@@ -31,7 +32,7 @@ def test_starts_keep_off_parked_cars_where_they_stand():
     placing = start_placing(jnp.array([1, 2]), bay, nowhere, jnp.ones(2, bool))
     around = surroundings(inputs, placing, jnp.array(0))
     expected = jnp.stack([pushed[0], row.bay_pose[3]])
-    np.testing.assert_array_equal(around.parked_pose, expected)
+    np.testing.assert_array_equal(around.obstacles[0].pose_w, expected)
     touched = around.touches(jnp.concatenate([expected, row.bay_pose[:2]]))
     assert touched.tolist() == [True, True, False, False]
 
@@ -90,7 +91,7 @@ def test_a_car_larger_than_lots_are_made_for_starts_clear_of_them_too(vehicle):
 
     def touches(key):
         state, _ = env.reset(key)
-        return find_hits(state).any[0], state.motion.size[0]
+        return any_hit(find_hits(state))[0], state.motion.size[0]
 
     hit, size = jax.jit(jax.vmap(touches))(jax.random.split(jax.random.key(0), 500))
     assert not hit.any()

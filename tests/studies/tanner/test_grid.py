@@ -16,7 +16,8 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import sanitize_indices
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.terminations import detect_events
-from carpark_mj.registry import ENVIRONMENTS, TANNER_QLEARNING, environment
+from carpark_mj.registry import ENVIRONMENTS, environment
+from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.studies.tanner.grid import GridPhysics
 from carpark_mj.studies.tanner.grid_config import COARSE, FINE, GridConfig
 from carpark_mj.vehicle import make_vehicle, preset
@@ -228,7 +229,7 @@ def test_parked_is_within_a_point_of_the_bay_and_wins_over_a_crash(
     events = detect_events(TANNER_QLEARNING.episode, state)
     assert bool(events.parked[0]) is parked
     # Across the bay at its mouth the car's corner is in the block beside it.
-    assert find_hits(state_of(layout, at(25, 31, 45), goal)).wall[0]
+    assert find_hits(state_of(layout, at(25, 31, 45), goal))["wall"][0]
 
 
 def test_neighbours_in_their_bays_do_not_touch_and_leaning_ones_do():
@@ -237,7 +238,7 @@ def test_neighbours_in_their_bays_do_not_touch_and_leaning_ones_do():
 
     def hits(*place):
         state = state_of(layout, at(*place), 0, parked_cars=parked)
-        return bool(find_hits(state).parked_car[0])
+        return bool(find_hits(state)["parked_car"][0])
 
     assert not hits(6, 32)
     assert not hits(4, 32)  # 3.9 wide, 4 apart
@@ -255,7 +256,7 @@ def test_who_would_leave_the_world_hits_a_wall_first():
     pose = place * [WORLD_UNIT, WORLD_UNIT, math.pi / 180]
 
     def hits(pose):
-        return find_hits(state_of(layout, cars(pose[None], size=BOX.size), 0)).wall
+        return find_hits(state_of(layout, cars(pose[None], size=BOX.size), 0))["wall"]
 
     hit = jax.jit(jax.vmap(hits))(jnp.asarray(pose, jnp.float32))
     assert hit.all()

@@ -1,0 +1,202 @@
+"""Groups of boxes and discs that cars can hit.
+
+A group has one shape and one kind. Both are static, so that what can be left out is
+never traced: walls stand still, and only agents leave themselves out.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry import boxes
+from carpark_mj.geometry.broad_phase import box_gaps, disc_gaps
+from carpark_mj.geometry.se2 import norm
+
+Array = jax.Array
+Tree = TypeVar("Tree")
+
+
+@struct.dataclass
+class Group:
+    """Obstacles of a shape and a kind, (n,) in a lot; world frame.
+
+    Attributes:
+        pose_w: (..., 3) centres and headings of boxes, (..., 2) centres of discs.
+        size: (..., 2) lengths and widths of boxes, (...) radii of discs [m].
+        velocity_w: (..., 2) of the centres [m/s]; None = they stand still.
+        mask: (...) bool, which of them there are; None = all.
+        trace_w: (n, k, 3 or 2) `pose_w` at the traced instants of the last control
+            step, see `Motion.trace_w`; None = they stood still.
+        kind: what they are.
+    """
+
+    pose_w: Array
+    size: Array
+    velocity_w: Array | None = None
+    mask: Array | None = None
+    trace_w: Array | None = None
+    kind: ObstacleKind = struct.field(pytree_node=False, default=ObstacleKind.MOVER)
+
+    # Of boxes (pose, size) with this shape (pose_w, size).
+    _overlap: ClassVar[Callable[..., Array]]
+    _distance: ClassVar[Callable[..., Array]]
+    _contact_time: ClassVar[Callable[..., Array]]
+    # Its outline, points (..., m, 2) of it that move farthest.
+    _corners: ClassVar[Callable[..., Array]]
+    # Of points and rays with it.
+    _gaps: ClassVar[Callable[..., Array]]
+    _ray_distance: ClassVar[Callable[..., Array]]
+
+    @property
+    def count(self) -> int:
+        """How many, absent ones included."""
+        return self.pose_w.shape[0]
+
+    @property
+    def traced(self) -> Self:
+        """At each of the traced instants (n, k); (n, 1) if they stood still."""
+        trace = self.pose_w[:, None] if self.trace_w is None else self.trace_w
+        return type(self)(trace, jnp.expand_dims(self.size, 1))
+
+    def instant(self, number: int) -> Self:
+        """The obstacles at one of the traced instants."""
+        there = self.traced
+        return dataclasses.replace(self, pose_w=there.pose_w[:, number], trace_w=None)
+
+    @property
+    def strays(self) -> Array:
+        """How far (n,) [m] points of them are at most from where they end."""
+        if self.trace_w is None:
+            return jnp.zeros(self.count)
+        there = self.traced
+        corners = self._corners(there.pose_w, there.size)
+        return norm(corners - corners[:, -1:]).max(axis=(1, 2))
+
+    def counts(self, num_agents: int) -> Array:
+        """(num_agents, n) bool, which of them each agent can hit: never itself."""
+        if self.kind == ObstacleKind.AGENT:
+            return ~jnp.eye(num_agents, dtype=bool)
+        mask = jnp.ones(self.count, bool) if self.mask is None else self.mask
+        return jnp.broadcast_to(mask, (num_agents, self.count))
+
+    def gaps(self, xy: Array) -> Array:
+        """Distances (m, n) [m] from points (m, 2); inside 0 or less."""
+        return self._gaps(xy, self.pose_w, self.size)
+
+    def overlap(self, pose: Array, size: Array) -> Array:
+        """Whether boxes (..., 3), (..., 2) overlap them; shapes broadcast."""
+        return self._overlap(pose, size, self.pose_w, self.size)
+
+    def distance(self, pose: Array, size: Array) -> Array:
+        """Gaps [m] to boxes (..., 3), (..., 2); 0 where they overlap."""
+        return self._distance(pose, size, self.pose_w, self.size)
+
+    def contact_time(self, pose: Array, size: Array, velocity: Array) -> Array:
+        """Times [s] until boxes hit them that move at (..., 2) as seen from them."""
+        return self._contact_time(pose, size, self.pose_w, self.size, velocity)
+
+    def ray_distance(self, origin: Array, direction: Array) -> Array:
+        """Ways (..., rays) [m] along rays (..., rays, 2) to each of them."""
+        axis = self.pose_w.ndim - 1
+        pose = jnp.expand_dims(self.pose_w, axis)
+        return self._ray_distance(
+            origin, direction, pose, jnp.expand_dims(self.size, axis)
+        )
+
+
+@struct.dataclass
+class Boxes(Group):
+    """Boxes; see `Group`."""
+
+    _overlap = staticmethod(boxes.boxes_overlap)
+    _distance = staticmethod(boxes.box_distance)
+    _contact_time = staticmethod(boxes.box_contact_time)
+    _corners = staticmethod(boxes.box_corners)
+    _gaps = staticmethod(box_gaps)
+    _ray_distance = staticmethod(boxes.ray_box_distance)
+
+
+@struct.dataclass
+class Discs(Group):
+    """Discs; see `Group`."""
+
+    _overlap = staticmethod(boxes.box_disc_overlap)
+    _distance = staticmethod(boxes.box_disc_distance)
+    _contact_time = staticmethod(boxes.box_disc_contact_time)
+    _corners = staticmethod(lambda centre, radius: centre[..., None, :])
+    _gaps = staticmethod(disc_gaps)
+    _ray_distance = staticmethod(boxes.ray_disc_distance)
+
+
+def take(tree: Tree, index: Any) -> Tree:
+    """Rows of a group: the arrays at an index."""
+    return jax.tree.map(lambda x: x[index], tree)
+
+
+class Merged(NamedTuple):
+    """The groups of one shape as one.
+
+    Attributes:
+        group: all their obstacles, with traces, without velocities and masks.
+        counts: (num_agents, n) bool, which of them each agent can hit.
+        strays: (n,) see `Group.strays`.
+        kind: (n,) `ObstacleKind`, static.
+    """
+
+    group: Group
+    counts: Array
+    strays: Array
+    kind: np.ndarray
+
+
+def merge(groups: Sequence[Group], num_agents: int) -> Merged:
+    """Groups of one shape, at least one, as one."""
+    num_traces = max(group.traced.pose_w.shape[1] for group in groups)
+
+    def trace(group: Group) -> Array:
+        pose = group.traced.pose_w
+        return jnp.broadcast_to(pose, (group.count, num_traces, pose.shape[-1]))
+
+    return Merged(
+        type(groups[0])(
+            pose_w=jnp.concatenate([group.pose_w for group in groups]),
+            size=jnp.concatenate([group.size for group in groups]),
+            trace_w=jnp.concatenate([*map(trace, groups)]),
+        ),
+        counts=jnp.concatenate([group.counts(num_agents) for group in groups], axis=1),
+        strays=jnp.concatenate([group.strays for group in groups]),
+        kind=np.repeat([g.kind for g in groups], [g.count for g in groups]),
+    )
+
+
+def by_shape(groups: Sequence[Group]) -> list[Sequence[Group]]:
+    """The groups of boxes, then those of discs; no empty list."""
+    lists = ([g for g in groups if isinstance(g, shape)] for shape in (Boxes, Discs))
+    return [same for same in lists if same]
+
+
+@struct.dataclass
+class Movers:
+    """The movers of a lot.
+
+    Attributes:
+        states: their own, in the order of `EnvConfig.movers`.
+        obstacles: of each, at the end of the last control step, traced.
+    """
+
+    states: tuple[Any, ...] = ()
+    obstacles: tuple[tuple[Group, ...], ...] = ()
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """The obstacles of all of them."""
+        return tuple(group for own in self.obstacles for group in own)
+
+
+NO_MOVERS = Movers()

@@ -1,0 +1,134 @@
+"""Movers: how the obstacles that move by themselves begin and go on with a lot."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config.obstacles import Mover
+from carpark_mj.geometry import wrap_angle
+from carpark_mj.geometry.obstacles import Boxes, Discs, Group, Movers
+from carpark_mj.layouts.types import Layout
+from carpark_mj.types import State
+
+
+def begin_movers(movers: Sequence[Mover], layout: Layout, key: jax.Array) -> Movers:
+    """Movers of a lot that begins, not traced yet.
+
+    Args:
+        movers: which.
+        layout: the lot.
+        key: consumed.
+
+    Raises:
+        ValueError: obstacles that are no groups of boxes and discs.
+    """
+    keys = jax.random.split(key, len(movers))
+    pairs = zip(movers, keys, strict=True)
+    states = tuple(_strong(mover.init(key, layout)) for mover, key in pairs)
+    return Movers(states, tuple(map(_groups, movers, states)))
+
+
+def trace_still(movers: Movers, num_traces: int) -> Movers:
+    """Movers that stood still at all traced instants of a step."""
+    still = tuple(
+        tuple(_trace(group, group, num_traces) for group in groups)
+        for groups in movers.obstacles
+    )
+    return dataclasses.replace(movers, obstacles=still)
+
+
+def step_movers(
+    movers: Sequence[Mover], state: State, dt: float, key: jax.Array
+) -> Movers:
+    """Movers after a control step.
+
+    Args:
+        movers: which.
+        state: of the lot before the step.
+        dt: control period [s].
+        key: consumed.
+
+    Raises:
+        ValueError: a state or obstacles of other shapes than those before.
+    """
+    old, num_traces = state.movers, state.motion.trace_w.shape[-2]
+    keys, states, obstacles = jax.random.split(key, len(movers)), [], []
+    rows = zip(movers, old.states, old.obstacles, keys, strict=True)
+    for mover, before, there, own_key in rows:
+        after = _strong(mover.step(own_key, before, state, dt))
+        _require_same(mover, "state", before, after)
+        groups = _groups(mover, after)
+        _require_same(mover, "obstacles", tuple(map(_untraced, there)), groups)
+        pairs = zip(there, groups, strict=True)
+        states.append(after)
+        obstacles.append(tuple(_trace(*pair, num_traces) for pair in pairs))
+    return Movers(tuple(states), tuple(obstacles))
+
+
+def _untraced(group: Group) -> Group:
+    return dataclasses.replace(group, trace_w=None)
+
+
+def _groups(mover: Mover, state: Any) -> tuple[Group, ...]:
+    """The obstacles of a mover, checked."""
+    groups = tuple(mover.obstacles(state))
+    if not groups or not all(type(group) in (Boxes, Discs) for group in groups):
+        raise ValueError(
+            f"the obstacles of the mover {mover.mover!r} must be at least one group, "
+            f"Boxes or Discs, not {groups!r}"
+        )
+    for group in groups:
+        wide = (3,) if type(group) is Boxes else (2,)
+        n = jnp.shape(group.pose_w)[:1]
+        wanted = {
+            "pose_w": (*n, *wide),
+            "size": (*n, 2) if type(group) is Boxes else n,
+            "velocity_w": (*n, 2),
+            "mask": n,
+        }
+        for name, shape in wanted.items():
+            value = getattr(group, name)
+            if value is not None and jnp.shape(value) != shape:
+                raise ValueError(
+                    f"the mover {mover.mover!r} has {type(group).__name__} whose "
+                    f"{name} is of shape {jnp.shape(value)}, not {shape}"
+                )
+    return tuple(
+        _strong(dataclasses.replace(g, trace_w=None, kind=mover.kind)) for g in groups
+    )
+
+
+def _strong(tree: Any) -> Any:
+    """Arrays of a type of their own, as what a loop carries must be."""
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), tree)
+
+
+def _require_same(mover: Mover, what: str, before: Any, after: Any) -> None:
+    """Refuses arrays of other shapes or types, which no loop could carry."""
+    old, new = (
+        (jax.tree.structure(tree), [f"{x.dtype}{list(x.shape)}" for x in leaves])
+        for tree, leaves in ((tree, jax.tree.leaves(tree)) for tree in (before, after))
+    )
+    if old != new:
+        raise ValueError(
+            f"the {what} of the mover {mover.mover!r} must keep shapes and types "
+            f"{old[1]}, not become {new[1]}"
+        )
+
+
+def _trace(before: Group, after: Group, num_traces: int) -> Group:
+    """Obstacles (n,) with their poses during a step: from one straight to the other.
+
+    Those that were not there before have not come from anywhere.
+    """
+    way = after.pose_w - before.pose_w
+    if type(after) is Boxes:
+        way = way.at[:, 2].set(wrap_angle(way[:, 2]))
+    if before.mask is not None:
+        way = jnp.where(before.mask[:, None], way, 0.0)
+    share = jnp.arange(num_traces - 1, -1, -1, dtype=way.dtype) / num_traces
+    trace_w = after.pose_w[:, None] - share[:, None] * way[:, None]
+    return dataclasses.replace(after, trace_w=trace_w)

@@ -1,0 +1,179 @@
+"""Movers: how they go on, what they must be, and that none leave nothing behind."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import cars, lot
+from helpers.states import any_hit, state_of
+
+from carpark_mj.config import MOVERS, EnvConfig, Mover, ObstacleKind
+from carpark_mj.config.obstacles import hit_kinds, make_movers
+from carpark_mj.geometry import broad_phase
+from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
+from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.obstacles.movers import begin_movers, step_movers, trace_still
+from carpark_mj.policy.runs import from_dict
+
+LOT = lot([(30.0, 0.0, 0.0)])
+KEY = jax.random.key(0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Hands(Mover):
+    """What a test makes of the hands of a clock: a box and two discs.
+
+    Its state counts the steps; `faults` replace what it makes in the second one.
+    """
+
+    faults: tuple = ()
+    mover: str = "hands"
+
+    def init(self, key, layout):
+        return dict(self.faults).get("init", jnp.int32(0))
+
+    def step(self, key, state, lot, dt):
+        return dict(self.faults).get("state", state + 1)
+
+    def obstacles(self, state):
+        made = dict(self.faults).get("obstacles")
+        if made is not None:
+            return made(state)
+        box = Boxes(
+            jnp.array([[3.0 * state, 0.0, 3.0 - state]]), jnp.array([[2.0, 1.0]])
+        )
+        there = jnp.stack([state > 0, state < 9])
+        centre = jnp.array([[0.0, 5.0], [0.0, -5.0]]) + 2.0 * state
+        return box, Discs(centre, jnp.array([0.3, 0.4]), mask=there)
+
+
+def state_with(mover, count=5):
+    """A state of one agent at the origin, with a mover, traced `count` times."""
+    pose = np.zeros((1, 3))
+    motion = cars(pose, trace=np.zeros((1, count, 3)))
+    movers = trace_still(begin_movers([mover], LOT, KEY), count)
+    return state_of(LOT, motion, 0, movers=movers)
+
+
+def test_a_mover_goes_straight_from_step_to_step_and_what_comes_is_there_at_once():
+    mover, state = Hands(), state_with(Hands())
+    after = step_movers([mover], state, 0.2, KEY)
+    box, discs = after.groups
+    share = np.arange(1, 6) / 5
+    np.testing.assert_allclose(box.trace_w[0, :, 0], 3 * share, atol=1e-6)
+    np.testing.assert_allclose(box.trace_w[0, :, 2], 3 - share, atol=1e-6)
+    np.testing.assert_allclose(box.pose_w[0], [3, 0, 2])
+    np.testing.assert_allclose(discs.trace_w[0], [[2, 7]] * 5)  # came
+    np.testing.assert_allclose(discs.trace_w[1, :, 1], -5 + 2 * share, atol=1e-6)
+    assert {group.kind for group in after.groups} == {ObstacleKind.MOVER}
+
+
+def test_a_heading_turns_the_short_way():
+    def turned(state):
+        yaw = jnp.where(state > 0, -3.1, 3.1)
+        return [Boxes(jnp.array([[0.0, 0.0, 1.0]]) * yaw, jnp.ones((1, 2)))]
+
+    mover = Hands((("obstacles", turned),))
+    [box] = step_movers([mover], state_with(mover, 2), 0.2, KEY).groups
+    np.testing.assert_allclose(
+        np.cos(box.trace_w[0, :, 2]), np.cos([np.pi, 3.1]), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("crowded", [False, True])
+def test_it_is_hit_at_any_traced_instant_and_by_its_kind(monkeypatch, crowded):
+    monkeypatch.setattr(broad_phase, "MANY_PAIRS", 0 if crowded else 10**9)
+
+    @dataclasses.dataclass(frozen=True)
+    class Gate(Hands):
+        kind = ObstacleKind.WALL
+
+    def passing(state):  # from 6 m on one side to 6 m on the other
+        centre = jnp.array([[0.0, -6.0]]) + 12.0 * state * jnp.array([0.0, 1.0])
+        return [Discs(centre, jnp.array([0.3]))]
+
+    for kind, other in ((Hands, "wall"), (Gate, "mover")):
+        mover = kind((("obstacles", passing),))
+        state = state_with(mover)
+        assert not any_hit(find_hits(state)).any()
+        hits = find_hits(state.replace(movers=step_movers([mover], state, 0.2, KEY)))
+        assert any_hit(hits).all()
+        assert not hits.get(other, jnp.zeros(1)).any()
+    contacts = state.motion.replace(touched=jnp.zeros((1, 3), bool))
+    state = state.replace(motion=contacts)  # physics whose world has no movers
+    hits = find_hits(state.replace(movers=step_movers([mover], state, 0.2, KEY)))
+    assert hits["wall"].all()
+
+
+BOX = Boxes(jnp.zeros((1, 3)), jnp.ones((1, 2)))
+REFUSED = {
+    "nothing": (("obstacles", lambda _: ()), "'hands'.*at least one group"),
+    "pairs": (("obstacles", lambda _: [(0.0, 1.0)]), "'hands'.*at least one group"),
+    "discs as boxes": (
+        ("obstacles", lambda _: [Boxes(jnp.zeros((1, 2)), jnp.ones(1))]),
+        "'hands'.*pose_w.*(1, 2)",
+    ),
+    "sizes of others": (
+        ("obstacles", lambda _: [Boxes(jnp.zeros((2, 3)), jnp.ones((1, 2)))]),
+        "'hands'.*size.*(1, 2).*(2, 2)",
+    ),
+    "masks of others": (
+        ("obstacles", lambda _: [dataclasses.replace(BOX, mask=jnp.ones(2, bool))]),
+        "'hands'.*mask.*(2,)",
+    ),
+    "a state of another shape": (("state", jnp.zeros(3, jnp.int32)), "state.*'hands'"),
+    "a state of another type": (("state", jnp.float32(1)), "state.*'hands'.*float32"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_no_such_mover(what):
+    fault, sentence = REFUSED[what]
+    mover = Hands((fault,))
+    with pytest.raises(
+        ValueError, match=sentence.replace("(", r"\(").replace(")", r"\)")
+    ):
+        step_movers([mover], state_with(mover), 0.2, KEY)
+
+
+def test_obstacles_keep_their_number():
+    @dataclasses.dataclass(frozen=True)
+    class Growing(Hands):
+        def step(self, key, state, lot, dt):
+            grown.append(1)
+            return state
+
+    grown = [1]
+
+    def more(_):
+        return [Boxes(jnp.zeros((len(grown), 3)), jnp.ones((len(grown), 2)))]
+
+    mover = Growing((("obstacles", more),))
+    state = state_with(mover)
+    with pytest.raises(ValueError, match=r"obstacles.*'hands'.*\[1, 3\].*\[2, 3\]"):
+        step_movers([mover], state, 0.2, KEY)
+
+
+def test_names_are_those_of_the_registry(monkeypatch):
+    monkeypatch.setattr(MOVERS, "_parts", {})
+    MOVERS.register("hands", Hands())
+    with pytest.raises(ValueError, match="'hands'"):
+        MOVERS.register("hands", Hands((("init", 1),)))
+    with pytest.raises(ValueError, match=r"'feet'.*hands"):
+        EnvConfig(movers=("feet",))
+    with pytest.raises(ValueError, match="movers"):
+        EnvConfig(movers=(3,))
+    ghost = type("Ghost", (Hands,), {"kind": ObstacleKind.AGENT})()
+    with pytest.raises(ValueError, match=r"'hands'.*AGENT"):
+        EnvConfig(movers=(ghost,))
+    config = EnvConfig(movers=("hands", Hands()))
+    assert make_movers(config.movers) == (Hands(), Hands())
+    assert from_dict(EnvConfig, dataclasses.asdict(config)) == config
+
+
+def test_without_movers_nothing_is_kept_or_reported():
+    assert jax.tree.leaves(Movers()) == []
+    assert ObstacleKind.MOVER not in hit_kinds(())
+    assert ObstacleKind.MOVER in hit_kinds((Hands(),))
