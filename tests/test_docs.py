@@ -32,6 +32,7 @@ from carpark_mj.config import (
 from carpark_mj.mdp.goal_rewards import GOAL_TERMS
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table, observation_size
+from carpark_mj.programs.benchmark import BenchmarkConfig
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.studies.cederle.experiments.program import JunctionStudyConfig
 from carpark_mj.studies.cederle.training.families import presets_of
@@ -73,6 +74,7 @@ COMMANDS = {
     "train/study.py": StudyConfig,
     "train/sweep.py": SweepConfig,
     "train/junction_study.py": JunctionStudyConfig,
+    "eval/benchmark.py": BenchmarkConfig,
     "train/slots_study.py": SlotsStudyConfig,
     "eval/analysis.py": AnalysisConfig,
     "eval/evaluate.py": EvaluateConfig,
@@ -100,13 +102,40 @@ def code(page, language):
     return re.findall(rf"^```{language}\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
 
 
+# The same programs by the command `carpark_mj`.
+SCRIPTS = {
+    "train": "train/ppo.py",
+    **{f"{name}": f"train/{name}.py" for name in ("sweep", "export")},
+    **{f"study {name}": f"train/{name}.py" for name in ("q_learning", "sac")},
+    "study junction_tables": "train/junction_study.py",
+    "study junction": "train/junction.py",
+    "study slots": "train/slots_study.py",
+    "study tanner": "train/study.py",
+    **{f"{name}": f"-m carpark_mj.{name}" for name in ("scene", "play", "layouts")},
+    **{
+        f"{name}": f"eval/{name}.py"
+        for name in ("evaluate", "render", "suite", "analysis", "benchmark")
+    },
+}
+
+
+def as_script(line):
+    """A call of `carpark_mj` as one of a script; others as they are."""
+    for name, script in SCRIPTS.items():
+        start = f"carpark_mj {name}"
+        if line == start or line.startswith(f"{start} "):
+            return f"python {script}{line.removeprefix(start)}"
+    return line
+
+
 def commands(page):
     """Everything after `python` in blocks and quotes of a page, without comments."""
     blocks = "\n".join(re.findall(r"^```\w*\n(.*?)^```", page, re.M | re.S))
     text = re.sub(r"^```\w*\n.*?^```", "", page, flags=re.MULTILINE | re.DOTALL)
     quoted = [" ".join(q.split()) for q in re.findall(r"`([^`]+)`", text)]
     lines = [line.split("#")[0].strip() for line in blocks.splitlines()]
-    return [q.removeprefix("python ") for q in lines + quoted if q[:7] == "python "]
+    calls = [as_script(line) for line in lines + quoted]
+    return [call.removeprefix("python ") for call in calls if call[:7] == "python "]
 
 
 COMMAND_LINES = sorted({c for page in PAGES for c in commands(page.read_text())})

@@ -31,7 +31,7 @@ FIXED = PPOConfig(
     unroll_length=8,
     num_minibatches=2,
     num_epochs=2,
-    checkpoint_updates=1,
+    checkpoint_minutes=1e-9,  # after every update
     curriculum=dataclasses.replace(PPOConfig().curriculum, discount_end=0.995),
     networks=NetworkConfig((16,), (16,), encoder="flat"),
     env=dataclasses.replace(TANNER_FIXED, num_agents=2, num_parked_cars=4),
