@@ -7,7 +7,6 @@ The object holds constants only; everything that changes is in `State`.
 
 import copy
 import dataclasses
-import math
 import reprlib
 from collections.abc import Mapping
 from typing import Any
@@ -24,7 +23,6 @@ from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import check_randomization
 from carpark_mj.layouts import (
     Layout,
-    generate_member,
     layout_config,
     make_layout,
     member_shares,
@@ -104,16 +102,16 @@ class ParkingEnv:
         config = config if config is not None else EnvConfig()
         if physics is not None:
             physics = require_physics(physics)
-            config = dataclasses.replace(config, physics=physics.config)
+            if physics.config != config.physics_config:
+                config = dataclasses.replace(config, physics=physics.config)
         self.config = config
         self.vehicle = vehicle if vehicle is not None else preset(config.vehicle)
         self.fleet = Fleet(config, self.vehicle)
         self.layout_config: LayoutConfig = layout_config(config.layout)
         fixed = not self.layout_config.is_random
         self._layout = make_layout(self.layout_config) if fixed else None
-        grade = math.hypot(config.sim.grade_x, config.sim.grade_y)
         for params in self.fleet.agents:
-            check_randomization(config.randomization, params, grade)
+            check_randomization(config.randomization, params, abs(config.sim.grade_x))
         check_room(config, self.layout_config)
         check_occupancy(config, self.layout_config)
         check_exits(config, self.layout_config)
@@ -212,7 +210,9 @@ class ParkingEnv:
     ) -> Layout:
         """Draws a layout as `reset` does; always of the same shape."""
         key = lot_key(lot_number(split, key))
-        return generate_member(self.layout_config, member, key)
+        if member is None:
+            return self.layout_config.generate(key)
+        return self.layout_config.generate_member(member, key)
 
     @float32_only
     def reset_to_layout(

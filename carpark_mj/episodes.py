@@ -188,6 +188,7 @@ class Episodes:
             present=present,
             waited=waited,
             routes=make_routes(layout) if config.follows_routes else None,
+            kind=start.kind if self._fleet.mixed else None,
             movers=trace_still(movers, motion.trace_w.shape[-2]),
         )
         return self._goals.begin(state, placing, state.active, first_key)
@@ -220,7 +221,8 @@ class Episodes:
             return state
         if state.waited is not None:
             begun = begun | (state.waited > 0)
-        old, vehicles = state.physics.vehicle, self._draw_vehicles(state, keys.vehicles)
+        old = state.physics.vehicle
+        kind, vehicles = self._draw_vehicles(state, keys.vehicles)
         inputs = self._spawn_inputs(
             layout, state.parked_cars, state.movers, vehicles, old
         )
@@ -236,7 +238,9 @@ class Episodes:
             STEP_TRIES if self._may_wait else SURE,
         )
         if self._fleet.mixed:  # without a bay for the new car, goal and car are kept
-            vehicles = where_cars(placing.found & ~placing.waiting, vehicles, old)
+            fitting = placing.found & ~placing.waiting
+            vehicles = where_cars(fitting, vehicles, old)
+            kind = where_cars(fitting & begun, kind, state.kind)
         pose_w = placing.pose_w
         if self._may_wait:
             pose_w = place_absent_agents(pose_w, ~placing.waiting)
@@ -253,6 +257,7 @@ class Episodes:
             motion=motion,
             goal=placing.goal,
             parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
+            kind=kind,
             ring_history=rings.forget(state.ring_history, begun),
             step=jnp.where(begun, 0, state.step),
             stats=where_cars(begun, metrics.init_stats(config, layout), state.stats),
@@ -271,13 +276,20 @@ class Episodes:
             )
         return self._goals.begin(state, placing, begun, keys.first_goals)
 
-    def _draw_vehicles(self, state: State, key: jax.Array) -> Vehicle:
-        """Parameters (num_agents,) of cars for agents that begin; `key` is consumed."""
+    def _draw_vehicles(
+        self, state: State, key: jax.Array
+    ) -> tuple[jax.Array | None, Vehicle]:
+        """Kinds (num_agents,) of cars for agents that begin, and their parameters.
+
+        `key` is consumed. The kinds are None where there is one.
+        """
         config = self._config
         if not (config.randomization.is_on or self._fleet.mixed):
-            return state.physics.vehicle
-        nominal, key = self._fleet.draw_agents(key)
-        return randomize_all(config.randomization, nominal, key)
+            return None, state.physics.vehicle
+        kind, key = self._fleet.draw_kinds(key)
+        nominal = self._fleet.of_kind(kind)
+        vehicles = randomize_all(config.randomization, nominal, key)
+        return kind if self._fleet.mixed else None, vehicles
 
     def _begin_movers(self, layout: Layout, key: jax.Array) -> tuple[jax.Array, Movers]:
         """The lot's next key, and its movers if there are any."""

@@ -122,12 +122,15 @@ class ParkedCars:
         size: (num_parked_cars, 2) footprints [m].
         offset: (num_parked_cars, 3) where they stand in their bays if these allow it,
             bay frame; None while all stand in the middle.
+        kind: (num_parked_cars,) int32 which of `Fleet.parked_cars` each is; None where
+            there is one kind.
     """
 
     bay: jax.Array
     pose_w: jax.Array
     size: jax.Array
     offset: jax.Array | None = None
+    kind: jax.Array | None = None
 
     @property
     def present(self) -> jax.Array:
@@ -217,6 +220,8 @@ class State:
         waited: (num_agents,) int32 control steps for which an absent agent has waited
             for room to start; 0 = it does not wait. None where nobody ever does.
         routes: ways along the lanes to the bays; None where nothing reads them.
+        kind: (num_agents,) int32 which of `Fleet.agents` each drives; None where there
+            is one kind.
         movers: obstacles that move by themselves.
     """
 
@@ -235,6 +240,7 @@ class State:
     present: jax.Array | None = None
     waited: jax.Array | None = None
     routes: Routes | None = None
+    kind: jax.Array | None = None
     movers: Movers = NO_MOVERS
 
     @property

@@ -55,7 +55,7 @@ class Settings:
     algorithm: Literal["ippo", "mappo", "maddpg", "iql", "vdn", "qmix"] = "mappo"
     agents: int = 4
     parked_cars: int = 16
-    layout: str = "tanner"
+    layout: str = "square"
     frames: int = 24_000_000
     lots: int | None = None
     evaluations: int = 10

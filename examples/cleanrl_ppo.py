@@ -58,7 +58,7 @@ class Settings:
     minutes: float = 12.0
     lots: int = 64
     agents: int = 2
-    layout: str = "tanner"
+    layout: str = "square"
     seed: int = 0
     unroll: int = 64
     epochs: int = 4

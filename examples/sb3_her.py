@@ -41,7 +41,7 @@ class Settings:
 
     minutes: float = 15.0
     lots: int = 32
-    layout: str = "tanner"
+    layout: str = "square"
     parked_cars: int = 0
     seed: int = 0
     episodes: int = 256

@@ -41,7 +41,7 @@ class Settings:
 
     minutes: float = 14.0
     lots: int = 256
-    layout: str = "tanner"
+    layout: str = "square"
     seed: int = 0
     episodes: int = 1024
     out: Path = Path("sb3_ppo.png")

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.registering import restore_after
 from helpers.scenes import cars
 
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -18,14 +19,15 @@ from carpark_mj.config import (
     register_rule,
     terminations,
 )
-from carpark_mj.layouts import FAMILIES, DesignCar, generate, make_layout
+from carpark_mj.config.layouts import FAMILIES, LAYOUTS
+from carpark_mj.layouts import DesignCar, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import read_json
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.car_look import shape_name
 from carpark_mj.scene.car_mesh import car_meshes
-from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
+from carpark_mj.vehicle import COMPACT, PRESETS, VEHICLES, make_vehicle
 
 PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
 SECTIONS = {
@@ -50,12 +52,9 @@ def run(name):
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
     """What examples register is gone after each test."""
-    for registry in (FAMILIES, PRESETS, terminations._RULES, MOVERS._parts):
-        for name in ("court", "taxi", "straight", "rising_bollard"):
-            monkeypatch.setitem(registry, name, None)
-            monkeypatch.delitem(registry, name)
-    monkeypatch.setitem(PHYSICS._parts, "hover", None)
-    monkeypatch.delitem(PHYSICS._parts, "hover")
+    restore_after(monkeypatch, FAMILIES, LAYOUTS, MOVERS, PHYSICS, VEHICLES)
+    monkeypatch.setitem(terminations._RULES, "straight", None)
+    monkeypatch.delitem(terminations._RULES, "straight")
 
 
 def test_the_layout_file_is_valid(tmp_path):
@@ -64,10 +63,17 @@ def test_the_layout_file_is_valid(tmp_path):
     assert read_json(path).num_bays == 3
 
 
+def test_the_example_package_is_the_page_s_family():
+    package = Path(__file__).parents[1] / "examples" / "extensions" / "court"
+    family = (package / "court.py").read_text().partition("@dataclasses")[2]
+    assert family
+    assert family in block("A layout", "python")
+
+
 def test_every_lot_of_the_new_family_is_valid():
     config = run("A layout")["CourtConfig"]()
-    make = jax.jit(generate, static_argnums=0)
-    lots = [make(config, jax.random.key(number)) for number in range(20)]
+    make = jax.jit(config.generate)
+    lots = [make(jax.random.key(number)) for number in range(20)]
     assert not any(describe_faults(lot, DesignCar().size) for lot in lots)
     assert {int(lot.bay_mask.sum()) for lot in lots} == {6, 7, 8, 9, 10}
 

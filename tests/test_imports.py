@@ -2,6 +2,8 @@
 
 import ast
 import graphlib
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -50,3 +52,19 @@ def test_a_circle_is_found_even_if_one_import_waits_in_a_function(tmp_path, inde
     (package / "b.py").write_text(f"{indent}from carpark_mj.a import something\n")
     with pytest.raises(graphlib.CycleError):
         graphlib.TopologicalSorter(import_graph(tmp_path)).prepare()
+
+
+def test_the_core_is_imported_without_the_studies():
+    code = (
+        "import sys, carpark_mj.env, carpark_mj.registry; "
+        "carpark_mj.env.ParkingEnv(); "
+        "print(*(m for m in sys.modules if m.startswith('carpark_mj.studies.')))"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert ended.stdout.split() == []

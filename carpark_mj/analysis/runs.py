@@ -37,7 +37,7 @@ class Record:
 
 
 def read_run(folder: Path) -> Record:
-    """Reads a run that `train/ppo.py` or a sweep has finished.
+    """Reads a run that `carpark_mj train` or a sweep has finished.
 
     Raises:
         CheckpointError: there is no run, or it has no evaluation.

@@ -9,7 +9,7 @@ import jax
 from carpark_mj.benchmarking.timing import best_time
 from carpark_mj.config import EnvConfig, RayConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts import LotConfig
 from carpark_mj.mdp.clearance import clearances
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.metrics.collision_time import collision_times

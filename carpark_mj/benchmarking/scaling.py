@@ -13,7 +13,7 @@ from carpark_mj.benchmarking.timing import best_time
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import write_atomically
-from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts import LotConfig
 from carpark_mj.reading import read_csv
 from carpark_mj.types import State
 

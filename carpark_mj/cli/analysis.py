@@ -1,4 +1,4 @@
-"""What `python eval/analysis.py` does: several runs as tables, plots and a page."""
+"""What `carpark_mj analysis` does: several runs as tables, plots and a page."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ METHOD = (
 
 @dataclasses.dataclass(frozen=True)
 class AnalysisConfig:
-    """Settings of `python eval/analysis.py`.
+    """Settings of `carpark_mj analysis`.
 
     Attributes:
         runs: run folders and folders of sweeps.

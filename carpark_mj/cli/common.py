@@ -1,8 +1,9 @@
 """What all commands share: errors in one line, how XLA compiles and keeps programs."""
 
+import contextlib
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 USER_ERRORS = (ValueError, OSError, OverflowError, MemoryError)
@@ -56,11 +57,31 @@ def _for_the_user(error: Exception) -> str | None:
     if isinstance(error, (*USER_ERRORS, *_loaded_errors())):
         return one_line(error)
     if isinstance(error, ModuleNotFoundError):
-        extra = EXTRAS.get((error.name or "").partition(".")[0])
-        return extra and f'{error}: pip install ".[{extra}]"'
+        return _missing_extra(error)
     if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
         return one_line(error)
     return _missing_device()
+
+
+def _missing_extra(error: ModuleNotFoundError) -> str | None:
+    extra = EXTRAS.get((error.name or "").partition(".")[0])
+    return extra and f'{error}: pip install ".[{extra}]"'
+
+
+@contextlib.contextmanager
+def naming_extras() -> Generator[None]:
+    """Says what installs a package of `EXTRAS` that an import in it misses.
+
+    Raises:
+        ImportError: one is missing.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        message = _missing_extra(error)
+        if message is None:
+            raise
+        raise ImportError(message, name=error.name) from None
 
 
 def _loaded_errors() -> tuple[type[Exception], ...]:

@@ -1,4 +1,4 @@
-"""What `python eval/evaluate.py` does: whole episodes on held-out seeds, reported."""
+"""What `carpark_mj evaluate` does: whole episodes on held-out seeds, reported."""
 
 import dataclasses
 import hashlib
@@ -25,7 +25,7 @@ MAX_NAME = 150  # characters of a folder's name; file systems allow 255
 
 @dataclasses.dataclass(frozen=True)
 class EvaluateConfig:
-    """Settings of `python eval/evaluate.py`.
+    """Settings of `carpark_mj evaluate`.
 
     Attributes:
         run: pretrained policy, run folder or checkpoint file; or give `--policy`.

@@ -1,4 +1,4 @@
-"""What `python train/export.py` does: a policy as an ONNX model or a checkpoint."""
+"""What `carpark_mj export` does: a policy as an ONNX model or a checkpoint."""
 
 import dataclasses
 from pathlib import Path
@@ -40,7 +40,7 @@ LOTS = 16  # of the roll-out
 
 @dataclasses.dataclass(frozen=True)
 class ExportConfig:
-    """Settings of `python train/export.py`.
+    """Settings of `carpark_mj export`.
 
     Attributes:
         run: pretrained policy, run folder or checkpoint file.

@@ -155,7 +155,8 @@ def _print_short_help(
 
 def _by_line(text: str | None) -> str | None:
     """Indents commands, as tyro joins lines that begin with a letter."""
-    return text and re.sub(r"^(?=(python|srun) )", "    ", text, flags=re.MULTILINE)
+    command = r"^(?=(carpark_mj|python|srun) )"
+    return text and re.sub(command, "    ", text, flags=re.MULTILINE)
 
 
 def _sentence(box: str) -> str:

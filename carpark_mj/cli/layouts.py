@@ -1,9 +1,9 @@
 """Inspects layouts: pictures, files, checks of their plans, runs of their scenes.
 
-python -m carpark_mj.layouts --plot lots.png
-python -m carpark_mj.layouts --check 1000 --run 20
-python -m carpark_mj.layouts street my_lot.json --check 1000
-python -m carpark_mj.layouts lot --seed 3 --save lot.json
+carpark_mj layouts --plot lots.png
+carpark_mj layouts --check 1000 --run 20
+carpark_mj layouts street my_lot.json --check 1000
+carpark_mj layouts lot --seed 3 --save lot.json
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ import tyro
 
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.config.checks import require_unset
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
@@ -28,17 +28,15 @@ from carpark_mj.layouts import (
     DesignCar,
     GarageRowConfig,
     LotConfig,
-    generate,
     layout_config,
 )
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.held_out import write
 from carpark_mj.layouts.json_file import layout_text
 from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
 
-PROGRAM = "python -m carpark_mj.layouts"
+PROGRAM = "carpark_mj layouts"
 CHUNK = 250  # layouts drawn at once
 MAX_KEYS = 10_000_000  # of each layout; they take an hour or more
 PICTURES = (".png", ".pdf", ".svg")
@@ -52,25 +50,15 @@ _LEVELS: tuple[tuple[Orientation, Level], ...] = (
     ("parallel", "extreme"),
 )
 
-# Every family, and the variants of those that have some.
-SHOWN: dict[str, LayoutConfig | str] = {
-    "tanner": "tanner",
-    "compact": "compact",
-    "street": "street",
-    "street_parallel": "street_parallel",
-    "angled, nose-in": AngledConfig(),
+# Settings with which lots of a family differ most from those with its defaults.
+VARIANTS: dict[str, LayoutConfig] = {
     "angled, back-in": AngledConfig(back_in=True, angle=(45.0, 60.0)),
-    "lot": "lot",
     "lot, deck with pillars": LotConfig(
         pillar_every=3, row_ends="bollards", num_aisles=(1, 3)
     ),
     "lot, angled": LotConfig(
         angle=(50.0, 75.0), two_way=False, extra_aisle=(0.0, 0.6), boundary="kerb"
     ),
-    "slots": "slots",
-    "slots_diagonal": "slots_diagonal",
-    "slots_parallel": "slots_parallel",
-    "mixture": "mixture",
     **{
         f"{family}, {orientation}, {level}": config(
             level=level, orientation=orientation
@@ -84,10 +72,18 @@ SHOWN: dict[str, LayoutConfig | str] = {
 }
 
 
+def families() -> dict[str, LayoutConfig]:
+    """One layout of every family by its name, and the variants."""
+    known: dict[type[LayoutConfig], str] = {}
+    for name, config in LAYOUTS.items():
+        known.setdefault(type(config), name)
+    return {name: LAYOUTS[name] for name in known.values()} | VARIANTS
+
+
 def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layout]:
     """Draws lots of one layout, as numpy arrays; keys are `fold_in(key(seed), k)`."""
     config = layout_config(layout)
-    make = jax.jit(jax.vmap(lambda key: generate(config, key)))
+    make = jax.jit(jax.vmap(config.generate))
     fold = jax.vmap(jax.random.fold_in, (None, 0))
     chunk = min(CHUNK, num_keys)
     for first in range(0, num_keys, chunk):
@@ -148,7 +144,7 @@ def run_scene(layout: Layout) -> list[str]:
 
 @dataclasses.dataclass(frozen=True)
 class LayoutsConfig:
-    """Settings of `python -m carpark_mj.layouts`.
+    """Settings of `carpark_mj layouts`.
 
     Attributes:
         layouts: names or layout files; all families if none.
@@ -158,8 +154,6 @@ class LayoutsConfig:
             lots to check; by default the car that they are drawn for.
         run: number of scenes of each layout to run.
         save: layout file to write, with the first lot of one layout.
-        held_out: `.npz` file to which the held-out cases of HOPE's levels are drawn
-            again; see `carpark_mj.layouts.held_out`.
         seed: seed of the keys.
     """
 
@@ -171,7 +165,6 @@ class LayoutsConfig:
     vehicle: str = ""
     run: int = 0
     save: str = ""
-    held_out: str = ""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -182,20 +175,16 @@ class LayoutsConfig:
                 )
         require_seed(self.seed)
         if not (self.plot or self.check or self.run or self.save):
-            if not self.held_out:
-                raise ValueError(
-                    "nothing to do: give --plot FILE, --save FILE, --held-out FILE, "
-                    "--check N or --run N (N > 0)"
-                )
-            require_unset(self, "with --held-out alone", "layouts", "seed")
+            raise ValueError(
+                "nothing to do: give --plot FILE, --save FILE, --check N or --run N "
+                "(N > 0)"
+            )
         if not self.check:
             require_unset(self, "without --check", "vehicle")
         if self.plot and Path(self.plot).suffix not in PICTURES:
             raise ValueError(
                 f"--plot writes a .png, .pdf or .svg file, not {self.plot}"
             )
-        if self.held_out and not self.held_out.endswith(".npz"):
-            raise ValueError(f"--held-out writes a .npz file, not {self.held_out}")
         if self.save and (len(self.layouts) != 1 or not self.save.endswith(".json")):
             raise ValueError(
                 "--save writes one lot of one layout to a .json file, not "
@@ -210,8 +199,8 @@ def look(config: LayoutsConfig) -> bool:
         ValueError: unknown layouts, or files that are none.
         OSError: the picture or the layout file cannot be written.
     """
-    shown = {name: layout_config(name) for name in config.layouts} or SHOWN
-    for file in filter(None, (config.save, config.held_out, config.plot)):
+    shown = {name: layout_config(name) for name in config.layouts} or families()
+    for file in filter(None, (config.save, config.plot)):
         require_writable(Path(file))  # refused before the work
     if config.save:
         [drawn] = draw(config.layouts[0], 1, config.seed)
@@ -219,9 +208,6 @@ def look(config: LayoutsConfig) -> bool:
             Path(config.save), lambda file: file.write_text(layout_text(drawn))
         )
         print(f"wrote {config.save}: {int(drawn.bay_mask.sum())} bays")
-    if config.held_out:
-        write_atomically(Path(config.held_out), write)
-        print(f"wrote {config.held_out}")
     if config.plot:
         pictures = [
             (name, drawn)

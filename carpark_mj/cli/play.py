@@ -1,8 +1,8 @@
 """Drive a car yourself: keyboard or gamepad in a window, or a page for a browser.
 
-python -m carpark_mj.play --layout street
-python -m carpark_mj.play --policy square --view window --camera chase:0
-python -m carpark_mj.play --replay runs/play/drive-0.npz --video drive.mp4
+carpark_mj play --layout street
+carpark_mj play --policy square --view window --camera chase:0
+carpark_mj play --replay runs/play/drive-0.npz --video drive.mp4
 
 Keys: arrows or WASD steer and drive, space brakes, R restarts the lot, N takes the next
 one, Q ends. Gamepad: left stick, right trigger ahead, left trigger back. Without a
@@ -47,14 +47,14 @@ from carpark_mj.rendering.web import (
     require_web,
 )
 
-PROGRAM = "python -m carpark_mj.play"
+PROGRAM = "carpark_mj play"
 LOT = ("layout", "policy", "num_agents", "num_parked_cars", "vehicle", "seed", "out")
 COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
 
 
 @dataclasses.dataclass(frozen=True)
 class PlayConfig:
-    """Settings of `python -m carpark_mj.play`.
+    """Settings of `carpark_mj play`.
 
     Attributes:
         layout: name of a lot or a family, or a layout file; default `square`, or the

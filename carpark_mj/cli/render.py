@@ -1,4 +1,4 @@
-"""What `python eval/render.py` does: records episodes and renders them off-screen."""
+"""What `carpark_mj render` does: records episodes and renders them off-screen."""
 
 import dataclasses
 import time
@@ -36,7 +36,7 @@ from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 
 @dataclasses.dataclass(frozen=True)
 class RenderConfig:
-    """Settings of `python eval/render.py`.
+    """Settings of `carpark_mj render`.
 
     Attributes:
         run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or

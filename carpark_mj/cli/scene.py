@@ -1,11 +1,11 @@
 """Writes a car park as MJCF that drives in the MuJoCo viewer, or opens it there.
 
-python -m carpark_mj.scene --layout square --out scene.xml
+carpark_mj scene --layout square --out scene.xml
 python -m mujoco.viewer --mjcf=scene.xml
-python -m carpark_mj.scene --layout lot --seed 3 --view
-python -m carpark_mj.scene --layout lot --seed 3 --view web
-python -m carpark_mj.scene --policy runs/cpu-0 --view web
-python -m carpark_mj.scene --layout square --suspension --view
+carpark_mj scene --layout lot --seed 3 --view
+carpark_mj scene --layout lot --seed 3 --view web
+carpark_mj scene --policy runs/cpu-0 --view web
+carpark_mj scene --layout square --suspension --view
 """
 
 import dataclasses
@@ -41,11 +41,11 @@ from carpark_mj.rendering.window import missing_display
 from carpark_mj.scene.export import drivable_scene, scene_xml
 from carpark_mj.vehicle import VehicleParameters, preset
 
-PROGRAM = "python -m carpark_mj.scene"
+PROGRAM = "carpark_mj scene"
 WITHOUT_DISPLAY = (
     "use a desktop session or `ssh -X`, or look at it in a browser with --view web, or "
     "write a file with --out and open it elsewhere with `python -m mujoco.viewer "
-    "--mjcf=FILE`, or render off-screen with `python eval/render.py zero --frame 0`"
+    "--mjcf=FILE`, or render off-screen with `carpark_mj render zero --frame 0`"
 )
 
 
@@ -76,7 +76,7 @@ class SceneOutput:
 
 @dataclasses.dataclass(frozen=True)
 class SceneConfig(SceneOutput):
-    """Settings of `python -m carpark_mj.scene`.
+    """Settings of `carpark_mj scene`.
 
     Attributes:
         out: MJCF file to write; it needs no other file and no carpark_mj.

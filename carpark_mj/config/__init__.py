@@ -15,11 +15,10 @@ from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
 from carpark_mj.config.insertion import insert, is_data, setting
 from carpark_mj.config.layouts import (
-    LAYOUT_FILES,
-    TPCAP_NAMES,
+    LAYOUTS,
     LayoutChoice,
     LayoutConfig,
-    LayoutName,
+    register_layout,
     require_layout,
 )
 from carpark_mj.config.metrics import MetricsConfig
@@ -51,12 +50,11 @@ from carpark_mj.config.units import WORLD_UNIT
 
 __all__ = [
     "CONTACT_SIM_DT",
-    "LAYOUT_FILES",
+    "LAYOUTS",
     "MOVERS",
     "PARKED_RULES",
     "PHYSICS",
     "REWARDS",
-    "TPCAP_NAMES",
     "WORLD_UNIT",
     "BayPart",
     "ContextName",
@@ -71,7 +69,6 @@ __all__ = [
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
-    "LayoutName",
     "MetricsConfig",
     "Mover",
     "Observation",
@@ -97,6 +94,7 @@ __all__ = [
     "insert",
     "is_data",
     "physics_config",
+    "register_layout",
     "register_rule",
     "require_layout",
     "require_rule",

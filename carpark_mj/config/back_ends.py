@@ -113,5 +113,9 @@ def physics_config(physics: PhysicsChoice) -> PhysicsConfig:
 
     Raises:
         ValueError: unknown name.
+        TypeError: it stands for something else.
     """
-    return physics if isinstance(physics, PhysicsConfig) else PHYSICS[physics]
+    found = physics if isinstance(physics, PhysicsConfig) else PHYSICS[physics]
+    if not isinstance(found, PhysicsConfig):  # pyright: ignore
+        raise TypeError(f"physics {physics!r} must be a PhysicsConfig, not {found!r}")
+    return found

@@ -34,15 +34,12 @@ class EnvConfig:
     """A parking environment.
 
     Attributes:
-        layout: the lot, by name: `tanner` (the study's square, 3.375 m x 5.625 m
-            bays), `compact` (the same with 2.5 m x 5.0 m bays), or a family with its
-            default settings: `street`, `street_parallel`, `angled`, `lot`,
-            `garage_row`, `dead_end`, `slots` (Pandita 2022; also `slots_diagonal`,
-            `slots_parallel`, `slots_single`, `slots_single_diagonal`), HOPE's levels
-            (`hope_normal_perpendicular` and others), `metadrive`, `mixture`. Or a
-            layout file (.json, or a TPCAP case as .csv). A comma-separated list is a
-            mixture. From Python also the config of a family, see `carpark_mj.layouts`.
-        vehicle: name of a preset in `carpark_mj.vehicle`.
+        layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `compact` (the same
+            with 2.5 m x 5.0 m bays), a random family as `street`, or any other of
+            `LAYOUTS`, to which studies and other packages add theirs. Or a layout file
+            (.json). A comma-separated list is a mixture. From Python also the config
+            of a family, see `carpark_mj.layouts`.
+        vehicle: name of one of `carpark_mj.vehicle.VEHICLES`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,
             uniform from here to `num_agents`. With fixed goals and `occupancy` a lot
@@ -74,7 +71,7 @@ class EnvConfig:
         metrics: optional measurements.
     """
 
-    layout: LayoutChoice = "tanner"
+    layout: LayoutChoice = "square"
     vehicle: str = "compact"
     num_agents: int = 2
     min_agents: int | None = None

@@ -1,61 +1,36 @@
-"""Which lot: names, files, and the base of the families' configs."""
+"""Which lot: the base of the layouts' configs, and the registries of their names."""
 
 import abc
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from carpark_mj.config.checks import CheckedConfig
+from carpark_mj.extensions import Registry
 
-# Layouts given by name alone; `carpark_mj.layouts` defines them.
-LayoutName = Literal[
-    "angled",
-    "compact",
-    "dead_end",
-    "garage_row",
-    "hope_complex_parallel",
-    "hope_complex_perpendicular",
-    "hope_extreme_parallel",
-    "hope_normal_parallel",
-    "hope_normal_perpendicular",
-    "lot",
-    "metadrive",
-    "mixture",
-    "slots",
-    "slots_diagonal",
-    "slots_parallel",
-    "slots_single",
-    "slots_single_diagonal",
-    "square",
-    "street",
-    "street_parallel",
-    "tanner",
-    "tpcap",
-]
-TPCAP_NAMES = tuple(f"tpcap_{number}" for number in range(1, 21))  # one case each
-LAYOUT_FILES = (".json", ".csv")
-
-
-def require_layout(name: str) -> None:
-    """Refuses what is neither the name of a layout nor that of a layout file.
-
-    Raises:
-        ValueError: with the known names.
-    """
-    known = sorted(get_args(LayoutName))
-    if not name.endswith(LAYOUT_FILES) and name not in (*known, *TPCAP_NAMES):
-        raise ValueError(
-            f"unknown layout {name!r}; choose from {known}, or {TPCAP_NAMES[0]} to "
-            f"{TPCAP_NAMES[-1]}, or name a file ({', '.join(LAYOUT_FILES)})"
-        )
+_HOME = "carpark_mj.layouts"
 
 
 class LayoutConfig(CheckedConfig, abc.ABC):
-    """Base of the configs in `carpark_mj.layouts`, one frozen dataclass per family.
+    """A family of lots: a frozen dataclass of its settings, which draws them.
 
     Attributes:
-        family: name of the generator.
+        family: its name in files, the default of each class and never another.
     """
 
     family: str
+
+    @abc.abstractmethod
+    def generate(self, key: Any) -> Any:
+        """Draws a lot, a `carpark_mj.layouts.Layout`.
+
+        The same key gives the same lot, other keys the same shapes.
+        """
+
+    def generate_member(self, member: Any, key: Any) -> Any:
+        """Draws a lot of one member, () int32, of a mixture; there is none here."""
+        del member
+        return self.generate(key)
 
     @property
     @abc.abstractmethod
@@ -85,6 +60,53 @@ class LayoutConfig(CheckedConfig, abc.ABC):
         config; empty if unknown.
         """
         return ()
+
+
+Config = TypeVar("Config", bound=LayoutConfig)
+LAYOUTS: Registry[LayoutConfig] = Registry("layout", _HOME)
+# Classes by their `family`, so that configs can be read from files.
+FAMILIES: Registry[type[LayoutConfig]] = Registry("family", _HOME)
+# What reads a layout from a file, a `Layout`, by the suffix of the file's name.
+LAYOUT_FORMATS: Registry[Callable[[Path], Any]] = Registry("layout format", _HOME)
+
+
+def register_layout(name: str, config: Config) -> Config:
+    """Names a layout, and makes its family known.
+
+    Raises:
+        ValueError: the name is another layout's, or the family another class's.
+    """
+    FAMILIES.register(config.family, type(config))
+    LAYOUTS.register(name, config)
+    return config
+
+
+def layout_format(name: str) -> str:
+    """The format of a layout file; empty for the name of a layout, without a dot."""
+    return name.rpartition(".")[2] if "." in name else ""
+
+
+def require_layout_file(name: str) -> None:
+    """Refuses a file of an unknown format.
+
+    Raises:
+        ValueError: with the known formats.
+    """
+    if layout_format(name) not in LAYOUT_FORMATS:
+        known = ", ".join(f".{suffix}" for suffix in LAYOUT_FORMATS)
+        raise ValueError(f"a layout file must end in one of {known}, not {name!r}")
+
+
+def require_layout(name: str) -> None:
+    """Refuses what is neither the name of a layout nor that of a layout file.
+
+    Raises:
+        ValueError: with the known names.
+    """
+    if layout_format(name):
+        require_layout_file(name)
+    else:
+        _ = LAYOUTS[name]
 
 
 # tyro turns a union with dataclasses into subcommands; as a flag a layout is its name.

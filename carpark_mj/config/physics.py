@@ -24,7 +24,6 @@ class SimConfig(CheckedConfig):
         ctrl_dt: control period [s], a multiple of `sim_dt`.
         trace_dt: longest time between two collision tests within a control step [s].
         grade_x: slope of the ground along world x, rise over run; 0.05 = 5 % uphill.
-        grade_y: slope of the ground along world y, rise over run.
         tyres: tyre model: `brush`, or `contact`: MuJoCo's own contacts, for
             cross-checks; they need a `sim_dt` of at most 0.004 s.
         suspension: springs between contact tyres and car; brush tyres always have them.
@@ -37,7 +36,6 @@ class SimConfig(CheckedConfig):
     ctrl_dt: float = 0.2
     trace_dt: float = 0.05
     grade_x: float = 0.0
-    grade_y: float = 0.0
     tyres: TyresName = "brush"
     suspension: bool = False
     stepper: StepperName = "auto"
@@ -73,11 +71,8 @@ class SimConfig(CheckedConfig):
                 f"stepper must be 'auto' or 'mjx' with {self.tyres} tyres, whose "
                 "contacts need MuJoCo's solver, not 'unrolled'"
             )
-        for name in ("grade_x", "grade_y"):
-            if not abs(getattr(self, name)) < 1.0:
-                raise ValueError(
-                    f"{name} must lie within (-1, 1), not {getattr(self, name)}"
-                )
+        if not abs(self.grade_x) < 1.0:
+            raise ValueError(f"grade_x must lie within (-1, 1), not {self.grade_x}")
 
     def require_fine_steps(self) -> None:
         """Refuses substeps with which the tyres are unstable.

@@ -258,8 +258,8 @@ def _chunk(
     """Drives on by a control step for every key; what ended in each of them."""
 
     def report(step: Step) -> Any:
-        timestep = step.timestep
-        kind = env.fleet.kind_of(timestep.motion.size)
-        return timestep.events.done, kind, timestep.metrics
+        done, kind = step.timestep.events.done, step.before.kind
+        kind = jnp.zeros(done.shape, jnp.int32) if kind is None else kind
+        return done, kind, step.timestep.metrics
 
     return roll_out(env.with_values(values), acts(policy), carry, keys, report)

@@ -17,9 +17,14 @@ from carpark_mj.mdp.bays import Wanted, draw_bays, fits, shuffled_bays
 from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.reset_options import ResetOptions, given_goals, kept_clear
 from carpark_mj.types import NO_BAY, ParkedCars
-from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle, preset
+from carpark_mj.vehicle import (
+    VEHICLES,
+    Vehicle,
+    VehicleParameters,
+    make_vehicle,
+    preset,
+)
 from carpark_mj.vehicle.parameters import scaled
-from carpark_mj.vehicle.presets import BOXES, PRESETS
 
 
 class Start(NamedTuple):
@@ -29,11 +34,14 @@ class Start(NamedTuple):
         goal: (num_agents,) int32 goals, `NO_BAY` where agents choose them.
         parked_cars: the parked cars, in their bays.
         vehicles: nominal parameters of the agents' cars (num_agents,).
+        kind: (num_agents,) int32 which of the fleet's kinds they are; None if it has
+            one.
     """
 
     goal: jax.Array
     parked_cars: ParkedCars
     vehicles: Vehicle
+    kind: jax.Array | None = None
 
 
 class Fleet:
@@ -72,11 +80,6 @@ class Fleet:
         """Whether agents drive cars of several kinds, drawn at every spawn."""
         return bool(self._config.fleet.agents)
 
-    def kind_of(self, size: jax.Array) -> jax.Array:
-        """Which kinds (...) int32 agents' cars of sizes (..., 2) are."""
-        off = jnp.abs(size[..., None, :] - self._kinds.size).sum(axis=-1)
-        return jnp.argmin(off, axis=-1).astype(jnp.int32)
-
     def start(
         self,
         layout: Layout,
@@ -102,8 +105,8 @@ class Fleet:
         bay = order[goals : goals + m]
         if options is not None:
             goal, bay = self._around_given(layout, order, options)
-        parked = _in_bays(layout, bay, size, None)
-        return Start(goal, parked, self._of_kind(jnp.zeros(n, jnp.int32)))
+        parked = _in_bays(layout, ParkedCars(bay, jnp.zeros((m, 3)), size))
+        return Start(goal, parked, self.of_kind(jnp.zeros(n, jnp.int32)))
 
     def _around_given(
         self, layout: Layout, order: jax.Array, options: ResetOptions
@@ -173,38 +176,39 @@ class Fleet:
             columns = [_uniform(*pair, (m,)) for pair in zip(ranges, keys, strict=True)]
             offset = jnp.stack(columns, axis=-1)
         size = sizes[jnp.arange(m), parked_kind]
+        cars = ParkedCars(bay, jnp.zeros((m, 3)), size, offset, parked_kind)
         if not self.mixed:
             kind = jnp.zeros_like(kind)
-        return Start(goal, _in_bays(layout, bay, size, offset), self._of_kind(kind))
+        return Start(goal, _in_bays(layout, cars), self.of_kind(kind), kind)
 
-    def draw_agents(self, key: jax.Array) -> tuple[Vehicle, jax.Array]:
-        """Nominal parameters (num_agents,) of cars drawn by weight, and the next key.
+    def draw_kinds(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Kinds (num_agents,) int32 of cars drawn by weight, and the next key.
 
         Without a fleet of agents they are all of the one kind and nothing is drawn.
         """
         shape = (self._config.num_agents,)
         if not self.mixed:
-            return self._of_kind(jnp.zeros(shape, jnp.int32)), key
+            return jnp.zeros(shape, jnp.int32), key
         key, kind_key = jax.random.split(key)
         logits = jnp.log(self._weights)
         kind = jax.random.categorical(kind_key, logits, shape=shape)
-        return self._of_kind(kind), key
+        return kind.astype(jnp.int32), key
 
-    def parked_vehicles(self, parked_size: np.ndarray) -> list[VehicleParameters]:
-        """The presets, scaled, of parked cars of sizes (num_parked_cars, 2) [m]."""
-        shapes = np.array([p.length / p.width for p in self.parked_cars])
-        cars: list[VehicleParameters] = []
-        for length, width in np.asarray(parked_size, float):
-            # The scale keeps proportions, and no two presets share theirs.
-            car = self.parked_cars[np.abs(shapes - length / width).argmin()]
-            cars.append(scaled(car, length / car.length))
-        return cars
+    def parked_vehicles(self, cars: ParkedCars) -> list[VehicleParameters]:
+        """The presets, scaled, of parked cars."""
+        lengths = np.asarray(cars.size, float)[:, 0]
+        kinds = [0] * len(lengths) if cars.kind is None else np.asarray(cars.kind)
+        presets = [self.parked_cars[kind] for kind in kinds]
+        return [
+            scaled(car, length / car.length)
+            for car, length in zip(presets, lengths, strict=True)
+        ]
 
     def _no_goals(self) -> jax.Array:
         return jnp.full(self._config.num_agents, NO_BAY, jnp.int32)
 
-    def _of_kind(self, kind: jax.Array) -> Vehicle:
-        """Parameters of cars of kinds (...) int32."""
+    def of_kind(self, kind: jax.Array) -> Vehicle:
+        """Nominal parameters of cars of kinds (...) int32."""
         return jax.tree.map(lambda x: x[kind], self._kinds)
 
     def _goal_bays(self, layout: Layout) -> jax.Array:
@@ -230,15 +234,12 @@ class Fleet:
 
 def _name(vehicle: VehicleParameters, named: str) -> str:
     """What a car is called: as its preset, `named` if it is that one."""
-    names = [n for n, params in (PRESETS | BOXES).items() if params == vehicle]
-    return named if named in names else next(iter(names), "custom car")
+    if vehicle == preset(named):
+        return named
+    return VEHICLES.name_of(vehicle) or "custom car"
 
 
-def _in_bays(
-    layout: Layout, bay: jax.Array, size: jax.Array, offset: jax.Array | None
-) -> ParkedCars:
-    nowhere = jnp.zeros((*bay.shape, 3), jnp.float32)
-    cars = ParkedCars(bay=bay, pose_w=nowhere, size=size, offset=offset)
+def _in_bays(layout: Layout, cars: ParkedCars) -> ParkedCars:
     return dataclasses.replace(cars, pose_w=poses_in_bays(layout, cars))
 
 

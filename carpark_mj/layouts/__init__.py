@@ -4,26 +4,17 @@ from carpark_mj.layouts.angled import AngledConfig
 from carpark_mj.layouts.dead_end import DeadEndConfig
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.layouts.garage_row import GarageRowConfig
-from carpark_mj.layouts.hope import HOPE, HopeConfig
-from carpark_mj.layouts.lot_config import LotConfig
-from carpark_mj.layouts.metadrive import MetaDriveConfig
+from carpark_mj.layouts.lot import LotConfig
 from carpark_mj.layouts.mixture import MixtureConfig
 from carpark_mj.layouts.registry import (
-    FAMILIES,
-    NAMED,
-    SQUARES,
-    generate,
-    generate_member,
     layout_config,
     make_layout,
     member_shares,
     mixture,
 )
-from carpark_mj.layouts.slots import SlotsConfig
-from carpark_mj.layouts.square import COMPACT, TANNER, SquareConfig, square
+from carpark_mj.layouts.square import COMPACT, SQUARE, SquareConfig
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
-from carpark_mj.layouts.tpcap_cases import TpcapConfig
 from carpark_mj.layouts.types import (
     ROWS,
     BayEnd,
@@ -38,12 +29,8 @@ from carpark_mj.layouts.types import (
 
 __all__ = [
     "COMPACT",
-    "FAMILIES",
-    "HOPE",
-    "NAMED",
     "ROWS",
-    "SQUARES",
-    "TANNER",
+    "SQUARE",
     "AngledConfig",
     "BayEnd",
     "BayKind",
@@ -52,25 +39,18 @@ __all__ = [
     "DiscKind",
     "FromFileConfig",
     "GarageRowConfig",
-    "HopeConfig",
     "Layout",
     "LotConfig",
     "Maxima",
-    "MetaDriveConfig",
     "MixtureConfig",
-    "SlotsConfig",
     "SquareConfig",
     "StreetConfig",
     "StreetParallelConfig",
-    "TpcapConfig",
     "WallKind",
-    "generate",
-    "generate_member",
     "layout_config",
     "layout_maxima",
     "make_layout",
     "member_shares",
     "mixture",
     "pad_layout",
-    "square",
 ]

@@ -4,11 +4,10 @@ import dataclasses
 
 import jax
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import Range
 from carpark_mj.layouts import standards
-from carpark_mj.layouts.lot import lot
-from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts.lot import LotConfig
 from carpark_mj.layouts.ranges import IntRange
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
@@ -71,7 +70,9 @@ class AngledConfig(LayoutConfig):
         """The roomiest ways into bays, by angle."""
         return self.as_lot().entries
 
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a lot of angled bays."""
+        return self.as_lot().generate(key)
 
-def angled(config: AngledConfig, key: jax.Array) -> Layout:
-    """Draws a lot of angled bays."""
-    return lot(config.as_lot(), key)
+
+register_layout("angled", AngledConfig())

@@ -9,6 +9,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config import register_layout
 from carpark_mj.config.checks import Range
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import assemble, bays, boundary, walls
@@ -45,35 +46,39 @@ class DeadEndConfig(TightConfig):
         """The fewest bays that any key gives."""
         return 2 * self.bays_per_side[0]
 
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws an aisle along x whose blind end lies at +x."""
+        chance = chances(key, 5)
+        count = draw_int(chance[0], self.bays_per_side)
+        size, cell, yaw = draw_tight_bay(self, chance[1:3])
+        approach = draw(chance[3], self.approach)
+        end = draw(chance[4], self.end_length)
+        aisle = self.room.aisle
+        depth = cell[1] + standards.WALL_GAP
+        half_x = (approach + count * cell[0] + end) / 2
+        half_y = aisle / 2 + depth
+        row = jnp.arange(self.bays_per_side[1])
+        x = approach - half_x + (row + 0.5) * cell[0]
+        y = (aisle + cell[1]) / 2
+        turn = 0.0 if self.orientation == "perpendicular" else jnp.pi
+        bay_pose = jnp.stack(
+            [
+                jnp.stack(jnp.broadcast_arrays(x, s * y, s * yaw + way), axis=-1)
+                for s, way in ((1.0, turn), (-1.0, 0.0))
+            ]
+        )
+        block_y = (aisle + depth) / 2
+        block_x = approach / 2 - half_x
+        block = jnp.stack(
+            [jnp.stack([block_x, s * block_y, 0 * depth]) for s in (1, -1)]
+        )
+        return assemble(
+            jnp.stack([half_x, half_y]),
+            bays(bay_pose, size, mask=row < count),
+            boundary(half_x, half_y, self.wall_thickness, WallKind.WALL),
+            walls(block, jnp.stack([approach, depth])),
+            *two_way_aisle(self.car, 2 * half_x, jnp.zeros(()), aisle),
+        )
 
-def dead_end(config: DeadEndConfig, key: jax.Array) -> Layout:
-    """Draws an aisle along x whose blind end lies at +x."""
-    chance = chances(key, 5)
-    count = draw_int(chance[0], config.bays_per_side)
-    size, cell, yaw = draw_tight_bay(config, chance[1:3])
-    approach = draw(chance[3], config.approach)
-    end = draw(chance[4], config.end_length)
-    aisle = config.room.aisle
-    depth = cell[1] + standards.WALL_GAP
-    half_x = (approach + count * cell[0] + end) / 2
-    half_y = aisle / 2 + depth
-    row = jnp.arange(config.bays_per_side[1])
-    x = approach - half_x + (row + 0.5) * cell[0]
-    y = (aisle + cell[1]) / 2
-    turn = 0.0 if config.orientation == "perpendicular" else jnp.pi
-    bay_pose = jnp.stack(
-        [
-            jnp.stack(jnp.broadcast_arrays(x, s * y, s * yaw + way), axis=-1)
-            for s, way in ((1.0, turn), (-1.0, 0.0))
-        ]
-    )
-    block_y = (aisle + depth) / 2
-    block_x = approach / 2 - half_x
-    block = jnp.stack([jnp.stack([block_x, s * block_y, 0 * depth]) for s in (1, -1)])
-    return assemble(
-        jnp.stack([half_x, half_y]),
-        bays(bay_pose, size, mask=row < count),
-        boundary(half_x, half_y, config.wall_thickness, WallKind.WALL),
-        walls(block, jnp.stack([approach, depth])),
-        *two_way_aisle(config.car, 2 * half_x, jnp.zeros(()), aisle),
-    )
+
+register_layout("dead_end", DeadEndConfig())

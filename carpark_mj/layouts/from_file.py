@@ -1,4 +1,4 @@
-"""A lot from a file: JSON, in which a car park can be drawn by hand, or TPCAP CSV."""
+"""A lot from a file, of any of the `LAYOUT_FORMATS`."""
 
 import dataclasses
 import functools
@@ -8,9 +8,13 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import LAYOUT_FILES, LayoutConfig
-from carpark_mj.layouts.json_file import read_json
-from carpark_mj.layouts.tpcap import read_tpcap
+from carpark_mj.config import LayoutConfig
+from carpark_mj.config.layouts import (
+    FAMILIES,
+    LAYOUT_FORMATS,
+    layout_format,
+    require_layout_file,
+)
 from carpark_mj.layouts.types import Layout
 from carpark_mj.reading import read_bytes
 
@@ -23,8 +27,8 @@ class FromFileConfig(LayoutConfig):
     another.
 
     Attributes:
-        path: `.json` (see `carpark_mj.layouts.json_file`) or `.csv` (a TPCAP case, see
-            `carpark_mj.layouts.tpcap`).
+        path: of the file; its suffix says the format: `.json`, in which a car park can
+            be drawn by hand (`carpark_mj.layouts.json_file`), or that of an extension.
         family: fixed.
     """
 
@@ -33,10 +37,7 @@ class FromFileConfig(LayoutConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.path.endswith(LAYOUT_FILES):
-            raise ValueError(
-                f"path must end in one of {', '.join(LAYOUT_FILES)}, not {self.path!r}"
-            )
+        require_layout_file(self.path)
         _read(self.path, self._content)  # refuses a bad file
 
     def __eq__(self, other: object) -> bool:
@@ -82,16 +83,17 @@ class FromFileConfig(LayoutConfig):
         """Whether other keys give other lots."""
         return False
 
+    def generate(self, key: jax.Array) -> Layout:
+        """The layout of the file; the key is unused."""
+        del key
+        return jax.tree.map(jnp.asarray, self.layout)
+
 
 @functools.cache
 def _read(path: str, content: str) -> Layout:
     """The layout of a file as numpy arrays, read once for each content."""
     del content
-    reader = read_json if path.endswith(".json") else read_tpcap
-    return jax.device_get(reader(Path(path)))
+    return jax.device_get(LAYOUT_FORMATS[layout_format(path)](Path(path)))
 
 
-def from_file(config: FromFileConfig, key: jax.Array) -> Layout:
-    """The layout of the file; the key is unused."""
-    del key
-    return jax.tree.map(jnp.asarray, config.layout)
+FAMILIES.register("from_file", FromFileConfig)

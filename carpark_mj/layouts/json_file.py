@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from carpark_mj.config.layouts import LAYOUT_FORMATS
 from carpark_mj.layouts import build
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
@@ -72,6 +73,9 @@ def read_json(path: Path) -> Layout:
     if faults := describe_faults(layout, ANY_CAR, lines):
         raise ValueError(f"{path} is not a valid layout: {'; '.join(faults)}")
     return layout
+
+
+LAYOUT_FORMATS.register("json", read_json)
 
 
 class _RowError(ValueError):

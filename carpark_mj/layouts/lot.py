@@ -5,10 +5,13 @@ the aisles, entrances lead into the cross aisles through the outer walls, and a 
 closes each of them, so that no car leaves the lot.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.config import register_layout
 from carpark_mj.geometry import move_forward
 from carpark_mj.layouts.build import (
     Group,
@@ -20,7 +23,7 @@ from carpark_mj.layouts.build import (
     two_lanes,
     walls,
 )
-from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts.lot_config import LotSettings
 from carpark_mj.layouts.ranges import chances, draw, draw_int
 from carpark_mj.layouts.rows import cell_poses, mirror, row_depth
 from carpark_mj.layouts.standards import (
@@ -78,7 +81,7 @@ class _Plan:
     entrance_mask: jax.Array
 
 
-def _draw_plan(config: LotConfig, key: jax.Array) -> _Plan:
+def _draw_plan(config: LotSettings, key: jax.Array) -> _Plan:
     chance = chances(key, 9)
     count = draw_int(chance[0], config.num_aisles)
     per_row = draw_int(chance[1], config.bays_per_row)
@@ -122,18 +125,25 @@ def _draw_plan(config: LotConfig, key: jax.Array) -> _Plan:
     )
 
 
-def lot(config: LotConfig, key: jax.Array) -> Layout:
-    """Draws a car park whose aisles run along x; the first entrance is at -x."""
-    plan = _draw_plan(config, key)
-    return assemble(
-        plan.half + jnp.array([ENTRANCE_LENGTH, 0.0]),
-        *_rows(config, plan),
-        *_outer_walls(config, plan),
-        *_lanes(config, plan),
-    )
+@dataclasses.dataclass(frozen=True)
+class LotConfig(LotSettings):
+    """A car park, drawn from the ranges of `LotSettings`."""
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a car park whose aisles run along x; the first entrance is at -x."""
+        plan = _draw_plan(self, key)
+        return assemble(
+            plan.half + jnp.array([ENTRANCE_LENGTH, 0.0]),
+            *_rows(self, plan),
+            *_outer_walls(self, plan),
+            *_lanes(self, plan),
+        )
 
 
-def _rows(config: LotConfig, plan: _Plan) -> list[Group]:
+register_layout("lot", LotConfig())
+
+
+def _rows(config: LotSettings, plan: _Plan) -> list[Group]:
     """Bays, strips at the ends of the rows and pillars; (aisles, 2 sides, cells)."""
     num_aisles, most = config.num_aisles[1], config.bays_per_row[1]
     shape = (num_aisles, 2, most)
@@ -181,7 +191,9 @@ def _rows(config: LotConfig, plan: _Plan) -> list[Group]:
     return groups
 
 
-def _strips(config: LotConfig, plan: _Plan, pose: jax.Array, width: jax.Array) -> Group:
+def _strips(
+    config: LotSettings, plan: _Plan, pose: jax.Array, width: jax.Array
+) -> Group:
     """Islands or pairs of bollards at the ends of the rows (aisles, 2 sides, 2)."""
     mask = plan.aisle_mask[:, None, None]
     if config.row_ends == "islands":
@@ -194,7 +206,7 @@ def _strips(config: LotConfig, plan: _Plan, pose: jax.Array, width: jax.Array) -
     return discs(centre, BOLLARD_RADIUS, DiscKind.BOLLARD, mask[..., None])
 
 
-def _lanes(config: LotConfig, plan: _Plan) -> list[Group]:
+def _lanes(config: LotSettings, plan: _Plan) -> list[Group]:
     """Lanes of aisles, cross aisles and entrances, and spawn regions in them."""
     zero = jnp.zeros_like(plan.aisle_y)
     pose = jnp.stack([zero, plan.aisle_y, zero], axis=-1)
@@ -226,7 +238,7 @@ def _lanes(config: LotConfig, plan: _Plan) -> list[Group]:
     return [*groups, spawns_in(config.car, pose, size, plan.entrance_mask)]
 
 
-def _outer_walls(config: LotConfig, plan: _Plan) -> list[Group]:
+def _outer_walls(config: LotSettings, plan: _Plan) -> list[Group]:
     """Walls around the lot with openings at the entrances, and the gates in them."""
     thick = jnp.float32(config.wall_thickness)
     kind = WallKind.WALL if config.boundary == "wall" else WallKind.KERB

@@ -25,7 +25,7 @@ Boundary = Literal["wall", "kerb"]
 
 
 @dataclasses.dataclass(frozen=True)
-class LotConfig(LayoutConfig):
+class LotSettings(LayoutConfig):
     """Ranges of a car park; lengths [m].
 
     Attributes:

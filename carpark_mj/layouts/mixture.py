@@ -7,11 +7,15 @@ lots of different families, and all keys share one compiled program.
 import dataclasses
 import math
 
-from carpark_mj.config import LayoutConfig
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.layouts.angled import AngledConfig
 from carpark_mj.layouts.square import COMPACT
 from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
 from carpark_mj.layouts.turning import Entry
+from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,3 +69,22 @@ class MixtureConfig(LayoutConfig):
         """Those of all members; not known if those of one are not."""
         entries = [member.entries for member in self.members]
         return sum(entries, ()) if all(entries) else ()
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a family, then a lot of it."""
+        weights = jnp.array(self.weights or (1.0,) * len(self.members), jnp.float32)
+        pick_key, lot_key = jax.random.split(key)
+        pick = jax.random.categorical(pick_key, jnp.log(weights))
+        return self.generate_member(pick, lot_key)
+
+    def generate_member(self, member: jax.Array, key: jax.Array) -> Layout:
+        """Draws a lot of one member, () int32, padded like all lots of the mixture."""
+        draws = [config.generate for config in self.members]
+        maxima = layout_maxima(jax.eval_shape(draw, key) for draw in draws)
+        padded = [
+            lambda key, draw=draw: pad_layout(draw(key), maxima) for draw in draws
+        ]
+        return jax.lax.switch(member, padded, key)
+
+
+register_layout("mixture", MixtureConfig())

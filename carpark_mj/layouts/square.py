@@ -1,7 +1,9 @@
 """The square free-for-all lot: four rows of bays around an open square.
 
 Schematic (c) of Tanner 2022 (arXiv 2206.13338): no lanes, blocks in the corners, outer
-walls. `tanner` has the paper's proportions, `compact` real German bays.
+walls. `square` has the paper's proportions, 0.5625 m for a world unit, and the wall
+faces of its colliders: corner blocks 9 x 9 and outer walls at 37.5 world units (its
+drawing has 10 x 10 and 37). `compact` has real German bays.
 """
 
 import dataclasses
@@ -10,9 +12,8 @@ import math
 import jax
 import numpy as np
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import require_at_least, require_whole
-from carpark_mj.config.units import WORLD_UNIT
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
@@ -36,12 +37,12 @@ class SquareConfig(LayoutConfig):
     """
 
     bays_per_side: int = 9
-    bay_width: float = 6 * WORLD_UNIT
-    bay_length: float = 10 * WORLD_UNIT
-    wall_gap: float = 0.5 * WORLD_UNIT
-    block_inset: float = 0.5 * WORLD_UNIT
+    bay_width: float = 3.375
+    bay_length: float = 5.625
+    wall_gap: float = 0.28125
+    block_inset: float = 0.28125
     wall_thickness: float = 2.0
-    spawn_margin: float = 6 * WORLD_UNIT
+    spawn_margin: float = 3.375
     family: str = "square"
 
     def __post_init__(self) -> None:
@@ -84,55 +85,52 @@ class SquareConfig(LayoutConfig):
         """The roomiest way into a bay."""
         return (Entry(self.bays_per_side * self.bay_width, self.bay_width),)
 
+    def generate(self, key: jax.Array) -> Layout:
+        """Builds the lot; the key is unused, as nothing is random."""
+        del key
+        half = self.bays_per_side * self.bay_width / 2
+        depth = self.bay_length
+        along = (np.arange(self.bays_per_side) + 0.5) * self.bay_width - half
+        row = half + depth / 2
+        # Bottom, right, top, left; parked cars point at the centre of the lot.
+        bay_poses = [
+            *[(s, -row, math.pi / 2) for s in along],
+            *[(row, s, -math.pi) for s in along],
+            *[(s, row, -math.pi / 2) for s in along],
+            *[(-row, s, 0.0) for s in along],
+        ]
+        block = depth - 2 * self.block_inset
+        corner = half + self.block_inset + block / 2
+        face = half + depth + self.wall_gap
+        middle = face + self.wall_thickness / 2
+        span = 2 * (face + self.wall_thickness)
+        wall_poses = [
+            (sx * corner, sy * corner, 0.0) for sx in (-1, 1) for sy in (-1, 1)
+        ]
+        wall_sizes = [(block, block)] * 4
+        wall_poses += [(0.0, s * middle, 0.0) for s in (-1, 1)]
+        wall_poses += [(s * middle, 0.0, math.pi / 2) for s in (-1, 1)]
+        wall_sizes += [(span, self.wall_thickness)] * 2
+        wall_sizes += [(2 * face, self.wall_thickness)] * 2
+        side = 2 * (half - self.spawn_margin)
+        return assemble(
+            (face, face),
+            bays(np.array(bay_poses), (depth, self.bay_width)),
+            walls(np.array(wall_poses), np.array(wall_sizes)),
+            spawns([(0.0, 0.0, 0.0)], (side, side), math.pi),
+        )
 
-# Wall faces are those of Tanner's colliders: corner blocks 9 x 9 and outer walls at
-# 37.5 world units (the paper's drawing has 10 x 10 and 37).
-TANNER = SquareConfig()
+
+SQUARE = register_layout("square", SquareConfig())
 # Bays of 2.50 m x 5.00 m: EAR 23 (Germany), the common perpendicular bay.
-COMPACT = SquareConfig(
-    bay_width=2.5,
-    bay_length=5.0,
-    wall_gap=0.3,
-    block_inset=0.2,
-    wall_thickness=2.0,
-    spawn_margin=2.6,
+COMPACT = register_layout(
+    "compact",
+    SquareConfig(
+        bay_width=2.5,
+        bay_length=5.0,
+        wall_gap=0.3,
+        block_inset=0.2,
+        wall_thickness=2.0,
+        spawn_margin=2.6,
+    ),
 )
-
-
-def square(config: SquareConfig, key: jax.Array) -> Layout:
-    """Builds the square lot.
-
-    Args:
-        config: dimensions.
-        key: unused; a square lot has nothing random. Generators share this signature.
-    """
-    del key
-    half = config.bays_per_side * config.bay_width / 2
-    depth = config.bay_length
-    along = (np.arange(config.bays_per_side) + 0.5) * config.bay_width - half
-    row = half + depth / 2
-    # Bottom, right, top, left; parked cars point at the centre of the lot.
-    bay_poses = [
-        *[(s, -row, math.pi / 2) for s in along],
-        *[(row, s, -math.pi) for s in along],
-        *[(s, row, -math.pi / 2) for s in along],
-        *[(-row, s, 0.0) for s in along],
-    ]
-    block = depth - 2 * config.block_inset
-    corner = half + config.block_inset + block / 2
-    face = half + depth + config.wall_gap
-    middle = face + config.wall_thickness / 2
-    span = 2 * (face + config.wall_thickness)
-    wall_poses = [(sx * corner, sy * corner, 0.0) for sx in (-1, 1) for sy in (-1, 1)]
-    wall_sizes = [(block, block)] * 4
-    wall_poses += [(0.0, s * middle, 0.0) for s in (-1, 1)]
-    wall_poses += [(s * middle, 0.0, math.pi / 2) for s in (-1, 1)]
-    wall_sizes += [(span, config.wall_thickness)] * 2
-    wall_sizes += [(2 * face, config.wall_thickness)] * 2
-    side = 2 * (half - config.spawn_margin)
-    return assemble(
-        (face, face),
-        bays(np.array(bay_poses), (depth, config.bay_width)),
-        walls(np.array(wall_poses), np.array(wall_sizes)),
-        spawns([(0.0, 0.0, 0.0)], (side, side), math.pi),
-    )

@@ -10,7 +10,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import Range, require_at_least
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import (
@@ -79,6 +79,41 @@ class StreetConfig(LayoutConfig):
         angle = 0.0 if self.parallel else 90.0
         return Entry(self.aisle_width[end], self.bay_width[end], angle)
 
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a street along x.
+
+        Cars in perpendicular bays point at the street, in parallel bays along the lane
+        beside them.
+        """
+        chance = chances(key, 5)
+        count = draw_int(chance[0], self.bays_per_side)
+        width = draw(chance[1], self.bay_width)
+        length = draw(chance[2], self.bay_length)
+        aisle = draw(chance[3], self.aisle_width)
+        end = draw(chance[4], self.end_length)
+        along, across = (length, width) if self.parallel else (width, length)
+        row = jnp.arange(self.bays_per_side[1])
+        x = (row + 0.5 - count / 2) * along
+        y = (aisle + across) / 2
+        # Left of the lane along +x, then right of it.
+        yaws = (jnp.pi, 0.0) if self.parallel else (-jnp.pi / 2, jnp.pi / 2)
+        pose = jnp.stack(
+            [
+                jnp.stack(jnp.broadcast_arrays(x, side * y, yaw), axis=-1)
+                for side, yaw in zip((1.0, -1.0), yaws, strict=True)
+            ]
+        )
+        half = jnp.stack(
+            [count * along / 2 + end, aisle / 2 + across + standards.WALL_GAP]
+        )
+        kind = WallKind.KERB if self.parallel else WallKind.WALL
+        return assemble(
+            half,
+            bays(pose, jnp.stack([length, width]), mask=row < count),
+            boundary(half[0], half[1], self.wall_thickness, kind),
+            *two_way_street(self.car, 2 * half[0], aisle),
+        )
+
 
 @dataclasses.dataclass(frozen=True)
 class StreetParallelConfig(StreetConfig):
@@ -104,43 +139,13 @@ def require_aisle(aisle: Range, least: float) -> None:
         )
 
 
-def street(config: StreetConfig, key: jax.Array) -> Layout:
-    """Draws a street along x.
-
-    Cars in perpendicular bays point at the street, in parallel bays along the lane
-    beside them.
-    """
-    chance = chances(key, 5)
-    count = draw_int(chance[0], config.bays_per_side)
-    width = draw(chance[1], config.bay_width)
-    length = draw(chance[2], config.bay_length)
-    aisle = draw(chance[3], config.aisle_width)
-    end = draw(chance[4], config.end_length)
-    along, across = (length, width) if config.parallel else (width, length)
-    row = jnp.arange(config.bays_per_side[1])
-    x = (row + 0.5 - count / 2) * along
-    y = (aisle + across) / 2
-    # Left of the lane along +x, then right of it.
-    yaws = (jnp.pi, 0.0) if config.parallel else (-jnp.pi / 2, jnp.pi / 2)
-    pose = jnp.stack(
-        [
-            jnp.stack(jnp.broadcast_arrays(x, side * y, yaw), axis=-1)
-            for side, yaw in zip((1.0, -1.0), yaws, strict=True)
-        ]
-    )
-    half = jnp.stack([count * along / 2 + end, aisle / 2 + across + standards.WALL_GAP])
-    kind = WallKind.KERB if config.parallel else WallKind.WALL
-    return assemble(
-        half,
-        bays(pose, jnp.stack([length, width]), mask=row < count),
-        boundary(half[0], half[1], config.wall_thickness, kind),
-        *two_way_street(config.car, 2 * half[0], aisle),
-    )
-
-
 def two_way_street(
     car: DesignCar, length: jax.Array, aisle: jax.Array
 ) -> tuple[Group, Group]:
     """Two lanes along x about the origin, and the spawn regions in them."""
     pose, size = two_lanes(jnp.zeros(3), jnp.stack([length, aisle]))
     return lanes(pose, size), spawns_in(car, pose, size)
+
+
+register_layout("street", StreetConfig())
+register_layout("street_parallel", StreetParallelConfig())

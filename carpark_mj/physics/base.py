@@ -202,7 +202,7 @@ def require_plain_ground(sim: SimConfig, name: str) -> None:
     Raises:
         ValueError: a slope, a slippery surface or contact tyres.
     """
-    plain = {"grade_x": 0.0, "grade_y": 0.0, "surface": "dry", "tyres": "brush"}
+    plain = {"grade_x": 0.0, "surface": "dry", "tyres": "brush"}
     for setting, default in plain.items():
         value = getattr(sim, setting)
         if value != default:

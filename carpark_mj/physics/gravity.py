@@ -8,6 +8,5 @@ from carpark_mj.vehicle.parameters import GRAVITY
 
 def gravity_vector(sim: SimConfig) -> tuple[float, float, float]:
     """Gravity (3,) [m/s^2] seen from ground of the configured slope, normal to it."""
-    normal = math.sqrt(1.0 + sim.grade_x**2 + sim.grade_y**2)
-    g = GRAVITY / normal
-    return (-g * sim.grade_x, -g * sim.grade_y, -g)
+    g = GRAVITY / math.hypot(1.0, sim.grade_x)
+    return (-g * sim.grade_x, 0.0, -g)

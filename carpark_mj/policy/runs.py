@@ -16,8 +16,8 @@ from typing import Any
 
 from carpark_mj.config import PHYSICS, LayoutConfig, PhysicsConfig
 from carpark_mj.config.checks import require_type
+from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.config.obstacles import MOVERS, Mover
-from carpark_mj.layouts import FAMILIES
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.pretrained import describe_names
@@ -90,12 +90,7 @@ def _plain_value(value: Any) -> Any:
     if isinstance(value, dict) and "mover" in value:
         return from_dict(type(MOVERS[value["mover"]]), value)
     if isinstance(value, dict) and "family" in value:
-        family = value["family"]
-        if family not in FAMILIES:
-            raise ValueError(
-                f"unknown family {family!r}; choose from {sorted(FAMILIES)}"
-            )
-        return from_dict(FAMILIES[family].config, value)
+        return from_dict(FAMILIES[value["family"]], value)
     if isinstance(value, dict) and "back_end" in value:
         return from_dict(type(PHYSICS[value["back_end"]]), value)
     return value

@@ -1,8 +1,8 @@
 """Compares runs: tables with intervals, plots against a setting, curves, one page.
 
-python eval/analysis.py runs/cpu-0 runs/cpu-1 runs/cpu-2
-python eval/analysis.py runs/cpu-num_agents
-python eval/analysis.py runs/cpu-num_agents --metrics parked length --by env.num_agents
+carpark_mj analysis runs/cpu-0 runs/cpu-1 runs/cpu-2
+carpark_mj analysis runs/cpu-num_agents
+carpark_mj analysis runs/cpu-num_agents --metrics parked length --by env.num_agents
 """
 
 from collections.abc import Sequence

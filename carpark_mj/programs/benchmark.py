@@ -1,10 +1,10 @@
 """Measures performance: steps, training, physics, compilation and memory.
 
-python eval/benchmark.py                                   # this checkout
-python eval/benchmark.py --what env --batches 512 4096
-python eval/benchmark.py --what ppo --preset tanner-fixed --runs 1 4 16
-python eval/benchmark.py --against main~1 --out benchmark.csv
-python eval/benchmark.py --peer highway-env --batches 1024  # pip install ".[sb3,peers]"
+carpark_mj benchmark                                   # this checkout
+carpark_mj benchmark --what env --batches 512 4096
+carpark_mj benchmark --what ppo --preset tanner-fixed --runs 1 4 16
+carpark_mj benchmark --against main~1 --out benchmark.csv
+carpark_mj benchmark --peer highway-env --batches 1024  # pip install ".[sb3,peers]"
 
 `env` counts agent steps of the whole environment under random actions, `ppo` those of
 training end to end, `physics` substeps of cars alone: on brush tyres, on the same by
@@ -37,7 +37,7 @@ Cars = Literal["brush", "mjx.step", "contact"]
 
 @dataclasses.dataclass(frozen=True)
 class BenchmarkConfig:
-    """Settings of `python eval/benchmark.py`.
+    """Settings of `carpark_mj benchmark`.
 
     Attributes:
         what: what to measure.

@@ -3,10 +3,10 @@
 In a mixture of families also a table with a row per family, and `families.csv`.
 docs/metrics.md says what every number is.
 
-python eval/evaluate.py runs/cpu-0
-python eval/evaluate.py runs/cpu-mixture-0
-python eval/evaluate.py --policy random --episodes 500
-python eval/evaluate.py --policy zero --environment tanner-fixed
+carpark_mj evaluate runs/cpu-0
+carpark_mj evaluate runs/cpu-mixture-0
+carpark_mj evaluate --policy random --episodes 500
+carpark_mj evaluate --policy zero --environment tanner-fixed
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Exports a policy as an ONNX model, or as a checkpoint without training state.
 
-python train/export.py runs/cpu-0                      # runs/cpu-0/policy.onnx
-python train/export.py runs/cpu-0 --out policy.npz     # as the pretrained policies are
+carpark_mj export runs/cpu-0                      # runs/cpu-0/policy.onnx
+carpark_mj export runs/cpu-0 --out policy.npz     # as the pretrained policies are
 
 An ONNX model has an input for every observation field, with the normalisation inside,
 and is written only if onnxruntime computes the policy's actions with it.

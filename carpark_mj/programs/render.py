@@ -1,12 +1,12 @@
 """Renders a policy's evaluation episodes off-screen to an mp4, a GIF or a still.
 
-python eval/render.py runs/cpu-0
-python eval/render.py runs/cpu-0 --camera split:1 --show tracked,rings
-python eval/render.py runs/cpu-0 --physics scene --respawn false
-python eval/render.py runs/cpu-0 --camera chase:0 --seconds 30
-python eval/render.py runs/cpu-0 --camera driver:0 --layout lot --seed 3
-python eval/render.py runs/cpu-0 --frame 12 --out frame.png
-python eval/render.py --gallery --out gallery.png
+carpark_mj render runs/cpu-0
+carpark_mj render runs/cpu-0 --camera split:1 --show tracked,rings
+carpark_mj render runs/cpu-0 --physics scene --respawn false
+carpark_mj render runs/cpu-0 --camera chase:0 --seconds 30
+carpark_mj render runs/cpu-0 --camera driver:0 --layout lot --seed 3
+carpark_mj render runs/cpu-0 --frame 12 --out frame.png
+carpark_mj render --gallery --out gallery.png
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """Trains every combination of some settings, with several seeds each.
 
-    python train/sweep.py --base cpu --set num_agents=1..4 clip=0.1,0.2 --repeats 3
-    python train/sweep.py --base gpu --set discount=0.99,0.995 --cluster slurm
-    python eval/analysis.py runs/cpu-num_agents-clip    # tables, plots, a page
+    carpark_mj sweep --base cpu --set num_agents=1..4 clip=0.1,0.2 --repeats 3
+    carpark_mj sweep --base gpu --set discount=0.99,0.995 --cluster slurm
+    carpark_mj analysis runs/cpu-num_agents-clip    # tables, plots, a page
 
 The same command continues a sweep that was stopped: what is done is not run again, what
 was begun goes on from its checkpoint. `sweep.csv` in its folder has a row per run.

@@ -1,12 +1,12 @@
 """Trains one shared parking policy for all agents with PPO (IPPO).
 
-    python train/ppo.py                        # preset by hardware, runs/cpu-0 or gpu-0
-    python train/ppo.py --resume runs/cpu-0    # continues where it stopped
-    python train/ppo.py --preset tanner-fixed  # the study's grid world
-    python train/ppo.py --preset tanner-fixed --seeds 0..7       # runs side by side
-    python train/ppo.py --help-all             # every setting
-    python train/ppo.py --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
-    srun python train/ppo.py --coordinator auto                          # a cluster
+    carpark_mj train                        # preset by hardware, runs/cpu-0 or gpu-0
+    carpark_mj train --resume runs/cpu-0    # continues where it stopped
+    carpark_mj train --preset tanner-fixed  # the study's grid world
+    carpark_mj train --preset tanner-fixed --seeds 0..7       # runs side by side
+    carpark_mj train --help-all             # every setting
+    carpark_mj train --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
+    srun carpark_mj train --coordinator auto                         # a cluster
 
 Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at once.
 """
@@ -51,9 +51,7 @@ def run_on_host(arguments: Sequence[str]) -> int:
     ended = train_runs(read_runs(arguments, read))
     stopped = [str(folder) for folder, outcome in ended if outcome == "stopped"]
     if stopped:
-        print(
-            f"stopped; continue with: python train/ppo.py --resume {' '.join(stopped)}"
-        )
+        print(f"stopped; continue with: carpark_mj train --resume {' '.join(stopped)}")
     for folder, outcome in ended:
         if outcome == "done":
             print(f"done: {folder}")

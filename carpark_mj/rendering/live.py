@@ -14,7 +14,7 @@ from carpark_mj.policy.rollout import Carry, Step, acts, control_step
 from carpark_mj.rendering.recording import parked_trace
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.types import ENDINGS
+from carpark_mj.types import ENDINGS, State
 
 
 class LiveLot:
@@ -48,7 +48,7 @@ class LiveLot:
             len(self._shows),
             config.num_parked_cars,
             env.fleet.agents,
-            env.fleet.parked_vehicles(np.asarray(state.parked_cars.size)),
+            env.fleet.parked_vehicles(state.parked_cars),
             state.movers.groups,
         )
         self.traces = self._run_once()
@@ -62,7 +62,7 @@ class LiveLot:
         seen = {
             "pose_w": motion.trace_w[self._shows].swapaxes(0, 1),
             "steering": motion.steering[self._shows],
-            "size": motion.size[self._shows],
+            "kind": self._kind(step.before),
             "parked_pose": parked_trace(step.before, step.after, motion),
             "goal": step.after.goal[self._shows],
             "movers": step.after.movers.groups,
@@ -95,9 +95,13 @@ class LiveLot:
             np.asarray(motion.pose_w),
             np.asarray(motion.steering),
             np.asarray(state.parked_cars.pose_w),
-            np.asarray(motion.size),
+            self._kind(state),
             state.movers.groups,
         )
+
+    def _kind(self, state: State) -> jax.Array | None:
+        """Which kinds of cars (agents,) are driven; None if there is one."""
+        return None if state.kind is None else state.kind[self._shows]
 
     @property
     def begins(self) -> bool:
@@ -122,13 +126,13 @@ class LiveLot:
             seen[name][self._trace] for name in ("pose_w", "parked_pose")
         )
         movers = tuple(group.instant(self._trace) for group in seen["movers"])
-        self._place(pose, seen["steering"], parked_pose, seen["size"], movers)
+        self._place(pose, seen["steering"], parked_pose, seen["kind"], movers)
         self._trace += 1
         return begins
 
     def snapshot(self) -> Snapshot:
         """The present instant, as pictures show it."""
-        pose_w, steering, parked_pose, size, movers = self._shown
+        pose_w, steering, parked_pose, kind, movers = self._shown
         return Snapshot(
             seconds=self.seconds,
             pose_w=pose_w,
@@ -140,7 +144,7 @@ class LiveLot:
             state=("",) * len(pose_w),
             tally=dict(self.tally()),
             flashes=(),
-            size=size,
+            kind=kind,
             movers=movers,
         )
 

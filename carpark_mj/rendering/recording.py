@@ -16,7 +16,7 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.policy.acting import AnyPolicy, as_argument
 from carpark_mj.policy.rollout import Carry, Step, acts, roll_out
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.types import Motion, State
+from carpark_mj.types import Motion, ParkedCars, State
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,8 +40,9 @@ class Recording:
         crashed: (t, agents) bool, the agent crashed in this step.
         timed_out: (t, agents) bool, the agent timed out in this step.
         step: (t, agents) control steps made in the episode, this one included.
-        size: (t, agents, 2) footprints during the steps [m]; None if all are equal.
-        parked_size: (parked cars, 2) footprints [m]; None if all are equal.
+        kind: (t, agents) which of the fleet's kinds of cars they drive; None if it has
+            one.
+        parked_cars: (parked cars,) as the lot began; None if all are alike.
         tracked_bays: (t, agents, slots) bays tracked during the steps, `NO_BAY` in
             empty slots; None while goals are fixed.
         movers: obstacles that move by themselves, (t, ...) in front.
@@ -59,22 +60,22 @@ class Recording:
     crashed: np.ndarray
     timed_out: np.ndarray
     step: np.ndarray
-    size: np.ndarray | None = None
-    parked_size: np.ndarray | None = None
+    kind: np.ndarray | None = None
+    parked_cars: ParkedCars | None = None
     tracked_bays: np.ndarray | None = None
     movers: tuple[Group, ...] = ()
 
 
 def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
     """The stage with the lot and the cars of a recording."""
-    sizes = recording.parked_size
+    parked_cars = recording.parked_cars
     return Stage(
         recording.layout,
         env.vehicle,
         recording.pose_w.shape[2],
         recording.parked_pose.shape[2],
         env.fleet.agents,
-        () if sizes is None else env.fleet.parked_vehicles(sizes),
+        () if parked_cars is None else env.fleet.parked_vehicles(parked_cars),
         take(recording.movers, 0),
     )
 
@@ -121,9 +122,10 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
             "crashed": events.crashed,
             "timed_out": events.timed_out,
             "step": before.step + 1,
-            "size": motion.size,
             "movers": step.after.movers.groups,
         }
+        if before.kind is not None:
+            frame["kind"] = before.kind
         if before.tracked_bays is not None:
             frame["tracked_bays"] = before.tracked_bays
         return frame
@@ -148,7 +150,7 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
     return Recording(
         layout=state.layout,
         ctrl_dt=env.config.sim.ctrl_dt,
-        parked_size=np.asarray(state.parked_cars.size)[here],
+        parked_cars=jax.tree.map(lambda x: x[here], jax.device_get(state.parked_cars)),
         movers=movers,
         **frames,
     )

@@ -134,7 +134,7 @@ class LotRenderer:
     def place(self, seen: Snapshot) -> None:
         """Puts all cars where they are; wheels roll by the way since the last call."""
         self._stage.place(
-            seen.pose_w, seen.steering, seen.parked_pose, seen.size, seen.movers
+            seen.pose_w, seen.steering, seen.parked_pose, seen.kind, seen.movers
         )
 
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:

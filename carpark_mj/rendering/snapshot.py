@@ -48,7 +48,8 @@ class Snapshot:
         state: a word or two per agent: what it does, or how its episode ended.
         tally: numbers to show by name: episodes ended so far, by outcome.
         flashes: episodes that ended a moment ago.
-        size: (agents, 2) footprints [m]; None if all are equal.
+        kind: (agents,) which of the fleet's kinds of cars they drive; None if it has
+            one.
         tracked_bay_xy: (agents, slots, 2) centres of tracked bays, NaN in empty slots;
             None while goals are fixed.
         movers: obstacles that move by themselves.
@@ -64,7 +65,7 @@ class Snapshot:
     state: tuple[str, ...]
     tally: dict[str, float]
     flashes: tuple[Flash, ...]
-    size: np.ndarray | None = None
+    kind: np.ndarray | None = None
     tracked_bay_xy: np.ndarray | None = None
     movers: tuple[Group, ...] = ()
 
@@ -110,7 +111,7 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
         state=tuple(_state(recording, step, agent) for agent in range(len(goal_pose))),
         tally={name: int(events[:over].sum()) for name, events in ended.items()},
         flashes=tuple(flashes),
-        size=None if recording.size is None else recording.size[step],
+        kind=None if recording.kind is None else recording.kind[step],
         tracked_bay_xy=bay_xy,
         movers=tuple(take(group, step).instant(trace) for group in recording.movers),
     )

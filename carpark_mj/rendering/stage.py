@@ -49,7 +49,6 @@ class Stage:
         """
         self.layout, self.params, self.num_agents = layout, params, num_agents
         self._kinds = tuple(agent_kinds) or (params,)
-        self._sizes = np.array([(p.length, p.width) for p in self._kinds])
         self._kind = np.zeros(num_agents, int)
         self._parked_cars = tuple(parked_cars) or (params,) * num_parked_cars
         self._movers = tuple(movers)
@@ -82,7 +81,7 @@ class Stage:
         pose_w: np.ndarray,
         steering: np.ndarray,
         parked_pose: np.ndarray,
-        size: np.ndarray | None = None,
+        kind: np.ndarray | None = None,
         movers: Sequence[Group] = (),
     ) -> None:
         """Puts all cars in their places; wheels roll by the way since the last call.
@@ -91,17 +90,16 @@ class Stage:
             pose_w: (agents, 3) footprint centres.
             steering: (agents,) bicycle angles [rad].
             parked_pose: (parked cars, 3) footprint centres.
-            size: (agents, 2) footprints [m], by which the cars that agents drive are
-                told apart; None if there is one kind.
+            kind: (agents,) which of the kinds of cars each agent drives; None if there
+                is one.
             movers: as many as the scene was made for.
         """
-        if size is not None:
-            error = np.abs(size[:, None] - self._sizes).max(axis=-1)
-            self._kind = error.argmin(axis=1)
+        if kind is not None:
+            self._kind = np.asarray(kind)
         self._roll(pose_w)
         for agent, shown in enumerate(self._kind):
-            for kind in range(len(self._kinds)):
-                root = self.data.joint(f"{car_prefix(agent, kind)}root")
+            for each in range(len(self._kinds)):
+                root = self.data.joint(f"{car_prefix(agent, each)}root")
                 root.qpos = [0.0, 0.0, HIDDEN, 1.0, 0.0, 0.0, 0.0]
             self._place_agent(agent, int(shown), pose_w[agent], float(steering[agent]))
         for address, pose, params in zip(

@@ -80,7 +80,9 @@ def find_field(name: str, config: Any) -> str:
         near = difflib.get_close_matches(
             wanted, [path.rpartition(".")[2] for path in known] + known, n=1
         )
-        hint = f"perhaps you meant {near[0]}" if near else "see train/ppo.py --help-all"
+        hint = "see carpark_mj train --help-all"
+        if near:
+            hint = f"perhaps you meant {near[0]}"
         raise ValueError(f"unknown setting {name!r}; {hint}")
     if found[0] in OWN_FIELDS:
         raise ValueError(f"{found[0]} is the sweep's to set, not a value to sweep")

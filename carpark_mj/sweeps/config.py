@@ -18,10 +18,10 @@ from carpark_mj.training.run_folder import RunConfig
 
 @dataclasses.dataclass(frozen=True)
 class SweepConfig:
-    """Settings of `python train/sweep.py`.
+    """Settings of `carpark_mj sweep`.
 
     Attributes:
-        base: preset of `train/ppo.py` that all runs start from.
+        base: preset of `carpark_mj train` that all runs start from.
         set: `FIELD=VALUES` each: a setting by its dotted name, or the end of it that
             no other has, and its values, separated by commas, or by semicolons if they
             have commas themselves; `1..7` is a range. Every combination is trained.

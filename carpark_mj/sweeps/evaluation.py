@@ -26,7 +26,7 @@ class GroupEvaluation:
         self._first: tuple[Evaluator, AnyPolicy] | None = None
 
     def __call__(self, config: PPOConfig, folder: Path) -> None:
-        """Evaluates a run as `eval/evaluate.py FOLDER --out FOLDER` does."""
+        """Evaluates a run as `carpark_mj evaluate FOLDER --out FOLDER` does."""
         if not config.eval_episodes:
             return
         settings = EvaluateConfig(

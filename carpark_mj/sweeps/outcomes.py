@@ -4,7 +4,7 @@ runs/SWEEP/
     sweep.json          what all runs have in common
     sweep.csv           a row per run
     outcomes/RUN.json   that it is done, or why it failed
-    runs/RUN/           the run's own folder, as `train/ppo.py` leaves it
+    runs/RUN/           the run's own folder, as `carpark_mj train` leaves it
     logs/               what jobs print
 """
 

@@ -86,7 +86,7 @@ class Run:
 
     @property
     def arguments(self) -> list[str]:
-        """Flags of `train/ppo.py` that say what is trained, not where."""
+        """Flags of `carpark_mj train` that say what is trained, not where."""
         words = flags(dict(self.settings), PRESETS[self.base])
         return ["--preset", self.base, "--seed", str(self.seed), *words]
 

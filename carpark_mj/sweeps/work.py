@@ -98,7 +98,7 @@ def describe(error: Exception) -> str:
 
 
 def set_up_jax() -> None:
-    """What `train/ppo.py` does before it trains."""
+    """What `carpark_mj train` does before it trains."""
     from carpark_mj.cli.common import configure_jax, keep_compiled_programs
     from carpark_mj.rendering.gl import choose_gl
 

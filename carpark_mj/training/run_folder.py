@@ -100,6 +100,11 @@ def open_run(config: RunConfig) -> Generator[Path]:
             raise
 
 
+def argument(folder: Path) -> str:
+    """A run's folder as commands take it: a bare name may be that of a policy."""
+    return f"./{folder}" if folder.parent == Path() else str(folder)
+
+
 def _new_folder(config: RunConfig) -> Path:
     name = config.name or config.default_name
     folder = Path(config.runs_dir) / name

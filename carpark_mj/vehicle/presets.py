@@ -15,16 +15,34 @@ of 1.2 to 1.5 Hz and a damping ratio near 0.35, both [est]; `compact` keeps the
 defaults, on which published policies were trained.
 """
 
-import dataclasses
-import math
+from types import MappingProxyType
 
-from carpark_mj.config import WORLD_UNIT
-from carpark_mj.layouts.tpcap import TPCAP_CAR
+from carpark_mj.extensions import Registry
 from carpark_mj.vehicle.parameters import (
     TyreParameters,
     VehicleParameters,
-    kerb_to_kerb,
 )
+
+VEHICLES: Registry[VehicleParameters] = Registry("vehicle")
+
+
+def register_vehicle(name: str, params: VehicleParameters) -> VehicleParameters:
+    """Names a car, so that `EnvConfig.vehicle`, fleets and flags can have it.
+
+    Raises:
+        ValueError: the name is another car's.
+    """
+    return VEHICLES.register(name, params)
+
+
+def preset(name: str) -> VehicleParameters:
+    """Looks a vehicle up by name.
+
+    Raises:
+        ValueError: unknown name; the message lists the known ones.
+    """
+    return VEHICLES[name]
+
 
 # Fiat 500 (2007), front-driven.
 CITY = VehicleParameters(
@@ -175,68 +193,16 @@ VAN = VehicleParameters(
     tyre=TyreParameters(vertical_stiffness=38_000.0, vertical_damping=2900.0),  # [est]
 )
 
-PRESETS: dict[str, VehicleParameters] = {
-    "city": CITY,
-    "compact": COMPACT,
-    "sedan": SEDAN,
-    "sedan_fwd": SEDAN_FWD,
-    "suv": SUV,
-    "van": VAN,
-}
-
-
-# Cars of other studies: boxes on the chassis of a preset.
-BOXES: dict[str, VehicleParameters] = {
-    # Tanner 2022, 7.9 x 3.9 world units (his colliders are 0.1 smaller than what he
-    # draws). For the grid.
-    "tanner": dataclasses.replace(
-        COMPACT, length=7.9 * WORLD_UNIT, width=3.9 * WORLD_UNIT
-    ),
-    # highway-env's car (1.12, `vehicle/kinematics.py` and the ranges of
-    # `envs/parking_env.py`). For `highway` physics, which reads nothing else.
-    "highway": dataclasses.replace(
-        COMPACT,
-        length=5.0,
-        width=2.0,
-        rear_overhang=(5.0 - COMPACT.wheelbase) / 2,
-        turning_circle=kerb_to_kerb(
-            COMPACT.wheelbase, COMPACT.track_width, COMPACT.tyre_width, math.pi / 4
-        ),
-        max_acceleration=5.0,
-        max_deceleration=5.0,
-        max_speed=40.0,
-        max_reverse_speed=40.0,
-        steering_rate=1000.0,  # at once
-    ),
-    # The car of the TPCAP competition and of HOPE, with their limits, on the chassis of
-    # `sedan_fwd`.
-    "tpcap": dataclasses.replace(
-        SEDAN_FWD,
-        length=TPCAP_CAR.length,
-        width=TPCAP_CAR.width,
-        wheelbase=TPCAP_CAR.wheelbase,
-        rear_overhang=TPCAP_CAR.rear_overhang,
-        turning_circle=kerb_to_kerb(
-            TPCAP_CAR.wheelbase,
-            SEDAN_FWD.track_width,
-            SEDAN_FWD.tyre_width,
-            TPCAP_CAR.max_steering,
-        ),
-        max_acceleration=1.0,
-        max_speed=2.5,
-        max_reverse_speed=2.5,
-        steering_rate=0.5,
-    ),
-}
-
-
-def preset(name: str) -> VehicleParameters:
-    """Looks a vehicle preset up by name.
-
-    Raises:
-        ValueError: unknown name; the message lists the known ones.
-    """
-    cars = PRESETS | BOXES
-    if name not in cars:
-        raise ValueError(f"unknown vehicle {name!r}; choose from {sorted(cars)}")
-    return cars[name]
+# The cars that are drawn and measured; studies and other packages register more.
+PRESETS = MappingProxyType(
+    {
+        "city": CITY,
+        "compact": COMPACT,
+        "sedan": SEDAN,
+        "sedan_fwd": SEDAN_FWD,
+        "suv": SUV,
+        "van": VAN,
+    }
+)
+for name, params in PRESETS.items():
+    register_vehicle(name, params)

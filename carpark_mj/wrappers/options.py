@@ -2,11 +2,9 @@
 
 import dataclasses
 import functools
-from collections.abc import Hashable
 from typing import TypedDict, TypeVar
 
 from carpark_mj.config import (
-    LAYOUT_FILES,
     EnvConfig,
     LayoutChoice,
     PhysicsChoice,
@@ -15,9 +13,8 @@ from carpark_mj.config import (
     reward_preset,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import FAMILIES, MixtureConfig, layout_config
+from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
-from carpark_mj.vehicle import preset
 
 
 class Options(TypedDict, total=False):
@@ -77,7 +74,7 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
         reward = options["reward"]
         changes["reward"] = reward_preset(reward) if isinstance(reward, str) else reward
     config = dataclasses.replace(config, **changes)
-    if isinstance(config.layout, str) and any(x in config.layout for x in LAYOUT_FILES):
+    if isinstance(config.layout, str) and "." in config.layout:
         # The content decides, not the name: environments are shared.
         config = dataclasses.replace(config, layout=layout_config(config.layout))
     return config
@@ -88,21 +85,7 @@ def shared_env(config: EnvConfig) -> ParkingEnv:
     return share(ParkingEnv, config)
 
 
-def share(kind: type[Env], config: EnvConfig) -> Env:
-    """An environment of one kind, the same for as long as names mean the same."""
-    return _make(kind, config, _definitions(config))
-
-
 @functools.lru_cache(maxsize=32)
-def _make(kind: type[Env], config: EnvConfig, definitions: Hashable) -> Env:
-    del definitions
+def share(kind: type[Env], config: EnvConfig) -> Env:
+    """The environment of one kind for a configuration, made only once."""
     return kind(config)
-
-
-def _definitions(config: EnvConfig) -> Hashable:
-    """What the names in a configuration stand for now: a notebook may redefine them."""
-    fleet = config.fleet
-    cars = [preset(x) for x in (config.vehicle, *fleet.agents, *fleet.parked_cars)]
-    lot = layout_config(config.layout)
-    members = lot.members if isinstance(lot, MixtureConfig) else (lot,)
-    return (*cars, lot, *(FAMILIES.get(member.family) for member in members))

@@ -13,6 +13,7 @@ from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_na
 from carpark_mj.rendering.snapshot import Snapshot, aimed_at
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.window import missing_display
+from carpark_mj.types import ParkedCars
 
 SIZE = 960, 540  # pixels
 RENDER_MODES = ["human", "rgb_array"]
@@ -102,13 +103,11 @@ class Screen:
 
     def _place(self, state: Any, lot: int) -> tuple[Stage, Snapshot]:
         """The scene of a lot with its cars in their places."""
-        names = ("layout", "motion", "parked_cars", "goal", "active", "movers")
+        names = ("layout", "motion", "parked_cars", "goal", "active", "movers", "kind")
         parts = tuple(getattr(state, name) for name in names)
         parts = jax.device_get(jax.tree.map(lambda x: x[lot], parts))
-        layout, motion, parked_cars, goal, active, movers = parts
-        stage = self._stage(
-            layout, parked_cars.size, movers.groups, most=len(state.goal)
-        )
+        layout, motion, parked_cars, goal, active, movers, kind = parts
+        stage = self._stage(layout, parked_cars, movers.groups, most=len(state.goal))
         goal_pose, goal_size = aimed_at(layout, goal)
         seen = Snapshot(
             seconds=0.0,
@@ -121,23 +120,24 @@ class Screen:
             state=(),
             tally={},
             flashes=(),
-            size=motion.size,
+            kind=kind,
             movers=movers.groups,
         )
         stage.place(
-            seen.pose_w, seen.steering, seen.parked_pose, seen.size, seen.movers
+            seen.pose_w, seen.steering, seen.parked_pose, seen.kind, seen.movers
         )
         return stage, seen
 
     def _stage(
         self,
         layout: Layout,
-        parked_size: np.ndarray,
+        parked_cars: ParkedCars,
         movers: Sequence[Group],
         most: int,
     ) -> Stage:
         """The scene of a lot and its parked cars; the `most` used last are kept."""
-        env, drawn = self._env, [*jax.tree.leaves(layout), parked_size]
+        looks = parked_cars.size, parked_cars.kind
+        env, drawn = self._env, jax.tree.leaves((layout, looks))
         key = b"".join(part.tobytes() for part in drawn)
         self._stages[key] = self._stages.pop(key, None) or Stage(
             layout,
@@ -145,7 +145,7 @@ class Screen:
             env.num_agents,
             env.config.num_parked_cars,
             env.fleet.agents,
-            env.fleet.parked_vehicles(parked_size),
+            env.fleet.parked_vehicles(parked_cars),
             movers,
         )
         if len(self._stages) > most:

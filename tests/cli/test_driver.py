@@ -7,7 +7,8 @@ import pytest
 from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import ContinuousObservation, EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.registry import ANYWHERE, METADRIVE
+from carpark_mj.registry import ANYWHERE
+from carpark_mj.studies.metadrive.environments import METADRIVE
 
 RUN = EnvConfig(num_agents=5, min_agents=3)
 

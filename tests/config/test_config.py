@@ -1,13 +1,12 @@
 import dataclasses
 import math
-from typing import get_args
 
 import pytest
 
 from carpark_mj.config import (
+    LAYOUTS,
     PARKED_RULES,
     REWARDS,
-    TPCAP_NAMES,
     ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
@@ -16,7 +15,6 @@ from carpark_mj.config import (
     GoalConfig,
     GoalRewards,
     IndexObservation,
-    LayoutName,
     ParkedRule,
     RandomizationConfig,
     RayConfig,
@@ -29,8 +27,9 @@ from carpark_mj.config import (
     ViewConfig,
     reward_preset,
 )
+from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import FAMILIES, NAMED, StreetConfig, layout_config
+from carpark_mj.layouts import StreetConfig, layout_config
 from carpark_mj.physics.mjx import MjxPhysics
 
 IMPOSSIBLE = [
@@ -60,7 +59,7 @@ IMPOSSIBLE = [
     (SimConfig, {"ctrl_dt": 0.004}, "ctrl_dt must be a multiple of sim_dt, not 0.004"),
     (SimConfig, {"trace_dt": 0.005}, "trace_dt must be at least sim_dt .* not 0.005"),
     (SimConfig, {"grade_x": 1.0}, "grade_x must lie within .* not 1.0"),
-    (SimConfig, {"grade_y": math.nan}, "grade_y must lie within .* not nan"),
+    (SimConfig, {"grade_x": math.nan}, "grade_x must lie within .* not nan"),
     (SpawnConfig, {"close_ratio": 1.5}, "close_ratio must lie in .* not 1.5"),
     (SpawnConfig, {"close_ratio": math.nan}, "close_ratio must lie in .* not nan"),
     (SpawnConfig, {"close_distance": -1.0}, "close_distance must be .* not -1.0"),
@@ -258,7 +257,7 @@ def test_a_full_lot_is_allowed():
 @pytest.mark.parametrize(
     ("make", "known"),
     [
-        (lambda: EnvConfig(layout="x"), sorted(get_args(LayoutName))),
+        (lambda: EnvConfig(layout="x"), [*LAYOUTS]),
         (lambda: EpisodeConfig(parked_rule="x"), sorted(PARKED_RULES)),
         (lambda: reward_preset("x"), ["shaped", "tanner"]),
     ],
@@ -374,16 +373,10 @@ def test_the_default_reward_is_the_shaped_preset():
     assert EnvConfig().reward == reward_preset("shaped")
 
 
-def test_every_layout_name_of_the_config_has_a_generator():
-    names = get_args(LayoutName)
-    # `hope` goes by the names of its levels; those of single cases are not listed.
-    assert set(names) == {*NAMED, *FAMILIES} - {"from_file", "hope", *TPCAP_NAMES}
-    assert any(layout_config(name).family == "hope" for name in names)
-    for name in (*names, *TPCAP_NAMES):
-        config = layout_config(EnvConfig(layout=name).layout)
-        assert FAMILIES[config.family].config is type(config)
-    with pytest.raises(ValueError, match=str(sorted(names)).replace("[", r"\[")):
-        EnvConfig(layout="none")
+def test_every_layout_has_a_known_family():
+    for name, config in LAYOUTS.items():
+        assert layout_config(EnvConfig(layout=name).layout) is config
+        assert FAMILIES[config.family] is type(config)
 
 
 def test_a_layout_is_a_name_a_file_or_a_config():

@@ -13,7 +13,7 @@ from carpark_mj.config import (
     SimConfig,
     TannerObservation,
 )
-from carpark_mj.layouts import FAMILIES
+from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.studies.cederle.junction import JunctionConfig

@@ -143,7 +143,7 @@ def test_members_of_a_mixture_get_their_shares_of_the_lots(shares, lots, counts)
 @pytest.mark.parametrize("episodes", [1, 40])
 def test_rare_members_of_a_mixture_get_a_lot_with_every_number_of_agents(episodes):
     config = EnvConfig(
-        layout=mixture(["tanner", "compact", "street"], [47, 2, 1]),
+        layout=mixture(["square", "compact", "street"], [47, 2, 1]),
         num_agents=2,
         min_agents=1,
         num_parked_cars=1,

@@ -120,7 +120,7 @@ def test_a_single_lot_has_no_table_of_families(everything, tmp_path):
     files = write_evaluation(tmp_path, everything, {})
     assert len(files) == 2
     assert "families" not in json.loads(files[1].read_text())
-    assert {row["family"] for row in everything.episodes} == {"tanner"}
+    assert {row["family"] for row in everything.episodes} == {"square"}
 
 
 def test_a_fleet_has_a_table_by_kind_of_car(plain, tmp_path):

@@ -22,8 +22,7 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fleet.checks import check_cars
 from carpark_mj.fleet.draw import Fleet
-from carpark_mj.layouts import layout_config, mixture
-from carpark_mj.layouts.lot_config import LotConfig
+from carpark_mj.layouts import LotConfig, layout_config, mixture
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.vehicle import COMPACT, PRESETS
 
@@ -107,7 +106,7 @@ def test_a_car_that_turns_wide_is_refused_only_where_it_gets_into_no_bay():
         config = EnvConfig(
             layout=layout, num_parked_cars=4, physics=physics, vehicle=vehicle
         )
-        return ParkingEnv(config, SlidePhysics())
+        return ParkingEnv(config, SlidePhysics() if physics == "mjx" else None)
 
     with pytest.raises(ValueError, match="the van needs an aisle"):
         make(NARROW)

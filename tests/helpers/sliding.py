@@ -57,7 +57,7 @@ class SlidePhysics(FactoredPhysics[SlideState]):
     """A stand-in back end for hand-worked steps: turn on the spot, then slide ahead.
 
     `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a car whose
-    speed is NaN diverges.
+    speed is NaN diverges. To the task they are cars like any other.
     """
 
     config = PHYSICS["mjx"]

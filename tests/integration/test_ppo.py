@@ -290,7 +290,7 @@ def test_a_run_renders_to_a_still_and_a_video(finished, environment, tmp_path):
 
 
 BAD = {
-    "unknown layout": (("--env.layout", "round"), "tanner"),
+    "unknown layout": (("--env.layout", "round"), "square"),
     "no agents": (("--env.num-agents", "0"), "num_agents must be at least 1, not 0"),
     "too many parked cars": (("--env.num-parked-cars", "35"), "at most 34"),
     "time steps": (("--env.sim.ctrl-dt", "0.015"), "multiple of sim_dt"),

@@ -10,10 +10,10 @@ import shapely
 from helpers.scenes import polygons
 from helpers.spawning import surroundings_of
 
-from carpark_mj.cli.layouts import SHOWN, main, run_scene
-from carpark_mj.config import LayoutConfig, SpawnConfig
+from carpark_mj.cli.layouts import VARIANTS, main, run_scene
+from carpark_mj.config import LAYOUTS, LayoutConfig, SpawnConfig
+from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts import (
-    FAMILIES,
     AngledConfig,
     BayKind,
     DeadEndConfig,
@@ -24,8 +24,6 @@ from carpark_mj.layouts import (
     StreetConfig,
     StreetParallelConfig,
     WallKind,
-    generate,
-    layout_config,
     layout_maxima,
     make_layout,
     pad_layout,
@@ -43,9 +41,10 @@ HARD = [
     "dead_end, perpendicular, complex",
     "dead_end, parallel, extreme",
 ]
-NAMES = HARD + [n for n in SHOWN if "," not in n or "angled" in n or "lot" in n]
-NAMES = [name for name in NAMES if name not in ("tanner", "mixture")]
-PLAIN = [name for name in NAMES if "," not in name]
+PLAIN = ["compact", "street", "street_parallel", "angled", "lot"]
+PLAIN += ["slots", "slots_diagonal", "slots_parallel"]
+NAMES = HARD + PLAIN + ["angled, back-in", "lot, deck with pillars", "lot, angled"]
+SHOWN = {name: LAYOUTS[name] for name in PLAIN} | VARIANTS
 PARALLEL = [name for name in NAMES if "parallel" in name]
 CAR = DesignCar()
 AREA = 0.02  # m^2; rounding of 1e-5 m along a few hundred metres of edges
@@ -54,15 +53,15 @@ AREA = 0.02  # m^2; rounding of 1e-5 m along a few hundred metres of edges
 @functools.cache
 def maxima():
     """Of all families, so that what judges them is compiled once."""
-    make = [functools.partial(generate, layout_config(SHOWN[n])) for n in NAMES]
+    make = [SHOWN[n].generate for n in NAMES]
     return layout_maxima(jax.eval_shape(one, jax.random.key(0)) for one in make)
 
 
 @functools.cache
 def drawn(name):
     """Lots of one family as numpy arrays with a leading (keys,)."""
-    config = layout_config(SHOWN[name])
-    make = jax.jit(jax.vmap(lambda key: pad_layout(generate(config, key), maxima())))
+    config = SHOWN[name]
+    make = jax.jit(jax.vmap(lambda key: pad_layout(config.generate(key), maxima())))
     return jax.device_get(make(jax.random.split(jax.random.key(0), KEYS)))
 
 
@@ -98,7 +97,7 @@ def test_bays_lanes_and_solids_do_not_overlap(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_lot_is_well_formed_and_holds_the_bays_promised(name):
-    config = layout_config(SHOWN[name])
+    config = SHOWN[name]
     for layout in lots(name):
         assert describe_faults(layout, CAR.size) == []
         assert layout.bay_mask.sum() >= config.min_bays
@@ -164,8 +163,8 @@ def test_no_car_spawns_in_a_wall_a_disc_or_a_bay(name):
 
 @pytest.mark.parametrize("name", ["compact", "lot, deck with pillars", HARD[0]])
 def test_the_same_key_gives_the_same_lot_alone_and_in_a_batch(name):
-    config, layout = layout_config(SHOWN[name]), lots(name, 3)[2]
-    make = jax.jit(lambda key: pad_layout(generate(config, key), maxima()))
+    config, layout = SHOWN[name], lots(name, 3)[2]
+    make = jax.jit(lambda key: pad_layout(config.generate(key), maxima()))
     key = jax.random.split(jax.random.key(0), KEYS)[2]
     one, again = make(key), make(key)
     for a, b, c in zip(*map(jax.tree.leaves, (one, again, layout)), strict=True):
@@ -178,7 +177,7 @@ def test_the_same_key_gives_the_same_lot_alone_and_in_a_batch(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_other_keys_give_other_lots_of_random_families(name):
     extents = np.unique(drawn(name).extent.round(4), axis=0)
-    random = layout_config(SHOWN[name]).is_random
+    random = SHOWN[name].is_random
     assert len(extents) > KEYS / 2 if random else len(extents) == 1
 
 
@@ -293,7 +292,7 @@ def test_hard_cases_have_the_room_of_hopes_levels(orientation, level):
 
 @pytest.mark.parametrize("name", [n for n in HARD if "garage" in n])
 def test_every_garage_bay_has_a_wall_on_both_sides_and_one_opposite(name):
-    config = layout_config(SHOWN[name])
+    config = SHOWN[name]
     for layout in lots(name, 10):
         walls = solid(layout)
         for bay in boxes(layout, "bay"):
@@ -381,7 +380,7 @@ def test_lots_that_cannot_exist_are_refused_in_one_sentence(make, change, messag
 
 def test_every_config_names_its_family_and_is_hashable():
     for name, family in FAMILIES.items():
-        assert issubclass(family.config, LayoutConfig)
+        assert issubclass(family, LayoutConfig)
         if name != "from_file":
-            assert family.config().family == name
-            assert hash(family.config()) == hash(family.config())
+            assert family().family == name
+            assert hash(family()) == hash(family())

@@ -20,7 +20,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout, mixture
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.json_file import layout_text, read_json
-from carpark_mj.layouts.tpcap import EDGE, TPCAP_CAR, read_tpcap
+from carpark_mj.studies.tpcap.files import EDGE, TPCAP_CAR, read_tpcap
 from carpark_mj.wrappers.options import Options, configure, shared_env
 
 HAND = {
@@ -161,7 +161,7 @@ def test_text_that_is_no_json_names_the_line(tmp_path):
         make_layout(str(path))
     with pytest.raises(ValueError, match=r"nowhere.json: No such file or directory"):
         make_layout("nowhere.json")
-    with pytest.raises(ValueError, match=r"path must end in one of \.json, \.csv"):
+    with pytest.raises(ValueError, match=r"must end in one of \.csv, \.json"):
         FromFileConfig(path="lot.txt")
 
 

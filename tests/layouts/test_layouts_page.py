@@ -2,10 +2,8 @@
 
 import re
 from pathlib import Path
-from typing import get_args
 
-from carpark_mj.config import LayoutName
-from carpark_mj.layouts import layout_config
+from carpark_mj.config import LAYOUTS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "layouts.md").read_text()
 
@@ -13,14 +11,14 @@ PAGE = (Path(__file__).parents[2] / "docs" / "layouts.md").read_text()
 def test_the_table_of_layouts_is_that_of_the_code():
     table = PAGE.split("<!-- layouts -->\n")[1].split("<!-- end of layouts -->")[0]
     rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (\d+) \| (\w+) \|", table, re.M)
-    configs = {name: layout_config(name) for name in get_args(LayoutName)}
     assert {row[0]: row[1:] for row in rows} == {
         name: (
             type(config).__name__,
             str(config.min_bays),
             "yes" if config.is_random else "no",
         )
-        for name, config in configs.items()
+        for name, config in LAYOUTS.items()
+        if not name.startswith("tpcap_")
     }
 
 

@@ -8,7 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from carpark_mj.layouts import build, generate, layout_config, make_layout
+from carpark_mj.layouts import build, layout_config, make_layout
 from carpark_mj.layouts.lanes import lane_distance
 from carpark_mj.layouts.routes import make_routes, way_to
 
@@ -20,7 +20,7 @@ COMPASS = np.stack(
 
 @pytest.fixture(scope="module", params=["lot", "angled", "street", "dead_end"])
 def lot(request):
-    make = jax.jit(lambda key: generate(layout_config(request.param), key))
+    make = jax.jit(layout_config(request.param).generate)
     layout = make(jax.random.key(7))
     return layout, jax.jit(make_routes)(layout)
 
@@ -80,9 +80,7 @@ def _cells(layout, size=1.0):
 @pytest.mark.parametrize("family", ["lot", "angled"])
 def test_ways_are_as_long_as_a_search_on_a_grid_finds_them(family):
     """Dijkstra on cells within the lanes; ways turn on centre lines, cells need not."""
-    layout = jax.jit(lambda key: generate(layout_config(family), key))(
-        jax.random.key(3)
-    )
+    layout = jax.jit(layout_config(family).generate)(jax.random.key(3))
     routes = jax.jit(make_routes)(layout)
     xy, graph = _cells(layout)
     rng = np.random.default_rng(0)

@@ -8,7 +8,7 @@ import pytest
 import shapely
 from helpers.scenes import polygons
 
-from carpark_mj.layouts import generate, layout_config
+from carpark_mj.layouts import layout_config
 from carpark_mj.layouts.standards import (
     AISLE_ANGLES,
     AISLE_WIDTHS,
@@ -136,7 +136,7 @@ def test_published_aisles_in_feet():
 def test_families_say_how_roomy_its_bays_and_aisles_get(name):
     config = layout_config(name)
     assert all(entry.least(CAR) <= entry.aisle for entry in config.entries)
-    draw = jax.jit(jax.vmap(lambda key: generate(config, key)))
+    draw = jax.jit(jax.vmap(config.generate))
     lots = jax.device_get(draw(jax.random.split(jax.random.key(1), 200)))
     ordinary = lots.bay_mask & (lots.bay_kind == BayKind.STANDARD)
     widest = lots.bay_size[ordinary][:, 1].max()

@@ -9,7 +9,7 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec, action_spec, parse, sanitize_action
-from carpark_mj.registry import TANNER_DYNAMIC, TANNER_QLEARNING
+from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_QLEARNING
 
 NAN, INF = np.nan, np.inf
 CHOOSING = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=3))

@@ -25,7 +25,8 @@ from carpark_mj.config import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.registry import DYNAMIC, TANNER_DYNAMIC
+from carpark_mj.registry import DYNAMIC
+from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC
 from carpark_mj.types import NO_BAY
 
 AGENTS, SLOTS, BAYS = 4, 3, 36

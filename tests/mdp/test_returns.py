@@ -10,7 +10,7 @@ import pytest
 from carpark_mj.config import WORLD_UNIT, RewardConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.rewards import TERMS
-from carpark_mj.registry import TANNER_QLEARNING
+from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 
 WEIGHTS = RewardConfig(
     park=10.0,

@@ -1,7 +1,6 @@
 """The declared fields of observations: names, sizes, groups, what settings add."""
 
 import dataclasses
-import functools
 import itertools
 
 import jax
@@ -20,7 +19,7 @@ from carpark_mj.config import (
     TannerObservation,
     ViewConfig,
 )
-from carpark_mj.layouts import generate, layout_config
+from carpark_mj.layouts import layout_config
 from carpark_mj.observations import make_fields, markdown_table, observation_size
 from carpark_mj.observations.fields import FAR, FARTHEST
 from carpark_mj.registry import ANYWHERE
@@ -59,7 +58,7 @@ def test_by_default_all_lots_lie_within_the_ranges():
     for layout in ANYWHERE.layout.split(","):
         config = layout_config(layout)
         keys = jax.random.split(jax.random.key(0), 200)
-        lots = jax.jit(jax.vmap(functools.partial(generate, config)))(keys)
+        lots = jax.jit(jax.vmap(config.generate))(keys)
         across = 2.0 * np.linalg.norm(lots.extent, axis=-1)
         most = max(most, float(across.max()))
     assert 80.0 < most < FAR * FARTHEST

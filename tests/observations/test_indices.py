@@ -20,7 +20,10 @@ from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
 from carpark_mj.observations import make_fields, observation_size, observe
 from carpark_mj.observations.indices import cardinalities
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.registry import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
+from carpark_mj.studies.tanner.environments import (
+    TANNER_QLEARNING,
+    TANNER_QLEARNING_RINGS,
+)
 
 BASIC, RINGS = TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 PER_LEVEL = WORLD_UNIT / 0.2  # m/s

@@ -10,7 +10,7 @@ import pytest
 from carpark_mj.config import ContinuousObservation, EnvConfig, GoalConfig
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.sets import OWN, observation_sets
-from carpark_mj.registry import TANNER_DYNAMIC, TANNER_QLEARNING
+from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_QLEARNING
 
 FIXED = EnvConfig(num_agents=4, num_parked_cars=5)
 CONFIGS = {

@@ -25,7 +25,7 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import make_fields, observation_size, observe
-from carpark_mj.registry import TANNER_QLEARNING
+from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.studies.tanner.grid_config import FINE
 from carpark_mj.types import NO_BAY
 

@@ -3,12 +3,12 @@
 import jax
 import numpy as np
 
-from carpark_mj.layouts import TpcapConfig, generate
 from carpark_mj.planning.plot import AROUND, _view
+from carpark_mj.studies.tpcap.layouts import TpcapConfig
 
 
 def test_start_and_goal_are_in_view_and_far_obstacles_are_not():
-    layout = jax.device_get(generate(TpcapConfig(4), jax.random.key(0)))
+    layout = jax.device_get(TpcapConfig(4).generate(jax.random.key(0)))
     low, high = _view(layout, None)
     ends = np.stack([layout.spawn_pose[0, :2], layout.bay_pose[0, :2]])
     assert (low <= ends.min(axis=0)).all()

@@ -7,13 +7,13 @@ from helpers.planned import CAR, case
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.suite import CaseEvaluator, suite_env
-from carpark_mj.evaluation.suite_cases import pick_cases
 from carpark_mj.planning import search as search_module
 from carpark_mj.planning.driving import MAX_PLANS, PATIENCE, Agent, Sight
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.planning.search import SearchConfig
 from carpark_mj.registry import environment
+from carpark_mj.studies.hope.suite import CaseEvaluator, suite_env
+from carpark_mj.studies.hope.suite_cases import pick_cases
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 2))
 

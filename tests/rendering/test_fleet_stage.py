@@ -12,6 +12,7 @@ from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.rendering.recording import record
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.types import ParkedCars
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.parameters import scaled
 
@@ -43,7 +44,7 @@ def hull(stage, name):
 def test_the_car_an_agent_drives_stands_on_its_footprint_the_others_below(
     stage, driven
 ):
-    stage.place(POSE, np.zeros(2), PARKED, sizes(*driven))
+    stage.place(POSE, np.zeros(2), PARKED, np.array(driven))
     for agent, shown in enumerate(driven):
         for kind, infix in enumerate(("", "kind1/")):
             centre, yaw, size = hull(stage, f"agent{agent}/{infix}")
@@ -60,7 +61,7 @@ def test_the_car_an_agent_drives_stands_on_its_footprint_the_others_below(
 
 def test_front_wheels_obey_the_geometry_of_the_car_that_is_driven(stage):
     steering = np.array([0.5, 0.5])
-    stage.place(POSE, steering, PARKED, sizes(0, 1))
+    stage.place(POSE, steering, PARKED, np.array([0, 1]))
     for prefix, params in (("agent0/", KINDS[0]), ("agent1/kind1/", KINDS[1])):
         angles = [stage.data.joint(f"{prefix}steer_{s}").qpos[0] for s in ("fl", "fr")]
         # Ackermann: cotangents differ by track over wheelbase.
@@ -80,14 +81,17 @@ def test_parked_cars_stand_on_their_own_footprints(stage):
     assert CARS[0].wheelbase == pytest.approx(1.05 * suv.wheelbase)
 
 
-def test_parked_cars_are_known_by_their_proportions():
+@pytest.mark.parametrize("scale", [0.9, 1.0, 1.1])
+def test_parked_cars_are_scaled_presets(scale):
     fleet = Fleet(EnvConfig(fleet=FleetConfig(parked_cars=tuple(PRESETS))), COMPACT)
-    for params in PRESETS.values():
-        for scale in (0.9, 1.0, 1.1):
-            size = np.float32([[scale * params.length, scale * params.width]])
-            (found,) = fleet.parked_vehicles(size)
-            assert found.mass == params.mass
-            assert found.height == pytest.approx(scale * params.height, rel=1e-5)
+    size = scale * np.float32([(p.length, p.width) for p in PRESETS.values()])
+    kinds = np.arange(len(size))
+    cars = ParkedCars(kinds, np.zeros((len(size), 3)), size, kind=kinds)
+    for found, params in zip(
+        fleet.parked_vehicles(cars), PRESETS.values(), strict=True
+    ):
+        assert found.front_drive == params.front_drive
+        assert found.height == pytest.approx(scale * params.height, rel=1e-5)
 
 
 def test_a_recording_knows_the_cars_there_are_and_no_others():
@@ -103,7 +107,8 @@ def test_a_recording_knows_the_cars_there_are_and_no_others():
     assert story.parked_pose.shape == (2, story.pose_w.shape[1], 2, 3)
     assert np.abs(story.parked_pose[..., :2]).max() < 30.0
     suv = PRESETS["suv"]
-    np.testing.assert_allclose(story.parked_size, [(suv.length, suv.width)] * 2)
-    assert story.size is not None
-    assert story.size.shape == (2, 1, 2)
-    assert story.size[0, 0].tolist() in sizes(0, 1).tolist()
+    assert story.parked_cars is not None
+    np.testing.assert_allclose(story.parked_cars.size, [(suv.length, suv.width)] * 2)
+    assert story.kind is not None
+    assert story.kind.shape == (2, 1)
+    assert story.kind[0, 0] in (0, 1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.disks import largest_file
 
-from carpark_mj.layouts import generate, layout_config, make_layout
+from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.rendering import gl, window
 from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.recording import Recording
@@ -337,7 +337,7 @@ def test_a_renderer_that_goes_on_with_another_lot_draws_it_as_a_new_one():
     # With arrows on its lanes the second has one mesh more, and it is longer.
     lots = [
         LAYOUT,
-        jax.device_get(generate(layout_config("street"), jax.random.key(0))),
+        jax.device_get(layout_config("street").generate(jax.random.key(0))),
     ]
     what = seen(goal=GOAL[:1].repeat(2))
     stages = [Stage(layout, COMPACT, 2, 2) for layout in lots]

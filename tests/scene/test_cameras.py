@@ -114,8 +114,8 @@ def fleet():
     )
 
     def draw(name):
-        size = np.float32([[PRESETS[name].length, PRESETS[name].width]])
-        seen = dataclasses.replace(SEEN, size=size)
+        kind = np.array([list(PRESETS).index(name)])
+        seen = dataclasses.replace(SEEN, kind=kind)
         renderer.place(seen)
         return renderer.draw(seen, "agent0/driver").astype(float)
 

@@ -15,7 +15,7 @@ from carpark_mj.config.goals import GoalRewards
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.registry import TANNER_DYNAMIC, TANNER_FIXED
+from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_FIXED
 from carpark_mj.training.metrics_log import read_metrics
 from carpark_mj.training.ppo.arguments import MAX_SEEDS, parse_seeds, read_runs
 from carpark_mj.training.ppo.config import PPOConfig

@@ -7,7 +7,7 @@ import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.files import write_json
-from carpark_mj.registry import TANNER_FIXED
+from carpark_mj.studies.tanner.environments import TANNER_FIXED
 from carpark_mj.studies.tanner.q_learning.presets import Q_PRESETS, Q_SUMMARIES
 from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS, summaries

@@ -6,10 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle, preset
+from carpark_mj.vehicle import (
+    COMPACT,
+    PRESETS,
+    VEHICLES,
+    VehicleParameters,
+    make_vehicle,
+    preset,
+)
 from carpark_mj.vehicle.mjcf import WHEELS, car_model, chassis_inertial, hub_positions
 from carpark_mj.vehicle.parameters import GRAVITY, LENGTHS, TyreParameters, scaled
-from carpark_mj.vehicle.presets import BOXES
 
 LIGHT = dataclasses.replace(
     COMPACT,
@@ -128,7 +134,7 @@ def test_parameters_in_other_units_are_refused(change: dict, message: str):
     with pytest.raises(ValueError, match=message) as refusal:
         dataclasses.replace(COMPACT, **change)
     assert "\n" not in str(refusal.value)
-    for params in (PRESETS | BOXES).values():
+    for params in VEHICLES.values():
         for factor in (0.5, 2.0):  # as far as parked cars are scaled
             scaled(params, factor)
 

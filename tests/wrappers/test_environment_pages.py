@@ -13,7 +13,7 @@ from carpark_mj.config import REWARDS, EnvConfig
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.registration import ENTRY_POINTS
-from carpark_mj.registry import PANDITA
+from carpark_mj.studies.pandita.environments import PANDITA
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv
 from carpark_mj.wrappers.gymnasium_goal import GOAL_OPTIONS, ParkGoalEnv

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import SlotsConfig
 from carpark_mj.registry import environment
+from carpark_mj.studies.pandita.layouts import SlotsConfig
 from carpark_mj.wrappers.gymnasium_slots import slots_config
 from carpark_mj.wrappers.slots import PANDITA_REWARD, SlotsGoalParking
 

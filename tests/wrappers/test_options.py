@@ -5,12 +5,7 @@ import dataclasses
 import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, reward_preset
-from carpark_mj.layouts import FAMILIES
 from carpark_mj.registry import SQUARE
-from carpark_mj.vehicle import COMPACT, PRESETS
-from carpark_mj.wrappers.goal import PoseReward
-from carpark_mj.wrappers.gymnasium_goal import shared_goal_env
-from carpark_mj.wrappers.joint import joint_env
 from carpark_mj.wrappers.options import OPTIONS, configure, shared_env
 
 
@@ -62,37 +57,3 @@ def test_impossible_options_are_refused(options, error, message):
 
 def test_an_environment_is_made_once():
     assert shared_env(EnvConfig(num_agents=1)) is shared_env(EnvConfig(num_agents=1))
-
-
-def length(env):
-    return env.vehicle.length
-
-
-@pytest.mark.parametrize(
-    ("share", "length"),
-    [
-        (shared_env, length),
-        (joint_env, length),
-        (
-            lambda config: shared_goal_env(config, PoseReward()),
-            lambda env: length(env.parking),
-        ),
-    ],
-)
-def test_a_preset_that_is_defined_anew_is_taken(share, length, monkeypatch):
-    episode = EpisodeConfig(respawn=False)
-    config = EnvConfig(vehicle="taxi", num_agents=1, physics="bicycle", episode=episode)
-    for metres in (4.0, 4.2):
-        taxi = dataclasses.replace(COMPACT, length=metres)
-        monkeypatch.setitem(PRESETS, "taxi", taxi)
-        env = share(config)
-        assert length(env) == metres
-        assert share(config) is env
-
-
-def test_a_family_that_is_defined_anew_is_taken(monkeypatch):
-    config = EnvConfig(num_agents=1, layout="compact", physics="bicycle")
-    before, family = shared_env(config), FAMILIES["square"]
-    other = family._replace(generate=lambda *given: family.generate(*given))
-    monkeypatch.setitem(FAMILIES, "square", other)
-    assert shared_env(config) is not before

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from carpark_mj.config import EnvConfig, SensorConfig
-from carpark_mj.registry import TANNER_DYNAMIC
+from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
 SMALL = {"agents": 2, "parked_cars": 2, "physics": "bicycle"}

@@ -1,4 +1,4 @@
-"""Pretrained policies: `<name>.npz`, written by `train/export.py`, and `<name>.md`.
+"""Pretrained policies: `<name>.npz`, written by `carpark_mj export`, and `<name>.md`.
 
 The markdown file is the model card: task, training command, rates and limits;
 docs/policies.md shows them all.

@@ -1,9 +1,8 @@
-"""Pandita 2022: parking in slots with SAC and hindsight replay."""
+"""Pandita 2022: one car parks between two rows of slots."""
 
-from carpark_mj.config import PHYSICS
-from carpark_mj.studies.pandita import programs
-from carpark_mj.studies.pandita.highway_config import HighwayConfig
+from carpark_mj.studies.pandita import highway_config, layouts, vehicles
 
-__all__ = ["programs"]
+# isort: split
+from carpark_mj.studies.pandita import environments, programs  # of what is named above
 
-PHYSICS.register("highway", HighwayConfig())
+__all__ = ["environments", "highway_config", "layouts", "programs", "vehicles"]

@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Any
 
-from carpark_mj.config import EnvConfig, PhysicsConfig
+from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,3 +26,6 @@ class HighwayConfig(PhysicsConfig):
         """From lock to lock."""
         del ctrl_dt
         return 2.0 * vehicle.max_steering
+
+
+PHYSICS.register("highway", HighwayConfig())

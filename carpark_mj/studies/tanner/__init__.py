@@ -1,11 +1,8 @@
-"""Tanner 2022: parking agents that learn to share a lot."""
+"""Tanner 2022 (arXiv 2206.13338): agents on a grid around a square."""
 
-from carpark_mj.config import PHYSICS
-from carpark_mj.studies.tanner import programs
-from carpark_mj.studies.tanner.grid_config import COARSE, FINE, RECORDED
+from carpark_mj.studies.tanner import grid_config, layouts, vehicles
 
-__all__ = ["programs"]
+# isort: split
+from carpark_mj.studies.tanner import environments, programs  # of what is named above
 
-PHYSICS.register("grid", FINE)
-PHYSICS.register("grid_coarse", COARSE)
-PHYSICS.register("grid_recorded", RECORDED)
+__all__ = ["environments", "grid_config", "layouts", "programs", "vehicles"]

@@ -5,7 +5,7 @@ import math
 import pkgutil
 from typing import Any
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, PhysicsConfig
+from carpark_mj.config import PHYSICS, WORLD_UNIT, EnvConfig, PhysicsConfig
 from carpark_mj.config.checks import require_whole
 
 
@@ -111,3 +111,8 @@ def grid_scale(config: EnvConfig) -> GridConfig:
     """The grid whose levels and headings are observed: the fine one for other cars."""
     physics = config.physics_config
     return physics if isinstance(physics, GridConfig) else FINE
+
+
+PHYSICS.register("grid", FINE)
+PHYSICS.register("grid_coarse", COARSE)
+PHYSICS.register("grid_recorded", RECORDED)

@@ -37,7 +37,7 @@ RUN_SETTINGS = (
 
 @dataclasses.dataclass(frozen=True)
 class PPOConfig(RunConfig):
-    """Settings of `python train/ppo.py`; every field is a flag.
+    """Settings of `carpark_mj train`; every field is a flag.
 
     The settings of `RunConfig` come first.
 

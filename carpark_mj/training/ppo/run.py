@@ -12,9 +12,9 @@ from carpark_mj.training.curve import plot_learning_curve
 from carpark_mj.training.memory import require_memory
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.group import make_learner
-from carpark_mj.training.ppo.train import Outcome, train
+from carpark_mj.training.ppo.train import Callback, Outcome, train
 from carpark_mj.training.ppo.warm_start import require_run
-from carpark_mj.training.run_folder import open_run
+from carpark_mj.training.run_folder import argument, open_run
 
 
 def finish(config: PPOConfig, folder: Path) -> None:
@@ -23,8 +23,7 @@ def finish(config: PPOConfig, folder: Path) -> None:
     Every part is made anew from what lies in the folder.
     """
     print(f"wrote {plot_learning_curve(folder)}")
-    # A bare name may be that of a pretrained policy.
-    run = f"./{folder}" if folder.parent == Path() else str(folder)
+    run = argument(folder)
     if config.eval_episodes:
         from carpark_mj.cli import evaluate
 
@@ -43,7 +42,8 @@ def finish(config: PPOConfig, folder: Path) -> None:
 
 def train_runs(
     configs: Sequence[PPOConfig],
-    finish_run: Callable[[PPOConfig, Path], None] = finish,
+    finish_run: Callable[[PPOConfig, Path], None] | None = finish,
+    callback: Callback | None = None,
 ) -> list[tuple[Path, Outcome]]:
     """Trains runs, several of them side by side, and finishes those that are done.
 
@@ -51,6 +51,7 @@ def train_runs(
         configs: of the runs; `group.program` of all is equal. All are new, or all are
             resumed.
         finish_run: called with config and folder of every run that is done.
+        callback: see `train`.
 
     Returns:
         Folder and outcome of every run; the folders are host 0's.
@@ -71,10 +72,10 @@ def train_runs(
         )
         # Others only read the checkpoint of a run to resume, if it is one.
         folders = opened or [Path(c.resume or c.runs_dir) for c in configs]
-        outcomes = train(learner, folders)
+        outcomes = train(learner, folders, callback=callback)
         hosts.part()
         ended = list(zip(folders, outcomes, strict=True))
-        if hosts.is_first():
+        if hosts.is_first() and finish_run is not None:
             for config, (folder, outcome) in zip(configs, ended, strict=True):
                 if outcome == "done":
                     finish_run(config, folder)

@@ -28,6 +28,9 @@ MAX_SKIPPED = 5  # updates in a row that may come out non-finite
 # Whether a run came to its end, was stopped before, or kept coming out non-finite.
 Outcome = Literal["done", "stopped", "diverged"]
 
+# Gets the number of a run and the metrics of its update; True stops all runs.
+Callback = Callable[[int, dict[str, float]], bool]
+
 
 def print_settings(learner: Learner, folders: Sequence[Path]) -> None:
     """Prints every setting, one a line; where runs differ, the values of all."""
@@ -101,6 +104,7 @@ def train(
     learner: Learner,
     folders: Sequence[Path],
     clock: Callable[[], float] = time.monotonic,
+    callback: Callback | None = None,
 ) -> list[Outcome]:
     """Trains until done, stopped or at the time limit; returns each run's outcome.
 
@@ -111,6 +115,7 @@ def train(
         learner: of the runs.
         folders: of the runs; only host 0 writes to them.
         clock: gives the time [s].
+        callback: called on every host after every update of every run.
 
     Raises:
         CheckpointError: a checkpoint to resume from is damaged.
@@ -127,7 +132,7 @@ def train(
     skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
     diverged = np.zeros(count, bool)
     begun, at_begin = 0.0, count_steps(state)
-    leaving = told = False
+    leaving = told = asked = False
     progress = float(config.progress(done, used))
     with loop.over(1.0, progress), _metrics(folders, done) as log:
         while progress < 1.0 and not leaving and not diverged.all():
@@ -152,13 +157,17 @@ def train(
             diverged |= in_a_row >= MAX_SKIPPED
             going = [k for k in range(count) if not diverged[k]]
             for k in going:
-                row = {
+                row: dict[str, float] = {
                     "update": done,
                     "env_steps": int(steps[k]),
                     "seconds": loop.seconds,
                     "steps_per_second": float(rates[k]),
                 }
-                log(k, row | {name: float(x[k]) for name, x in values.items()})
+                row |= {name: float(x[k]) for name, x in values.items()}
+                log(k, row)
+                asked = (callback is not None and callback(k, row)) or asked
+            if callback is not None:
+                leaving = hosts.largest(asked or leaving)[0]
             if not told and updates and elapsed > MEASURED_SECONDS:
                 simulated = updates * config.steps_per_update / elapsed
                 loop.say(estimate(config, done, seconds, simulated))

@@ -15,7 +15,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.poses import redraw, spawn_pose, spawn_shapes
-from carpark_mj.registry import TANNER_DYNAMIC, TANNER_FIXED
+from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_FIXED
 from carpark_mj.types import NO_BAY
 
 # One candidate a round, and others in three corners of the square of 23.6 m.

@@ -13,7 +13,6 @@ from helpers.states import parked_at, parked_in
 
 from carpark_mj.config import PARKED_RULES, EnvConfig, GoalConfig, SpawnConfig
 from carpark_mj.layouts import (
-    generate,
     layout_config,
     layout_maxima,
     make_layout,
@@ -66,7 +65,7 @@ def vehicles(names):
 @functools.cache
 def maxima():
     key = jax.random.key(0)
-    makers = (functools.partial(generate, layout_config(f)) for f in FAMILIES)
+    makers = (layout_config(f).generate for f in FAMILIES)
     return layout_maxima(jax.eval_shape(make, key) for make in makers)
 
 
@@ -157,7 +156,7 @@ def retrace(start, draws, bay_pose, vehicle):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_start_is_free_and_the_way_back_ends_parked_in_the_bay(name):
     config = layout_config(name)
-    make = lambda key: pad_layout(generate(config, key), maxima())  # noqa: E731
+    make = lambda key: pad_layout(config.generate(key), maxima())  # noqa: E731
     layouts = jax.vmap(make)(keys_of(0))
     presets = [sorted(PRESETS)[k % len(PRESETS)] for k in range(LOTS)]
     fleet = jax.tree.map(lambda x: jnp.repeat(x[:, None], 2, 1), vehicles(presets))

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from helpers.programs import exit_code
 
-from carpark_mj.layouts import SlotsConfig, layout_config
+from carpark_mj.layouts import layout_config
 from carpark_mj.studies.pandita.experiments import program as slots_study
+from carpark_mj.studies.pandita.layouts import SlotsConfig
 from carpark_mj.studies.pandita.sac import program as sac
 from carpark_mj.studies.pandita.sac.config import SACConfig
 from carpark_mj.studies.pandita.sac.deploy import deploy

@@ -16,7 +16,8 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import sanitize_indices
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.terminations import detect_events
-from carpark_mj.registry import ENVIRONMENTS, TANNER_QLEARNING, environment
+from carpark_mj.registry import ENVIRONMENTS, environment
+from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.studies.tanner.grid import GridPhysics
 from carpark_mj.studies.tanner.grid_config import COARSE, FINE, GridConfig
 from carpark_mj.vehicle import make_vehicle, preset

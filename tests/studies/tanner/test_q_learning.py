@@ -17,7 +17,10 @@ from carpark_mj.evaluation.evaluator import evaluate as evaluate_policy
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.q_table import action_choices, make_table_policy, state_index
 from carpark_mj.policy.runs import checkpoint_files
-from carpark_mj.registry import TANNER_QLEARNING, TANNER_QLEARNING_RECORDED
+from carpark_mj.studies.tanner.environments import (
+    TANNER_QLEARNING,
+    TANNER_QLEARNING_RECORDED,
+)
 from carpark_mj.studies.tanner.q_learning import program as q_learning
 from carpark_mj.studies.tanner.q_learning import train
 from carpark_mj.studies.tanner.q_learning.config import QLearningConfig

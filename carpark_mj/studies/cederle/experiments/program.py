@@ -1,12 +1,12 @@
 """Repeats tables 6.1 to 6.4 of Cederle 2023 over seeds, beside what the thesis says.
 
-    python train/junction_study.py --list
-    python train/junction_study.py --table 6.1
-    python train/junction_study.py --all --minutes 30     # the same command continues
-    python train/junction_study.py --all --preset cederle # the thesis's settings
+    carpark_mj study junction_tables --list
+    carpark_mj study junction_tables --table 6.1
+    carpark_mj study junction_tables --all --minutes 30     # the same command continues
+    carpark_mj study junction_tables --all --preset cederle # the thesis's settings
 
-Every training is a run of `train/junction.py` in `runs/junction_study`, on a core of
-its own; `report.md` there has tables and conclusions of all runs done,
+Every training is a run of `carpark_mj study junction` in `runs/junction_study`, on a
+core of its own; `report.md` there has tables and conclusions of all runs done,
 `curves-SCENARIO.png` the learning curves over the published ones.
 """
 
@@ -23,14 +23,14 @@ from carpark_mj.training.jobs import require_minutes, run_jobs
 
 @dataclasses.dataclass(frozen=True)
 class JunctionStudyConfig:
-    """Settings of `python train/junction_study.py`.
+    """Settings of `carpark_mj study junction_tables`.
 
     Attributes:
         table: its number in the thesis.
         all: all tables.
         list: say what there is, and train nothing.
         seeds: runs of every cell.
-        preset: of `train/junction.py`; `ippo` and `mappo` have `parallel` only.
+        preset: of `carpark_mj study junction`; `ippo` and `mappo` have `parallel` only.
         minutes: after which runs save and stop [min], more than 1; 0 = no limit.
         workers: runs at a time, each on one core; 0 = one for every core.
         runs_dir: where runs are kept.

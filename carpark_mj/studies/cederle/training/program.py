@@ -1,11 +1,11 @@
 """Trains automated cars to cross the junction.
 
-    python train/junction.py                                 # double-dueling Q-learning
-    python train/junction.py --algorithm mappo --scenario 3av-hd --cars mjx
-    python train/junction.py --algorithm qmix --preset cederle    # Cederle 2023
-    python train/junction.py --algorithm idqn --observation image
-    python train/junction.py --resume runs/mappo-2av-0       # continues a run
-    python train/junction.py --algorithm vdn --help-all      # every setting of vdn
+    carpark_mj study junction                                # double-dueling Q-learning
+    carpark_mj study junction --algorithm mappo --scenario 3av-hd --cars mjx
+    carpark_mj study junction --algorithm qmix --preset cederle    # Cederle 2023
+    carpark_mj study junction --algorithm idqn --observation image
+    carpark_mj study junction --resume runs/mappo-2av-0       # continues a run
+    carpark_mj study junction --algorithm vdn --help-all      # every setting of vdn
 
 Independent Q-learning (idqn, double, dueling, double-dueling) needs
 `pip install ".[train,junction]"`, the algorithms of BenchMARL (ippo, mappo, maddpg,
@@ -36,4 +36,4 @@ def run(arguments: Sequence[str] | None = None) -> None:
     if done:
         print(f"done: {folder}; see {folder / 'learning_curve.png'}")
     else:
-        print(f"stopped; continue with: python train/junction.py --resume {folder}")
+        print(f"stopped; continue with: carpark_mj study junction --resume {folder}")

@@ -1,13 +1,13 @@
 """Repeats the experiments of Pandita 2022 over seeds, beside what the thesis says.
 
-    python train/slots_study.py --list
-    python train/slots_study.py --experiment 10
-    python train/slots_study.py --all --minutes 9      # continues with the same command
-    python train/slots_study.py --all --preset pandita # the thesis's settings
+    carpark_mj study slots --list
+    carpark_mj study slots --experiment 10
+    carpark_mj study slots --all --minutes 9      # continues with the same command
+    carpark_mj study slots --all --preset pandita # the thesis's settings
 
-Every training is a run of `train/sac.py` in `runs/slots_study`, on a core of its own;
-`report.md` there has what is done, `matrix-NAME.png` success by phase and kind of lot,
-`curves.png` success in training.
+Every training is a run of `carpark_mj study sac` in `runs/slots_study`, on a core of
+its own; `report.md` there has what is done, `matrix-NAME.png` success by phase and kind
+of lot, `curves.png` success in training.
 """
 
 import dataclasses
@@ -28,14 +28,14 @@ from carpark_mj.training.jobs import Job, require_minutes, run_jobs
 
 @dataclasses.dataclass(frozen=True)
 class SlotsStudyConfig:
-    """Settings of `python train/slots_study.py`.
+    """Settings of `carpark_mj study slots`.
 
     Attributes:
         experiment: its number, or the name of one beyond the thesis.
         all: all experiments.
         list: say what there is, and train nothing.
         seeds: runs of every training.
-        preset: of `train/sac.py`.
+        preset: of `carpark_mj study sac`.
         scale: factor on the thesis's budgets of steps.
         minutes: after which runs save and stop [min], more than 1; 0 = no limit.
         workers: runs at a time, each on one core; 0 = one for every core.

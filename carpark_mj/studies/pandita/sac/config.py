@@ -13,8 +13,9 @@ from carpark_mj.config.checks import (
     require_ratio,
     require_whole,
 )
-from carpark_mj.layouts import SlotsConfig, layout_config
+from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
+from carpark_mj.studies.pandita.layouts import SlotsConfig
 from carpark_mj.studies.pandita.sac.phases import Phase, mixture, read_phase
 from carpark_mj.training.run_folder import RunConfig
 from carpark_mj.wrappers.gymnasium_slots import slots_config
@@ -44,7 +45,7 @@ RUN_SETTINGS = (
 
 @dataclasses.dataclass(frozen=True)
 class SACConfig(RunConfig):
-    """Settings of `python train/sac.py`; every field is a flag.
+    """Settings of `carpark_mj study sac`; every field is a flag.
 
     The settings of `RunConfig` come first.
 

@@ -1,12 +1,12 @@
 """Trains one car to park in slots with SAC and hindsight replay, phase by phase.
 
-    python train/sac.py                              # vertical slots, runs/slots-0
-    python train/sac.py --phases slots:60000 slots_diagonal:60000   # what is forgotten?
-    python train/sac.py --phases slots,slots_diagonal,slots_parallel:400000
-    python train/sac.py --phases slots:150episodes slots_diagonal:150episodes
-    python train/sac.py --preset pandita             # the settings of Pandita 2022
-    python train/sac.py --resume runs/slots-0        # continues where it stopped
-    python train/sac.py --help-all                   # every setting
+    carpark_mj study sac                              # vertical slots, runs/slots-0
+    carpark_mj study sac --phases slots:60000 slots_diagonal:60000  # what is forgotten?
+    carpark_mj study sac --phases slots,slots_diagonal,slots_parallel:400000
+    carpark_mj study sac --phases slots:150episodes slots_diagonal:150episodes
+    carpark_mj study sac --preset pandita             # the settings of Pandita 2022
+    carpark_mj study sac --resume runs/slots-0        # continues where it stopped
+    carpark_mj study sac --help-all                   # every setting
 
 It needs `pip install ".[train,sb3]"`. After every phase the policy is deployed on all
 kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at once.
@@ -48,4 +48,4 @@ def run(arguments: Sequence[str] | None = None) -> None:
     if done:
         print(f"done: {folder}")
     else:
-        print(f"stopped; continue with: python train/sac.py --resume {folder}")
+        print(f"stopped; continue with: carpark_mj study sac --resume {folder}")

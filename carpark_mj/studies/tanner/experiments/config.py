@@ -10,7 +10,7 @@ from carpark_mj.sweeps.slurm import SlurmConfig
 
 @dataclasses.dataclass(frozen=True)
 class StudyConfig:
-    """Settings of `python train/study.py`.
+    """Settings of `carpark_mj study tanner`.
 
     Attributes:
         figure: number of a figure, `5.8`.
@@ -19,12 +19,12 @@ class StudyConfig:
         minutes: budget [min]; what does not fit is named and left out. 0 = no limit.
         repeats: runs of every combination; 0 = as many as are published.
         seed: first seed.
-        set: settings of all runs, `FIELD=VALUE` as of `train/sweep.py`, instead of the
-            study's.
+        set: settings of all runs, `FIELD=VALUE` as of `carpark_mj sweep`, instead of
+            the study's.
         runs_dir: where sweeps are kept.
-        cluster: as of `train/sweep.py`.
-        jobs: as of `train/sweep.py`.
-        side_by_side: as of `train/sweep.py`.
+        cluster: as of `carpark_mj sweep`.
+        jobs: as of `carpark_mj sweep`.
+        side_by_side: as of `carpark_mj sweep`.
         slurm: what to ask Slurm for.
     """
 

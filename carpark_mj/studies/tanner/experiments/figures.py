@@ -174,8 +174,8 @@ EXPERIMENTS = (
 
 # What is no sweep of PPO runs.
 ELSEWHERE = {
-    "5.1": "tabular: python train/q_learning.py (docs/q_learning.md)",
-    "5.2": "tabular: python train/q_learning.py --preset tanner-qlearning-rings",
+    "5.1": "tabular: carpark_mj study q_learning (docs/q_learning.md)",
+    "5.2": "tabular: carpark_mj study q_learning --preset tanner-qlearning-rings",
     "5.3": "no result file is published for it",
 }
 FIGURES = tuple(f"5.{number}" for number in range(1, 21))

@@ -1,12 +1,13 @@
 """Repeats the experiments of Tanner 2022, beside the published numbers.
 
-    python train/study.py --list
-    python train/study.py --figure 5.8                 # its sweep, table and plots
-    python train/study.py --all --minutes 60           # what fits, and what does not
-    python train/study.py --figure 5.5 --cluster slurm
+    carpark_mj study tanner --list
+    carpark_mj study tanner --figure 5.8                 # its sweep, table and plots
+    carpark_mj study tanner --all --minutes 60           # what fits, and what does not
+    carpark_mj study tanner --figure 5.5 --cluster slurm
 
-Every figure has a folder below `runs/study`: a sweep (`train/sweep.py`), `report.html`
-with the published runs drawn in, and `verdicts.md`. The same command continues.
+Every figure has a folder below `runs/study`: a sweep (`carpark_mj sweep`),
+`report.html` with the published runs drawn in, and `verdicts.md`. The same command
+continues.
 """
 
 from collections.abc import Sequence

@@ -5,7 +5,7 @@ from typing import Literal
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_at_least, require_ratio
-from carpark_mj.registry import TANNER_QLEARNING
+from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.training.run_folder import RunConfig
 
 QLearningPreset = Literal[
@@ -30,7 +30,7 @@ RUN_SETTINGS = (
 
 @dataclasses.dataclass(frozen=True)
 class QLearningConfig(RunConfig):
-    """Settings of `python train/q_learning.py`; every field is a flag.
+    """Settings of `carpark_mj study q_learning`; every field is a flag.
 
     The settings of `RunConfig` come first. The rates are those of Tanner 2022, section
     5.1.1; names follow its table C.6.

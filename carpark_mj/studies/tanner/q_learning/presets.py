@@ -1,6 +1,9 @@
 """The Q-learning experiments of Tanner 2022."""
 
-from carpark_mj.registry import TANNER_QLEARNING_RECORDED, TANNER_QLEARNING_RINGS
+from carpark_mj.studies.tanner.environments import (
+    TANNER_QLEARNING_RECORDED,
+    TANNER_QLEARNING_RINGS,
+)
 from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
 
 Q_PRESETS: dict[str, QLearningConfig] = {

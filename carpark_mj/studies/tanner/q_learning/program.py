@@ -1,10 +1,10 @@
 """Trains by tabular Q-learning on the grid: the first experiments of Tanner 2022.
 
-    python train/q_learning.py                                    # figure 5.1
-    python train/q_learning.py --preset tanner-qlearning-recorded # as recorded
-    python train/q_learning.py --preset tanner-qlearning-rings    # figure 5.2
-    python train/q_learning.py --resume runs/tanner-qlearning-0   # continues a run
-    python train/q_learning.py --help-all                         # every setting
+    carpark_mj study q_learning                                    # figure 5.1
+    carpark_mj study q_learning --preset tanner-qlearning-recorded # as recorded
+    carpark_mj study q_learning --preset tanner-qlearning-rings    # figure 5.2
+    carpark_mj study q_learning --resume runs/tanner-qlearning-0   # continues a run
+    carpark_mj study q_learning --help-all                         # every setting
 
 Independent Q-learning with one table for all agents, several seeds side by side. In
 `runs/<name>/` lie `config.json`, checkpoints, `metrics.csv` and `learning_curve.png`.
@@ -44,5 +44,5 @@ def run(arguments: Sequence[str] | None = None) -> None:
             print(f"done: {folder}; see {folder / 'learning_curve.png'}")
         else:
             print(
-                f"stopped; continue with: python train/q_learning.py --resume {folder}"
+                f"stopped; continue with: carpark_mj study q_learning --resume {folder}"
             )

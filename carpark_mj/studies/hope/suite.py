@@ -1,0 +1,308 @@
+"""The suite of hard cases: one car parks in every case of some levels.
+
+All policies drive the same car, `tpcap`, on the same physics, without noise. The cases
+are in the package (`suite_cases`); an episode ends after 100 s. Another car may drive
+through the aisle meanwhile, see `moving_car`; it is not judged.
+"""
+
+import dataclasses
+import functools
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config import (
+    EnvConfig,
+    EpisodeConfig,
+    FleetConfig,
+    JitterConfig,
+    MetricsConfig,
+    RandomizationConfig,
+    SensorConfig,
+    SpawnConfig,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.aggregation import (
+    Row,
+    complete_row,
+    summarize,
+    wilson_interval,
+)
+from carpark_mj.evaluation.evaluator import CHUNK
+from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.layouts import Layout
+from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
+from carpark_mj.policy.rollout import Carry, Step, roll_out
+from carpark_mj.studies.hope import moving_car
+from carpark_mj.studies.hope.layouts import HopeConfig
+from carpark_mj.studies.hope.suite_cases import LEVELS, Cases
+from carpark_mj.types import State
+
+VEHICLE = "tpcap"
+SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
+MOVING_CAR = "moving_car"  # column of episodes with one
+TIMED = 20  # calls of a policy whose shortest counts
+
+
+def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvConfig:
+    """The environment of a policy with the suite's lots, car and rules.
+
+    Args:
+        env: that it was trained in.
+        rule: when the car counts as parked.
+        with_moving_car: of two agents, the second of which is the moving car.
+
+    Raises:
+        ValueError: the policy steers no car; or it chooses its goals, and the
+            moving car has its own.
+    """
+    if not env.physics_config.steers:
+        raise ValueError(
+            "the suite's cases need a policy that steers a car, not one of "
+            f"{env.physics_config.back_end} physics"
+        )
+    if with_moving_car and env.goals.dynamic:
+        raise ValueError(
+            "a moving car needs policies with fixed goals, goals.dynamic = False"
+        )
+    alone = {"num_agents": 1, "min_agents": None, "occupancy": None}
+    # An occupancy turns off the check that every agent has a bay in every lot: that of
+    # the moving car is added to the held-out lots.
+    moving = {"num_agents": 2, "min_agents": 1, "occupancy": (0.0, 0.0)}
+    agents: dict[str, Any] = moving if with_moving_car else alone
+    return dataclasses.replace(
+        env,
+        layout=HopeConfig("extreme", "parallel"),
+        vehicle=VEHICLE,
+        num_parked_cars=0,
+        **agents,
+        fleet=FleetConfig(),
+        jitter=JitterConfig(),
+        randomization=RandomizationConfig(),
+        sensors=SensorConfig(),
+        spawn=SpawnConfig(close_ratio=0.0),
+        episode=EpisodeConfig(
+            parked_rule=rule,
+            max_steps=round(SECONDS / env.sim.ctrl_dt),
+            respawn=False,
+        ),
+        metrics=MetricsConfig(),
+    )
+
+
+class Drives(NamedTuple):
+    """How the cars of n cases drove, t control steps with k poses in each.
+
+    What comes after the last step of an episode means nothing. Of the agents, a, the
+    first is the one that parks.
+
+    Attributes:
+        pose_w: (n, t, a, k, 3) footprint centres.
+        steering: (n, t, a) bicycle angles at the end of the steps [rad].
+        speed: (n, t, a) signed speeds at the end of the steps [m/s].
+    """
+
+    pose_w: np.ndarray
+    steering: np.ndarray
+    speed: np.ndarray
+
+
+class CaseEvaluator:
+    """Drives cases with programs that a policy compiles once for all of one shape.
+
+    Cases of HOPE's levels have the same shapes if there are as many of each.
+    """
+
+    def __init__(self, env: ParkingEnv) -> None:
+        """Takes the environment, one of `suite_env`."""
+        self.env = env
+        self._reset = jax.jit(jax.vmap(_reset(env)))
+        self._chunk = jax.jit(functools.partial(_chunk, env))
+        self._choose_action = jax.jit(_choose_action)
+
+    def drive(
+        self, policy: AnyPolicy, cases: Cases, seed: int
+    ) -> tuple[list[Row], Drives]:
+        """One episode in each case, side by side.
+
+        Args:
+            policy: acting function; a planner must have been restarted.
+            cases: where to park, with a moving car if the environment has one.
+            seed: of what is random in a policy.
+
+        Returns:
+            A row for each, see `evaluation.catalogue`, and how they were driven.
+        """
+        count, moving = len(cases.number), self.env.num_agents > 1
+        ctrl_dt = self.env.config.sim.ctrl_dt
+        reset_key, act_key = jax.random.split(evaluation_key(seed))
+        keys = jax.random.split(reset_key, count)
+        state, observation = self._reset(cases.layouts, keys)
+        progress = moving_car.init_progress(count) if moving else None
+        rows: list[Row | None] = [None] * count
+        chunks: list[tuple[np.ndarray, ...]] = []
+        policy, carry = as_argument(policy), Carry(state, observation, progress)
+        while any(row is None for row in rows):
+            act_key, own = jax.random.split(act_key)
+            carry, out = self._chunk(policy, carry, jax.random.split(own, CHUNK))
+            done, metrics, recorded = out
+            chunks.append(jax.device_get(recorded))
+            metrics = {name: np.asarray(value) for name, value in metrics.items()}
+            for t, lot in np.argwhere(np.asarray(done)[..., 0]):
+                if rows[lot] is None:
+                    row = {n: float(value[t, lot, 0]) for n, value in metrics.items()}
+                    rows[lot] = _label(cases, lot) | complete_row(row, ctrl_dt)
+        drives = Drives(
+            *(
+                np.concatenate(parts).swapaxes(0, 1)
+                for parts in zip(*chunks, strict=True)
+            )
+        )
+        return [row for row in rows if row is not None], drives
+
+    def decision_time(self, policy: AnyPolicy, cases: Cases) -> float:
+        """How long a policy takes for one decision of one car [s]."""
+        key = jax.random.key(0)
+        starts = self._reset(cases.layouts, jax.random.split(key, len(cases.number)))
+        state, observation = jax.tree.map(lambda x: x[0], starts)
+        policy, taken = as_argument(policy), []
+        for _ in range(TIMED + 1):
+            begun = time.perf_counter()
+            self._choose_action(policy, state, observation, key).block_until_ready()
+            taken.append(time.perf_counter() - begun)
+        return min(taken[1:])
+
+
+def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array], Any]:
+    if env.num_agents > 1:
+        return functools.partial(moving_car.reset, env)
+    return env.reset_to_layout
+
+
+def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) -> Any:
+    """Drives on by a control step for every key; what happened in each of them."""
+    drive_on = functools.partial(moving_car.drive, ctrl_dt=env.config.sim.ctrl_dt)
+
+    def act(state: State, observation: jax.Array, memory: Any, key: jax.Array) -> Any:
+        action = _choose_action(policy, state, observation, key)
+        if memory is not None:  # of the moving car
+            other, memory = jax.vmap(drive_on)(state, memory)
+            action = jnp.concatenate([action, other[:, None]], axis=1)
+        return action, memory
+
+    def report(step: Step) -> Any:
+        timestep, motion = step.timestep, step.timestep.motion
+        recorded = (motion.trace_w, motion.steering, motion.speed)
+        return timestep.events.done, timestep.metrics, recorded
+
+    return roll_out(env, act, carry, keys, report)
+
+
+def _choose_action(
+    policy: AnyPolicy, state: State, observation: jax.Array, key: jax.Array
+) -> jax.Array:
+    """Actions (..., 1, size) of the agents that park; a policy drives nobody else."""
+    own = jnp.arange(state.active.shape[-1]) == 0
+    state = dataclasses.replace(state, active=state.active & own)
+    action = choose_actions(policy, state, observation[..., :1, :], key)
+    return action[..., :1, :]
+
+
+def _label(cases: Cases, lot: int) -> Row:
+    return {
+        "level": cases.level,
+        "case": int(cases.number[lot]),
+        "kind": str(cases.kind[lot]),
+    }
+
+
+def worst_first(rows: Sequence[Row]) -> list[Row]:
+    """Episodes in order: crashes, then timeouts, then the slowest."""
+    return sorted(
+        rows, key=lambda row: (-row["crashed"], row["parked"], -row["length"])
+    )
+
+
+def has_moving_car(rows: Sequence[Row]) -> bool:
+    """Whether a car moved through the aisle in these episodes, as in all or in none."""
+    return any(row.get(MOVING_CAR) for row in rows)
+
+
+def planned_paths(rows: Sequence[Row]) -> dict[tuple[int, str, int], float]:
+    """Length of the planner's paths [m] by seed, level and case, where it found one."""
+    return {
+        (row["seed"], row["level"], row["case"]): row["planned_path"]
+        for row in rows
+        if not math.isnan(row.get("planned_path", math.nan))
+    }
+
+
+def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """A row of results for every level and kind of a policy.
+
+    Args:
+        policy: its name.
+        rows: all episodes of the suite, of `CaseEvaluator`, with the names of their
+            policies and their seeds. Those of the planner also have `planned`, whether
+            it found a path, `planned_path`, its length [m], and `planning_seconds`.
+    """
+    plans = planned_paths(rows)
+    own = [row for row in rows if row["policy"] == policy]
+    found = []
+    for level in LEVELS:
+        of_level = [row for row in own if row["level"] == level]
+        kinds = sorted({row["kind"] for row in of_level})
+        for kind in (*kinds, "all") if len(kinds) > 1 else kinds:
+            part = [row for row in of_level if kind in ("all", row["kind"])]
+            which = {"policy": policy, "level": level, "kind": kind}
+            found.append(which | _sum(part, plans))
+    return found
+
+
+def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str, Any]:
+    summary, seeds = summarize(rows), sorted({row["seed"] for row in rows})
+    cases = len({row["case"] for row in rows})
+    ratios = []
+    for row in rows:
+        planned = plans.get((row["seed"], row["level"], row["case"]), 0.0)
+        if row["parked"] and planned > 0:
+            ratios.append(row["path"] / planned)
+    rate = summary["parked"]["rate"]
+    # The same case with another seed is not another case.
+    low, high = wilson_interval(rate * cases, cases)
+    decision = _mean(rows, "ms / decision")
+    moving = has_moving_car(rows)
+    return {
+        "cases": cases,
+        "seeds": len(seeds),
+        "parked": rate,
+        "low": low,
+        "high": high,
+        "by seed": [
+            _mean([row for row in rows if row["seed"] == seed], "parked")
+            for seed in seeds
+        ],
+        "crashed": summary["crashed"]["rate"],
+        **({"hit moving car": summary["hit_agent"]["rate"]} if moving else {}),
+        "timed out": summary["timed_out"]["rate"],
+        "path found": _mean(rows, "planned"),
+        "gear changes": summary["gear_changes"],
+        "path [m]": summary["path"],
+        "path / planned": float(np.mean(ratios)) if ratios else math.nan,
+        "off by [m]": summary["final_distance"],
+        "off by [deg]": math.degrees(summary["final_heading"]),
+        "time [s]": summary["time_to_park"],
+        "planning [s]": _mean(rows, "planning_seconds"),
+        "ms / decision": decision,
+        "decisions/s": 1e3 / decision,
+    }
+
+
+def _mean(rows: Sequence[Row], name: str) -> float:
+    values = [row[name] for row in rows if name in row]
+    return float(np.mean(values)) if values else math.nan

@@ -1,0 +1,192 @@
+"""The results of the suite as a table on the screen and as files."""
+
+import importlib.metadata
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from carpark_mj.analysis.page import picture, table, video_figure, write_page
+from carpark_mj.evaluation.aggregation import Row
+from carpark_mj.files import write_atomically, write_csv
+from carpark_mj.studies.hope.held_out import VERSION
+from carpark_mj.studies.hope.suite import has_moving_car, worst_first
+from carpark_mj.studies.hope.suite_cases import LEVELS, TPCAP_LEVEL, fingerprint
+from carpark_mj.studies.hope.suite_videos import Video
+from carpark_mj.types import ENDINGS
+
+WORST = 10  # cases shown of a policy and level
+# Columns on the screen; files have all.
+PRINTED = (
+    *("policy", "level", "kind", "cases", "parked [%]", "crashed [%]"),
+    *("hit moving car [%]", "timed out [%]", "gear changes", "path [m]", "time [s]"),
+)
+DIGITS = {"decisions/s": 0}  # after the point, where not two
+WIDTH = 160  # of the table where there is no terminal
+PACKAGES = ("carpark_mj", "mujoco", "jax", "ompl")
+
+
+def made_with() -> str:
+    """The processor and the versions of the packages that results depend on."""
+    versions = []
+    for package in PACKAGES:
+        try:
+            versions.append(f"{package} {importlib.metadata.version(package)}")
+        except importlib.metadata.PackageNotFoundError:
+            versions.append(f"{package} not installed")
+    return f"{jax.devices()[0].device_kind}, {', '.join(versions)}"
+
+
+def header(episodes: Sequence[Row]) -> list[str]:
+    """The title of a suite's results, then what they depend on."""
+    seeds = sorted({row["seed"] for row in episodes})
+    parts: dict[str, list[str]] = {}
+    for level in LEVELS:
+        held_out = f"Held-out cases version {VERSION}"
+        source = "TPCAP's cases" if level == TPCAP_LEVEL else held_out
+        if found := {row["case"] for row in episodes if row["level"] == level}:
+            told = f"{len(found)} of {level} ({_ranges(found)})"
+            title = f"{source} (SHA-256 {fingerprint(level)})"
+            parts.setdefault(title, []).append(told)
+    cases = "; ".join(f"{title}: {', '.join(told)}" for title, told in parts.items())
+    rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
+    moving = has_moving_car(episodes)
+    return [
+        f"Hard cases, {', '.join(rules)} rule{', one moving car' if moving else ''}",
+        f"{cases}; seed{'s' * (len(seeds) > 1)} "
+        f"{', '.join(map(str, seeds))}; on {'; '.join(sorted(made))}.",
+        "Rates with Wilson's 95 % interval for the number of cases, however many seeds "
+        "drove them; gear changes, paths, errors and times are means over parked "
+        "episodes; planning and the planner's decisions are counted in seconds of the "
+        "processor, decisions are those of one car at a time.",
+    ]
+
+
+def _ranges(numbers: Iterable[int]) -> str:
+    """Whole numbers, those that follow each other as a range: 0 to 3, 7."""
+    shown: list[str] = []
+    for _, pairs in itertools.groupby(
+        enumerate(sorted(numbers)), lambda pair: pair[1] - pair[0]
+    ):
+        run = [number for _, number in pairs]
+        shown.append(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]))
+    return ", ".join(shown)
+
+
+def shown_cells(row: Mapping[str, Any]) -> dict[str, str]:
+    """A row of the table as it is shown."""
+    low, high = 100 * row["low"], 100 * row["high"]
+    shown: dict[str, str] = {}
+    for name, value in row.items():
+        if name == "parked":
+            shown["parked [%]"] = f"{100 * value:.1f} ({low:.1f} … {high:.1f})"
+        elif name == "by seed":
+            rates = " ".join(f"{100 * rate:.1f}" for rate in value)
+            shown["by seed [%]"] = rates if len(value) > 1 else "–"
+        elif name in ("crashed", "hit moving car", "timed out", "path found"):
+            shown[f"{name} [%]"] = _number(100 * value, 1)
+        elif name not in ("low", "high"):
+            shown[name] = _number(value, DIGITS.get(name, 2))
+    return shown
+
+
+def _number(value: Any, digits: int) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return "–" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def print_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
+    """Prints the table; files have more columns."""
+    shown = Table(title=title)
+    cells = [
+        {name: cell for name, cell in shown_cells(row).items() if name in PRINTED}
+        for row in rows
+    ]
+    for name in cells[0]:
+        shown.add_column(
+            name, justify="left" if name in ("policy", "level") else "right"
+        )
+    for row in cells:
+        shown.add_row(*map(escape, row.values()))
+    console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
+    console.print(shown)
+
+
+def write_results(
+    folder: Path,
+    head: Sequence[str],
+    rows: Sequence[Mapping[str, Any]],
+    episodes: Sequence[Row],
+    pictures: Sequence[Path],
+    videos: Sequence[Video],
+) -> list[Path]:
+    """Writes `suite.md`, `suite.csv` and `suite.html`; returns them.
+
+    Args:
+        folder: where.
+        head: see `header`.
+        rows: of the table.
+        episodes: all of them.
+        pictures: PNG files for the page.
+        videos: for the page, in the same folder or below it.
+    """
+    cells = [shown_cells(row) for row in rows]
+    lines = [f"# {head[0]}", "", *head[1:], "", f"| {' | '.join(cells[0])} |"]
+    lines.append(f"|{'---|' * len(cells[0])}")
+    lines += [f"| {' | '.join(row.values())} |" for row in cells]
+    text = "\n".join(lines) + "\n"
+    files = [folder / name for name in ("suite.md", "suite.csv", "suite.html")]
+    write_atomically(files[0], lambda temporary: temporary.write_text(text))
+    listed = {"by seed": lambda rates: " ".join(map(str, rates))}
+    write_csv(
+        files[1],
+        [{n: listed.get(n, lambda x: x)(x) for n, x in row.items()} for row in rows],
+    )
+    parts = [("Results", table(cells))]
+    parts += [(path.stem.capitalize(), picture(path)) for path in pictures]
+    for which, part in parts_of(episodes).items():
+        own = [video for video in videos if video.row in part]
+        shown = "".join(
+            video_figure(video.path, files[2], _told(video.row)) for video in own
+        )
+        parts.append((f"Worst cases of {which}", table(_worst(part)) + shown))
+    write_page(files[2], head[0], head[1:], parts)
+    return files
+
+
+def parts_of(episodes: Sequence[Row]) -> dict[str, list[Row]]:
+    """Episodes by policy and level."""
+    parts: dict[str, list[Row]] = {}
+    for row in episodes:
+        parts.setdefault(f"{row['policy']}, {row['level']}", []).append(row)
+    return parts
+
+
+def _outcome(row: Row) -> str:
+    return next(name for name in ENDINGS if row[name]).replace("_", " ")
+
+
+def _told(row: Row) -> str:
+    """What a video shows."""
+    return f"case {row['case']}, seed {row['seed']}: {_outcome(row)}"
+
+
+def _worst(episodes: Sequence[Row]) -> list[dict[str, Any]]:
+    columns = ("length", "path", "gear_changes", "final_distance")
+    return [
+        {
+            **{name: row[name] for name in ("case", "seed", "kind")},
+            "outcome": _outcome(row),
+            **{name: row[name] for name in columns},
+        }
+        for row in worst_first(episodes)[:WORST]
+    ]

@@ -1,0 +1,247 @@
+"""Cases of the Trajectory Planning Competition for Automated Parking (TPCAP), as CSV.
+
+A file is one flat vector, over one or several lines: start pose x0, y0, theta0, goal
+pose xf, yf, thetaf, the number of obstacles n, n vertex counts, then the vertices x, y
+of one obstacle after the other; metres and radians, poses of the rear axle's centre.
+
+Conversion: the goal is the only bay, a little larger than the car; the start is
+a spawn region of 2 cm. A rectangle becomes one wall. Of any other polygon, convex or
+not, the edges become walls 2 cm thick on its inner side: from outside that is the
+polygon to within 2 cm, and no car gets inside without crossing an edge. There are no
+lanes and no outer walls. The case is moved so that the lot's centre is the origin, in
+double precision: published cases lie up to 1e10 m from theirs.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config.layouts import LAYOUT_FORMATS
+from carpark_mj.geometry import boxes_overlap
+from carpark_mj.layouts.build import Group, assemble, bays, spawns, walls
+from carpark_mj.layouts.json_file import FARTHEST
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.types import Layout
+from carpark_mj.reading import read_text
+
+# The competition's car: 0.96 m and 0.929 m beyond a wheelbase of 2.8 m, 1.942 m wide,
+# full lock 0.75 rad (Li et al., Online competition of trajectory planning for automated
+# parking, 2022).
+TPCAP_CAR = DesignCar(
+    length=0.929 + 2.8 + 0.96,
+    width=1.942,
+    wheelbase=2.8,
+    rear_overhang=0.929,
+    max_steering=0.75,
+)
+BAY_MARGIN = 0.2  # m on every side of the goal footprint, less where obstacles are near
+SHARES = (1.0, 0.75, 0.5, 0.25)  # of it: the first that is free; else none
+EDGE = 0.02  # m, thickness of the walls along the edges of a polygon
+TOUCHING = 0.01  # m by which a car may stand in an obstacle, for rounded coordinates
+START = 0.02  # m, side of the spawn region
+PADDED = 256  # walls, to multiples of which
+LEAST_AREA = 1e-4  # m², of an obstacle
+FARTHEST_ORIGIN = 1e10  # m; float64 resolves 2e-6 m there
+MOST_HEADING = 4 * math.pi  # rad; published ones reach 6.1, larger are degrees
+RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
+
+
+def read_tpcap(path: Path) -> Layout:
+    """Reads a TPCAP case, whose poses are of the rear axle of `TPCAP_CAR`.
+
+    Args:
+        path: the CSV file.
+
+    Raises:
+        ValueError: no such file, or a fault in it; the message names the line.
+    """
+    numbers, lines = _numbers(path)
+    if len(numbers) < 7:
+        raise ValueError(
+            f"{path}, line {lines[-1] if lines else 1}: a case begins with start, goal "
+            f"and the number of obstacles (7 numbers), not {len(numbers)}"
+        )
+    count = _whole(path, lines[6], "number of obstacles", numbers[6], 0)
+    if len(numbers) < 7 + count:
+        raise ValueError(
+            f"{path}, line {lines[-1]}: {count} obstacles need {count} vertex counts, "
+            f"there are {len(numbers) - 7}"
+        )
+    sizes = [
+        _whole(path, lines[k], f"vertex count of obstacle {k - 7}", numbers[k], 3)
+        for k in range(7, 7 + count)
+    ]
+    expected = 7 + count + 2 * sum(sizes)
+    if len(numbers) != expected:
+        raise ValueError(
+            f"{path}, line {lines[-1]}: {count} obstacles with {sum(sizes)} vertices "
+            f"make {expected} numbers, not {len(numbers)}"
+        )
+    _require_near(path, numbers, lines, (0, 1, 3, 4, *range(7 + count, expected)))
+    for k in (2, 5):
+        if abs(numbers[k]) > MOST_HEADING:
+            raise ValueError(
+                f"{path}, line {lines[k]}: a heading must be at most "
+                f"{MOST_HEADING:.4g} rad either way, not {numbers[k]:g}"
+            )
+    vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
+    polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
+    for k, polygon in enumerate(polygons):
+        if abs(_area(polygon)) < LEAST_AREA:
+            line = lines[7 + count + 2 * sum(sizes[:k])]
+            raise ValueError(
+                f"{path}, line {line}: obstacle {k} has no area, its {sizes[k]} "
+                "vertices lie on a line or its edges cross"
+            )
+    try:
+        return _case(np.array(numbers[:3]), np.array(numbers[3:6]), polygons)
+    except _BlockedError as error:
+        raise ValueError(f"{path}, line {lines[error.first]}: {error}") from None
+
+
+class _BlockedError(ValueError):
+    """A car at an impossible pose."""
+
+    def __init__(self, first: int, what: str) -> None:
+        super().__init__(f"a car at the {what} would stand in an obstacle")
+        self.first = first  # number with which its pose begins
+
+
+def _numbers(path: Path) -> tuple[list[float], list[int]]:
+    """The numbers of a file and the line of each."""
+    try:
+        text = read_text(path)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+    numbers, lines = [], []
+    for line, row in enumerate(text.splitlines(), 1):
+        for cell in row.split(","):
+            if not cell.strip():
+                continue
+            try:
+                number = float(cell)
+            except ValueError:
+                number = math.nan
+            if not math.isfinite(number):
+                raise ValueError(f"{path}, line {line}: {cell.strip()!r} is no number")
+            numbers.append(number)
+            lines.append(line)
+    return numbers, lines
+
+
+def _whole(path: Path, line: int, what: str, value: float, least: int) -> int:
+    if value != int(value) or value < least:
+        raise ValueError(
+            f"{path}, line {line}: {what} must be a whole number of at least {least}, "
+            f"not {value:g}"
+        )
+    return int(value)
+
+
+def _require_near(
+    path: Path, numbers: list[float], lines: list[int], coordinates: Sequence[int]
+) -> None:
+    """Refuses a case that is too large, or too far from its origin to be resolved."""
+    for k, number in enumerate(coordinates):
+        value, place = numbers[number], f"{path}, line {lines[number]}: a coordinate"
+        if abs(value) > FARTHEST_ORIGIN:
+            raise ValueError(
+                f"{place} must be at most {FARTHEST_ORIGIN:g} m, not {value:g}"
+            )
+        away = abs(value - numbers[k % 2])  # start, goal and vertices: x, y in turn
+        if away > FARTHEST:
+            raise ValueError(
+                f"{place} must be at most {FARTHEST:g} m from the start's, not "
+                f"{away:g} m"
+            )
+
+
+def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> Layout:
+    car = TPCAP_CAR
+
+    def centred(pose: np.ndarray) -> np.ndarray:
+        step = car.centre_offset * np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
+        return pose + step
+
+    start, goal = centred(start), centred(goal)
+    reach = math.hypot(*car.size)
+    around = [goal[:2] - reach, goal[:2] + reach, start[:2] - reach, start[:2] + reach]
+    points = np.concatenate([np.array(around), *polygons])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = np.append((low + high) / 2, 0.0)
+    boxes = [box for polygon in polygons for box in _boxes(polygon - middle[:2])]
+    pose = np.array([pose for pose, _ in boxes]).reshape(-1, 3)
+    size = np.array([size for _, size in boxes]).reshape(-1, 2)
+    start, goal = start - middle, goal - middle
+    # Padded while JAX has them: cases would each be compiled on their own.
+    padding = [(0, -len(boxes) % PADDED), (0, 0)]
+    solid = walls(
+        np.pad(pose, padding),
+        np.pad(size, padding),
+        mask=np.arange(len(boxes) + padding[0][1]) < len(boxes),
+    )
+    margins = np.array([-TOUCHING, *(share * BAY_MARGIN for share in SHARES)])
+    sizes = np.array(car.size) + 2 * margins[:, None]
+    blocked = _is_blocked(
+        np.stack([start, goal, *[goal] * len(SHARES)]),
+        sizes[[0, *range(len(sizes))]],
+        solid,
+    )
+    for first, what, number in ((0, "start", 0), (3, "goal", 1)):
+        if blocked[number]:
+            raise _BlockedError(first, what)
+    free = sizes[1:][~blocked[2:]]
+    bay_size = free[0] if len(free) else np.array(car.size)
+    layout = assemble(
+        (high - low) / 2,
+        bays(goal[None], bay_size),
+        solid,
+        spawns(start[None], (START, START), 0.0),
+    )
+    kept = {name: np.asarray(rows)[: len(boxes)] for name, rows in solid.items()}
+    return dataclasses.replace(layout, **jax.tree.map(jnp.asarray, kept))
+
+
+@jax.jit
+def _is_blocked(pose: jax.Array, size: jax.Array, solid: Group) -> jax.Array:
+    """(n,) bool, whether boxes (n, 3), (n, 2) overlap a wall."""
+    meets = boxes_overlap(
+        pose[:, None], size[:, None], solid["wall_pose"], solid["wall_size"]
+    )
+    return (meets & solid["wall_mask"]).any(axis=-1)
+
+
+def _area(polygon: np.ndarray) -> float:
+    """Area of a polygon (n, 2) [m²], negative if its vertices run clockwise."""
+    x, y = (polygon - polygon[0]).T
+    return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
+
+
+def _boxes(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Centre poses and sizes of the walls that represent a polygon (n, 2)."""
+    ahead = np.roll(polygon, -1, axis=0) - polygon
+    length = np.linalg.norm(ahead, axis=1)
+    kept = length > 0  # a repeated vertex has no edge
+    polygon, ahead, length = polygon[kept], ahead[kept], length[kept]
+    unit = ahead / length[:, None]
+    if len(polygon) == 4:
+        corners = np.abs(np.sum(unit * np.roll(unit, -1, axis=0), axis=1))
+        if corners.max() < RIGHT_ANGLE:
+            yaw = math.atan2(unit[0, 1], unit[0, 0])
+            pose = np.append(polygon.mean(axis=0), yaw)
+            return [(pose, length[:2])]
+    inwards = np.sign(_area(polygon)) * np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    middle = polygon + ahead / 2 + inwards * EDGE / 2
+    yaw = np.arctan2(unit[:, 1], unit[:, 0])
+    return [
+        (np.append(m, a), np.array([n, EDGE]))
+        for m, a, n in zip(middle, yaw, length, strict=True)
+    ]
+
+
+LAYOUT_FORMATS.register("csv", read_tpcap)

@@ -1,0 +1,114 @@
+"""PPO runs from Python: trained, evaluated and rendered as by the command line."""
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from carpark_mj.cli.common import configure_jax, naming_extras
+from carpark_mj.policy.loading import LoadedPolicy, load_policy
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.run_folder import argument
+
+if TYPE_CHECKING:
+    from carpark_mj.evaluation.evaluator import Evaluation
+
+# Gets the metrics of an update by name; True ends the training after it.
+Callback = Callable[[Mapping[str, float]], bool | None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A run of PPO.
+
+    Attributes:
+        folder: of its settings, checkpoints and metrics.
+        outcome: `done`, `stopped` before its end, or `diverged`.
+    """
+
+    folder: Path
+    outcome: str = "done"
+
+    @property
+    def metrics(self) -> list[dict[str, float]]:
+        """Metrics of every update so far, by name.
+
+        Raises:
+            ValueError: `metrics.csv` is damaged.
+        """
+        with naming_extras():
+            from carpark_mj.training.metrics_log import read_metrics
+        return read_metrics(self.folder)
+
+    @property
+    def policy(self) -> LoadedPolicy:
+        """What the newest checkpoint has learned, and the environment it drives in.
+
+        Raises:
+            CheckpointError: there is none, or it is damaged.
+        """
+        return load_policy(self.folder)
+
+
+def train(config: PPOConfig, callback: Callback | None = None) -> Run:
+    """Trains a run, or goes on with `config.resume`.
+
+    What `carpark_mj train` leaves at the end is left to `evaluate` and `render`. If JAX
+    has made no array yet, the lots are divided over all cores.
+
+    Args:
+        config: of the run; one of `PRESETS`, changed, for example.
+        callback: called on the host after every update with its row of `metrics.csv`;
+            True ends the training after this update, as Ctrl-C does.
+
+    Raises:
+        ValueError: impossible settings.
+        CheckpointError: a checkpoint to resume from is damaged.
+        ImportError: the packages of the extra `train` are missing.
+    """
+    with naming_extras():
+        from carpark_mj.training.ppo.run import train_runs
+    with contextlib.suppress(RuntimeError):  # JAX runs already, on the devices it has
+        configure_jax()
+
+    def called(number: int, metrics: Mapping[str, float]) -> bool:
+        del number
+        return callback is not None and callback(metrics) is True
+
+    [(folder, outcome)] = train_runs([config], finish_run=None, callback=called)
+    return Run(folder, outcome)
+
+
+def evaluate(run: Run, **settings: Any) -> "Evaluation":
+    """Evaluates a run on held-out seeds; prints the table and writes the files.
+
+    Args:
+        run: to evaluate.
+        **settings: of `carpark_mj.cli.evaluate.EvaluateConfig`.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        ValueError: impossible settings.
+    """
+    with naming_extras():
+        from carpark_mj.cli.evaluate import EvaluateConfig, main
+    return main(EvaluateConfig(argument(run.folder), **settings))
+
+
+def render(run: Run, out: str | Path, **settings: Any) -> Path:
+    """Renders a run's episodes to an `.mp4`, a `.gif`, or a `.png` of one moment.
+
+    Args:
+        run: to render.
+        out: file to write.
+        **settings: of `carpark_mj.cli.render.RenderConfig`.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        RenderingError: OpenGL does not work here.
+        ValueError: impossible settings.
+    """
+    with naming_extras():
+        from carpark_mj.cli.render import RenderConfig, main
+    return main(RenderConfig(argument(run.folder), out=str(out), **settings))

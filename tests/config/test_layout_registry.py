@@ -1,0 +1,97 @@
+"""Layouts by name: one registration makes a family known everywhere."""
+
+import dataclasses
+import json
+
+import jax
+import pytest
+from helpers.registering import restore_after
+
+from carpark_mj.cli.layouts import families
+from carpark_mj.config import LAYOUTS, EnvConfig, LayoutConfig, register_layout
+from carpark_mj.config.layouts import FAMILIES, require_layout
+from carpark_mj.layouts import (
+    SquareConfig,
+    StreetConfig,
+    layout_config,
+    make_layout,
+    member_shares,
+)
+from carpark_mj.policy.runs import from_dict
+
+
+@dataclasses.dataclass(frozen=True)
+class YardConfig(SquareConfig):
+    """A square under another name, with settings of its own."""
+
+    bays_per_side: int = 5
+    family: str = "yard"
+
+
+@pytest.fixture
+def yard(monkeypatch):
+    """Registers the family, for one test."""
+    restore_after(monkeypatch, LAYOUTS, FAMILIES)
+    return register_layout("yard", YardConfig())
+
+
+def test_a_registered_layout_is_known_by_name_in_mixtures_files_and_tables(yard):
+    assert EnvConfig(layout="yard").layout == "yard"
+    assert make_layout("yard").num_bays == 20
+    assert layout_config("yard,street").members == (yard, StreetConfig())
+    assert member_shares(layout_config("yard,street")) == {"yard": 0.5, "street": 0.5}
+    config = EnvConfig(layout=YardConfig(bays_per_side=6))
+    stored = json.loads(json.dumps(dataclasses.asdict(config)))
+    assert from_dict(EnvConfig, stored) == config
+    assert families()["yard"] == yard
+
+
+def test_a_second_layout_of_a_name_and_a_second_class_of_a_family_are_refused(yard):
+    with pytest.raises(ValueError, match="there is a layout 'yard' already"):
+        register_layout("yard", YardConfig(bays_per_side=6))
+
+    class OtherConfig(YardConfig):
+        pass
+
+    with pytest.raises(ValueError, match="there is a family 'yard' already"):
+        register_layout("other", OtherConfig())
+    assert "other" not in LAYOUTS
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("ring", r"unknown layout 'ring'; choose from \[.*'square'.*'tpcap'"),
+        ("yard.txt", r"layout file must end in one of \.csv, \.json, not 'yard.txt'"),
+        ("", r"unknown layout ''"),
+    ],
+)
+def test_what_is_no_layout_is_refused(name, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        require_layout(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_family_in_a_file_that_nobody_registered_is_refused():
+    stored = dataclasses.asdict(EnvConfig()) | {"layout": {"family": "yard"}}
+    with pytest.raises(ValueError, match="unknown family 'yard'"):
+        from_dict(EnvConfig, json.loads(json.dumps(stored)))
+
+
+def test_a_config_without_a_generator_cannot_be_made():
+    class NoneConfig(LayoutConfig):
+        min_bays = 1
+
+    with pytest.raises(TypeError, match="generate"):
+        NoneConfig()
+
+
+def test_the_key_decides_and_a_member_is_a_mixtures_only():
+    key = jax.random.key(3)
+    for config in (StreetConfig(), layout_config("compact,street")):
+        once, again = config.generate(key), config.generate(key)
+        assert jax.tree.all(jax.tree.map(lambda a, b: (a == b).all(), once, again))
+    street = layout_config("compact,street").generate_member(1, key)
+    assert int(street.bay_mask.sum()) == int(
+        StreetConfig().generate(key).bay_mask.sum()
+    )

@@ -1,0 +1,70 @@
+"""Training from Python: the run, its callback, what is made of it."""
+
+import sys
+
+import jax
+import pytest
+
+from carpark_mj.cli import evaluate as evaluate_command
+from carpark_mj.config import EnvConfig
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.training import PPOConfig, Run, evaluate, train
+
+jax.devices()  # JAX runs, as in the other tests of this process
+UPDATES = 3
+TINY = PPOConfig(
+    num_steps=UPDATES * 32,
+    num_lots=4,
+    unroll_length=4,
+    num_minibatches=2,
+    networks=NetworkConfig((8,), (8,)),
+    env=EnvConfig(physics="bicycle", num_agents=2, num_parked_cars=2),
+)
+
+
+def run_of(folder, callback):
+    config = {**vars(TINY), "runs_dir": str(folder)}
+    return train(PPOConfig(**config), callback=callback)
+
+
+@pytest.fixture(scope="module")
+def told():
+    return []
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, told):
+    return run_of(tmp_path_factory.mktemp("runs"), lambda row: told.append(dict(row)))
+
+
+def test_the_callback_gets_every_update_s_row_of_the_metrics(run, told):
+    assert run.outcome == "done"
+    assert [row["update"] for row in told] == [*range(1, UPDATES + 1)]
+    for row, written in zip(told, run.metrics, strict=True):
+        assert row == pytest.approx(written, nan_ok=True)
+
+
+def test_the_run_has_the_policy_and_can_be_evaluated(run, monkeypatch):
+    assert run.policy.env == TINY.env
+    assert run.policy.steps == TINY.num_steps
+    asked = []
+    monkeypatch.setattr(evaluate_command, "main", asked.append)
+    evaluate(run, episodes=8)
+    assert (asked[0].run, asked[0].episodes) == (str(run.folder), 8)
+
+
+def test_true_ends_the_training_after_the_update_and_it_can_go_on(tmp_path):
+    stopped = run_of(tmp_path, lambda row: row["update"] == 2)
+    assert stopped.outcome == "stopped"
+    assert [row["update"] for row in stopped.metrics] == [1, 2]
+    again = PPOConfig(**{**vars(TINY), "resume": str(stopped.folder)})
+    assert train(again) == Run(stopped.folder)
+    assert [row["update"] for row in stopped.metrics] == [1, 2, 3]
+
+
+def test_a_missing_package_is_named_with_what_installs_it(monkeypatch):
+    for name in ("ppo.run", "ppo.train", "loop"):
+        monkeypatch.delitem(sys.modules, f"carpark_mj.training.{name}", raising=False)
+    monkeypatch.setitem(sys.modules, "rich.progress", None)
+    with pytest.raises(ImportError, match=r'rich.*: pip install "\.\[train,eval\]"'):
+        train(TINY)
