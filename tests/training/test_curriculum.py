@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    EnvConfig,
-    EpisodeConfig,
-    RayConfig,
-    SpawnConfig,
-)
+from carpark_mj.config import EnvConfig, EpisodeConfig, RayConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import crash_scale, discount, training_env
