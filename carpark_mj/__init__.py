@@ -25,7 +25,7 @@ if sys.argv[:1] == ["-m"]:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "ContinuousObservation": "carpark_mj.config",
+    "ContinuousObservation": "carpark_mj.observations",
     "EnvConfig": "carpark_mj.config",
     "EpisodeConfig": "carpark_mj.config",
     "ParkingEnv": "carpark_mj.env",

@@ -37,7 +37,7 @@ from carpark_mj.mdp.reset_options import (
     read_reset_options,
 )
 from carpark_mj.mdp.wrong_way import drives_wrong_way
-from carpark_mj.observations import observation_size, observe, rings, sensors
+from carpark_mj.observations import observation_size, observe, sensors
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.physics.make import make_physics, require_physics
 from carpark_mj.precision import float32_only, is_real, require_float32
@@ -126,19 +126,18 @@ class ParkingEnv:
         """The environment with other values of some settings, which may be traced.
 
         Args:
-            values: by the path of the setting, as in `reward.park`: numbers that only
-                enter into the arithmetic of `step`. They are not checked.
+            values: by the path of the setting, as in `reward.park`: numbers that are
+                data (`carpark_mj.config.is_data`). They are not checked.
 
         Raises:
             ValueError: there is no such setting, or another environment must be built
                 for it.
         """
         for path in values:
-            if not is_data(path, value := setting(self.config, path)):
+            if not is_data(self.config, path):
                 raise ValueError(
-                    f"{path} = {value!r} cannot have another value in an environment, "
-                    "as numbers of reward, episode.hitbox_scale and "
-                    "giving_way.bad_goal can: build another with it"
+                    f"{path} = {setting(self.config, path)!r} decides what an "
+                    "environment computes: build another with another value"
                 )
         env = copy.copy(self)
         env.config = insert(self.config, values)
@@ -309,7 +308,7 @@ class ParkingEnv:
 
     def _move(self, state: State, controls: jax.Array, keys: StepKeys) -> State:
         """The state when the cars have moved and their motion has been measured."""
-        config, ring_history = self.config, rings.update_history(self.config, state)
+        config, memory = self.config, self.config.observation.remember(state)
         physics = self.physics.step(state.physics, controls)
         motion = self.physics.read(physics)
         all_drive = config.episode.respawn and state.present is None
@@ -322,7 +321,7 @@ class ParkingEnv:
             physics=physics,
             motion=motion,
             parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
-            ring_history=ring_history,
+            memory=memory,
             movers=self._episodes.step_movers(state, keys),
             step=state.step + state.active,
             sensors=sensors.measure(

@@ -36,7 +36,7 @@ from carpark_mj.mdp.spawning.placing import (
     start_placing,
 )
 from carpark_mj.mdp.spawning.room import has_room
-from carpark_mj.observations import rings, sensors
+from carpark_mj.observations import sensors
 from carpark_mj.obstacles.movers import begin_movers, step_movers, trace_still
 from carpark_mj.physics.base import Physics, RollingStarts, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
@@ -179,7 +179,7 @@ class Episodes:
             goal=goal,
             tracked_bays=self._goals.init_tracked_bays(),
             parked_cars=start.parked_cars,
-            ring_history=rings.init_history(config),
+            memory=config.observation.init_memory(config),
             step=jnp.zeros(num_agents, jnp.int32),
             active=everybody if present is None else present,
             stats=metrics.init_stats(config, layout),
@@ -258,7 +258,9 @@ class Episodes:
             goal=placing.goal,
             parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
             kind=kind,
-            ring_history=rings.forget(state.ring_history, begun),
+            memory=where_cars(
+                begun, config.observation.init_memory(config), state.memory
+            ),
             step=jnp.where(begun, 0, state.step),
             stats=where_cars(begun, metrics.init_stats(config, layout), state.stats),
             sensors=sensors.reset(

@@ -3,7 +3,6 @@
 import dataclasses
 
 from carpark_mj.config import (
-    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     FleetConfig,
@@ -16,6 +15,7 @@ from carpark_mj.config import (
     ShareConfig,
 )
 from carpark_mj.extensions import Registry
+from carpark_mj.observations import ContinuousObservation
 
 ENVIRONMENTS: Registry[EnvConfig] = Registry("environment")
 

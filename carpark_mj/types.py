@@ -5,7 +5,7 @@ Units are SI and radians; poses are (x [m], y [m], yaw [rad]) of a footprint's c
 Floats are float32.
 """
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -207,8 +207,8 @@ class State:
         tracked_bays: (num_agents, num_tracked_bays) int32 free bays each agent tracks,
             `NO_BAY` in empty slots; None while goals are fixed.
         parked_cars: the cars that stand in bays.
-        ring_history: (num_agents, history, rings) int32 what rings counted before,
-            oldest first; None if the past is not observed.
+        memory: what agents observe of the past, arrays (num_agents, ...), see
+            `ObservationConfig.init_memory`; None if they observe none of it.
         step: (num_agents,) int32 control steps made in the running episodes.
         active: (num_agents,) bool; False once finished when nobody respawns, and of
             absent agents.
@@ -231,7 +231,7 @@ class State:
     goal: jax.Array
     tracked_bays: jax.Array | None
     parked_cars: ParkedCars
-    ring_history: jax.Array | None
+    memory: Any
     step: jax.Array
     active: jax.Array
     stats: EpisodeStats

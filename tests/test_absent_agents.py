@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import (
-    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     GivingWayConfig,
@@ -21,7 +20,6 @@ from carpark_mj.config import (
     ShareConfig,
     SimConfig,
     SpawnConfig,
-    TannerObservation,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp import fixed_goals
@@ -29,8 +27,9 @@ from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.clearance import RANGE
 from carpark_mj.mdp.metrics.collision_time import HORIZON
 from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing
-from carpark_mj.observations import make_fields
+from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.tracking import tracks
+from carpark_mj.studies.tanner.observation import TannerObservation
 from carpark_mj.types import NO_BAY, State, TimeStep
 
 PRESENT = 2
@@ -70,7 +69,7 @@ CONFIGS = {"fixed": FIXED, "dynamic": DYNAMIC, "study": STUDY}
 
 def without_absent(state: State, count: int) -> State:
     """The state of a lot in which only the first agents exist."""
-    names = ("physics", "motion", "goal", "tracked_bays", "ring_history", "step")
+    names = ("physics", "motion", "goal", "tracked_bays", "memory", "step")
     names = (*names, "active", "stats", "sensors")
     own = {
         name: jax.tree.map(lambda x: x[:count], getattr(state, name)) for name in names

@@ -26,12 +26,12 @@ from carpark_mj.config import (
     ContextName,
     EnvConfig,
     GivingWayConfig,
-    GoalRewards,
     RewardConfig,
 )
-from carpark_mj.mdp.goal_rewards import GOAL_TERMS
+from carpark_mj.mdp.goal_rewards import goal_weights
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table, observation_size
+from carpark_mj.programs.benchmark import BenchmarkConfig
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.studies.cederle.experiments.program import JunctionStudyConfig
 from carpark_mj.studies.cederle.training.families import presets_of
@@ -73,6 +73,7 @@ COMMANDS = {
     "train/study.py": StudyConfig,
     "train/sweep.py": SweepConfig,
     "train/junction_study.py": JunctionStudyConfig,
+    "eval/benchmark.py": BenchmarkConfig,
     "train/slots_study.py": SlotsStudyConfig,
     "eval/analysis.py": AnalysisConfig,
     "eval/evaluate.py": EvaluateConfig,
@@ -100,13 +101,40 @@ def code(page, language):
     return re.findall(rf"^```{language}\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
 
 
+# The same programs by the command `carpark_mj`.
+SCRIPTS = {
+    "train": "train/ppo.py",
+    **{f"{name}": f"train/{name}.py" for name in ("sweep", "export")},
+    **{f"study {name}": f"train/{name}.py" for name in ("q_learning", "sac")},
+    "study junction_tables": "train/junction_study.py",
+    "study junction": "train/junction.py",
+    "study slots": "train/slots_study.py",
+    "study tanner": "train/study.py",
+    **{f"{name}": f"-m carpark_mj.{name}" for name in ("scene", "play", "layouts")},
+    **{
+        f"{name}": f"eval/{name}.py"
+        for name in ("evaluate", "render", "suite", "analysis", "benchmark")
+    },
+}
+
+
+def as_script(line):
+    """A call of `carpark_mj` as one of a script; others as they are."""
+    for name, script in SCRIPTS.items():
+        start = f"carpark_mj {name}"
+        if line == start or line.startswith(f"{start} "):
+            return f"python {script}{line.removeprefix(start)}"
+    return line
+
+
 def commands(page):
     """Everything after `python` in blocks and quotes of a page, without comments."""
     blocks = "\n".join(re.findall(r"^```\w*\n(.*?)^```", page, re.M | re.S))
     text = re.sub(r"^```\w*\n.*?^```", "", page, flags=re.MULTILINE | re.DOTALL)
     quoted = [" ".join(q.split()) for q in re.findall(r"`([^`]+)`", text)]
     lines = [line.split("#")[0].strip() for line in blocks.splitlines()]
-    return [q.removeprefix("python ") for q in lines + quoted if q[:7] == "python "]
+    calls = [as_script(line) for line in lines + quoted]
+    return [call.removeprefix("python ") for call in calls if call[:7] == "python "]
 
 
 COMMAND_LINES = sorted({c for page in PAGES for c in commands(page.read_text())})
@@ -178,19 +206,20 @@ def test_the_parked_rules_are_those_in_force():
 
 def test_the_reward_terms_are_all_there_with_their_weights():
     found = [row[:3] for row in cells(MDP, "reward terms")]
+    sets = [
+        {name: getattr(REWARDS[set_], name) for name in TERMS} | REWARDS[set_].extra
+        for set_ in ("shaped", "tanner")
+    ]
+    names = (*TERMS, "approach", "smoothness", "reverse")
     assert found == [
-        [name, *(f"{getattr(REWARDS[set_], name):g}" for set_ in ("shaped", "tanner"))]
-        for name in (*TERMS, "wrong_way")
+        [x, *(f"{weights.get(x, 0):g}" for weights in sets)] for x in names
     ]
     for field in dataclasses.fields(RewardConfig):
         assert f"`{field.name}`" in MDP or field.name == "goals", field.name
 
 
 def test_the_terms_of_chosen_goals_are_all_there_with_their_defaults():
-    pay = GoalRewards()
-    weights = {name: getattr(pay, name) for name in GOAL_TERMS}
-    weights |= {"stop_goal": pay.stop, "lost_goal": pay.lost}
-    weights |= {"bad_goal": GivingWayConfig().bad_goal}
+    weights = goal_weights(EnvConfig()) | {"bad_goal": GivingWayConfig().bad_goal}
     found = [row[:2] for row in cells(MDP, "goal terms")]
     assert found == [[name, f"{weight:g}"] for name, weight in weights.items()]
 

@@ -13,7 +13,7 @@ from carpark_mj.layouts import LotConfig
 from carpark_mj.mdp.clearance import clearances
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.metrics.collision_time import collision_times
-from carpark_mj.observations import observe
+from carpark_mj.observations import ContinuousObservation, observe
 from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import State
 
@@ -31,7 +31,7 @@ def make_env(scene: str, rays: int) -> ParkingEnv:
     """The environment of a scene of `SCENES`; with `rays` bearings, if above 0."""
     config = SCENES[scene]
     if rays:
-        seen = dataclasses.replace(config.observation, rays=RayConfig(rays))
+        seen = ContinuousObservation(rays=RayConfig(rays))
         config = dataclasses.replace(config, observation=seen)
     return ParkingEnv(config)
 

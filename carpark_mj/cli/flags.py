@@ -17,9 +17,21 @@ from tyro.constructors import (
     ConstructorRegistry,
     PrimitiveConstructorSpec,
     PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
     UnsupportedTypeAnnotationError,
 )
 
+from carpark_mj.config import (
+    ENCODERS,
+    REWARD_TERMS,
+    ExtraTerms,
+    ObservationConfig,
+    insert,
+    setting,
+    term_settings,
+)
 from carpark_mj.config.checks import Range
 
 Config = TypeVar("Config")
@@ -54,9 +66,30 @@ def _tag(info: PrimitiveTypeInfo) -> UnsupportedTypeAnnotationError | None:
     return UnsupportedTypeAnnotationError(())
 
 
+def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """A flag for every setting of every registered reward term, as in `extra.haste`."""
+    if info.type is not ExtraTerms:
+        return None
+    given = info.default if isinstance(info.default, ExtraTerms) else ExtraTerms()
+
+    def build(**values: float | None) -> ExtraTerms:
+        ordered = {**given, **values}.items()  # terms of the default first
+        return ExtraTerms({key: value for key, value in ordered if value is not None})
+
+    number: Any = float | None  # None = not given
+    fields = [
+        StructFieldSpec(key, number, given.get(key), REWARD_TERMS[name].meaning)
+        for name in REWARD_TERMS
+        for key in term_settings(name)
+    ]
+    return StructConstructorSpec(build, tuple(fields))
+
+
 _REGISTRY, _HELP_REGISTRY = ConstructorRegistry(), ConstructorRegistry()
 _REGISTRY.primitive_rule(_range)
 _HELP_REGISTRY.primitive_rule(_range)
+_REGISTRY.struct_rule(_extra_terms)
+_HELP_REGISTRY.struct_rule(_extra_terms)
 _HELP_REGISTRY.primitive_rule(_tag)
 
 
@@ -69,6 +102,8 @@ def read_flags(
     prog: str | None = None,
 ) -> Config:
     """Reads the flags of a dataclass.
+
+    The flag `--….encoding NAME` of an observation chooses that encoder, and its flags.
 
     Args:
         cls: a field is a flag; its docstring says what `--help` prints.
@@ -88,6 +123,7 @@ def read_flags(
         arguments = ["--help"]
     elif short and {"-h", "--help"} & {*arguments}:
         _print_short_help(cls, default or cls(), short, options)
+    default = _with_encoders(cls, arguments, default)
     if default is not None:
         options["default"] = default
     if {"-h", "--help"} & {*arguments}:
@@ -102,6 +138,28 @@ def read_flags(
             if not box.getvalue():
                 raise
     raise ValueError(_sentence(box.getvalue()))
+
+
+def _with_encoders(
+    cls: type[Config], arguments: Sequence[str], default: Config | None
+) -> Config | None:
+    """The default with the encoders that flags ask for, their settings by default."""
+    for word, after in itertools.pairwise([*arguments, ""]):
+        flag, equals, value = word.partition("=")
+        path = flag.removeprefix("--").removesuffix(".encoding")
+        if flag != f"--{path}.encoding":
+            continue
+        config = cls() if default is None else default
+        try:
+            now = setting(config, path)
+        except ValueError:
+            continue  # no such flag, which tyro says
+        if isinstance(now, ObservationConfig):
+            encoder = ENCODERS[value if equals else after]
+            if type(now) is not encoder:
+                # Checked with the other flags, some of which may belong to it.
+                default = insert(config, {path: encoder()})
+    return default
 
 
 @contextlib.contextmanager

@@ -11,12 +11,9 @@ from rich.progress import track
 
 from carpark_mj.cli.common import MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.config import (
-    ContinuousObservation,
-    EnvConfig,
-    TannerObservation,
-)
+from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_positive, require_unset
+from carpark_mj.config.observations import Tracked
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
@@ -29,7 +26,7 @@ from carpark_mj.rendering.renderer import (
     Show,
     camera_names,
 )
-from carpark_mj.rendering.snapshot import Tracked, frames_per_second, num_frames
+from carpark_mj.rendering.snapshot import frames_per_second, num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 
@@ -213,16 +210,13 @@ def _renderer(
 def _show(config: RenderConfig, env: EnvConfig) -> Show:
     seen, tracked = env.observation, None
     if "tracked" in config.extras:
-        if isinstance(seen, ContinuousObservation):
-            tracked = Tracked(seen.tracked_agents, seen.tracked_parked_cars)
-        elif isinstance(seen, TannerObservation):
-            tracked = Tracked(cars=seen.tracked_cars)
-        else:
+        tracked = seen.tracked
+        if tracked == Tracked():
             raise ValueError(
-                "show 'tracked' needs an encoding that tracks cars, 'continuous' or "
-                f"'tanner', not {seen.encoding!r}"
+                "show 'tracked' needs an observation that tracks cars, and the "
+                f"encoding {seen.encoding!r} tracks none here"
             )
-    rings = seen.rings.diameters if "rings" in config.extras else ()
+    rings = seen.circles if "rings" in config.extras else ()
     return Show(tracked, rings)
 
 

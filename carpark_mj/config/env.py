@@ -14,12 +14,7 @@ from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.config.metrics import MetricsConfig
-from carpark_mj.config.observations import (
-    ContinuousObservation,
-    IndexObservation,
-    Observation,
-    TannerObservation,
-)
+from carpark_mj.config.observations import ENCODERS, ObservationConfig
 from carpark_mj.config.obstacles import Mover, MoverChoice, make_movers
 from carpark_mj.config.physics import SimConfig
 from carpark_mj.config.randomization import RandomizationConfig
@@ -65,7 +60,8 @@ class EnvConfig:
         spawn: where episodes start.
         episode: when episodes end.
         reward: reward weights.
-        observation: what agents observe; one config per encoding.
+        observation: what agents observe, an encoder; those that have a name are in
+            `carpark_mj.config.observations.ENCODERS`.
         randomization: parameters that differ between cars.
         sensors: noise and delay of what agents observe.
         metrics: optional measurements.
@@ -87,7 +83,9 @@ class EnvConfig:
     spawn: SpawnConfig = dataclasses.field(default_factory=SpawnConfig)
     episode: EpisodeConfig = dataclasses.field(default_factory=EpisodeConfig)
     reward: RewardConfig = dataclasses.field(default_factory=RewardConfig)
-    observation: Observation = dataclasses.field(default_factory=ContinuousObservation)
+    observation: ObservationConfig = dataclasses.field(
+        default_factory=lambda: ENCODERS["continuous"]()
+    )
     randomization: RandomizationConfig = dataclasses.field(
         default_factory=RandomizationConfig
     )
@@ -193,38 +191,19 @@ class EnvConfig:
             ValueError: naming the setting and what it needs.
         """
         observation, scheme = self.observation, self.giving_way.scheme
-        sees_own_car = (
-            isinstance(observation, ContinuousObservation) and observation.own_car
-        )
-        if self.fleet.agents and not sees_own_car:
+        observation.check(self)
+        if self.fleet.agents and not observation.sees_own_car:
             raise ValueError(
                 "fleet.agents needs observation.own_car = True of the encoding "
                 "'continuous': agents with different cars must observe their own car"
             )
-        if isinstance(observation, IndexObservation):
-            if self.physics_config.continuous:
-                raise ValueError(
-                    "observation.encoding 'indices' needs grid physics, not "
-                    f"{self.physics}"
-                )
-            if self.goals.dynamic:
-                raise ValueError(
-                    "observation.encoding 'indices' needs fixed goals, not dynamic ones"
-                )
-            return
-        if self.goals.dynamic and observation.share.goal_headings:
-            raise ValueError("observation.share.goal_headings needs fixed goals")
-        wanted = self.giving_way.global_information
-        if scheme is not None and observation.global_information != wanted:
+        wanted, found = self.giving_way.global_information, observation.sees_everywhere
+        if scheme is not None and found != wanted:
             raise ValueError(
                 f"giving_way.scheme {scheme!r} needs observation.global_information = "
-                f"{wanted}, not {observation.global_information}"
+                f"{wanted}, not {found}"
             )
-        tracked = (
-            observation.tracked_cars
-            if isinstance(observation, TannerObservation)
-            else observation.tracked_agents
-        )
+        tracked = observation.tracked.agents or observation.tracked.cars
         context = self.giving_way.context or ""
         if context.startswith("local") and not tracked:
             raise ValueError(
@@ -246,9 +225,7 @@ class EnvConfig:
     @property
     def follows_routes(self) -> bool:
         """Whether the way along the lanes is rewarded or observed."""
-        observation = self.observation
-        seen = isinstance(observation, ContinuousObservation) and observation.route
-        return seen or self.reward.route
+        return self.observation.sees_routes or self.reward.route
 
     @property
     def varies(self) -> bool:

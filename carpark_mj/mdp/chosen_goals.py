@@ -24,7 +24,7 @@ from carpark_mj.mdp.spawning.poses import (
     split_redraws,
 )
 from carpark_mj.mdp.tracked_bays import target_bay, update_tracked_bays
-from carpark_mj.observations.tracking import bays_in_view, tracks
+from carpark_mj.observations.tracking import tracks
 from carpark_mj.types import NO_BAY, Events, GoalEvents, State
 
 
@@ -135,7 +135,7 @@ class ChosenGoals:
         layout, config = state.layout, self._config
         size = state.physics.vehicle.size
         usable = bay_fits(config, layout, size, state.parked_cars.size).agents
-        seen = bays_in_view(config, state)
+        seen = config.observation.bays_in_view(state)
         if seen is None:
             return usable
         return seen if usable is None else seen & usable

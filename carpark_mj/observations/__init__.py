@@ -1,11 +1,24 @@
 """What agents observe: fields, and the functions that fill them."""
 
 from carpark_mj.observations.compose import (
+    cardinalities,
     make_fields,
     markdown_table,
     observation_size,
     observe,
 )
+from carpark_mj.observations.continuous import ContinuousObservation
 from carpark_mj.observations.fields import Field
+from carpark_mj.observations.parts import Part, Sight
 
-__all__ = ["Field", "make_fields", "markdown_table", "observation_size", "observe"]
+__all__ = [
+    "ContinuousObservation",
+    "Field",
+    "Part",
+    "Sight",
+    "cardinalities",
+    "make_fields",
+    "markdown_table",
+    "observation_size",
+    "observe",
+]

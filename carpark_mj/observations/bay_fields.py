@@ -3,16 +3,27 @@
 Lists of bays hold `NO_BAY` where there is none.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import norm
 from carpark_mj.layouts.types import Layout
-from carpark_mj.observations.fields import FAR, FARTHEST, LENGTH, Field, far
+from carpark_mj.observations.fields import (
+    FAR,
+    FARTHEST,
+    LENGTH,
+    Field,
+    far,
+    repeated,
+    repeated_values,
+)
 from carpark_mj.observations.localised import POSE_FIELDS, localise
+from carpark_mj.observations.parts import Part, Sight
 from carpark_mj.types import NO_BAY, Motion
 
-BAY_FIELDS = (
+_BAY_FIELDS = (
     Field(
         "present",
         1,
@@ -27,7 +38,7 @@ BAY_FIELDS = (
     ),
     Field("distance", 1, 0.0, FARTHEST, f"to its centre [{FAR:g} m]", metres=FAR),
 )
-RIVAL_FIELDS = (
+_RIVAL_FIELDS = (
     Field(
         "nearest_agent",
         1,
@@ -47,19 +58,44 @@ RIVAL_FIELDS = (
 )
 
 
-def localise_bays(
+def choice_part(num_tracked_bays: int) -> Part:
+    """Which of the tracked bays an agent has chosen."""
+
+    def fill(sight: Sight) -> dict[str, jax.Array]:
+        bays = _tracked_bays(sight)
+        choice = goal_code(sight.goal[:, None], bays)[:, 0]
+        return {"goal_choice": jax.nn.one_hot(choice, num_tracked_bays + 1)}
+
+    meaning = "one-hot: exploring, or which tracked bay is the goal"
+    size = num_tracked_bays + 1
+    field = Field("goal_choice", size, 0.0, 1.0, meaning, reveals_goal=True)
+    return Part((field,), fill)
+
+
+def bays_part(count: int, global_information: bool) -> Part:
+    """The tracked bays, with who is near them if there is global information."""
+
+    def fill(sight: Sight) -> dict[str, jax.Array]:
+        layout, motion, bays = sight.layout, sight.motion, _tracked_bays(sight)
+        values = _localise_bays(layout, motion, bays)
+        if global_information:
+            values |= _rival_values(layout, motion.xy, sight.goal, bays)
+        return repeated_values("bay", values)
+
+    fields = [*_BAY_FIELDS, *(_RIVAL_FIELDS if global_information else ())]
+    return Part(tuple(repeated("bay", count, fields)), fill)
+
+
+def _tracked_bays(sight: Sight) -> jax.Array:
+    bays = sight.state.tracked_bays
+    assert bays is not None
+    return bays
+
+
+def _localise_bays(
     layout: Layout, motion: Motion, bays: jax.Array
 ) -> dict[str, jax.Array]:
-    """Describes tracked bays in the observers' frames.
-
-    Args:
-        layout: the lot.
-        motion: the agents (num_agents,).
-        bays: (num_agents, count) int32; `NO_BAY` gives zeros.
-
-    Returns:
-        `BAY_FIELDS` (num_agents, count, k).
-    """
+    """`_BAY_FIELDS` (num_agents, count, k) of bays; zeros for `NO_BAY`."""
     room = layout.bay_size[bays] - motion.size[:, None]
     values = localise(motion.pose_w, layout.parked_pose[bays], room, bays != NO_BAY)
     distance = jnp.minimum(norm(values["position"]), FARTHEST)[..., None]
@@ -104,10 +140,10 @@ def rivals(
     return jnp.min(gap, axis=-1), jnp.min(jnp.where(wants, gap, jnp.inf), axis=-1)
 
 
-def rival_values(
+def _rival_values(
     layout: Layout, agent_xy: jax.Array, goal: jax.Array, bays: jax.Array
 ) -> dict[str, jax.Array]:
-    """`RIVAL_FIELDS` (num_agents, count, k); zeros where there is no bay or claim.
+    """`_RIVAL_FIELDS` (num_agents, count, k); zeros where there is no bay or claim.
 
     The arguments are those of `rivals`.
     """
@@ -119,3 +155,19 @@ def rival_values(
         "nearest_agent": far(jnp.where(present, nearest, 0.0)[..., None]),
         "claim": jnp.stack([claimed.astype(claim.dtype), claim], axis=-1),
     }
+
+
+def _goal_rivals(sight: Sight) -> dict[str, jax.Array]:
+    goal = sight.goal
+    found = _rival_values(sight.layout, sight.motion.xy, goal, goal[:, None])
+    return {f"goal_{name}": value[:, 0] for name, value in found.items()}
+
+
+# Who is near a fixed goal.
+RIVALS = Part(
+    tuple(
+        dataclasses.replace(field, name=f"goal_{field.name}", reveals_goal=True)
+        for field in _RIVAL_FIELDS
+    ),
+    _goal_rivals,
+)

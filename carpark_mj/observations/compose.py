@@ -1,22 +1,12 @@
-"""The observation vector of an environment: its encoding's values in declared order."""
+"""The observation vector of an environment: its encoder's values in declared order."""
 
-import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    EnvConfig,
-    Observation,
-    TannerObservation,
-)
-from carpark_mj.observations.continuous import continuous_fields, continuous_values
+from carpark_mj.config import EnvConfig
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.indices import index_fields, index_values
-from carpark_mj.observations.tanner import tanner_fields, tanner_values
-from carpark_mj.studies.tanner.grid_config import grid_scale
 from carpark_mj.types import State
 
 
@@ -25,56 +15,75 @@ def make_fields(config: EnvConfig) -> tuple[Field, ...]:
 
     `observe`, the vector's size and the table in the documentation all read them.
     """
-    observation, goals = slots(config), config.goals
-    num_tracked_bays = goals.num_tracked_bays if goals.dynamic else 0
-    if isinstance(observation, ContinuousObservation):
-        return tuple(continuous_fields(observation, num_tracked_bays))
-    if isinstance(observation, TannerObservation):
-        return tuple(tanner_fields(observation, num_tracked_bays))
-    return tuple(index_fields(observation, grid_scale(config)))
+    return tuple(config.observation.fields(config))
 
 
 def observe(config: EnvConfig, state: State) -> jax.Array:
     """What the agents of a lot observe, (num_agents, observation_size) float32.
 
     Absent agents observe zeros.
+
+    Raises:
+        ValueError: the encoder's values are not those of its fields.
     """
-    observation, ctrl_dt = slots(config), config.sim.ctrl_dt
-    if isinstance(observation, ContinuousObservation):
-        values = continuous_values(observation, state)
-    elif isinstance(observation, TannerObservation):
-        values = tanner_values(observation, grid_scale(config), ctrl_dt, state)
-    else:
-        values = index_values(observation, grid_scale(config), ctrl_dt, state)
-    ordered = [values.pop(field.name) for field in make_fields(config)]
-    if values:
-        raise AssertionError(f"undeclared observation fields: {sorted(values)}")
+    fields, encoder = make_fields(config), config.observation
+    values = encoder.values(config, state)
+    _require_fit(encoder.encoding, fields, values, state.goal.shape[0])
+    ordered = [values[field.name] for field in fields]
     vector = jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
     if state.present is None:
         return vector
     return jnp.where(state.present[:, None], vector, 0.0)
 
 
-def slots(config: EnvConfig) -> Observation:
-    """The observation with as many slots as the lot's cars can fill.
+def _require_fit(
+    encoding: str,
+    fields: Sequence[Field],
+    values: Mapping[str, jax.Array],
+    num_agents: int,
+) -> None:
+    """Refuses values that are not those of the fields, each (num_agents, size).
 
-    One slot stays where there are no such cars, so that a network that reads sets of
-    cars has the same weights whatever their number.
+    Raises:
+        ValueError: naming the encoder and the fields.
     """
-    observation = config.observation
-    if not isinstance(observation, ContinuousObservation):
-        return observation
-    agents, parked = max(config.num_agents - 1, 1), max(config.num_parked_cars, 1)
-    return dataclasses.replace(
-        observation,
-        tracked_agents=min(observation.tracked_agents, agents),
-        tracked_parked_cars=min(observation.tracked_parked_cars, parked),
-    )
+    shapes = {field.name: (num_agents, field.size) for field in fields}
+    given = {name: jnp.shape(value) for name, value in values.items()}
+    if len(shapes) < len(fields):
+        names = [field.name for field in fields]
+        wrong = f"declares {sorted({x for x in names if names.count(x) > 1})} twice"
+    elif missing := sorted(shapes.keys() - given.keys()):
+        wrong = f"fills no {missing}, which it declares"
+    elif extra := sorted(given.keys() - shapes.keys()):
+        wrong = f"fills {extra}, which it does not declare"
+    elif bad := sorted(name for name in shapes if given[name] != shapes[name]):
+        wrong = (
+            f"fills {bad} with {[given[name] for name in bad]} numbers, not the "
+            f"{[shapes[name] for name in bad]} that it declares"
+        )
+    else:
+        return
+    raise ValueError(f"the observation encoder {encoding!r} {wrong}")
 
 
 def observation_size(config: EnvConfig) -> int:
     """Length of an agent's observation."""
     return sum(field.size for field in make_fields(config))
+
+
+def cardinalities(config: EnvConfig) -> tuple[int, ...]:
+    """How many values each number of the observation can have, for tables.
+
+    Raises:
+        ValueError: not all are whole numbers from 0.
+    """
+    fields = make_fields(config)
+    if not all(field.is_whole and field.low == 0 for field in fields):
+        raise ValueError(
+            "a table needs an observation of whole numbers, which the encoding "
+            f"{config.observation.encoding!r} is not"
+        )
+    return tuple(int(field.high) + 1 for field in fields for _ in range(field.size))
 
 
 def markdown_table(fields: Iterable[Field]) -> str:

@@ -1,13 +1,13 @@
 """What an agent observes of itself and its goal."""
 
+import functools
 import math
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import box_room, norm, rotate, to_local
-from carpark_mj.layouts.routes import Way
-from carpark_mj.layouts.types import Layout
+from carpark_mj.layouts.routes import way_to
 from carpark_mj.observations.fields import (
     CLOSE,
     FAR,
@@ -17,77 +17,13 @@ from carpark_mj.observations.fields import (
     Field,
     far,
 )
-from carpark_mj.types import CarParameters, Motion
+from carpark_mj.observations.parts import Part, Sight
 
-MOTION_FIELDS = (
-    Field("speed", 1, -1.5, 1.5, "own signed speed [forward limit]", speed=math.inf),
-    Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
-    Field("yaw_rate", 1, -2.0, 2.0, "own yaw rate [rad/s], left > 0", speed=1.0),
-)
-GOAL_FIELDS = (
-    Field(
-        "goal_position",
-        2,
-        -FARTHEST,
-        FARTHEST,
-        f"goal centre, body frame [{FAR:g} m]",
-        metres=FAR,
-    ),
-    Field("goal_near", 2, -1.0, 1.0, f"goal centre, body frame [{NEAR:g} m], clipped"),
-    Field("goal_heading", 2, -1.0, 1.0, "cos and sin of goal heading minus own"),
-    Field(
-        "goal_distance", 1, 0.0, FARTHEST, f"to the goal centre [{FAR:g} m]", metres=FAR
-    ),
-    Field("in_bay", 2, -1.0, 1.0, f"own centre, goal frame [{NEAR:g} m], clipped"),
-    Field(
-        "goal_size",
-        2,
-        0.0,
-        2.0,
-        f"length and width of the goal bay less own [{LENGTH:g} m]",
-        metres=LENGTH,
-    ),
-)
-LINE_FIELDS = (
-    Field(
-        "line_room",
-        4,
-        -1.0,
-        1.0,
-        "room between the own outline and the goal bay's lines at +x, -x, +y, -y, goal "
-        f"frame [{CLOSE:g} m], clipped",
-    ),
-)
-ROUTE_FIELDS = (
-    Field(
-        "route_next",
-        2,
-        -FARTHEST,
-        FARTHEST,
-        f"where the way along the lanes turns next, body frame [{FAR:g} m]",
-        metres=FAR,
-    ),
-    Field(
-        "route_length",
-        1,
-        0.0,
-        FARTHEST,
-        f"way along the lanes to the goal [{FAR:g} m]",
-        metres=FAR,
-    ),
-)
-CAR_FIELDS = (
-    Field("own_size", 2, 0.0, 2.0, f"own length and width [{LENGTH:g} m]"),
-    Field("own_wheelbase", 1, 0.0, 1.0, f"own wheelbase [{LENGTH:g} m]"),
-    Field("own_rear_axle", 1, 0.0, 1.0, f"from rear axle to own centre [{LENGTH:g} m]"),
-    Field(
-        "own_turning_radius", 1, 0.0, 2.0, f"of the rear axle, full lock [{LENGTH:g} m]"
-    ),
-)
+_GoalField = functools.partial(Field, reveals_goal=True)
 
 
-def own_motion(motion: Motion, vehicle: CarParameters) -> dict[str, jax.Array]:
-    """`MOTION_FIELDS` of every agent (num_agents, 1)."""
+def _motion(sight: Sight) -> dict[str, jax.Array]:
+    motion, vehicle = sight.motion, sight.vehicle
     return {
         "speed": (motion.speed / vehicle.max_speed)[..., None],
         "steering": (motion.steering / vehicle.max_steering)[..., None],
@@ -95,19 +31,25 @@ def own_motion(motion: Motion, vehicle: CarParameters) -> dict[str, jax.Array]:
     }
 
 
-def own_goal(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.Array]:
-    """`GOAL_FIELDS` of every agent (num_agents, k).
+MOTION = Part(
+    (
+        Field(
+            "speed", 1, -1.5, 1.5, "own signed speed [forward limit]", speed=math.inf
+        ),
+        Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
+        Field("yaw_rate", 1, -2.0, 2.0, "own yaw rate [rad/s], left > 0", speed=1.0),
+    ),
+    _motion,
+)
 
-    Args:
-        motion: the agents (num_agents,).
-        layout: the lot.
-        goal: (num_agents,) bays.
-    """
+
+def _goal(sight: Sight) -> dict[str, jax.Array]:
+    layout, motion, goal = sight.layout, sight.motion, sight.goal
     goal_pose, goal_size = layout.bay_pose[goal], layout.bay_size[goal]
     local = to_local(motion.pose_w, layout.parked_pose[goal])
     inverse = to_local(goal_pose, motion.pose_w)
     xy = local[..., :2]
-    return {
+    values = {
         "goal_position": far(xy),
         "goal_near": jnp.clip(xy / NEAR, -1.0, 1.0),
         "goal_heading": jnp.stack(
@@ -117,17 +59,74 @@ def own_goal(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.A
         "in_bay": jnp.clip(inverse[..., :2] / NEAR, -1.0, 1.0),
         "goal_size": (goal_size - motion.size) / LENGTH,
     }
+    return sight.with_goal(values)
 
 
-def own_lines(motion: Motion, layout: Layout, goal: jax.Array) -> dict[str, jax.Array]:
-    """`LINE_FIELDS` of every agent (num_agents, 4); arguments as of `own_goal`."""
+GOAL = Part(
+    (
+        _GoalField(
+            "goal_position",
+            2,
+            -FARTHEST,
+            FARTHEST,
+            f"goal centre, body frame [{FAR:g} m]",
+            metres=FAR,
+        ),
+        _GoalField(
+            "goal_near", 2, -1.0, 1.0, f"goal centre, body frame [{NEAR:g} m], clipped"
+        ),
+        _GoalField(
+            "goal_heading", 2, -1.0, 1.0, "cos and sin of goal heading minus own"
+        ),
+        _GoalField(
+            "goal_distance",
+            1,
+            0.0,
+            FARTHEST,
+            f"to the goal centre [{FAR:g} m]",
+            metres=FAR,
+        ),
+        _GoalField(
+            "in_bay", 2, -1.0, 1.0, f"own centre, goal frame [{NEAR:g} m], clipped"
+        ),
+        _GoalField(
+            "goal_size",
+            2,
+            0.0,
+            2.0,
+            f"length and width of the goal bay less own [{LENGTH:g} m]",
+            metres=LENGTH,
+        ),
+    ),
+    _goal,
+)
+
+
+def _lines(sight: Sight) -> dict[str, jax.Array]:
+    layout, motion, goal = sight.layout, sight.motion, sight.goal
     goal_pose, goal_size = layout.bay_pose[goal], layout.bay_size[goal]
     room = box_room(motion.pose_w, motion.size, goal_pose, goal_size)
-    return {"line_room": jnp.clip(room / CLOSE, -1.0, 1.0)}
+    return sight.with_goal({"line_room": jnp.clip(room / CLOSE, -1.0, 1.0)})
 
 
-def own_route(motion: Motion, way: Way) -> dict[str, jax.Array]:
-    """`ROUTE_FIELDS` of every agent (num_agents, k); both arguments (num_agents,)."""
+LINES = Part(
+    (
+        _GoalField(
+            "line_room",
+            4,
+            -1.0,
+            1.0,
+            "room between the own outline and the goal bay's lines at +x, -x, +y, -y, "
+            f"goal frame [{CLOSE:g} m], clipped",
+        ),
+    ),
+    _lines,
+)
+
+
+def _route(sight: Sight) -> dict[str, jax.Array]:
+    motion = sight.motion
+    way = way_to(sight.state.routes, sight.layout, motion.xy, sight.goal)
     position = rotate(way.next_xy - motion.xy, -motion.pose_w[..., 2])
     return {
         "route_next": far(position),
@@ -135,12 +134,54 @@ def own_route(motion: Motion, way: Way) -> dict[str, jax.Array]:
     }
 
 
-def own_car(motion: Motion, vehicle: CarParameters) -> dict[str, jax.Array]:
-    """`CAR_FIELDS` of every agent (num_agents, k)."""
+ROUTE = Part(
+    (
+        _GoalField(
+            "route_next",
+            2,
+            -FARTHEST,
+            FARTHEST,
+            f"where the way along the lanes turns next, body frame [{FAR:g} m]",
+            metres=FAR,
+        ),
+        _GoalField(
+            "route_length",
+            1,
+            0.0,
+            FARTHEST,
+            f"way along the lanes to the goal [{FAR:g} m]",
+            metres=FAR,
+        ),
+    ),
+    _route,
+)
+
+
+def _car(sight: Sight) -> dict[str, jax.Array]:
+    vehicle = sight.vehicle
     radius = vehicle.wheelbase / jnp.tan(vehicle.max_steering)
     return {
-        "own_size": motion.size / LENGTH,
+        "own_size": sight.motion.size / LENGTH,
         "own_wheelbase": vehicle.wheelbase[..., None] / LENGTH,
         "own_rear_axle": vehicle.centre_offset[..., None] / LENGTH,
         "own_turning_radius": radius[..., None] / LENGTH,
     }
+
+
+CAR = Part(
+    (
+        Field("own_size", 2, 0.0, 2.0, f"own length and width [{LENGTH:g} m]"),
+        Field("own_wheelbase", 1, 0.0, 1.0, f"own wheelbase [{LENGTH:g} m]"),
+        Field(
+            "own_rear_axle", 1, 0.0, 1.0, f"from rear axle to own centre [{LENGTH:g} m]"
+        ),
+        Field(
+            "own_turning_radius",
+            1,
+            0.0,
+            2.0,
+            f"of the rear axle, full lock [{LENGTH:g} m]",
+        ),
+    ),
+    _car,
+)

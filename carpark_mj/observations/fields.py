@@ -7,7 +7,6 @@ a lot is larger than the range of a field, the field is clipped.
 
 import dataclasses
 from collections.abc import Iterable
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +19,8 @@ NEAR = 3.0  # m, the last car length before the goal
 CLOSE = 0.5  # m, about the room on either side of a car in its bay
 LENGTH = 5.0  # m, about a car
 
-# Entities that are observed several times over: other agents, parked cars, both in one
-# list, and tracked bays.
-Group = Literal["", "agent", "parked_car", "car", "bay"]
 # Groups whose slots mean something: actions name tracked bays by their slots.
-ORDERED: tuple[Group, ...] = ("bay",)
+ORDERED = ("bay",)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,13 +34,17 @@ class Field:
         high: largest value; the ranges hold while cars stay on the lot and within
             their speed limits.
         meaning: what the numbers are, with scale and unit.
-        group: the repeated entity it describes; "" if it describes none. All entities
-            of a group have the same fields in the same order, next to each other.
+        group: the repeated entity it describes, as `agent`, `parked_car` or `bay`; ""
+            if it describes none. All entities of a group have the same fields in the
+            same order, next to each other.
         index: which of the group, from 0.
         is_mask: whether it is 1 where the entity is present, and 0 where it is not.
         metres: scale of a length [m], whose range holds on the lot only; else 0.
         speed: scale of a speed [m/s], or of a yaw rate [m/s per rad/s], whose range
             holds below the speeds of a car park only; else 0.
+        is_whole: whether its numbers are whole, from `low` to `high`.
+        reveals_goal: whether it tells an agent where its own goal is; goals that are
+            relabelled (`carpark_mj.wrappers.goal`) would contradict it.
     """
 
     name: str
@@ -52,11 +52,13 @@ class Field:
     low: float
     high: float
     meaning: str
-    group: Group = ""
+    group: str = ""
     index: int = 0
     is_mask: bool = False
     metres: float = 0.0
     speed: float = 0.0
+    is_whole: bool = False
+    reveals_goal: bool = False
 
 
 def far(distance: jax.Array) -> jax.Array:
@@ -64,7 +66,7 @@ def far(distance: jax.Array) -> jax.Array:
     return jnp.clip(distance / FAR, -FARTHEST, FARTHEST)
 
 
-def repeated(group: Group, count: int, fields: Iterable[Field]) -> list[Field]:
+def repeated(group: str, count: int, fields: Iterable[Field]) -> list[Field]:
     """The fields of the first `count` entities of a group, one after the other."""
     fields = tuple(fields)
     return [
@@ -76,7 +78,7 @@ def repeated(group: Group, count: int, fields: Iterable[Field]) -> list[Field]:
     ]
 
 
-def repeated_values(group: Group, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
+def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
     """The values of entities (num_agents, count, k) by the names of their fields."""
     return {
         f"{group}_{index}_{name}": value[:, index]

@@ -4,29 +4,22 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.layouts.lanes import has_lanes, nearest_lane
-from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import Field
+from carpark_mj.observations.parts import Part, Sight
 
-LANE_FIELDS = (
+_FIELDS = (
     Field("lane_present", 1, 0.0, 1.0, "1 if the lot has lanes; else all 0"),
     Field("lane_heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
     Field("lane_one_way", 1, 0.0, 1.0, "1 if only that direction is right"),
 )
 
 
-def own_lane(layout: Layout, own_pose: jax.Array) -> dict[str, jax.Array]:
-    """`LANE_FIELDS` of the lane nearest to every agent; zeros without lanes.
-
-    Args:
-        layout: the lot.
-        own_pose: (num_agents, 3).
-
-    Returns:
-        Values (num_agents, k).
-    """
+def _nearest(sight: Sight) -> dict[str, jax.Array]:
+    """Of the lane nearest to every agent; zeros without lanes."""
+    layout, own_pose = sight.layout, sight.motion.pose_w
     if not has_lanes(layout):
         count = own_pose.shape[0]
-        return {field.name: jnp.zeros((count, field.size)) for field in LANE_FIELDS}
+        return {field.name: jnp.zeros((count, field.size)) for field in _FIELDS}
     index, present = nearest_lane(layout, own_pose)
     yaw = layout.lane_pose[index, 2] - own_pose[:, 2]
     values = {
@@ -37,3 +30,6 @@ def own_lane(layout: Layout, own_pose: jax.Array) -> dict[str, jax.Array]:
     return {
         name: jnp.where(present[:, None], value, 0.0) for name, value in values.items()
     }
+
+
+LANE = Part(_FIELDS, _nearest)

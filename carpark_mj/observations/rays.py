@@ -10,16 +10,21 @@ from carpark_mj.geometry import rotate
 from carpark_mj.geometry.broad_phase import is_crowded, visit_near
 from carpark_mj.geometry.obstacles import Group, by_shape, merge, take
 from carpark_mj.observations.fields import Field
+from carpark_mj.observations.parts import Part, Sight
 from carpark_mj.types import Motion
 
 RAYS = "rays"  # name of the field
 CHUNK = 8  # obstacles whose rays are computed at a time in a crowded lot
 
 
-def ray_fields(config: RayConfig) -> list[Field]:
-    """The field `rays`, if there are any."""
+def rays_part(config: RayConfig) -> Part:
+    """The field `rays`."""
+
+    def fill(sight: Sight) -> dict[str, jax.Array]:
+        return {RAYS: cast_rays(config, sight.motion, sight.obstacles)}
+
     meaning = f"free way along bearings from ahead to the left [{config.reach:g} m]"
-    return [Field(RAYS, config.count, 0.0, 1.0, meaning)] if config.count else []
+    return Part((Field(RAYS, config.count, 0.0, 1.0, meaning),), fill)
 
 
 def cast_rays(

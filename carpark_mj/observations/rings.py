@@ -7,9 +7,10 @@ cars and other agents.
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig, RingConfig
+from carpark_mj.config import RingConfig
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.observations.fields import Field
+from carpark_mj.observations.parts import Part, Sight
 from carpark_mj.observations.sensors import observed
 from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import State
@@ -26,6 +27,17 @@ def ring_fields(config: RingConfig, high: float, where: str) -> list[Field]:
     objects = "walls and discs, cars too," if config.cars else "walls and discs"
     meaning = f"{objects} within {where}, capped"
     return [Field(name, 1, 0.0, high, meaning) for name in _names(config)]
+
+
+def rings_part(config: RingConfig) -> Part:
+    """The counts in units of the cap."""
+
+    def fill(sight: Sight) -> dict[str, jax.Array]:
+        counts = ring_counts(config, sight.state)
+        return {name: count / config.cap for name, count in counts.items()}
+
+    circle = f"the circle about the car [{config.cap}]"
+    return Part(tuple(ring_fields(config, 1.0, circle)), fill)
 
 
 def count_rings(config: RingConfig, state: State) -> jax.Array:
@@ -48,42 +60,36 @@ def count_rings(config: RingConfig, state: State) -> jax.Array:
 
 
 def ring_counts(config: RingConfig, state: State) -> dict[str, jax.Array]:
-    """Counts now and in the past by their fields' names, (num_agents, 1) each."""
+    """Counts now and in the past by their fields' names, (num_agents, 1) each.
+
+    The past is `state.memory`, see `init_history`.
+    """
     if not config.diameters:
         return {}
     counts = count_rings(config, state)
     if config.history:
-        assert state.ring_history is not None
-        past = state.ring_history.reshape(counts.shape[0], -1)
+        past = state.memory.reshape(counts.shape[0], -1)
         counts = jnp.concatenate([counts, past], axis=1)
     return {name: counts[:, k : k + 1] for k, name in enumerate(_names(config))}
 
 
-def init_history(config: EnvConfig) -> jax.Array | None:
+def init_history(config: RingConfig, num_agents: int) -> jax.Array | None:
     """Past counts (num_agents, history, rings) int32, oldest first: zeros.
 
     None if the past is not observed.
     """
-    rings = config.observation.rings
-    if not rings.history:
+    if not config.history:
         return None
-    shape = (config.num_agents, rings.history, len(rings.diameters))
+    shape = (num_agents, config.history, len(config.diameters))
     return jnp.zeros(shape, jnp.int32)
 
 
-def update_history(config: EnvConfig, state: State) -> jax.Array | None:
+def update_history(config: RingConfig, state: State) -> jax.Array | None:
     """The past once the counts of the state belong to it; see `init_history`."""
-    if state.ring_history is None:
+    if not config.history:
         return None
-    counts = count_rings(config.observation.rings, state).astype(jnp.int32)
-    return jnp.concatenate([state.ring_history[:, 1:], counts[:, None]], axis=1)
-
-
-def forget(history: jax.Array | None, respawned: jax.Array) -> jax.Array | None:
-    """The past with zeros for agents (num_agents,) that start a new episode."""
-    if history is None:
-        return None
-    return jnp.where(respawned[:, None, None], 0, history)
+    counts = count_rings(config, state).astype(jnp.int32)
+    return jnp.concatenate([state.memory[:, 1:], counts[:, None]], axis=1)
 
 
 def _names(config: RingConfig) -> list[str]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.observations.fields import Field, Group
+from carpark_mj.observations.fields import Field
 
 OWN = "own"  # name of the part that describes no repeated entity
 
@@ -27,7 +27,7 @@ class EntitySet:
         mask: which of them says whether the entity is present; None = all always are.
     """
 
-    group: Group
+    group: str
     start: int
     count: int
     size: int
@@ -82,7 +82,7 @@ class ObservationSets:
 
 def observation_sets(fields: Sequence[Field]) -> ObservationSets:
     """Finds the sets of entities in the declared fields of a vector, in order."""
-    members: dict[Group, list[tuple[int, Field]]] = {}
+    members: dict[str, list[tuple[int, Field]]] = {}
     position = 0
     for field in fields:
         if field.group:
@@ -92,7 +92,7 @@ def observation_sets(fields: Sequence[Field]) -> ObservationSets:
     return ObservationSets(position, tuple(sets))
 
 
-def _entity_set(group: Group, rows: list[tuple[int, Field]]) -> EntitySet:
+def _entity_set(group: str, rows: list[tuple[int, Field]]) -> EntitySet:
     start = rows[0][0]
     first = [(position, field) for position, field in rows if field.index == 0]
     masks = [position - start for position, field in first if field.is_mask]

@@ -12,9 +12,8 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_count, require_kind
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.observations import Field, make_fields, observation_size
+from carpark_mj.observations import Field, cardinalities, make_fields, observation_size
 from carpark_mj.observations.fields import ORDERED
-from carpark_mj.observations.indices import cardinalities
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import (

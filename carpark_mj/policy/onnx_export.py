@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import EnvConfig, IndexObservation
+from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.observations import Field, make_fields
 from carpark_mj.policy.acting import as_argument
@@ -154,7 +154,7 @@ def random_observations(
         np.concatenate([np.full(field.size, getattr(field, end)) for field in fields])
         for end in ("low", "high")
     )
-    if isinstance(config.observation, IndexObservation):
+    if all(field.is_whole for field in fields):
         return random.integers(low, high + 1, typical.shape).astype(np.float32)
     mean = np.clip(typical.mean(axis=0), low, high)
     reach = 3 * np.maximum(typical.std(axis=0), MIN_STD)

@@ -13,7 +13,7 @@ def state_index(observation: jax.Array, sizes: Sequence[int]) -> jax.Array:
     """Rows (...) int32 of a table for observations (..., n) of integers.
 
     Args:
-        observation: `observations.indices`; outside its range the nearest row.
+        observation: of whole numbers; outside its range the nearest row.
         sizes: how many values each number can have, `cardinalities`.
     """
     strides = np.cumprod([1, *sizes[:0:-1]])[::-1]

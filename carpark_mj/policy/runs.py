@@ -14,7 +14,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import PHYSICS, LayoutConfig, PhysicsConfig
+from carpark_mj.config import (
+    ENCODERS,
+    PHYSICS,
+    ExtraTerms,
+    LayoutConfig,
+    PhysicsConfig,
+)
 from carpark_mj.config.checks import require_type
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.config.obstacles import MOVERS, Mover
@@ -58,6 +64,8 @@ def _value(name: str, hint: Any, value: Any) -> Any:
     """Rebuilds the value of a field from what JSON made of it."""
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value)
+    if hint is ExtraTerms and isinstance(value, dict):
+        return ExtraTerms(value)
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     members = typing.get_args(hint) if union else ()
     classes = [member for member in members if dataclasses.is_dataclass(member)]
@@ -84,13 +92,15 @@ def _tags(cls: Any) -> dict[str, Any]:
 
 
 def _plain_value(value: Any) -> Any:
-    """Lists become tuples, settings of a layout, mover or physics their config."""
+    """Lists become tuples, and settings of parts that have a name their config."""
     if isinstance(value, list | tuple):
         return tuple(_plain_value(item) for item in value)
     if isinstance(value, dict) and "mover" in value:
         return from_dict(type(MOVERS[value["mover"]]), value)
     if isinstance(value, dict) and "family" in value:
         return from_dict(FAMILIES[value["family"]], value)
+    if isinstance(value, dict) and "encoding" in value:
+        return from_dict(ENCODERS[value["encoding"]], value)
     if isinstance(value, dict) and "back_end" in value:
         return from_dict(type(PHYSICS[value["back_end"]]), value)
     return value

@@ -9,9 +9,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from carpark_mj.config.observations import Tracked
 from carpark_mj.rendering.gl import why_nothing_is_drawn
 from carpark_mj.rendering.markers import Markers
-from carpark_mj.rendering.snapshot import Snapshot, Tracked, tracked_points
+from carpark_mj.rendering.snapshot import Snapshot, tracked_points
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import LOT_CAMERAS
 from carpark_mj.scene.car_look import cabin_geoms

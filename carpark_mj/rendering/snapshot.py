@@ -6,6 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.config.observations import Tracked
 from carpark_mj.geometry import nearest
 from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
@@ -138,21 +139,6 @@ def _state(recording: Recording, step: int, agent: int) -> str:
     state = "stands" if abs(speed) < STANDING else moving
     exploring = recording.goal[step, agent] == NO_BAY
     return f"{state}, explores" if exploring else state
-
-
-@dataclasses.dataclass(frozen=True)
-class Tracked:
-    """How many of the nearest an observation tracks, for the links to them.
-
-    Attributes:
-        agents: other agents.
-        parked_cars: parked cars.
-        cars: agents and parked cars in one list.
-    """
-
-    agents: int = 0
-    parked_cars: int = 0
-    cars: int = 0
 
 
 def tracked_points(snapshot: Snapshot, tracked: Tracked) -> list[tuple[int, Any]]:

@@ -26,15 +26,9 @@ class BraxParking(Env):
     `TimeStep`, None unless `EpisodeConfig.final_observation`.
     """
 
-    def __init__(self, env: ParkingEnv, hitbox_scale: jax.Array | None = None) -> None:
-        """Wraps one lot's environment.
-
-        Args:
-            env: environment of one lot.
-            hitbox_scale: for crashes in all lots, see `ParkingEnv.step`; None = 1.
-        """
+    def __init__(self, env: ParkingEnv) -> None:
+        """Wraps one lot's environment."""
         self.env = env
-        self._hitbox_scale = hitbox_scale
 
     def reset(self, rng: jax.Array, member: jax.Array | None = None) -> BraxState:
         """Starts the lots, one per key.
@@ -107,9 +101,7 @@ class BraxParking(Env):
         """Steps all lots; `action` (num_lots * num_agents, size)."""
         lots: Any = state.pipeline_state
         action = action.reshape(-1, self.env.num_agents, self.action_size)
-        lots, timestep = jax.vmap(self.env.step, in_axes=(0, 0, None))(
-            lots, action, self._hitbox_scale
-        )
+        lots, timestep = jax.vmap(self.env.step)(lots, action)
         timestep: TimeStep = jax.tree.map(_flatten, timestep)
         done = (timestep.terminated | timestep.truncated).astype(jnp.float32)
         info = state.info | {

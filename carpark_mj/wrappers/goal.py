@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import ContinuousObservation, EnvConfig
+from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import (
     CheckedConfig,
     require_at_least,
@@ -25,8 +25,6 @@ from carpark_mj.layouts import BayEnd
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations import make_fields
-from carpark_mj.observations.bay_fields import RIVAL_FIELDS
-from carpark_mj.observations.ego import GOAL_FIELDS, LINE_FIELDS, ROUTE_FIELDS
 from carpark_mj.observations.fields import Field
 from carpark_mj.types import Events, Motion, State, TimeStep
 
@@ -46,11 +44,6 @@ FEATURES = (
     Field("heading", 2, -1.0, 1.0, "cos and sin, world frame"),
 )
 NUM_FEATURES = sum(field.size for field in FEATURES)
-# All that tells where the goal is; relabelled goals would contradict it.
-_OWN_GOAL = {
-    *(field.name for field in (*GOAL_FIELDS, *LINE_FIELDS, *ROUTE_FIELDS)),
-    *(f"goal_{field.name}" for field in RIVAL_FIELDS),
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +101,7 @@ class GoalParking:
 
         Raises:
             ValueError: not one agent that stays where it has finished, a chosen goal,
-                or an encoding other than `continuous`.
+                or observations without a field that reveals the goal.
             TypeError: an argument of another type.
         """
         require_kind("parking", parking, ParkingEnv)
@@ -119,15 +112,16 @@ class GoalParking:
                 "goal poses need num_agents = 1, episode.respawn = False and "
                 "goals.dynamic = False"
             )
-        if not isinstance(config.observation, ContinuousObservation):
+        fields = make_fields(config)
+        if not any(field.reveals_goal for field in fields):
             raise ValueError(
-                "goal poses need the observation encoding 'continuous', not "
-                f"{type(config.observation).__name__}"
+                "goal poses need an observation whose fields say what reveals the goal "
+                f"(Field.reveals_goal): the encoding {config.observation.encoding!r} "
+                "has none"
             )
         self.parking, self.pose_reward = parking, pose_reward
-        fields = make_fields(config)
-        self.fields = tuple(field for field in fields if field.name not in _OWN_GOAL)
-        keep = [field.name not in _OWN_GOAL for field in fields]
+        self.fields = tuple(field for field in fields if not field.reveals_goal)
+        keep = [not field.reveals_goal for field in fields]
         self._kept = np.flatnonzero(np.repeat(keep, [field.size for field in fields]))
 
     @property

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from carpark_mj.config import ContinuousObservation, EnvConfig
+from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import layout_config
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import Field, make_fields
@@ -40,9 +40,8 @@ def _excess(config: EnvConfig, field: Field) -> float:
     """By how much the numbers of a field may exceed its range."""
     lot = layout_config(config.layout)
     fast = not config.physics_config.keeps_ranges
-    own_range = isinstance(config.observation, ContinuousObservation)
-    varies = bool(field.metres or field.speed) or not own_range
-    if varies and (config.sensors.is_on or not (own_range or lot.is_enclosed)):
+    varies = bool(field.metres or field.speed)
+    if varies and config.sensors.is_on:
         return math.inf
     if not varies or (lot.is_enclosed and not fast):
         return 0.0

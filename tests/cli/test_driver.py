@@ -5,8 +5,9 @@ import dataclasses
 import pytest
 
 from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.config import ContinuousObservation, EnvConfig, FleetConfig
+from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.registry import ANYWHERE
 from carpark_mj.studies.metadrive.environments import METADRIVE
 

@@ -5,20 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from carpark_mj.config import (
-    EnvConfig,
-    IndexObservation,
-    ParkedRule,
-    RewardConfig,
-    SimConfig,
-    TannerObservation,
-)
+from carpark_mj.config import EnvConfig, ParkedRule, RewardConfig, SimConfig
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.studies.cederle.junction import JunctionConfig
 from carpark_mj.studies.cederle.junction.config import RasterConfig, RewardRules
 from carpark_mj.studies.pandita.sac.config import SACConfig
+from carpark_mj.studies.tanner.indices import IndexObservation
+from carpark_mj.studies.tanner.observation import TannerObservation
 from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
@@ -46,6 +41,8 @@ JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))
 def test_no_field_takes_a_value_of_another_type(cls):
     for field in dataclasses.fields(cls):
         for junk in JUNK:
+            if isinstance(junk, dict) and (cls, field.name) == (RewardConfig, "extra"):
+                continue  # unknown terms
             with pytest.raises(ValueError, match=rf"\b{field.name}\b.* not "):
                 cls(**{field.name: junk})
 
@@ -54,5 +51,5 @@ def test_numbers_may_be_numpys():
     config = SimConfig(ctrl_dt=np.float32(0.25), sim_dt=np.float64(0.05))
     assert config.num_substeps == 5
     assert EnvConfig(num_agents=np.int32(3)).num_agents == 3
-    with pytest.raises(ValueError, match="timeout must be a number, not True"):
-        RewardConfig(timeout=True)
+    with pytest.raises(ValueError, match="park must be a number, not True"):
+        RewardConfig(park=True)

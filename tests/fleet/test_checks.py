@@ -12,7 +12,6 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.cli.layouts import LayoutsConfig, check
 from carpark_mj.config import (
-    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     FleetConfig,
@@ -24,6 +23,7 @@ from carpark_mj.fleet.checks import check_cars
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import LotConfig, layout_config, mixture
 from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.vehicle import COMPACT, PRESETS
 
 OWN_CAR = ContinuousObservation(own_car=True)

@@ -15,7 +15,6 @@ from helpers.transitions import no_events
 
 from carpark_mj.config import (
     PARKED_RULES,
-    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     FleetConfig,
@@ -29,7 +28,7 @@ from carpark_mj.fleet.randomization import randomize_all
 from carpark_mj.geometry import box_inside
 from carpark_mj.layouts import build
 from carpark_mj.mdp.parked_cars import AWAY, relocate_parked_cars
-from carpark_mj.observations import observation_size
+from carpark_mj.observations import ContinuousObservation, observation_size
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.types import NO_BAY

@@ -7,13 +7,9 @@ import jax.numpy as jnp
 from helpers.scenes import fields_of, lot
 from helpers.states import config_of, parked_in, state_of
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    RayConfig,
-    RingConfig,
-    TannerObservation,
-)
-from carpark_mj.observations import observation_size, observe
+from carpark_mj.config import RayConfig, RingConfig
+from carpark_mj.observations import ContinuousObservation, observation_size, observe
+from carpark_mj.studies.tanner.observation import TannerObservation
 
 CONFIGS = [
     ContinuousObservation(),

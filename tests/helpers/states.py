@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.config import EnvConfig, GoalConfig, Observation
+from carpark_mj.config import EnvConfig, GoalConfig, ObservationConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.types import NO_BAY, EpisodeStats, Motion, ParkedCars, State
 
@@ -98,7 +98,7 @@ def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State
         goal=jnp.broadcast_to(jnp.asarray(goal, jnp.int32), lead),
         tracked_bays=None,
         parked_cars=parked_at(),
-        ring_history=None,
+        memory=None,
         step=jnp.zeros(lead, jnp.int32),
         active=jnp.ones(lead, bool),
         stats=stats,
@@ -109,7 +109,7 @@ def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State
 
 
 def config_of(
-    observation: Observation, num_tracked_bays: int = 0, **settings: Any
+    observation: ObservationConfig, num_tracked_bays: int = 0, **settings: Any
 ) -> EnvConfig:
     """An environment on the grid; without tracked bays its goals are fixed.
 

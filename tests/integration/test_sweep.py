@@ -20,7 +20,7 @@ COMMAND = (
     # In one process, so that the kill leaves none behind.
     *("--stochastic", "--cluster", "debug", "--set", "discount=0.9,0.99", "minutes=0"),
     *("num_lots=4", "num_minibatches=2", "unroll_length=4", "num_agents=1"),
-    *(f"num_steps={16 * UPDATES}", "checkpoint_updates=20", "eval_episodes=4"),
+    *(f"num_steps={16 * UPDATES}", "checkpoint_minutes=1e-9", "eval_episodes=4"),
     *("num_parked_cars=4", "sim_dt=0.02", "physics=bicycle"),
     *("policy_layers=16", "value_layers=16"),
 )

@@ -19,7 +19,6 @@ from helpers.states import hand_cars, parked_in, state_of
 from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.config import (
     PARKED_RULES,
-    ContinuousObservation,
     GoalConfig,
     RayConfig,
     RewardConfig,
@@ -40,6 +39,7 @@ from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.reverse import parked_right, reverse_shapes, ways_out
 from carpark_mj.mdp.terminations import is_parked
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.planning.search import _ways
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.wrappers.goal import _desired

@@ -5,12 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from helpers.scenes import lot
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    EnvConfig,
-    EpisodeConfig,
-    FleetConfig,
-)
+from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
 from carpark_mj.mdp.bays import (
     BayFits,
@@ -22,6 +17,7 @@ from carpark_mj.mdp.bays import (
     marked,
     shuffled_bays,
 )
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.types import NO_BAY
 
 ROW = lot([(10.0 * k, 0.0, 0.0) for k in range(4)])

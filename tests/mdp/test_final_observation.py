@@ -10,7 +10,6 @@ from helpers.scenes import fields_of
 from helpers.sliding import SlidePhysics, placed
 
 from carpark_mj.config import (
-    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     GoalConfig,
@@ -18,6 +17,7 @@ from carpark_mj.config import (
     SensorConfig,
 )
 from carpark_mj.env import ParkingEnv
+from carpark_mj.observations import ContinuousObservation
 
 MAX_STEPS = 6
 CONFIG = EnvConfig(
@@ -61,9 +61,7 @@ def test_agents_that_are_done_see_what_they_would_without_respawning():
     state = start(env, reset)
     for _ in range(2):  # sensors and rings get a past
         state, _ = step(state.replace(step=jnp.zeros(4, jnp.int32)), ACTION / 100)
-    state = start(env, reset).replace(
-        sensors=state.sensors, ring_history=state.ring_history
-    )
+    state = start(env, reset).replace(sensors=state.sensors, memory=state.memory)
     after, timestep = step(state, ACTION)
     _, expected = stay(state, ACTION)
     done = np.asarray(timestep.events.done)

@@ -11,20 +11,19 @@ from helpers.sliding import SlidePhysics, placed
 from helpers.states import parked_at, state_of
 
 from carpark_mj.config import (
-    ContinuousObservation,
     EnvConfig,
     GivingWayConfig,
     GoalConfig,
     GoalRewards,
     RewardConfig,
-    TannerObservation,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.giving_way import find_contexts, goals_in_turn
 from carpark_mj.mdp.metrics.goals import CONTEXTS
-from carpark_mj.observations import observation_size
+from carpark_mj.observations import ContinuousObservation, observation_size
 from carpark_mj.observations.tracking import tracks
 from carpark_mj.registry import environment
+from carpark_mj.studies.tanner.observation import TannerObservation
 from carpark_mj.types import NO_BAY
 
 STATES, AGENTS, BAYS, PARKED, TRACKED = 4000, 5, 3, 3, 2

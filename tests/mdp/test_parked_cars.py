@@ -12,13 +12,7 @@ from helpers.sliding import SlidePhysics, placed
 from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    EnvConfig,
-    RingConfig,
-    SpawnConfig,
-    TannerObservation,
-)
+from carpark_mj.config import EnvConfig, RingConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local, to_world
 from carpark_mj.layouts import make_layout
@@ -31,8 +25,10 @@ from carpark_mj.mdp.parked_cars import (
     stand_in_bay,
 )
 from carpark_mj.mdp.spawning.draws import pick
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.fields import FAR
 from carpark_mj.observations.tracking import tracks_parked_cars
+from carpark_mj.studies.tanner.observation import TannerObservation
 from carpark_mj.types import NO_BAY
 
 COUNT = 3000

@@ -11,7 +11,6 @@ from helpers.scenes import polygons
 from helpers.trees import same
 
 from carpark_mj.config import (
-    ContinuousObservation,
     EnvConfig,
     FleetConfig,
     GoalConfig,
@@ -22,6 +21,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.types import BayKind
 from carpark_mj.mdp.reset_options import ResetOptions, check_starts
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.physics.base import FactoredPhysics
 from carpark_mj.studies.tanner.grid_config import FINE
 from carpark_mj.types import NO_BAY

@@ -10,19 +10,17 @@ from helpers.observing import BAYS, CONFIGS, observed
 from helpers.scenes import cars, lot
 from helpers.states import config_of
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    EnvConfig,
-    RayConfig,
-    RingConfig,
-    ShareConfig,
-    TannerObservation,
-    ViewConfig,
-)
+from carpark_mj.config import EnvConfig, RayConfig, RingConfig, ShareConfig
 from carpark_mj.layouts import layout_config
-from carpark_mj.observations import make_fields, markdown_table, observation_size
+from carpark_mj.observations import (
+    ContinuousObservation,
+    make_fields,
+    markdown_table,
+    observation_size,
+)
 from carpark_mj.observations.fields import FAR, FARTHEST
 from carpark_mj.registry import ANYWHERE
+from carpark_mj.studies.tanner.observation import TannerObservation
 
 
 @pytest.mark.parametrize("config", CONFIGS)
@@ -120,7 +118,6 @@ def test_the_entities_of_a_group_have_the_same_fields_side_by_side(
         ({"lane": True}, 4),  # present, 2 of its heading, one-way
         ({"own_car": True}, 5),  # 2 of its size, wheelbase, axle, turning radius
         ({"lines": True}, 4),  # a number for each side
-        ({"view": ViewConfig(90.0, 20.0)}, 0),
         ({"global_information": True}, 3),  # nearest agent, 2 of the claim
     ],
 )

@@ -11,30 +11,25 @@ from helpers.scenes import cars, fields_of, lot, moved, moved_cars, moved_lot
 from helpers.states import config_of, parked_at, state_of
 
 from carpark_mj.config import (
-    ContinuousObservation,
     EnvConfig,
     GoalConfig,
-    IndexObservation,
     RayConfig,
     RewardConfig,
     RingConfig,
     SensorConfig,
     ShareConfig,
-    TannerObservation,
-    ViewConfig,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.layouts.routes import make_routes
-from carpark_mj.observations import make_fields, markdown_table, observe
-from carpark_mj.observations.rings import forget, init_history, update_history
-from carpark_mj.observations.sensors import init_sensors
-from carpark_mj.observations.tracking import (
-    bays_in_view,
-    in_view,
-    tracks,
-    tracks_parked_cars,
+from carpark_mj.observations import (
+    ContinuousObservation,
+    make_fields,
+    markdown_table,
+    observe,
 )
+from carpark_mj.observations.sensors import init_sensors
+from carpark_mj.observations.tracking import tracks, tracks_parked_cars
 from carpark_mj.types import NO_BAY
 
 BASE = ContinuousObservation()
@@ -43,7 +38,6 @@ RICH = ContinuousObservation(
     tracked_agents=3,
     rings=RingConfig((5.0, 6.2, 8.0), cars=True, history=2),
     global_information=True,
-    view=ViewConfig(field_of_view=250.0, diameter=24.0),
 )
 
 observe_jit = jax.jit(observe, static_argnums=0)
@@ -60,7 +54,7 @@ def observed(config, layout, motion, goal, parked=(), bays=None, history=None):
         goal,
         tracked_bays=bays,
         parked_cars=parked_at(parked, 2.0),
-        ring_history=init_history(config) if history is None else history,
+        memory=config.observation.init_memory(config) if history is None else history,
     )
     return fields_of(observe_jit(config, state), config)
 
@@ -93,15 +87,10 @@ def test_what_is_not_shared_is_left_out_and_the_rest_stays():
             np.testing.assert_array_equal(value, everything[name], err_msg=name)
 
 
-def test_fixed_goals_with_headings_and_rivals_by_hand():
-    config = ContinuousObservation(
-        share=ShareConfig(goal_headings=True), global_information=True
-    )
+def test_rivals_for_fixed_goals_by_hand():
+    config = ContinuousObservation(global_information=True)
     named = observed(config, BAYS, THREE, [0, 1, 2])
     expected = {
-        # Agent 1's goal faces east, agent 2's west; agent 0 looks north.
-        "agent_0_goal_heading": [0.0, -1.0],
-        "agent_1_goal_heading": [0.0, 1.0],
         # The goal 8 m ahead is 4 m from agent 1, whose goal it is not.
         "goal_nearest_agent": [4 / 20],
         "goal_claim": [1.0, 8 / 20],
@@ -124,8 +113,7 @@ def test_steering_and_order_of_others_by_hand():
     for k in range(2):  # nobody comes before the first, all before the last
         assert named[f"agent_{k}_order"][0] == 0.0
         assert named[f"agent_{k}_order"][2] == 1.0
-    alone = dataclasses.replace(config, view=ViewConfig(diameter=0.1))
-    alone = observed(alone, BAYS, motion, [0, 1, 2])
+    alone = observed(config, BAYS, jax.tree.map(lambda x: x[:1], motion), [0])
     assert not alone["agent_0_order"].any()
     assert not alone["agent_0_steering"].any()
 
@@ -179,28 +167,23 @@ def test_rings_count_cars_if_asked_to():
     np.testing.assert_allclose(counts[True], [1, 3, 4], atol=1e-6)
 
 
-def test_the_past_of_the_rings_shifts_and_is_forgotten():
-    plain = config_of(BASE, num_agents=3)
-    assert init_history(plain) is forget(None, jnp.ones(3, bool)) is None
-    assert update_history(plain, state_of(BAYS, THREE, 0)) is None
+def test_the_past_of_the_rings_shifts():
+    assert BASE.init_memory(config_of(BASE, num_agents=3)) is None
+    assert BASE.remember(state_of(BAYS, THREE, 0)) is None
     rings = RingConfig((5.0, 8.0), history=2)
     observation = dataclasses.replace(BASE, rings=rings)
     config = config_of(observation, num_agents=3)
-    history = init_history(config)
+    history = observation.init_memory(config)
     assert history is not None
     np.testing.assert_array_equal(history, np.zeros((3, 2, 2)))
     # A wall of 1 m that comes nearer to all cars: out of both rings, in one, in both.
     at_origin = cars([(0.0, 0.0, 0.0)] * 3)
     for x in (9.0, 4.0, 2.0):
         layout = lot([(20.0, 0.0, 0.0)], [(x, 0.0, 0.0)])
-        state = state_of(layout, at_origin, 0, ring_history=history)
-        history = update_history(config, state)
+        state = state_of(layout, at_origin, 0, memory=history)
+        history = observation.remember(state)
     assert history.dtype == jnp.int32
     np.testing.assert_array_equal(history[0], [[0, 1], [1, 1]])  # the newest last
-    left = forget(history, jnp.array([False, True, False]))
-    assert left is not None
-    np.testing.assert_array_equal(left[1], 0)
-    np.testing.assert_array_equal(left[::2], history[::2])
     # In fields: now, two steps ago, one step ago, in units of the cap.
     named = observed(observation, BAYS, THREE, [0, 1, 2], history=history)
     names = [f.name for f in make_fields(config) if f.name.startswith("ring_")]
@@ -211,59 +194,7 @@ def test_the_past_of_the_rings_shifts_and_is_forgotten():
     np.testing.assert_array_equal([unseen[name] for name in names[2:]], 0.0)
 
 
-# Around (2, 1), facing north: ahead, left, right, behind, at 4, 5, 6, 3 m.
-AROUND = jnp.array([(2.0, 5.0), (-3.0, 1.0), (8.0, 1.0), (2.0, -2.0)])
-
-
-@pytest.mark.parametrize(
-    ("field_of_view", "diameter", "expected"),
-    [
-        (360.0, None, [1, 1, 1, 1]),
-        (360.0, 10.1, [1, 1, 0, 1]),
-        (360.0, 7.9, [0, 0, 0, 1]),
-        (359.0, None, [1, 1, 1, 0]),
-        (181.0, None, [1, 1, 1, 0]),
-        (179.0, None, [1, 0, 0, 0]),
-        (181.0, 10.1, [1, 1, 0, 0]),
-        (1.0, 7.9, [0, 0, 0, 0]),
-    ],
-)
-def test_the_view_is_a_sector_about_the_heading(field_of_view, diameter, expected):
-    config = ViewConfig(field_of_view, diameter)
-    own = jnp.array([(2.0, 1.0, math.pi / 2)])
-    np.testing.assert_array_equal(in_view(config, own, AROUND)[0], expected)
-    np.testing.assert_array_equal(in_view(config, own, AROUND[None])[0], expected)
-    # And so are the bays that can be tracked, by where the car truly is.
-    layout = lot([(x, y, 0.0) for x, y in AROUND.tolist()])
-    state = state_of(layout, cars(own), NO_BAY)
-    bays = bays_in_view(config_of(ContinuousObservation(view=config), 1), state)
-    if config.is_limited:
-        np.testing.assert_array_equal(bays[0], expected)
-    else:
-        assert bays is None
-
-
-def test_cars_and_bays_out_of_view_are_not_tracked():
-    poses = [(2.0, 1.0, math.pi / 2), *((x, y, 0.0) for x, y in AROUND.tolist())]
-    motion, layout = cars(poses), lot([(x, y, 0.0) for x, y in AROUND.tolist()])
-    wide = ContinuousObservation(4, 4, rays=RayConfig())
-    narrow = dataclasses.replace(wide, view=ViewConfig(181.0, 10.1))
-    goal, bays = [NONE, 0, 1, 2, 3], [[0, 1, 2, 3]] * 5
-    sees = observed(wide, layout, motion, goal, poses[1:], bays)
-    cut = observed(narrow, layout, motion, goal, poses[1:], bays)
-    for kind in ("agent", "parked_car", "bay"):
-        seen = [sees[f"{kind}_{k}_present"][0, 0] for k in range(4)]
-        left = [cut[f"{kind}_{k}_present"][0, 0] for k in range(4)]
-        assert (seen, left) == ([1, 1, 1, 1], [1, 1, 0, 0]), kind
-    # Nearest first: of the car behind at 3 m nothing is left, nor of its goal's place.
-    np.testing.assert_allclose(sees["agent_0_position"][0], [-3 / 20, 0.0], atol=1e-6)
-    np.testing.assert_allclose(cut["agent_0_position"][0], [4 / 20, 0.0], atol=1e-6)
-    np.testing.assert_array_equal(cut["agent_1_goal"][0], [0, 0, 1, 0, 0, 0])
-    matrix = tracks(config_of(narrow), state_of(layout, motion, goal))
-    np.testing.assert_array_equal(matrix[0], [0, 1, 1, 0, 0])
-
-
-def test_who_tracks_whom_depends_on_the_encoding():
+def test_the_nearest_are_tracked_in_a_list_of_agents_and_one_of_parked_cars():
     motion = cars([(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
 
     def matrices(observation, present=True):
@@ -272,20 +203,12 @@ def test_who_tracks_whom_depends_on_the_encoding():
         config = config_of(observation)
         return tracks(config, state), tracks_parked_cars(config, state)
 
-    # With one list of one car agent 0 tracks the parked car, 1 and 2 an agent.
-    agents, parked = matrices(TannerObservation())
-    np.testing.assert_array_equal(agents, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    np.testing.assert_array_equal(parked, [[1, 0], [0, 0], [0, 0]])
-    gone, parked = matrices(TannerObservation(), present=False)
-    np.testing.assert_array_equal(gone, [[0, 1, 0], [1, 0, 0], [0, 1, 0]])
-    assert not parked.any()
     agents, parked = matrices(ContinuousObservation(1, 1))
-    np.testing.assert_array_equal(agents, gone)
+    np.testing.assert_array_equal(agents, [[0, 1, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_array_equal(parked, [[1, 0]] * 3)
     _, parked = matrices(ContinuousObservation(1, 1), present=False)
     np.testing.assert_array_equal(parked, [[0, 1]] * 3)
-    for observation in (IndexObservation(), ContinuousObservation(0, 0)):
-        assert not any(matrix.any() for matrix in matrices(observation))
+    assert not any(matrix.any() for matrix in matrices(ContinuousObservation(0, 0)))
 
 
 def test_agents_track_where_their_sensors_see_others():
@@ -317,8 +240,7 @@ def scene(count=6):
 
 @pytest.mark.parametrize("chosen", [False, True])
 def test_motions_and_the_order_of_others_change_nothing(chosen):
-    share = ShareConfig(goal_headings=not chosen, steering=True)
-    config = dataclasses.replace(RICH, share=share)
+    config = dataclasses.replace(RICH, share=ShareConfig(steering=True))
     layout, motion, goal, parked, bays, history = scene()
     if not chosen:
         bays, goal = None, np.arange(6)
@@ -338,19 +260,16 @@ def test_motions_and_the_order_of_others_change_nothing(chosen):
         # float32 at 30 m is 2e-6 m, and headings are sums of rounded angles.
         np.testing.assert_allclose(there[name], value, atol=5e-6, err_msg=name)
         np.testing.assert_array_equal(other[name], value[order], err_msg=name)
-    present = [here[f"agent_{k}_present"] for k in range(3)]
-    assert 0 < np.mean(present) < 1  # the limits of the view cut some
 
 
 @pytest.mark.parametrize("num_tracked_bays", [0, 2])
 def test_fields_have_ranges_meanings_and_names_of_their_own(num_tracked_bays):
-    for observation in (RICH, TannerObservation(tracked_cars=3)):
-        fields = make_fields(config_of(observation, num_tracked_bays))
-        assert len({field.name for field in fields}) == len(fields)
-        assert all(field.low < field.high and field.meaning for field in fields)
-    rows = markdown_table(make_fields(config_of(TannerObservation(tracked_cars=3))))
-    assert "car_0_speed" in rows
-    assert "car_1_speed" not in rows
+    fields = make_fields(config_of(RICH, num_tracked_bays))
+    assert len({field.name for field in fields}) == len(fields)
+    assert all(field.low < field.high and field.meaning for field in fields)
+    rows = markdown_table(fields)
+    assert "agent_0_speed" in rows
+    assert "agent_1_speed" not in rows
 
 
 def test_the_values_stay_within_the_declared_ranges():

@@ -20,18 +20,12 @@ from helpers.scenes import (
 )
 from helpers.states import config_of, hand_cars, parked_in, state_of
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    IndexObservation,
-    RayConfig,
-    RingConfig,
-    TannerObservation,
-)
+from carpark_mj.config import RayConfig, RingConfig
 from carpark_mj.layouts import make_layout
-from carpark_mj.observations import make_fields
+from carpark_mj.observations import ContinuousObservation, cardinalities, make_fields
 from carpark_mj.observations.fields import FAR, NEAR
-from carpark_mj.observations.indices import cardinalities
-from carpark_mj.observations.tanner import DIAGONAL
+from carpark_mj.studies.tanner.indices import IndexObservation
+from carpark_mj.studies.tanner.observation import DIAGONAL, TannerObservation
 from carpark_mj.types import NO_BAY
 
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import ContinuousObservation, EnvConfig, GoalConfig
-from carpark_mj.observations import make_fields
+from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.sets import OWN, observation_sets
 from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_QLEARNING
 

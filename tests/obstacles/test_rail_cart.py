@@ -13,17 +13,11 @@ from helpers.sliding import SlidePhysics, placed
 from helpers.states import any_hit
 
 from carpark_mj import extensions
-from carpark_mj.config import (
-    MOVERS,
-    ContinuousObservation,
-    EnvConfig,
-    MetricsConfig,
-    RayConfig,
-    SpawnConfig,
-)
+from carpark_mj.config import MOVERS, EnvConfig, MetricsConfig, RayConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry.obstacles import Movers
 from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.obstacles.movers import trace_still
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.loading import load_policy

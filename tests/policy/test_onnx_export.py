@@ -9,10 +9,14 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from carpark_mj.config import ContinuousObservation, EnvConfig, GoalConfig, RayConfig
+from carpark_mj.config import EnvConfig, GoalConfig, RayConfig
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.observations import make_fields, observation_size
-from carpark_mj.observations.indices import cardinalities
+from carpark_mj.observations import (
+    ContinuousObservation,
+    cardinalities,
+    make_fields,
+    observation_size,
+)
 from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.networks import (
     NetworkConfig,

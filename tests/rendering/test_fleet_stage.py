@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics
 
-from carpark_mj.config import ContinuousObservation, EnvConfig, FleetConfig
+from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.rendering.recording import record
 from carpark_mj.rendering.stage import Stage

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers.disks import largest_file
 
+from carpark_mj.config.observations import Tracked
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.rendering import gl, window
 from carpark_mj.rendering.overlays import draw_labels, draw_status
@@ -22,7 +23,6 @@ from carpark_mj.rendering.snapshot import (
     FLASH_SECONDS,
     Flash,
     Snapshot,
-    Tracked,
     frames_per_second,
     num_frames,
     snapshot,

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import (
-    ContinuousObservation,
     EnvConfig,
     EpisodeConfig,
     RayConfig,
     RingConfig,
     SpawnConfig,
 )
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learner import Learner

@@ -9,15 +9,9 @@ import pytest
 from brax.training.types import UInt64
 from helpers.sliding import SlidePhysics
 
-from carpark_mj.config import (
-    ContinuousObservation,
-    EnvConfig,
-    RayConfig,
-    ShareConfig,
-    SimConfig,
-)
+from carpark_mj.config import EnvConfig, RayConfig, ShareConfig, SimConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.observations import make_fields
+from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import save_policy
 from carpark_mj.policy.networks import NetworkConfig

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import ContinuousObservation, EnvConfig, EpisodeConfig
+from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.observations import make_fields
+from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.wrappers.goal import GoalParking, PoseReward
 
 GOAL = "carpark_mj/ParkGoal-v0"

@@ -3,7 +3,6 @@
 import dataclasses
 
 from carpark_mj.config import (
-    ContinuousObservation,
     EpisodeConfig,
     FleetConfig,
     JitterConfig,
@@ -12,6 +11,7 @@ from carpark_mj.config import (
     SensorConfig,
     SpawnConfig,
 )
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.registry import ANYWHERE, ENVIRONMENTS
 
 # HOPE's levels (docs/hard_cases.md): one car without noise among boxes, seen by rays.

@@ -1,8 +1,24 @@
 """Tanner 2022 (arXiv 2206.13338): agents on a grid around a square."""
 
-from carpark_mj.studies.tanner import grid_config, layouts, vehicles
+from carpark_mj.studies.tanner import (
+    grid_config,
+    indices,
+    layouts,
+    observation,
+    rewards,
+    vehicles,
+)
 
 # isort: split
 from carpark_mj.studies.tanner import environments, programs  # of what is named above
 
-__all__ = ["environments", "grid_config", "layouts", "programs", "vehicles"]
+__all__ = [
+    "environments",
+    "grid_config",
+    "indices",
+    "layouts",
+    "observation",
+    "programs",
+    "rewards",
+    "vehicles",
+]

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, data
 from carpark_mj.config.checks import (
     LARGEST_WHOLE,
     require_at_least,
@@ -69,13 +69,8 @@ class PPOConfig(RunConfig):
         variant: whose details: `brax`, or of a study, as `ml-agents`.
         averaged_updates: the policy that is evaluated is the exponential moving average
             over about this many updates; 1 = the last one.
-        hitbox_scale: factor on the cars' lengths and widths in collision tests during
-            the first `hitbox_steps`, so that a margin is learnt; never in evaluations.
-        hitbox_steps: agent steps with `hitbox_scale`, rounded up to updates.
         critic_steps: agent steps at the start in which only the critic learns, rounded
             up to updates; for warm starts from a policy without a critic.
-        checkpoint_updates: updates between checkpoints, instead of minutes; 0 = use
-            `checkpoint_minutes`.
         eval_episodes: episodes of the evaluation at the end; 0 = none.
         video_seconds: length of the video at the end [s]; 0 = none.
         curriculum: what is easier, or different, in training than in evaluation.
@@ -92,21 +87,18 @@ class PPOConfig(RunConfig):
     unroll_length: int = 64
     num_minibatches: int = 16
     num_epochs: int = 4
-    learning_rate: float = 1.5e-3
-    learning_rate_end: float = 2e-4
-    entropy_cost: float = 5e-3
-    entropy_cost_end: float = 1e-3
-    clip: float = 0.2
-    clip_end: float = 0.2
-    discount: float = 0.99
-    gae_lambda: float = 0.92
+    learning_rate: float = data(1.5e-3)
+    learning_rate_end: float = data(2e-4)
+    entropy_cost: float = data(5e-3)
+    entropy_cost_end: float = data(1e-3)
+    clip: float = data(0.2)
+    clip_end: float = data(0.2)
+    discount: float = data(0.99)
+    gae_lambda: float = data(0.92)
     max_grad_norm: float = 1.0
     variant: str = "brax"
     averaged_updates: int = 32
-    hitbox_scale: float = 1.0
-    hitbox_steps: int = 0
     critic_steps: int = 0
-    checkpoint_updates: int = 0
     eval_episodes: int = 1024
     video_seconds: float = 20.0
     curriculum: CurriculumConfig = dataclasses.field(default_factory=CurriculumConfig)
@@ -124,7 +116,7 @@ class PPOConfig(RunConfig):
             "num_epochs",
             "averaged_updates",
         )
-        require_positive(self, "learning_rate", "max_grad_norm", "clip", "hitbox_scale")
+        require_positive(self, "learning_rate", "max_grad_norm", "clip")
         require_ratio(self, "discount", "gae_lambda")
         require_at_least(
             self,
@@ -135,11 +127,10 @@ class PPOConfig(RunConfig):
             "entropy_cost",
             "entropy_cost_end",
             "clip_end",
-            "checkpoint_updates",
         )
         # Updates are counted in int32.
         most = LARGEST_WHOLE * self.steps_per_update
-        for name, least in (("num_steps", 1), ("hitbox_steps", 0), ("critic_steps", 0)):
+        for name, least in (("num_steps", 1), ("critic_steps", 0)):
             if not least <= getattr(self, name) <= most:
                 raise ValueError(
                     f"{name} must lie in [{least}, {most}], not {getattr(self, name)}"
@@ -153,17 +144,6 @@ class PPOConfig(RunConfig):
                 raise ValueError(
                     f"{name} must lie in [0, {most}], not {getattr(self, name)}"
                 )
-        if self.hitbox_scale != 1.0 and not self.hitbox_steps:
-            raise ValueError(
-                f"hitbox_scale {self.hitbox_scale} needs hitbox_steps of at least 1, "
-                "not 0"
-            )
-        physics = self.env.physics_config
-        if self.hitbox_scale != 1.0 and physics.contacts:
-            raise ValueError(
-                f"hitbox_scale must be 1 in {physics.back_end} physics, where crashes "
-                f"are contacts, not {self.hitbox_scale}"
-            )
         if self.discount == 1.0 and self.curriculum.discount_end:
             raise ValueError(
                 "discount must be below 1 where curriculum.discount_end "
@@ -198,11 +178,6 @@ class PPOConfig(RunConfig):
     def critic_updates(self) -> int:
         """Updates in which only the critic learns."""
         return -(-self.critic_steps // self.steps_per_update)
-
-    @property
-    def hitbox_updates(self) -> int:
-        """Updates with scaled hitboxes."""
-        return -(-self.hitbox_steps // self.steps_per_update)
 
     @property
     def num_updates(self) -> int:

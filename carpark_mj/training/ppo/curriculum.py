@@ -12,6 +12,8 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 
+DISCOUNT_CHANGES = (0.3, 0.8)  # progress at which it begins to, and at which it ends
+
 
 def schedule(start: float, end: float, progress: jax.Array) -> jax.Array:
     """Linear from `start` to `end` as `progress` goes from 0 to 1."""
@@ -29,7 +31,7 @@ def discount(config: PPOConfig, progress: jax.Array) -> jax.Array:
     if not changes.discount_end:
         return jnp.float32(config.discount)
     start, end = 1 / (1 - config.discount), 1 / (1 - changes.discount_end)
-    part = _within(progress, changes.discount_from, changes.discount_until)
+    part = _within(progress, *DISCOUNT_CHANGES)
     return 1.0 - 1.0 / schedule(start, end, part)
 
 

@@ -270,14 +270,10 @@ class Learner:
         actor: Any = make_policy(
             self.networks, state.normalizer, state.policy, deterministic=False
         )
-        env = self.env
-        if self.config.hitbox_scale != 1.0:  # data, so nothing recompiles at its end
-            aided = state.update < self.config.hitbox_updates
-            env = BraxParking(env.env, jnp.where(aided, self.config.hitbox_scale, 1.0))
         progress = self.config.progress(state.update, state.seconds)
         scales = {"crash": crash_scale(self.config.curriculum, progress)}
         length = self.config.unroll_length
-        return collect(env, state.env, actor, key, length, scales)
+        return collect(self.env, state.env, actor, key, length, scales)
 
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array

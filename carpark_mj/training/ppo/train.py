@@ -179,8 +179,6 @@ def train(
                 f"[green]parked {values['episode/parked'].mean():5.1%}[/]  "
                 f"[red]crashed {values['episode/crashed'].mean():5.1%}[/]",
             )
-            if config.checkpoint_updates:
-                due = done % config.checkpoint_updates == 0
             if due or leaving or progress >= 1.0:
                 states = learner.split(learner.gather(state))
                 hosts.on_first(

@@ -13,7 +13,7 @@ from flax import struct
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import training_key
-from carpark_mj.observations.indices import cardinalities
+from carpark_mj.observations import cardinalities
 from carpark_mj.policy.q_table import action_choices, state_index
 from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
 from carpark_mj.training.memory import num_bytes
@@ -80,11 +80,6 @@ class QLearner:
         # The same without new episodes: three times as fast, and mostly enough.
         still = dataclasses.replace(episode, respawn=False)
         self._still_env = ParkingEnv(dataclasses.replace(config.env, episode=still))
-        if config.env.observation.encoding != "indices":
-            raise ValueError(
-                "Q-learning needs env.observation.encoding 'indices', not "
-                f"{config.env.observation.encoding!r}"
-            )
         self.choices = config.env.physics_config.choices
         self.sizes = cardinalities(config.env)
         self.advance = jax.jit(self._advance)

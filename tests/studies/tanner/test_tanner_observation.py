@@ -16,17 +16,16 @@ from carpark_mj.config import (
     WORLD_UNIT,
     EnvConfig,
     EpisodeConfig,
-    IndexObservation,
     RingConfig,
-    ShareConfig,
-    TannerObservation,
-    ViewConfig,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import make_fields, observation_size, observe
 from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.studies.tanner.grid_config import FINE
+from carpark_mj.studies.tanner.indices import IndexObservation
+from carpark_mj.studies.tanner.observation import TannerObservation, TannerShare
+from carpark_mj.studies.tanner.view import ViewConfig
 from carpark_mj.types import NO_BAY
 
 CONFIG = TannerObservation()
@@ -47,7 +46,7 @@ def see(config, layout, motion, goal, parked=(), bays=None, present=True):
     history = config.observation.rings.history
     if history:
         shape = (len(goal), history, len(config.observation.rings.diameters))
-        state = state.replace(ring_history=jnp.zeros(shape, jnp.int32))
+        state = state.replace(memory=jnp.zeros(shape, jnp.int32))
     seen = observe_jit(config, state)
     assert seen.dtype == jnp.float32
     return np.asarray(seen)
@@ -161,16 +160,16 @@ def test_the_options_add_and_drop_what_they_say():
         tracked_cars=0, rings=RingConfig(), bay_parts=("bearing",)
     )
     assert names(**least) == ["speed", "goal_bearing"]  # that of the Q-learning
-    silent = ShareConfig(speeds=False)
+    silent = TannerShare(speeds=False)
     assert set(names()) - set(names(share=silent)) == {"car_0_speed"}
-    secret = ShareConfig(goals=False)
+    secret = TannerShare(goals=False)
     assert [n for n in names() if n not in names(share=secret)] == [
         "car_0_goal_bearing",
         "car_0_goal_distance",
     ]
     assert "car_0_goal" in names(1)
     assert "car_0_goal" not in names(1, share=secret)
-    headings = TannerObservation(share=ShareConfig(goal_headings=True))
+    headings = TannerObservation(share=TannerShare(goal_headings=True))
     three = see(headings, LOT, PAIR, [3, 1])
     # Of each other's goals: the bays are turned by 270 and by 0 deg from the agents.
     np.testing.assert_allclose(three[:, -2], [0.0, 0.75], atol=1e-6)
@@ -251,7 +250,7 @@ def test_it_agrees_with_the_indices_where_they_overlap():
         motion,
         rng.integers(0, 36, 60),
         parked_cars=parked_at(layout.bay_pose[:9], 2.0),
-        ring_history=history,
+        memory=history,
     )
     indices, tanner = (
         np.asarray(

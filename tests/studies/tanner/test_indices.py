@@ -11,19 +11,24 @@ import pytest
 from helpers.scenes import cars, lot, moved, moved_lot
 from helpers.states import config_of, parked_at, state_of
 
-from carpark_mj.config import WORLD_UNIT, SpawnConfig, TannerObservation
+from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import Surroundings
 from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
-from carpark_mj.observations import make_fields, observation_size, observe
-from carpark_mj.observations.indices import cardinalities
+from carpark_mj.observations import (
+    cardinalities,
+    make_fields,
+    observation_size,
+    observe,
+)
 from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.studies.tanner.environments import (
     TANNER_QLEARNING,
     TANNER_QLEARNING_RINGS,
 )
+from carpark_mj.studies.tanner.observation import TannerObservation
 
 BASIC, RINGS = TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 PER_LEVEL = WORLD_UNIT / 0.2  # m/s
@@ -125,7 +130,7 @@ def test_tables_are_as_large_as_those_of_the_study(rings, cap, states):
 
 
 def test_only_whole_numbers_have_cardinalities():
-    with pytest.raises(ValueError, match=r"needs .*encoding 'indices', not 'tanner'"):
+    with pytest.raises(ValueError, match=r"whole numbers, .* 'tanner' is not"):
         cardinalities(config_of(TannerObservation()))
 
 
