@@ -126,19 +126,18 @@ class ParkingEnv:
         """The environment with other values of some settings, which may be traced.
 
         Args:
-            values: by the path of the setting, as in `reward.park`: numbers that only
-                enter into the arithmetic of `step`. They are not checked.
+            values: by the path of the setting, as in `reward.park`: numbers that are
+                data (`carpark_mj.config.is_data`). They are not checked.
 
         Raises:
             ValueError: there is no such setting, or another environment must be built
                 for it.
         """
         for path in values:
-            if not is_data(path, value := setting(self.config, path)):
+            if not is_data(self.config, path):
                 raise ValueError(
-                    f"{path} = {value!r} cannot have another value in an environment, "
-                    "as numbers of reward, episode.hitbox_scale and "
-                    "giving_way.bad_goal can: build another with it"
+                    f"{path} = {setting(self.config, path)!r} decides what an "
+                    "environment computes: build another with another value"
                 )
         env = copy.copy(self)
         env.config = insert(self.config, values)

@@ -26,10 +26,9 @@ from carpark_mj.config import (
     ContextName,
     EnvConfig,
     GivingWayConfig,
-    GoalRewards,
     RewardConfig,
 )
-from carpark_mj.mdp.goal_rewards import GOAL_TERMS
+from carpark_mj.mdp.goal_rewards import goal_weights
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table, observation_size
 from carpark_mj.programs.benchmark import BenchmarkConfig
@@ -207,19 +206,20 @@ def test_the_parked_rules_are_those_in_force():
 
 def test_the_reward_terms_are_all_there_with_their_weights():
     found = [row[:3] for row in cells(MDP, "reward terms")]
+    sets = [
+        {name: getattr(REWARDS[set_], name) for name in TERMS} | REWARDS[set_].extra
+        for set_ in ("shaped", "tanner")
+    ]
+    names = (*TERMS, "approach", "smoothness", "reverse")
     assert found == [
-        [name, *(f"{getattr(REWARDS[set_], name):g}" for set_ in ("shaped", "tanner"))]
-        for name in (*TERMS, "wrong_way")
+        [x, *(f"{weights.get(x, 0):g}" for weights in sets)] for x in names
     ]
     for field in dataclasses.fields(RewardConfig):
         assert f"`{field.name}`" in MDP or field.name == "goals", field.name
 
 
 def test_the_terms_of_chosen_goals_are_all_there_with_their_defaults():
-    pay = GoalRewards()
-    weights = {name: getattr(pay, name) for name in GOAL_TERMS}
-    weights |= {"stop_goal": pay.stop, "lost_goal": pay.lost}
-    weights |= {"bad_goal": GivingWayConfig().bad_goal}
+    weights = goal_weights(EnvConfig()) | {"bad_goal": GivingWayConfig().bad_goal}
     found = [row[:2] for row in cells(MDP, "goal terms")]
     assert found == [[name, f"{weight:g}"] for name, weight in weights.items()]
 

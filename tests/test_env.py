@@ -24,12 +24,12 @@ from helpers.sliding import (
 from helpers.trees import agent_of, leaves, same
 
 from carpark_mj.config import (
+    REWARDS,
     EnvConfig,
     GivingWayConfig,
     GoalConfig,
     GoalRewards,
     is_data,
-    reward_preset,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.fields import FAR
@@ -229,7 +229,7 @@ def test_a_name_is_no_config():
         "sim.ctrl_dt",
         "vehicle",
         "reward.route",
-        "reward.smoothness_by_speed",
+        "reward.extra",
         "reward.goals.stop_goal",
         "rewards",
     ],
@@ -253,7 +253,7 @@ def settings(config, prefix=""):
 def test_every_setting_that_is_data_can_be_traced(dynamic):
     config = slide()[0].config
     if dynamic:
-        rewards = GoalRewards(stop_goal=-0.05, lost_goal=-0.05)
+        rewards = GoalRewards(stop_goal=-0.05)
         config = dataclasses.replace(
             config,
             goals=GoalConfig(dynamic=True),
@@ -261,7 +261,7 @@ def test_every_setting_that_is_data_can_be_traced(dynamic):
             reward=dataclasses.replace(config.reward, goals=rewards),
         )
     env = ParkingEnv(config, SlidePhysics())
-    data = {p: v for p, v in settings(config).items() if is_data(p, v)}
+    data = {p: v for p, v in settings(config).items() if is_data(config, p)}
     assert {"reward.reeds_shepp", "reward.closeness", "episode.hitbox_scale"} < {*data}
 
     def step(values):
@@ -285,7 +285,7 @@ def test_a_traced_reach_of_0_is_no_reach():
 
 
 def test_parking_pays_and_crashing_costs_what_the_config_says():
-    weights = reward_preset("shaped")
+    weights = REWARDS["shaped"]
     _, _, _, timestep = ending("parked")
     time = -weights.time / MAX_STEPS
     # float32 sums; standing cars make no progress.

@@ -7,6 +7,7 @@ import pytest
 
 from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.config import RewardConfig
+from carpark_mj.mdp import rewards
 
 STEPS, AGENTS = 3, 2
 PROBE = 2e-2  # of an action: coordinates are rounded to 1e-6 m
@@ -16,9 +17,7 @@ SMOOTH = ("progress", "smoothness", "closeness")
 @pytest.fixture(scope="module")
 def drive():
     """Sums of smooth rewards, poses and observations by actions (steps, agents, 2)."""
-    reward = RewardConfig(
-        progress=10.0, smoothness=100.0, closeness=5000.0, closeness_range=40.0
-    )
+    reward = RewardConfig(progress=10.0, closeness=5000.0, extra={"smoothness": 100.0})
     config = EnvConfig(
         physics="bicycle", num_agents=AGENTS, num_parked_cars=2, reward=reward
     )
@@ -35,7 +34,9 @@ def drive():
         pose = end.motion.pose_w.sum(axis=0)
         return jnp.concatenate([pose, terms.sum(axis=0), observed.sum()[None]])
 
-    return jax.jit(run), jax.jit(jax.jacrev(run))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rewards, "CLOSENESS_RANGE", 40.0)
+        yield jax.jit(run), jax.jit(jax.jacrev(run))
 
 
 def test_gradients_of_poses_and_smooth_rewards_are_central_differences(drive):

@@ -15,11 +15,15 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.config import (
     ENCODERS,
+    METRICS,
     MOVERS,
     PARKED_RULES,
     PHYSICS,
+    REWARD_TERMS,
     EnvConfig,
+    MetricsConfig,
     ParkedRule,
+    RewardConfig,
     register_rule,
     terminations,
 )
@@ -37,6 +41,7 @@ from carpark_mj.vehicle import COMPACT, PRESETS, VEHICLES, make_vehicle
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text()
+PACKAGES = ROOT / "examples" / "extensions"
 SECTIONS = {
     section.split("\n", 1)[0]: section
     for section in re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]
@@ -85,13 +90,49 @@ def test_every_lot_of_the_new_family_is_valid():
     assert {int(lot.bay_mask.sum()) for lot in lots} == {6, 7, 8, 9, 10}
 
 
-def test_the_new_reward_term_is_paid_for_haste_only():
-    timestep = run("A reward term")["timestep"]
-    haste, speed = timestep.reward_terms["haste"], np.abs(timestep.motion.speed)
+@pytest.mark.parametrize(
+    ("section", "name"), [("A reward term", "haste"), ("A metric", "peak_lateral")]
+)
+def test_the_page_shows_the_packages_as_they_are(section, name):
+    module = PACKAGES / name / f"{name}.py"
+    assert block(section, "python") == module.read_text()
+
+
+@pytest.fixture(scope="module")
+def hasty():
+    """A step with the term and the metric, of one agent that drives and one at rest."""
+    with pytest.MonkeyPatch.context() as patch:
+        for registry in (REWARD_TERMS, METRICS):
+            patch.setattr(registry, "_parts", dict(registry._parts))
+        for section in ("A reward term", "A metric"):
+            run(section)
+        yield drive_hastily()
+
+
+def drive_hastily():
+    reward = RewardConfig(extra={"haste": 0.01})
+    metrics = MetricsConfig(extra=("peak_lateral",))
+    env = ParkingEnv(EnvConfig(num_agents=2, reward=reward, metrics=metrics))
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
+    step = jax.jit(env.step)
+    for _ in range(20):
+        state, timestep = step(state, jnp.array([[0.3, 1.0], [0.0, 0.0]]))
+    return timestep
+
+
+def test_the_new_reward_term_is_paid_for_haste_only(hasty):
+    haste, speed = hasty.reward_terms["haste"], np.abs(hasty.motion.speed)
     assert speed[0] > 1.5 > speed[1]
     np.testing.assert_allclose(haste, [-0.01 * (speed[0] - 1.5), 0.0], rtol=1e-6)
-    total = sum(timestep.reward_terms.values())
-    np.testing.assert_allclose(timestep.reward, total, atol=1e-6)
+    total = sum(hasty.reward_terms.values())
+    np.testing.assert_allclose(hasty.reward, total, atol=1e-6)
+
+
+def test_the_new_metric_is_the_largest_of_the_episode(hasty):
+    now = np.abs(hasty.motion.yaw_rate * hasty.motion.speed)
+    peak = np.asarray(hasty.metrics["peak_lateral"])
+    assert peak[0] >= now[0] > 0.1
+    assert peak[1] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_the_new_field_is_observed_at_reset_and_in_steps():

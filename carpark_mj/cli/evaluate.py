@@ -151,7 +151,7 @@ def prepare(config: EvaluateConfig) -> Task:
         vehicle=config.vehicle,
         layout=config.layout,
         physics=config.physics,
-        metrics=MetricsConfig(driving=True, safety=True),
+        metrics=MetricsConfig.everything(),
     )
     env = ParkingEnv(changed)
     policy = driver.policy(env)  # what is refused until here leaves no folder

@@ -17,10 +17,21 @@ from tyro.constructors import (
     ConstructorRegistry,
     PrimitiveConstructorSpec,
     PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
     UnsupportedTypeAnnotationError,
 )
 
-from carpark_mj.config import ENCODERS, ObservationConfig, insert, setting
+from carpark_mj.config import (
+    ENCODERS,
+    REWARD_TERMS,
+    ExtraTerms,
+    ObservationConfig,
+    insert,
+    setting,
+    term_settings,
+)
 from carpark_mj.config.checks import Range
 
 Config = TypeVar("Config")
@@ -55,9 +66,30 @@ def _tag(info: PrimitiveTypeInfo) -> UnsupportedTypeAnnotationError | None:
     return UnsupportedTypeAnnotationError(())
 
 
+def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """A flag for every setting of every registered reward term, as in `extra.haste`."""
+    if info.type is not ExtraTerms:
+        return None
+    given = info.default if isinstance(info.default, ExtraTerms) else ExtraTerms()
+
+    def build(**values: float | None) -> ExtraTerms:
+        ordered = {**given, **values}.items()  # terms of the default first
+        return ExtraTerms({key: value for key, value in ordered if value is not None})
+
+    number: Any = float | None  # None = not given
+    fields = [
+        StructFieldSpec(key, number, given.get(key), REWARD_TERMS[name].meaning)
+        for name in REWARD_TERMS
+        for key in term_settings(name)
+    ]
+    return StructConstructorSpec(build, tuple(fields))
+
+
 _REGISTRY, _HELP_REGISTRY = ConstructorRegistry(), ConstructorRegistry()
 _REGISTRY.primitive_rule(_range)
 _HELP_REGISTRY.primitive_rule(_range)
+_REGISTRY.struct_rule(_extra_terms)
+_HELP_REGISTRY.struct_rule(_extra_terms)
 _HELP_REGISTRY.primitive_rule(_tag)
 
 

@@ -13,7 +13,7 @@ from carpark_mj.config.env import EnvConfig
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
 from carpark_mj.config.goals import GoalConfig, GoalRewards
-from carpark_mj.config.insertion import insert, is_data, setting
+from carpark_mj.config.insertion import data, insert, is_data, setting
 from carpark_mj.config.layouts import (
     LAYOUTS,
     LayoutChoice,
@@ -21,7 +21,7 @@ from carpark_mj.config.layouts import (
     register_layout,
     require_layout,
 )
-from carpark_mj.config.metrics import MetricsConfig
+from carpark_mj.config.metrics import METRICS, Metric, MetricsConfig, register_metric
 from carpark_mj.config.observations import (
     ENCODERS,
     ObservationConfig,
@@ -32,7 +32,13 @@ from carpark_mj.config.observations import (
 from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
 from carpark_mj.config.randomization import RandomizationConfig
-from carpark_mj.config.rewards import REWARDS, RewardConfig, RewardName, reward_preset
+from carpark_mj.config.reward_terms import (
+    REWARD_TERMS,
+    ExtraTerms,
+    RewardTerm,
+    term_settings,
+)
+from carpark_mj.config.rewards import REWARDS, RewardConfig
 from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import RelocationRule, SpawnConfig
 from carpark_mj.config.terminations import (
@@ -48,14 +54,17 @@ __all__ = [
     "CONTACT_SIM_DT",
     "ENCODERS",
     "LAYOUTS",
+    "METRICS",
     "MOVERS",
     "PARKED_RULES",
     "PHYSICS",
     "REWARDS",
+    "REWARD_TERMS",
     "WORLD_UNIT",
     "ContextName",
     "EnvConfig",
     "EpisodeConfig",
+    "ExtraTerms",
     "FleetConfig",
     "GivingWayConfig",
     "GoalConfig",
@@ -63,6 +72,7 @@ __all__ = [
     "JitterConfig",
     "LayoutChoice",
     "LayoutConfig",
+    "Metric",
     "MetricsConfig",
     "Mover",
     "ObservationConfig",
@@ -74,7 +84,7 @@ __all__ = [
     "RayConfig",
     "RelocationRule",
     "RewardConfig",
-    "RewardName",
+    "RewardTerm",
     "RingConfig",
     "Scheme",
     "SensorConfig",
@@ -83,13 +93,15 @@ __all__ = [
     "SpawnConfig",
     "Surface",
     "TyresName",
+    "data",
     "insert",
     "is_data",
     "physics_config",
     "register_layout",
+    "register_metric",
     "register_rule",
     "require_layout",
     "require_rule",
-    "reward_preset",
     "setting",
+    "term_settings",
 ]

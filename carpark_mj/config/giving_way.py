@@ -5,6 +5,7 @@ import math
 from typing import Literal, get_args
 
 from carpark_mj.config.checks import CheckedConfig
+from carpark_mj.config.insertion import data
 
 Scheme = Literal["L,L,S", "L,L,A", "G,L,S", "G,L,A", "G,G,S", "G,G,A"]
 ContextName = Literal[
@@ -45,7 +46,7 @@ class GivingWayConfig(CheckedConfig):
     """
 
     scheme: Scheme | None = None
-    bad_goal: float = 0.0
+    bad_goal: float = data(0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

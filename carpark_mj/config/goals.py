@@ -3,6 +3,7 @@
 import dataclasses
 
 from carpark_mj.config.checks import CheckedConfig, require_finite, require_whole
+from carpark_mj.config.insertion import data
 
 TOLERANCE = 1e-9  # by which (3.5) may fail, for 0.1 + 0.2 is not 0.3
 
@@ -47,20 +48,15 @@ class GoalRewards(CheckedConfig):
         continue_goal: reward for keeping the bay, r(p->p).
         change_goal: reward for choosing another bay, r(p->p').
         stop_goal: reward for giving up the bay to explore, r(p->e); None = r(p->p') -
-            r(e->p), which the study's rule (3.5) requires.
-        lost_goal: added when the goal is no longer among the tracked bays; None =
-            r(p->e), as in the reference implementation.
-        taken_goal: added when another agent has parked in the goal; 0 in the reference
-            implementation.
+            r(e->p), which the study's rule (3.5) requires. Losing the goal because it
+            is no longer tracked pays the same, as in the reference implementation.
     """
 
-    continue_explore: float = -0.002
-    stop_explore: float = 0.0
-    continue_goal: float = 0.0
-    change_goal: float = -0.05
-    stop_goal: float | None = None
-    lost_goal: float | None = None
-    taken_goal: float = 0.0
+    continue_explore: float = data(-0.002)
+    stop_explore: float = data(0.0)
+    continue_goal: float = data(0.0)
+    change_goal: float = data(-0.05)
+    stop_goal: float | None = data(None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -72,11 +68,6 @@ class GoalRewards(CheckedConfig):
         if self.stop_goal is None:
             return self.change_goal - self.stop_explore
         return self.stop_goal
-
-    @property
-    def lost(self) -> float:
-        """Reward for losing a goal, given or computed."""
-        return self.stop if self.lost_goal is None else self.lost_goal
 
     def check(self) -> None:
         """Refuses rewards for exploring for ever or changing goals by a detour.

@@ -5,22 +5,41 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+from carpark_mj.config.reward_terms import ExtraTerms, is_fixed
+
 Config = TypeVar("Config")
-
-# Settings of an `EnvConfig`, or beginnings of their paths, whose numbers only enter
-# into the arithmetic of `ParkingEnv.step`. A test traces every one.
-_ARITHMETIC = ("reward.", "episode.hitbox_scale", "giving_way.bad_goal")
+_DATA = "data"
 
 
-def is_data(path: str, value: object) -> bool:
-    """Whether a setting of an `EnvConfig` can have other values in one program.
+def data(default: Any) -> Any:
+    """A field of a config whose number only enters into arithmetic.
+
+    Runs side by side may differ in it, see `is_data`.
+    """
+    return dataclasses.field(default=default, metadata={_DATA: True})
+
+
+def is_data(config: Any, path: str) -> bool:
+    """Whether a setting can have other values in one program.
 
     Args:
-        path: of the setting, as in `reward.park`.
-        value: that it has: None and truth values decide what is computed.
+        config: a dataclass.
+        path: of the setting, as in `reward.park`. It must be a number: None and truth
+            values decide what is computed.
+
+    Raises:
+        ValueError: there is no such setting.
     """
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and path.startswith(_ARITHMETIC)
+    value = setting(config, path)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    while not isinstance(config, ExtraTerms):
+        name, _, rest = path.partition(".")
+        if not rest:
+            [field] = [x for x in dataclasses.fields(config) if x.name == name]
+            return _DATA in field.metadata
+        config, path = getattr(config, name), rest
+    return not is_fixed(path)
 
 
 def setting(config: Any, path: str) -> Any:
@@ -29,9 +48,11 @@ def setting(config: Any, path: str) -> Any:
     Raises:
         ValueError: there is no such setting.
     """
-    for name in path.split("."):
-        config = getattr(_require_setting(config, name), name)
-    return config
+    if isinstance(config, ExtraTerms):
+        return config[_require_setting(config, path)]
+    name, dot, rest = path.partition(".")
+    value = getattr(config, _require_setting(config, name))
+    return setting(value, rest) if dot else value
 
 
 def insert(config: Config, values: Mapping[str, Any]) -> Config:
@@ -46,6 +67,9 @@ def insert(config: Config, values: Mapping[str, Any]) -> Config:
     """
     new = copy.copy(config)
     for path, value in values.items():
+        if isinstance(new, ExtraTerms):
+            new[_require_setting(new, path)] = value
+            continue
         name, dot, rest = path.partition(".")
         _require_setting(new, name)
         value = insert(getattr(new, name), {rest: value}) if dot else value
@@ -53,13 +77,18 @@ def insert(config: Config, values: Mapping[str, Any]) -> Config:
     return new
 
 
-def _require_setting(config: Config, name: str) -> Config:
-    """The config, which must have a setting of that name."""
+def _names(config: Any) -> list[str]:
+    if isinstance(config, ExtraTerms):
+        return list(config)
     is_config = dataclasses.is_dataclass(config)
-    settings = [x.name for x in dataclasses.fields(config)] if is_config else []
-    if name not in settings:
+    return [x.name for x in dataclasses.fields(config)] if is_config else []
+
+
+def _require_setting(config: Any, name: str) -> str:
+    """The name, which must be that of a setting of the config."""
+    if name not in (names := _names(config)):
         raise ValueError(
             f"{type(config).__name__} has no setting {name!r}: it has "
-            f"{', '.join(settings) or 'none'}"
+            f"{', '.join(names) or 'none'}"
         )
-    return config
+    return name

@@ -1,22 +1,24 @@
 """Weights of the reward terms, and sets of them by name."""
 
 import dataclasses
-from typing import Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from carpark_mj.config.checks import (
-    CheckedConfig,
-    require_at_least,
-    require_choice,
-    require_positive,
-)
+from carpark_mj.config.checks import CheckedConfig, require_at_least
 from carpark_mj.config.goals import GoalRewards
+from carpark_mj.config.insertion import data
+from carpark_mj.config.reward_terms import ExtraTerms, check_extra
+from carpark_mj.extensions import Registry
 
-RewardName = Literal["shaped", "tanner"]
+if TYPE_CHECKING:
+    Extra = Mapping[str, float]
+else:
+    Extra = ExtraTerms
 
 
 @dataclasses.dataclass(frozen=True)
 class RewardConfig(CheckedConfig):
-    """Weights of the terms of `carpark_mj.mdp.rewards`.
+    """Weights of the reward terms.
 
     All weights are non-negative, and 0 disables a term. Each says whether its term is a
     reward (added) or a penalty (subtracted). "Per step" weights are divided by
@@ -24,11 +26,7 @@ class RewardConfig(CheckedConfig):
 
     Attributes:
         park: reward for parking, once.
-        final_speed: penalty on parking, times the speed as a share of the top speed.
-        final_heading: penalty on parking, times the misalignment with the bay's axis,
-            either way round: 0 = along it, 1 = across it.
         crash: penalty for crashing, once.
-        timeout: penalty for timing out, once.
         time: penalty per step.
         progress: reward per metre gained towards the goal; negative when moving away.
         route: measure the distances of `progress` and `alignment` along the lanes
@@ -39,72 +37,42 @@ class RewardConfig(CheckedConfig):
             of this distance. 0 = never.
         alignment: reward per radian of misalignment with the goal's axis removed,
             fading with the distance to the goal; negative when it grows.
-        alignment_range: distance at which the alignment reward has faded to 1/e [m].
-        approach: reward per step that ends nearer to the goal, penalty per step that
-            does not (Tanner's "move towards goal").
-        smoothness: penalty per step, times the steering change as a share of the
-            largest; on the grid times the turn over the largest.
-        smoothness_by_speed: multiply the smoothness penalty by the share of the top
-            speed.
-        reverse: penalty per step in reverse.
-        wrong_way: penalty per step driven against the lanes
-            (`carpark_mj.mdp.wrong_way`); no term in lots that never have lanes.
-        closeness: penalty per step, times the share of `closeness_range` by which the
-            nearest other agent is too close.
-        closeness_range: clearance between agents below which they are too close [m].
+        closeness: penalty per step, times the share of 3 m by which the nearest other
+            agent is too close.
+        extra: weights of terms in `REWARD_TERMS` by name, as in `{"haste": 0.01}`, and
+            their parameters, as in `{"haste": 0.01, "haste.above": 2.0}`.
         goals: signed rewards for choosing and losing goals; dynamic goals only.
     """
 
-    park: float = 4.0
-    final_speed: float = 0.0
-    final_heading: float = 0.0
-    crash: float = 2.5
-    timeout: float = 0.0
-    time: float = 1.0
-    progress: float = 0.2
+    park: float = data(4.0)
+    crash: float = data(2.5)
+    time: float = data(1.0)
+    progress: float = data(0.2)
     route: bool = False
-    reeds_shepp: float = 0.0
-    alignment: float = 0.5
-    alignment_range: float = 4.0
-    approach: float = 0.0
-    smoothness: float = 0.0
-    smoothness_by_speed: bool = False
-    reverse: float = 0.0
-    wrong_way: float = 0.0
-    closeness: float = 15.0
-    closeness_range: float = 3.0
+    reeds_shepp: float = data(0.0)
+    alignment: float = data(0.5)
+    closeness: float = data(15.0)
+    extra: Extra = dataclasses.field(default_factory=ExtraTerms)
     goals: GoalRewards = dataclasses.field(default_factory=GoalRewards)
 
     def __post_init__(self) -> None:
+        if isinstance(self.extra, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]
+            object.__setattr__(self, "extra", ExtraTerms(self.extra))
         super().__post_init__()
-        other = ("goals", "route", "smoothness_by_speed")
-        names = [f.name for f in dataclasses.fields(self) if f.name not in other]
-        require_at_least(self, 0.0, *names)
-        require_positive(self, "alignment_range", "closeness_range")
+        own = {field.name for field in dataclasses.fields(self)}
+        require_at_least(self, 0.0, *sorted(own - {"extra", "goals", "route"}))
+        goals = {field.name for field in dataclasses.fields(self.goals)}
+        check_extra(self.extra, own | goals | {"lost_goal", "bad_goal"})
+
+    def parameters(self, name: str) -> dict[str, float]:
+        """Parameters of a term that `extra` gives other values than the defaults."""
+        start = f"{name}."
+        return {
+            key.removeprefix(start): value
+            for key, value in self.extra.items()
+            if key.startswith(start)
+        }
 
 
-REWARDS: dict[str, RewardConfig] = {
-    "shaped": RewardConfig(),
-    # Table C.9 of Tanner 2022; potential-based terms off.
-    "tanner": RewardConfig(
-        park=1.0,
-        crash=1.0,
-        time=0.2,
-        progress=0.0,
-        alignment=0.0,
-        approach=0.15,
-        smoothness=0.05,
-        reverse=0.1,
-        closeness=0.0,
-    ),
-}
-
-
-def reward_preset(name: str) -> RewardConfig:
-    """Looks a named reward set up.
-
-    Raises:
-        ValueError: unknown name; the message lists the known ones.
-    """
-    require_choice("reward", name, RewardName)
-    return REWARDS[name]
+REWARDS: Registry[RewardConfig] = Registry("reward")
+REWARDS.register("shaped", RewardConfig())

@@ -14,6 +14,7 @@ from carpark_mj.config.checks import (
     require_positive,
     require_whole,
 )
+from carpark_mj.config.insertion import data
 from carpark_mj.config.units import WORLD_UNIT
 
 
@@ -123,7 +124,7 @@ class EpisodeConfig(CheckedConfig):
 
     parked_rule: str = "strict"
     max_steps: int = 200
-    hitbox_scale: float = 1.0
+    hitbox_scale: float = data(1.0)
     respawn: bool = True
     final_observation: bool = False
 

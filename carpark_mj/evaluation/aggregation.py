@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from carpark_mj.config.metrics import Metric
 from carpark_mj.config.obstacles import ObstacleKind, hit_kinds
-from carpark_mj.evaluation.catalogue import METRICS, START_STEPS, Metric
+from carpark_mj.evaluation.catalogue import START_STEPS, metrics
 from carpark_mj.types import ENDINGS
 
 HITS = tuple(f"hit_{kind.label}" for kind in hit_kinds(()))
@@ -32,12 +33,12 @@ def complete_row(row: Row, ctrl_dt: float) -> Row:
         kinds = [f"{name}_{kind.label}" for kind in ObstacleKind]
         if found := [row[kind] for kind in kinds if kind in row]:
             added[name] = min(found)
-    for metric in METRICS:
+    for metric in metrics():
         if metric.ratio is not None and row.keys() >= {*metric.ratio}:
             above, below = (row[name] for name in metric.ratio)
             added[metric.name] = above / below if below else math.nan
     whole = row | added
-    order = [metric.name for metric in METRICS if metric.name in whole]
+    order = [metric.name for metric in metrics() if metric.name in whole]
     return {name: whole[name] for name in order} | whole
 
 
@@ -55,7 +56,7 @@ def summarize(rows: Sequence[Row]) -> dict[str, Any]:
         "episodes": len(rows),
         **{
             metric.name: pool(metric, rows)
-            for metric in METRICS
+            for metric in metrics()
             if metric.name in names
         },
         "mean_returns": {

@@ -1,18 +1,15 @@
 """The catalogue of metrics: what each means, its unit, how episodes add up.
 
-The only place that defines them; the tables of `docs/metrics.md` are made from it. An
-evaluation has a column for each in the table of episodes, and a number or a few of all
-episodes together.
+It defines the library's, of which the tables of `docs/metrics.md` are made; others are
+registered (`carpark_mj.config.metrics`). An evaluation has a column for each in the
+table of episodes, and a number or a few of all episodes together.
 """
 
-import dataclasses
-from typing import Literal
-
+from carpark_mj.config.metrics import METRICS, Metric, Pool
 from carpark_mj.mdp.clearance import RANGE
 from carpark_mj.mdp.metrics.collision_time import HORIZON
 
 # How episodes add up.
-Pool = Literal["rate", "mean", "parked", "steps", "episodes", "least", "most"]
 POOLS: dict[Pool, str] = {
     "rate": "share of the episodes, its 95 % interval, and their count",
     "mean": "mean over episodes",
@@ -25,27 +22,6 @@ POOLS: dict[Pool, str] = {
 # A crash this early is attributed to the spawn, not to the policy: the study's step
 # count is below 2 then.
 START_STEPS = 1
-
-
-@dataclasses.dataclass(frozen=True)
-class Metric:
-    """A metric of an episode.
-
-    Attributes:
-        name: column of the table of episodes.
-        unit: unit of the column; empty for counts, flags and shares.
-        meaning: its definition.
-        pool: how episodes are aggregated, a key of `POOLS`.
-        study: its name in tables C.3 and C.4 of Tanner 2022.
-        ratio: numerator and denominator columns; None if it is not a ratio.
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    pool: Pool
-    study: str = ""
-    ratio: tuple[str, str] | None = None
 
 
 def _rate(name: str, meaning: str, study: str = "") -> Metric:
@@ -219,7 +195,12 @@ GOALS = (
         for name, (when, study) in _GAVE_WAY.items()
     ),
 )
-METRICS = OUTCOME + DRIVING + SAFETY + GOALS
+_LIBRARY = OUTCOME + DRIVING + SAFETY + GOALS
+
+
+def metrics() -> tuple[Metric, ...]:
+    """The library's metrics, and after them the registered ones by name."""
+    return _LIBRARY + tuple(METRICS.values())
 
 
 def markdown_table(metrics: tuple[Metric, ...]) -> str:

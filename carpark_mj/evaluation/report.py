@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from carpark_mj.evaluation.aggregation import HITS
-from carpark_mj.evaluation.catalogue import DRIVING, GOALS, SAFETY
+from carpark_mj.evaluation.catalogue import DRIVING, GOALS, OUTCOME, SAFETY, metrics
 from carpark_mj.evaluation.evaluator import Evaluation
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.types import ENDINGS, OUTCOMES
@@ -144,7 +144,7 @@ def print_metrics(summary: dict[str, Any]) -> None:
         table.add_column(
             column, justify="left" if column in ("metric", "unit") else "right"
         )
-    shown = [m for m in DRIVING + SAFETY + GOALS if m.name in summary]
+    shown = [m for m in metrics() if m not in OUTCOME and m.name in summary]
     for metric in shown:
         value = summary[metric.name]
         numbers = ["", *value.values()] if isinstance(value, dict) else [value]
@@ -152,6 +152,6 @@ def print_metrics(summary: dict[str, Any]) -> None:
             metric.name.replace("_", " "),
             metric.unit,
             *(n if isinstance(n, str) else f"{n:.3g}" for n in numbers),
-            end_section=metric in (DRIVING[-1], SAFETY[-1]),
+            end_section=metric in (DRIVING[-1], SAFETY[-1], GOALS[-1]),
         )
     Console().print(table)

@@ -1,64 +1,58 @@
-"""Reward terms that goals chosen by agents add or change; weights in `GoalRewards`."""
+"""Reward terms for goals that agents choose; weights in `GoalRewards`."""
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, RewardTerm
 from carpark_mj.mdp.progress import goal_potential
 from carpark_mj.mdp.tracked_bays import target_bay
-from carpark_mj.types import NO_BAY, GoalEvents, Transition
-
-GOAL_TERMS = (
-    "continue_explore",
-    "stop_explore",
-    "continue_goal",
-    "change_goal",
-    "stop_goal",
-    "lost_goal",
-    "taken_goal",
-)
+from carpark_mj.types import NO_BAY, Transition
 
 
-def goal_terms(
-    config: EnvConfig,
-    transition: Transition,
-    goals: GoalEvents,
-    terms: dict[str, jax.Array],
-) -> dict[str, jax.Array]:
-    """All terms of a step with chosen goals.
-
-    Agents that keep a bad goal, one that they should give up by the giving-way scheme,
-    get `bad_goal` instead of `continue_goal`.
-
-    Args:
-        config: weights and the giving-way scheme.
-        transition: the step.
-        goals: what happened to the goals.
-        terms: (num_agents,) those of driving, towards the goals chosen in the step.
-
-    Returns:
-        Named terms (num_agents,), weights and signs applied.
-    """
+def goal_weights(config: EnvConfig) -> dict[str, float]:
+    """Weights of `GOAL_TERMS`; `bad_goal` only where there are bad goals."""
     pay, scheme = config.reward.goals, config.giving_way
-    kept = pay.continue_goal * goals.continue_goal
-    terms = terms | {
-        "progress": chosen_progress(config, transition),
-        "approach": jnp.where(goals.exploring, 0.0, terms["approach"]),
-        "continue_explore": pay.continue_explore * goals.continue_explore,
-        "stop_explore": pay.stop_explore * goals.stop_explore,
-        "continue_goal": kept,
-        "change_goal": pay.change_goal * goals.change_goal,
-        "stop_goal": pay.stop * goals.stop_goal,
-        "lost_goal": pay.lost * goals.lost_untracked,
-        "taken_goal": pay.taken_goal * goals.lost_taken,
+    weights: dict[str, float] = {
+        "continue_explore": pay.continue_explore,
+        "stop_explore": pay.stop_explore,
+        "continue_goal": pay.continue_goal,
+        "change_goal": pay.change_goal,
+        "stop_goal": pay.stop,
+        "lost_goal": pay.stop,
     }
-    if scheme.context is None:
-        return terms
-    bad = goals.contexts[scheme.context] & goals.continue_goal
-    return terms | {
-        "continue_goal": jnp.where(bad, 0.0, kept),
-        "bad_goal": jnp.where(bad, scheme.bad_goal, 0.0),
-    }
+    return (
+        weights if scheme.context is None else weights | {"bad_goal": scheme.bad_goal}
+    )
+
+
+def _event(name: str) -> RewardTerm:
+    """A term that is paid when something happens to a goal."""
+    return RewardTerm(lambda config, step: getattr(step.goal_events, name))
+
+
+def _keeps_bad(config: EnvConfig, step: Transition) -> jax.Array:
+    """Whether agents (num_agents,) keep goals that the scheme says to give up."""
+    goals, context = step.goal_events, config.giving_way.context
+    assert goals is not None
+    bad = False if context is None else goals.contexts[context]
+    return goals.continue_goal & bad
+
+
+def _keeps_good(config: EnvConfig, step: Transition) -> jax.Array:
+    """Whether agents (num_agents,) keep other goals."""
+    assert step.goal_events is not None
+    return step.goal_events.continue_goal & ~_keeps_bad(config, step)
+
+
+GOAL_TERMS = {
+    "continue_explore": _event("continue_explore"),
+    "stop_explore": _event("stop_explore"),
+    "continue_goal": RewardTerm(_keeps_good),
+    "change_goal": _event("change_goal"),
+    "stop_goal": _event("stop_goal"),
+    "lost_goal": _event("lost_untracked"),
+    "bad_goal": RewardTerm(_keeps_bad),
+}
 
 
 def chosen_progress(config: EnvConfig, transition: Transition) -> jax.Array:

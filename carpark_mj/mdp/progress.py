@@ -9,6 +9,7 @@ from carpark_mj.types import CarParameters as Car
 from carpark_mj.types import Motion
 
 NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of Tanner's finer grid: rounding
+ALIGNMENT_RANGE = 4.0  # m, at which the alignment reward has faded to 1/e
 MOVING = 0.05  # m/s, slower cars have no direction of travel
 
 
@@ -35,7 +36,7 @@ def goal_potential(
     if distance is None:
         distance = norm(pose_w[..., :2] - goal_pose[..., :2])
     misalignment = heading_error(pose_w[..., 2] - goal_pose[..., 2], one_way)
-    fading = jnp.exp(-distance / weights.alignment_range)
+    fading = jnp.exp(-distance / ALIGNMENT_RANGE)
     return -(weights.progress * distance + weights.alignment * misalignment * fading)
 
 

@@ -14,7 +14,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.config import ENCODERS, PHYSICS, LayoutConfig, PhysicsConfig
+from carpark_mj.config import (
+    ENCODERS,
+    PHYSICS,
+    ExtraTerms,
+    LayoutConfig,
+    PhysicsConfig,
+)
 from carpark_mj.config.checks import require_type
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.config.obstacles import MOVERS, Mover
@@ -58,6 +64,8 @@ def _value(name: str, hint: Any, value: Any) -> Any:
     """Rebuilds the value of a field from what JSON made of it."""
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value)
+    if hint is ExtraTerms and isinstance(value, dict):
+        return ExtraTerms(value)
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     members = typing.get_args(hint) if union else ()
     classes = [member for member in members if dataclasses.is_dataclass(member)]

@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from carpark_mj.config import REWARD_TERMS, ExtraTerms, term_settings
+
 MAX_VALUES = 10_000  # of a range; more are a slip of the keyboard
 # What a sweep itself sets in every run.
 OWN_FIELDS = ("preset", "name", "runs_dir", "resume", "time_limit")
@@ -136,11 +138,18 @@ def _leaves(config: Any, prefix: str = "") -> Iterator[str]:
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
             yield from _leaves(value, f"{prefix}{field.name}.")
+        elif isinstance(value, ExtraTerms):
+            for name in REWARD_TERMS:
+                yield from (
+                    f"{prefix}{field.name}.{key}" for key in term_settings(name)
+                )
         else:
             yield f"{prefix}{field.name}"
 
 
 def _value(field: str, config: Any) -> Any:
     for name in field.split("."):
+        if isinstance(config, ExtraTerms):
+            return None  # a number
         config = getattr(config, name)
     return config

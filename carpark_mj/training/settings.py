@@ -125,6 +125,8 @@ def list_settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
         name, value = f"{prefix}{field.name}", getattr(config, field.name)
         if dataclasses.is_dataclass(value):
             yield from list_settings(value, f"{name}.")
+        elif isinstance(value, Mapping):
+            yield from ((f"{name}.{key}", number) for key, number in value.items())
         else:
             yield name, value
 

@@ -5,12 +5,11 @@ import functools
 from typing import TypedDict, TypeVar
 
 from carpark_mj.config import (
+    REWARDS,
     EnvConfig,
     LayoutChoice,
     PhysicsChoice,
     RewardConfig,
-    RewardName,
-    reward_preset,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config
@@ -36,7 +35,7 @@ class Options(TypedDict, total=False):
     agents: int
     parked_cars: int
     rule: str
-    reward: RewardConfig | RewardName
+    reward: RewardConfig | str
     physics: PhysicsChoice
 
 
@@ -72,7 +71,7 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
         )
     if "reward" in options:
         reward = options["reward"]
-        changes["reward"] = reward_preset(reward) if isinstance(reward, str) else reward
+        changes["reward"] = REWARDS[reward] if isinstance(reward, str) else reward
     config = dataclasses.replace(config, **changes)
     if isinstance(config.layout, str) and "." in config.layout:
         # The content decides, not the name: environments are shared.

@@ -13,13 +13,13 @@ from carpark_mj.config import (
     GivingWayConfig,
     GoalConfig,
     GoalRewards,
+    MetricsConfig,
     ParkedRule,
     RandomizationConfig,
     RewardConfig,
     ShareConfig,
     SimConfig,
     SpawnConfig,
-    reward_preset,
 )
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.env import ParkingEnv
@@ -73,8 +73,8 @@ IMPOSSIBLE = [
         {"relocation": "nearest"},
         "unknown relocation 'nearest'; choose from",
     ),
-    (RewardConfig, {"final_speed": -1.0}, "final_speed must be at least 0.0, not -1.0"),
-    (RewardConfig, {"timeout": math.inf}, "timeout must be at least 0.0, not inf"),
+    (RewardConfig, {"time": -1.0}, "time must be at least 0.0, not -1.0"),
+    (RewardConfig, {"crash": math.inf}, "crash must be at least 0.0, not inf"),
     (EpisodeConfig, {"parked_rule": "lax"}, "unknown parked_rule 'lax'"),
     (ParkedRule, {}, "a parked rule must have a limit"),
     (ParkedRule, {"speed": 0.0}, "speed must be positive, not 0.0"),
@@ -86,14 +86,23 @@ IMPOSSIBLE = [
     (EpisodeConfig, {"max_steps": -5}, "max_steps must be at least 1, not -5"),
     (RewardConfig, {"crash": -1.0}, "crash must be at least 0.0, not -1.0"),
     (RewardConfig, {"park": math.nan}, "park must be at least 0.0, not nan"),
-    (RewardConfig, {"alignment_range": 0.0}, "alignment_range must be positive"),
     (GoalConfig, {"num_tracked_bays": 0}, "num_tracked_bays must be .* not 0"),
     (GivingWayConfig, {"scheme": "G,L,X"}, "unknown scheme 'G,L,X'; choose from"),
     (GivingWayConfig, {"bad_goal": -0.1}, "bad_goal -0.1 needs a scheme"),
     (EnvConfig, {"layout": "ring"}, "unknown layout 'ring'"),
     (EnvConfig, {"num_agents": 0}, "num_agents must be at least 1, not 0"),
     (EnvConfig, {"num_parked_cars": -1}, "num_parked_cars must be at least 0, not -1"),
-    (reward_preset, {"name": "sparse"}, "unknown reward 'sparse'"),
+    (RewardConfig, {"extra": {"hurry": 1.0}}, "unknown reward term 'hurry'; choose"),
+    (RewardConfig, {"extra": {"park": 1.0}}, "extra cannot have 'park'"),
+    (RewardConfig, {"extra": {"bad_goal": 1.0}}, "extra cannot have 'bad_goal'"),
+    (
+        RewardConfig,
+        {"extra": {"reverse": -1.0}},
+        "reverse must be at least 0.0, not -1",
+    ),
+    (RewardConfig, {"extra": {"reverse.x": 1.0}}, "'reverse' has no parameter 'x'"),
+    (RewardConfig, {"extra": {"smoothness.by_speed": 1}}, "by_speed needs smoothness"),
+    (MetricsConfig, {"extra": ("calm",)}, "unknown metric 'calm'; choose"),
 ]
 
 
@@ -211,7 +220,7 @@ def test_a_full_lot_is_allowed():
     [
         (lambda: EnvConfig(layout="x"), [*LAYOUTS]),
         (lambda: EpisodeConfig(parked_rule="x"), sorted(PARKED_RULES)),
-        (lambda: reward_preset("x"), ["shaped", "tanner"]),
+        (lambda: REWARDS["x"], ["shaped", "tanner"]),
     ],
 )
 def test_unknown_names_are_answered_with_the_known_ones(make, known):
@@ -290,37 +299,28 @@ def test_configs_cannot_be_changed(config):
 
 def test_the_tanner_reward_preset_has_the_numbers_of_table_c9():
     # Tanner 2022, table C.9 (PPO): sums over an episode, paid a share each step.
-    weights = dataclasses.asdict(reward_preset("tanner"))
-    del weights["alignment_range"]  # without effect at an alignment weight of 0
-    del weights["closeness_range"]  # likewise
+    weights = dataclasses.asdict(REWARDS["tanner"])
     del weights["goals"]  # of dynamic goals, `test_dynamic_goals`
     del weights["route"], weights["reeds_shepp"]  # how progress is measured
     assert weights == {
         "park": 1.0,
         "crash": 1.0,
         "time": 0.2,
-        "approach": 0.15,
-        "smoothness": 0.05,
-        "reverse": 0.1,
+        "extra": {"approach": 0.15, "smoothness": 0.05, "reverse": 0.1},
         "progress": 0.0,
         "alignment": 0.0,
         "closeness": 0.0,
-        "wrong_way": 0.0,
-        "final_speed": 0.0,
-        "final_heading": 0.0,
-        "timeout": 0.0,
-        "smoothness_by_speed": False,
     }
 
 
 def test_tanners_dense_rewards_are_negative_on_any_path():
     # His constraint m < t: moving towards the goal earns less than time costs.
     weights = REWARDS["tanner"]
-    assert weights.approach < weights.time
+    assert weights.extra["approach"] < weights.time
 
 
 def test_the_default_reward_is_the_shaped_preset():
-    assert EnvConfig().reward == reward_preset("shaped")
+    assert EnvConfig().reward == REWARDS["shaped"]
 
 
 def test_every_layout_has_a_known_family():

@@ -41,6 +41,8 @@ JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))
 def test_no_field_takes_a_value_of_another_type(cls):
     for field in dataclasses.fields(cls):
         for junk in JUNK:
+            if isinstance(junk, dict) and (cls, field.name) == (RewardConfig, "extra"):
+                continue  # unknown terms
             with pytest.raises(ValueError, match=rf"\b{field.name}\b.* not "):
                 cls(**{field.name: junk})
 
@@ -49,5 +51,5 @@ def test_numbers_may_be_numpys():
     config = SimConfig(ctrl_dt=np.float32(0.25), sim_dt=np.float64(0.05))
     assert config.num_substeps == 5
     assert EnvConfig(num_agents=np.int32(3)).num_agents == 3
-    with pytest.raises(ValueError, match="timeout must be a number, not True"):
-        RewardConfig(timeout=True)
+    with pytest.raises(ValueError, match="park must be a number, not True"):
+        RewardConfig(park=True)

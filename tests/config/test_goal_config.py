@@ -47,8 +47,8 @@ def test_changing_goals_may_cost_nothing_as_in_a_run_of_the_study():
 def test_other_impossible_settings_are_refused_in_a_sentence():
     with pytest.raises(ValueError, match="num_tracked_bays must be at least 1, not 0"):
         GoalConfig(num_tracked_bays=0)
-    with pytest.raises(ValueError, match="lost_goal must be finite, not nan"):
-        GoalRewards(lost_goal=math.nan)
+    with pytest.raises(ValueError, match="stop_goal must be finite, not nan"):
+        GoalRewards(stop_goal=math.nan)
 
 
 def test_a_scheme_needs_agents_that_choose_their_goals():

@@ -19,7 +19,7 @@ def test_values_are_found_by_their_paths_and_the_config_stays_as_it_is():
         ("rewards.park", "EnvConfig has no setting 'rewards': it has layout, vehicle"),
         ("reward.park.x", "float has no setting 'x': it has none"),
         ("reward.", "RewardConfig has no setting '': it has park"),
-        ("reward.parking", "RewardConfig has no setting 'parking': it has park, final"),
+        ("reward.parking", "RewardConfig has no setting 'parking': it has park, crash"),
     ],
 )
 def test_misspelt_paths_are_refused_with_what_there_is(path, sentence):

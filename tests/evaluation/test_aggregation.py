@@ -14,10 +14,10 @@ from carpark_mj.evaluation.aggregation import (
     summarize,
     wilson_interval,
 )
-from carpark_mj.evaluation.catalogue import METRICS
+from carpark_mj.evaluation.catalogue import metrics
 from carpark_mj.types import ENDINGS
 
-BY_NAME = {metric.name: metric for metric in METRICS}
+BY_NAME = {metric.name: metric for metric in metrics()}
 
 
 def episode(length=10.0, **numbers):
@@ -137,7 +137,7 @@ def test_a_summary_is_what_a_hand_count_gives():
 
 def test_a_summary_has_each_metric_once_and_by_the_catalogue_s_name():
     rows = random_episodes(3)
-    names = [metric.name for metric in METRICS if metric.name in rows[0]]
+    names = [metric.name for metric in metrics() if metric.name in rows[0]]
     assert list(summarize(rows)) == ["episodes", *names, "mean_returns"]
 
 

@@ -11,7 +11,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.metrics.goals import CONTEXTS
-from carpark_mj.mdp.rewards import term_names
+from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.types import Events, GoalEvents, Motion, Transition
 
 # What an agent can do with its goal, as fields of `GoalEvents`.
@@ -43,10 +43,10 @@ def no_goal_events(count: int, **true: Any) -> GoalEvents:
     )
 
 
-def no_terms(config: EnvConfig, layout: Layout) -> dict[str, jax.Array]:
+def no_terms(config: EnvConfig) -> dict[str, jax.Array]:
     """A reward of nothing."""
     zero = jnp.zeros(config.num_agents)
-    return dict.fromkeys(term_names(config, layout), zero)
+    return dict.fromkeys(term_weights(config), zero)
 
 
 def transition(

@@ -11,16 +11,16 @@ from helpers.scenes import cars, lot
 from helpers.transitions import no_goal_events, transition
 
 from carpark_mj.config import (
+    REWARDS,
     EnvConfig,
     GivingWayConfig,
     GoalConfig,
     GoalRewards,
     RewardConfig,
-    reward_preset,
 )
 from carpark_mj.layouts import Maxima, pad_layout
-from carpark_mj.mdp.goal_rewards import GOAL_TERMS, chosen_progress, goal_terms
-from carpark_mj.mdp.rewards import reward_terms, term_names
+from carpark_mj.mdp.goal_rewards import chosen_progress
+from carpark_mj.mdp.rewards import reward_terms, term_weights
 from carpark_mj.mdp.tracked_bays import target_bay
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.types import NO_BAY
@@ -91,7 +91,7 @@ def test_no_closed_loop_of_motion_and_choices_pays():
     loops, steps, bays = 200, 12, np.array([0, 2, 4, NO_BAY])
     pose = rng.uniform((-5, -5, -3), (20, 15, 3), (steps, loops, 3))
     goal = rng.choice(bays, (steps, loops)).astype(np.int32)
-    config = config_of(reward_preset("shaped"), loops)
+    config = config_of(REWARDS["shaped"], loops)
 
     @jax.jit
     def paid(old, new, before, after):
@@ -112,8 +112,8 @@ def test_no_closed_loop_of_motion_and_choices_pays():
 
 
 def test_what_becomes_of_goals_pays_its_weight_by_name():
-    pay = GoalRewards(stop_explore=0.01, continue_goal=-0.003, taken_goal=-0.04)
-    config = config_of(RewardConfig(goals=pay), 6)
+    pay = GoalRewards(stop_explore=0.01, continue_goal=-0.003)
+    config = config_of(RewardConfig(goals=pay, extra={"approach": 200.0}), 6)
     names = {
         "continue_explore": [0],
         "stop_explore": [1],
@@ -125,13 +125,15 @@ def test_what_becomes_of_goals_pays_its_weight_by_name():
     }
     flags = {name: np.isin(np.arange(6), who) for name, who in names.items()}
     still = cars(np.zeros((6, 3)))
-    happened = step(config, ([0] * 6, [0] * 6), (0, 4), still, still)
-    ones = jnp.ones(6)
-    given = {"progress": ones, "approach": ones, "time": -ones}
-    got = goal_terms(config, happened, no_goal_events(6, **flags), given)
+    goals = no_goal_events(6, **flags)
+    happened = step(config, ([0] * 6, [0] * 6), (0, 4), still, still, goal_events=goals)
+    got = reward_terms(config, happened)
     expected = {
-        "approach": [0, 1, 1, 1, 0, 1],  # not while exploring
-        "time": [-1] * 6,
+        "park": [0] * 6,
+        "crash": [0] * 6,
+        "time": [-1 / 200] * 6,
+        "closeness": got["closeness"],  # they stand in each other
+        "approach": [0, -1, -1, -1, 0, -1],  # not while exploring
         "progress": [0] * 6,  # its own: nobody has moved
         "continue_explore": [-0.002, 0, 0, 0, 0, 0],
         "stop_explore": [0, 0.01, 0, 0, 0, 0],
@@ -139,10 +141,8 @@ def test_what_becomes_of_goals_pays_its_weight_by_name():
         "change_goal": [0, 0, 0, -0.05, 0, 0],
         "stop_goal": [0, 0, 0, 0, -0.06, 0],  # -0.05 - 0.01
         "lost_goal": [0, 0, 0, 0, 0, -0.06],
-        "taken_goal": [0, 0, -0.04, 0, 0, 0],
     }
     assert got.keys() == expected.keys()
-    assert set(GOAL_TERMS) < expected.keys()
     for name, value in expected.items():
         np.testing.assert_allclose(got[name], value, atol=1e-7, err_msg=name)
 
@@ -161,7 +161,7 @@ def bad_goals(scheme):
     still = cars(np.zeros((4, 3)))
     happened = step(config, ([0] * 4, [0] * 4), (0,), still, still, goal_events=events)
     terms = reward_terms(config, happened)
-    assert tuple(sorted(terms)) == tuple(sorted(term_names(config, ROW)))
+    assert tuple(sorted(terms)) == tuple(sorted(term_weights(config)))
     assert all(term.dtype == jnp.float32 for term in terms.values())
     np.testing.assert_array_equal(
         terms["change_goal"], np.float32([0, -0.05, 0, -0.05])
@@ -215,8 +215,7 @@ def test_agents_that_diverged_or_had_finished_get_nothing_for_their_goals():
 
 
 def test_the_published_weights_are_the_defaults():
-    pay = reward_preset("tanner").goals
+    pay = REWARDS["tanner"].goals
     assert (pay.continue_explore, pay.stop_explore, pay.continue_goal) == (-0.002, 0, 0)
-    assert pay.change_goal == pay.stop == pay.lost == -0.05
-    assert GoalRewards(lost_goal=0.0).lost == 0.0
+    assert pay.change_goal == pay.stop == -0.05
     assert GoalRewards(change_goal=-0.3, stop_explore=-0.2).stop == pytest.approx(-0.1)

@@ -11,7 +11,7 @@ from helpers.lanes import EAST, NORTH, PLAN, SOUTH, WEST
 from helpers.scenes import cars, fields_of, lot, moved_cars, moved_lot, polygons
 from helpers.sliding import SlidePhysics, placed
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, RewardConfig, RingConfig
+from carpark_mj.config import EnvConfig, EpisodeConfig, RingConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.lanes import has_lanes
@@ -86,9 +86,6 @@ def test_cars_that_follow_their_lane_are_right_and_those_that_go_back_are_wrong(
     np.testing.assert_array_equal(back[alone], one_way[alone])
 
 
-ALONG = RewardConfig(wrong_way=2.0)
-
-
 def street_env(layout):
     """One sliding car, alone in a lot, that sees its lane."""
     config = EnvConfig(
@@ -96,7 +93,6 @@ def street_env(layout):
         num_agents=1,
         num_parked_cars=0,
         episode=EpisodeConfig(max_steps=10),
-        reward=ALONG,
         observation=ContinuousObservation(
             tracked_agents=0, tracked_parked_cars=0, rings=RingConfig(), lane=True
         ),
@@ -111,15 +107,14 @@ def street():
 
 
 @pytest.mark.parametrize("wrong", [False, True])
-def test_reward_metric_and_observation_tell_which_way_a_car_drives(street, wrong):
+def test_metric_and_observation_tell_which_way_a_car_drives(street, wrong):
     env, state, step = street
     lane = np.asarray(state.layout.lane_pose[0])
     yaw = lane[2] + (math.pi if wrong else 0.0)
     state = placed(env, state, [(lane[0], lane[1], yaw)])
-    terms, metres = [], []
+    metres = []
     for _ in range(4):  # 0.5 m each
         state, timestep = step(state, jnp.array([[0.0, 1.0]]))
-        terms.append(float(timestep.reward_terms["wrong_way"][0]))
         metres.append(float(timestep.metrics["wrong_way"][0]))
         seen = fields_of(timestep.observation, env.config)
         np.testing.assert_array_equal(seen["lane_present"], [[1.0]])
@@ -127,7 +122,6 @@ def test_reward_metric_and_observation_tell_which_way_a_car_drives(street, wrong
         # On the aisle's right half; a car on the left sees its lane's own direction.
         expected = [-1.0, 0.0] if wrong else [1.0, 0.0]
         np.testing.assert_allclose(seen["lane_heading"], [expected], atol=1e-6)
-    np.testing.assert_allclose(terms, [-0.2 if wrong else 0.0] * 4, atol=1e-7)
     way = np.array([0.5, 1.0, 1.5, 2.0]) * wrong
     np.testing.assert_allclose(metres, way, atol=1e-5)  # float32 at some 10 m
 
@@ -143,7 +137,7 @@ def test_the_way_driven_wrong_starts_anew_with_the_episode(street):
     assert float(state.stats.wrong_way[0]) == 0.0
 
 
-def test_a_lot_without_lanes_has_neither_term_nor_metric_and_sees_zeros():
+def test_a_lot_without_lanes_has_no_metric_and_sees_zeros():
     env = street_env("tanner")
     state, observation = jax.jit(env.reset)(jax.random.key(0))
     assert not has_lanes(state.layout)
@@ -151,4 +145,4 @@ def test_a_lot_without_lanes_has_neither_term_nor_metric_and_sees_zeros():
     for name in ("lane_present", "lane_heading", "lane_one_way"):
         np.testing.assert_array_equal(seen[name], 0.0)
     shapes = jax.eval_shape(env.step, state, jnp.zeros((1, 2)))[1]
-    assert "wrong_way" not in {*shapes.metrics, *shapes.reward_terms}
+    assert "wrong_way" not in shapes.metrics

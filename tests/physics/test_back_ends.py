@@ -22,7 +22,6 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.rewards import effort
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.make import MEMBERS
 from carpark_mj.planning.policy import planner_policy
@@ -31,6 +30,7 @@ from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.studies.hope.suite import suite_env
 from carpark_mj.studies.tanner.grid_config import GridConfig
+from carpark_mj.studies.tanner.rewards import effort
 from carpark_mj.wrappers.spaces import observation_space
 
 BASE = EnvConfig(

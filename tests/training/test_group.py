@@ -48,19 +48,11 @@ DYNAMIC = dataclasses.replace(
         ),
         giving_way=GivingWayConfig("G,G,A", bad_goal=-0.2),
         reward=RewardConfig(
-            final_speed=0.4,
-            final_heading=0.3,
-            timeout=0.5,
-            approach=0.6,
-            smoothness=2.0,
-            reverse=5.0,
-            wrong_way=1.0,
+            extra={"approach": 0.6, "smoothness": 2.0, "reverse": 5.0},
             goals=GoalRewards(
                 stop_explore=-0.03,
                 continue_goal=0.04,
                 stop_goal=-0.02,
-                lost_goal=-0.3,
-                taken_goal=-0.2,
             ),
         ),
     ),
@@ -133,6 +125,7 @@ def test_runs_may_differ_in_every_number_that_is_data():
     """In all of them at once, and in each alone."""
     paths = ("learning_rate", "entropy_cost", "discount", "gae_lambda")
     paths += ("env.reward.time", "env.reward.progress", "env.reward.goals.stop_explore")
+    paths += ("env.reward.extra.approach",)
     paths += ("env.giving_way.bad_goal", "env.episode.hitbox_scale")
     settings = dict(list_settings(DYNAMIC))
     # Nobody has crashed yet that half a car would not, but a larger one does.
@@ -160,10 +153,9 @@ def test_a_program_is_decided_by_all_but_seeds_names_and_data():
         "curriculum.discount_end": 0.0,
         "averaged_updates": 3,
         "env.num_agents": 4,
-        "env.reward.smoothness_by_speed": True,
         "env.reward.route": True,
         "env.giving_way.scheme": "L,L,S",
-        "env.reward.goals.lost_goal": -1.0,  # a branch: it is None in the other
+        "env.reward.goals.stop_goal": -1.0,  # a branch: it is None in the other
         "networks.value_layers": (8,),
     }.items():
         assert program(insert(FIXED, {path: value})) != program(FIXED)

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, reward_preset
+from carpark_mj.config import REWARDS, EnvConfig, EpisodeConfig
 from carpark_mj.registry import SQUARE
 from carpark_mj.wrappers.options import OPTIONS, configure, shared_env
 
@@ -25,7 +25,7 @@ def test_every_option_sets_its_field():
         num_agents=3,
         num_parked_cars=5,
         episode=EpisodeConfig(parked_rule="precise"),
-        reward=reward_preset("tanner"),
+        reward=REWARDS["tanner"],
         physics="bicycle",
     )
 

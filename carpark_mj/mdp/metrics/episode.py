@@ -25,7 +25,7 @@ def init_stats(config: EnvConfig, layout: Layout) -> EpisodeStats:
         direction=zero,
         invalid_actions=zero,
         wrong_way=zero if has_lanes(layout) else None,
-        tallies=first_tallies(config, layout),
+        tallies=first_tallies(config),
     )
 
 
@@ -69,6 +69,9 @@ def episode_metrics(
     Args:
         transition: the step.
         stats: of the episodes, this step included.
+
+    Raises:
+        ValueError: two metrics have the same name.
     """
     pose_w, target = transition.after.motion.pose_w, transition.target_pose
     events = {
@@ -91,11 +94,11 @@ def episode_metrics(
     }
     if stats.wrong_way is not None:
         metrics["wrong_way"] = stats.wrong_way
-    metrics |= {
-        name: tally
-        for name, tally in stats.tallies.items()
-        if not name.startswith("last_")
-    }
+    for name, tally in stats.tallies.items():
+        if name in metrics:
+            raise ValueError(f"there is a metric {name!r} already")
+        if not name.startswith("last_"):
+            metrics[name] = tally
     return {name: value.astype(jnp.float32) for name, value in metrics.items()}
 
 

@@ -3,30 +3,37 @@
 The name says how: `min_...` keeps the least, `peak_...` the largest, `last_...` the
 latest (memory for the next step, not reported), and every other is a sum. Ratios are
 computed later, so that numerators and denominators add up exactly over episodes and
-agents; `carpark_mj.evaluation.catalogue` says which belong together. To add a tally,
-give its first value in `first_tallies` and its value of a step in `measure`.
+agents; `carpark_mj.evaluation.catalogue` says which belong together. Metrics that other
+code has registered have a tally each.
 """
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import METRICS, EnvConfig, Metric
 from carpark_mj.config.obstacles import hit_kinds
-from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.metrics import driving, goals, safety
-from carpark_mj.mdp.rewards import term_names
+from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.types import Transition
 
 
-def first_tallies(config: EnvConfig, layout: Layout) -> dict[str, jax.Array]:
-    """Tallies (num_agents,) float32 at the start of an episode."""
-    first = {f"return_{name}": 0.0 for name in term_names(config, layout)}
+def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
+    """Tallies (num_agents,) float32 at the start of an episode.
+
+    Raises:
+        ValueError: two metrics have the same name.
+    """
+    first = {f"return_{name}": 0.0 for name in term_weights(config)}
     if config.goals.dynamic:
         first |= dict.fromkeys(goals.COUNTS, 0.0)
     if config.metrics.driving:
         first |= dict.fromkeys(driving.SUMS, 0.0)
     if config.metrics.safety:
         first |= safety.first_safety(hit_kinds(config.movers))
+    for metric in _extra(config):
+        if metric.tally in first:
+            raise ValueError(f"there is a metric {metric.tally!r} already")
+        first[metric.tally] = metric.first
     return {
         name: jnp.full(config.num_agents, value, jnp.float32)
         for name, value in first.items()
@@ -50,7 +57,14 @@ def measure(
         step |= driving.measure_driving(config.sim.ctrl_dt, transition)
     if config.metrics.safety:
         step |= safety.measure_safety(config.sim.ctrl_dt, transition)
+    for metric in _extra(config):
+        assert metric.value is not None
+        step[metric.tally] = metric.value(config, transition)
     return step
+
+
+def _extra(config: EnvConfig) -> list[Metric]:
+    return [METRICS[name] for name in config.metrics.extra]
 
 
 def fold_tallies(

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from carpark_mj.evaluation.aggregation import Row
-from carpark_mj.evaluation.catalogue import METRICS
+from carpark_mj.evaluation.catalogue import metrics
 from carpark_mj.files import write_atomically, write_csv
 from carpark_mj.reading import TEXT, Archive, ArrayForm, CsvRow, read_csv
 from carpark_mj.studies.hope.suite import MOVING_CAR, Drives
@@ -156,7 +156,7 @@ def _parse(row: CsvRow) -> Row:
             raise ValueError(
                 f"{row.place}: {name} must be positive, not {parsed[name]}"
             )
-    for metric in METRICS:
+    for metric in metrics():
         parts = {*(metric.ratio or ())} if metric.pool == "steps" else set[str]()
         if metric.name in parsed and (missing := parts - {*parsed}):
             raise ValueError(f"{row.place}: {metric.name} needs {sorted(missing)}")

@@ -5,6 +5,7 @@ from carpark_mj.studies.tanner import (
     indices,
     layouts,
     observation,
+    rewards,
     vehicles,
 )
 
@@ -18,5 +19,6 @@ __all__ = [
     "layouts",
     "observation",
     "programs",
+    "rewards",
     "vehicles",
 ]

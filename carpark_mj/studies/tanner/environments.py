@@ -43,11 +43,11 @@ from carpark_mj.config import (
     RewardConfig,
     RingConfig,
     SpawnConfig,
-    reward_preset,
 )
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.studies.tanner.indices import IndexObservation
 from carpark_mj.studies.tanner.observation import TannerObservation
+from carpark_mj.studies.tanner.rewards import TANNER
 
 # Tables C.1 and C.2; 216 table entries: 3 levels of speed, 8 bearings, 9 actions.
 TANNER_QLEARNING = EnvConfig(
@@ -70,10 +70,8 @@ TANNER_QLEARNING = EnvConfig(
         time=0.5,
         progress=0.0,
         alignment=0.0,
-        approach=1.0,
-        smoothness=0.0,
-        reverse=0.0,
         closeness=0.0,
+        extra={"approach": 1.0},
     ),
     observation=IndexObservation(),
 )
@@ -114,7 +112,7 @@ TANNER_FIXED = EnvConfig(
     ),
     goals=GoalConfig(may_repeat=True),
     episode=EpisodeConfig(parked_rule="tanner", max_steps=200),
-    reward=reward_preset("tanner"),
+    reward=TANNER,
     observation=TannerObservation(),
 )
 

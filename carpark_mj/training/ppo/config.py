@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, data
 from carpark_mj.config.checks import (
     LARGEST_WHOLE,
     require_at_least,
@@ -87,14 +87,14 @@ class PPOConfig(RunConfig):
     unroll_length: int = 64
     num_minibatches: int = 16
     num_epochs: int = 4
-    learning_rate: float = 1.5e-3
-    learning_rate_end: float = 2e-4
-    entropy_cost: float = 5e-3
-    entropy_cost_end: float = 1e-3
-    clip: float = 0.2
-    clip_end: float = 0.2
-    discount: float = 0.99
-    gae_lambda: float = 0.92
+    learning_rate: float = data(1.5e-3)
+    learning_rate_end: float = data(2e-4)
+    entropy_cost: float = data(5e-3)
+    entropy_cost_end: float = data(1e-3)
+    clip: float = data(0.2)
+    clip_end: float = data(0.2)
+    discount: float = data(0.99)
+    gae_lambda: float = data(0.92)
     max_grad_norm: float = 1.0
     variant: str = "brax"
     averaged_updates: int = 32

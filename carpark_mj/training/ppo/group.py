@@ -24,17 +24,6 @@ from carpark_mj.wrappers.brax import BraxParking
 
 RUNS = "runs"
 
-# Numbers that only enter into arithmetic; of the environment's, `is_data` says which.
-DATA = (
-    "learning_rate",
-    "learning_rate_end",
-    "entropy_cost",
-    "entropy_cost_end",
-    "clip",
-    "clip_end",
-    "discount",
-    "gae_lambda",
-)
 ENV = "env."
 # What the program does not read.
 OUTSIDE = (
@@ -184,9 +173,4 @@ def _require_one_program(configs: Sequence[PPOConfig]) -> None:
 
 def _data(config: PPOConfig) -> list[str]:
     """Paths of the settings that may differ as data."""
-    return [
-        path
-        for path, value in list_settings(config)
-        if path in DATA
-        or (path.startswith(ENV) and is_data(path.removeprefix(ENV), value))
-    ]
+    return [path for path, _ in list_settings(config) if is_data(config, path)]

@@ -60,7 +60,7 @@ def test_counts_of_an_episode_conserve_its_steps():
     rng = np.random.default_rng(0)
     tracked = rng.integers(0, 3, (agents, 1))
     settings = config(agents)
-    stats, nothing = init_stats(settings, PLAN), no_terms(settings, PLAN)
+    stats, nothing = init_stats(settings, PLAN), no_terms(settings)
     sums = {name: np.zeros(agents) for name in (*CHOICES, "lost_taken")}
     towards = np.zeros(agents)
     for _ in range(steps):

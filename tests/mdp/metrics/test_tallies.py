@@ -30,7 +30,7 @@ def tally(measured, states, parked=None, goal=0):
     """Tallies of the first of the cars that pass through some states."""
     count, plan = states[0].size.shape[0], lot([(0.0, 0.0, 0.0)])
     config = EnvConfig(num_agents=count, metrics=measured)
-    terms = no_terms(config, plan)
+    terms = no_terms(config)
 
     @jax.jit
     def step(stats, before, after):
@@ -79,7 +79,7 @@ def test_a_reward_term_that_nobody_listed_is_refused_when_the_step_is_traced():
         cars([[0.0] * 3]),
     )
     happened = transition(config, plan, standing, standing)
-    terms = no_terms(config, plan)
+    terms = no_terms(config)
     jax.eval_shape(lambda: update_stats(config, happened, terms))
     more = terms | {"bonus": jnp.zeros(1)}
     with pytest.raises(ValueError, match=re.escape("['return_bonus'] only numbers of")):
@@ -96,7 +96,7 @@ def test_goals_that_the_configuration_does_not_expect_are_refused():
     )
     happened = transition(dynamic, plan, standing, standing)
     with pytest.raises(ValueError, match=r"'explored_steps'.* are only tallies"):
-        update_stats(dynamic, happened, no_terms(dynamic, plan))
+        update_stats(dynamic, happened, no_terms(dynamic))
 
 
 def test_braking_straight_gives_the_hand_worked_deceleration_and_jerk():

@@ -102,10 +102,10 @@ EXPERIMENTS = (
         ("5.10", "5.11"),
         "smoothness reward",
         "tanner-fixed",
-        ("env.reward.smoothness",),
+        ("env.reward.extra.smoothness",),
         ("yaw_rate", "speed", "crashed", "parked"),
         1,
-        {"env.reward.smoothness_by_speed": "true"},
+        {"env.reward.extra.smoothness.by_speed": "1"},
         "times the speed, as the text has it; the result files do not say",
     ),
     Experiment(

@@ -8,9 +8,9 @@ from helpers.states import HandPhysics, hand_cars
 from helpers.transitions import no_events, transition
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.mdp.rewards import Effort, effort
 from carpark_mj.studies.tanner.grid import GridPhysics, GridState
 from carpark_mj.studies.tanner.grid_config import FINE
+from carpark_mj.studies.tanner.rewards import Effort, effort
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 LOT = lot([(0.0, 0.0, 0.0)])

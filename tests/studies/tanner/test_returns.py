@@ -14,17 +14,12 @@ from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 
 WEIGHTS = RewardConfig(
     park=10.0,
-    final_speed=3.0,
-    final_heading=4.0,
     crash=10.0,
-    timeout=2.0,
     time=0.5,
     progress=0.0,
     alignment=0.0,
-    approach=1.0,
-    smoothness=0.6,
-    reverse=0.7,
     closeness=0.0,
+    extra={"approach": 1.0, "smoothness": 0.6, "reverse": 0.7},
 )
 
 
@@ -64,7 +59,9 @@ def drive(grid, point, choices, step=0):
 
 def expected(**totals):
     """All terms, 0 where not given."""
-    return pytest.approx(dict.fromkeys(TERMS, 0.0) | totals, abs=1e-6)
+    return pytest.approx(
+        dict.fromkeys((*TERMS, *WEIGHTS.extra), 0.0) | totals, abs=1e-6
+    )
 
 
 def test_an_episode_that_parks(grid):
@@ -83,8 +80,6 @@ def test_an_episode_that_parks(grid):
     assert events.parked.all()
     assert totals == expected(
         park=10.0,
-        final_speed=-3.0,
-        final_heading=-4.0 * 0.5,
         time=-0.5 * 8 / 85,
         approach=(5 - 3) / 85,
         smoothness=-0.6 * 3 / 85,
@@ -110,4 +105,4 @@ def test_an_episode_whose_time_is_up(grid):
     # Two steps ahead, and one to stop.
     events, totals = drive(grid, (0, 0), [(2, 1), (1, 1), (0, 1)], step=82)
     assert events.timed_out.all()
-    assert totals == expected(timeout=-2.0, time=-0.5 * 3 / 85, approach=(2 - 1) / 85)
+    assert totals == expected(time=-0.5 * 3 / 85, approach=(2 - 1) / 85)
