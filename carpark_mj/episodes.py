@@ -16,7 +16,7 @@ from carpark_mj.fleet.checks import is_made_for
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
 from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
-from carpark_mj.layouts import Layout, MixtureConfig, layout_config
+from carpark_mj.layouts import Layout, layout_config
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.bays import bay_fits
@@ -352,11 +352,12 @@ class Episodes:
 
 def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
     """Whether a car touches nothing wherever it may start in lots of a family."""
-    if isinstance(lot, MixtureConfig):
-        return all(_starts_are_free(member, car) for member in lot.members)
     # Spawn regions have room for the car they are made for; in a square for any turn.
-    margin = getattr(lot, "spawn_margin", 0.0)
-    return is_made_for(lot, car) or math.hypot(car.length, car.width) / 2 <= margin
+    reach = math.hypot(car.length, car.width) / 2
+    return all(
+        is_made_for(part, car) or reach <= getattr(part, "spawn_margin", 0.0)
+        for part in lot.parts
+    )
 
 
 def _most_agents(layout: Layout) -> jax.Array:

@@ -173,6 +173,13 @@ def test_importing_the_environment_loads_no_plots_servers_or_trainers():
     assert not {name for name in loaded if name.startswith("carpark_mj.rendering")}
 
 
+def test_settings_of_a_training_need_no_package_of_an_extra():
+    code = "import sys\nfrom carpark_mj.training import PRESETS, PPOConfig, train\n"
+    printed, _ = run(f"{code}PPOConfig(), PRESETS['gpu']\nprint(*sys.modules)")
+    extras = {"tyro", "tensorboardX", "matplotlib", "imageio_ffmpeg"}  # flax has rich
+    assert not extras & {*printed.split()}
+
+
 def test_importing_the_task_does_not_load_mujoco():
     modules = "\n".join(f"import carpark_mj.{name}" for name in sorted(WITHOUT_MUJOCO))
     printed, _ = run(f"import sys\n{modules}\nprint('mujoco' in sys.modules)")

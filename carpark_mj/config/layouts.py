@@ -53,6 +53,16 @@ class LayoutConfig(CheckedConfig, abc.ABC):
         return True
 
     @property
+    def parts(self) -> "tuple[LayoutConfig, ...]":
+        """What lots are drawn from: itself, or the members of a mixture."""
+        return (self,)
+
+    @property
+    def layout(self) -> Any:
+        """The only lot, a `carpark_mj.layouts.Layout`, if it is of a file; or None."""
+        return None
+
+    @property
     def entries(self) -> tuple[Any, ...]:
         """The widest entries into bays, `carpark_mj.layouts.turning.Entry`.
 

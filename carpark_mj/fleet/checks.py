@@ -11,7 +11,7 @@ from carpark_mj.config import PARKED_RULES, EnvConfig, LayoutConfig
 from carpark_mj.config.checks import Range
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.geometry import box_disc_overlap, boxes_overlap, to_world
-from carpark_mj.layouts import FromFileConfig, Layout, MixtureConfig, make_layout
+from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
@@ -60,26 +60,24 @@ def check_exits(config: EnvConfig, lot: LayoutConfig) -> None:
     Raises:
         ValueError: naming the setting.
     """
-    if isinstance(lot, MixtureConfig):
-        for member in lot.members:
-            check_exits(config, member)
-        return
-    exits = has_exits(lot)
-    if exits != config.goals.drive_out:
-        have = "has exits: set" if exits else "has no exits: use metadrive, or leave"
-        raise ValueError(
-            f"the layout {have} goals.drive_out = {exits}, not {config.goals.drive_out}"
-        )
+    wanted = config.goals.drive_out
+    for exits in map(has_exits, lot.parts):
+        if exits != wanted:
+            have = "exits: set" if exits else "no exits: use metadrive, or leave"
+            raise ValueError(
+                f"the layout has {have} goals.drive_out = {exits}, not {wanted}"
+            )
 
 
 def has_exits(lot: LayoutConfig) -> bool:
     """Whether cars can drive out of a lot; of a mixture, out of all its members."""
-    if isinstance(lot, MixtureConfig):
-        return all(map(has_exits, lot.members))
-    if lot.is_random:  # random lots have none
-        return False
-    layout = make_layout(lot)
-    return bool((layout.bay_mask & (layout.bay_kind == BayKind.EXIT)).any())
+    for part in lot.parts:
+        if part.is_random:  # random lots have none
+            return False
+        layout = make_layout(part)
+        if not (layout.bay_mask & (layout.bay_kind == BayKind.EXIT)).any():
+            return False
+    return True
 
 
 def check_occupancy(config: EnvConfig, lot: LayoutConfig) -> None:
@@ -163,12 +161,15 @@ def check_cars(
 
 def is_made_for(lot: LayoutConfig, car: VehicleParameters) -> bool:
     """Whether bays and spawn regions of all lots of a family have room for a car."""
-    if isinstance(lot, MixtureConfig):
-        return all(is_made_for(member, car) for member in lot.members)
-    if isinstance(lot, FromFileConfig):
-        return not describe_faults(lot.layout, (car.length, car.width))
-    made_for = getattr(lot, "car", DesignCar())
-    return car.length <= made_for.length and car.width <= made_for.width
+    for part in lot.parts:
+        if part.layout is not None:
+            if describe_faults(part.layout, (car.length, car.width)):
+                return False
+            continue
+        made_for = getattr(part, "car", DesignCar())
+        if car.length > made_for.length or car.width > made_for.width:
+            return False
+    return True
 
 
 def _num_goals(config: EnvConfig) -> int:

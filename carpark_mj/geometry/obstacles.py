@@ -18,7 +18,6 @@ from carpark_mj.geometry import boxes
 from carpark_mj.geometry.broad_phase import box_gaps, disc_gaps
 from carpark_mj.geometry.se2 import norm
 
-Array = jax.Array
 Tree = TypeVar("Tree")
 
 
@@ -36,22 +35,22 @@ class Group:
         kind: what they are.
     """
 
-    pose_w: Array
-    size: Array
-    velocity_w: Array | None = None
-    mask: Array | None = None
-    trace_w: Array | None = None
+    pose_w: jax.Array
+    size: jax.Array
+    velocity_w: jax.Array | None = None
+    mask: jax.Array | None = None
+    trace_w: jax.Array | None = None
     kind: ObstacleKind = struct.field(pytree_node=False, default=ObstacleKind.MOVER)
 
     # Of boxes (pose, size) with this shape (pose_w, size).
-    _overlap: ClassVar[Callable[..., Array]]
-    _distance: ClassVar[Callable[..., Array]]
-    _contact_time: ClassVar[Callable[..., Array]]
+    _overlap: ClassVar[Callable[..., jax.Array]]
+    _distance: ClassVar[Callable[..., jax.Array]]
+    _contact_time: ClassVar[Callable[..., jax.Array]]
     # Its outline, points (..., m, 2) of it that move farthest.
-    _corners: ClassVar[Callable[..., Array]]
+    _corners: ClassVar[Callable[..., jax.Array]]
     # Of points and rays with it.
-    _gaps: ClassVar[Callable[..., Array]]
-    _ray_distance: ClassVar[Callable[..., Array]]
+    _gaps: ClassVar[Callable[..., jax.Array]]
+    _ray_distance: ClassVar[Callable[..., jax.Array]]
 
     @property
     def count(self) -> int:
@@ -70,7 +69,7 @@ class Group:
         return dataclasses.replace(self, pose_w=there.pose_w[:, number], trace_w=None)
 
     @property
-    def strays(self) -> Array:
+    def strays(self) -> jax.Array:
         """How far (n,) [m] points of them are at most from where they end."""
         if self.trace_w is None:
             return jnp.zeros(self.count)
@@ -78,30 +77,32 @@ class Group:
         corners = self._corners(there.pose_w, there.size)
         return norm(corners - corners[:, -1:]).max(axis=(1, 2))
 
-    def counts(self, num_agents: int) -> Array:
+    def counts(self, num_agents: int) -> jax.Array:
         """(num_agents, n) bool, which of them each agent can hit: never itself."""
         if self.kind == ObstacleKind.AGENT:
             return ~jnp.eye(num_agents, dtype=bool)
         mask = jnp.ones(self.count, bool) if self.mask is None else self.mask
         return jnp.broadcast_to(mask, (num_agents, self.count))
 
-    def gaps(self, xy: Array) -> Array:
+    def gaps(self, xy: jax.Array) -> jax.Array:
         """Distances (m, n) [m] from points (m, 2); inside 0 or less."""
         return self._gaps(xy, self.pose_w, self.size)
 
-    def overlap(self, pose: Array, size: Array) -> Array:
+    def overlap(self, pose: jax.Array, size: jax.Array) -> jax.Array:
         """Whether boxes (..., 3), (..., 2) overlap them; shapes broadcast."""
         return self._overlap(pose, size, self.pose_w, self.size)
 
-    def distance(self, pose: Array, size: Array) -> Array:
+    def distance(self, pose: jax.Array, size: jax.Array) -> jax.Array:
         """Gaps [m] to boxes (..., 3), (..., 2); 0 where they overlap."""
         return self._distance(pose, size, self.pose_w, self.size)
 
-    def contact_time(self, pose: Array, size: Array, velocity: Array) -> Array:
+    def contact_time(
+        self, pose: jax.Array, size: jax.Array, velocity: jax.Array
+    ) -> jax.Array:
         """Times [s] until boxes hit them that move at (..., 2) as seen from them."""
         return self._contact_time(pose, size, self.pose_w, self.size, velocity)
 
-    def ray_distance(self, origin: Array, direction: Array) -> Array:
+    def ray_distance(self, origin: jax.Array, direction: jax.Array) -> jax.Array:
         """Ways (..., rays) [m] along rays (..., rays, 2) to each of them."""
         axis = self.pose_w.ndim - 1
         pose = jnp.expand_dims(self.pose_w, axis)
@@ -150,8 +151,8 @@ class Merged(NamedTuple):
     """
 
     group: Group
-    counts: Array
-    strays: Array
+    counts: jax.Array
+    strays: jax.Array
     kind: np.ndarray
 
 
@@ -159,7 +160,7 @@ def merge(groups: Sequence[Group], num_agents: int) -> Merged:
     """Groups of one shape, at least one, as one."""
     num_traces = max(group.traced.pose_w.shape[1] for group in groups)
 
-    def trace(group: Group) -> Array:
+    def trace(group: Group) -> jax.Array:
         pose = group.traced.pose_w
         return jnp.broadcast_to(pose, (group.count, num_traces, pose.shape[-1]))
 

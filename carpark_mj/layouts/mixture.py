@@ -50,6 +50,11 @@ class MixtureConfig(LayoutConfig):
             raise ValueError(f"weights must be positive, not {self.weights}")
 
     @property
+    def parts(self) -> tuple[LayoutConfig, ...]:
+        """The members, and those of mixtures among them."""
+        return sum((member.parts for member in self.members), ())
+
+    @property
     def is_enclosed(self) -> bool:
         """Whether walls keep cars within all of its lots."""
         return all(member.is_enclosed for member in self.members)

@@ -8,8 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.layouts import MixtureConfig, layout_config
-from carpark_mj.layouts.from_file import FromFileConfig
+from carpark_mj.layouts import layout_config
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import Field, make_fields
 from carpark_mj.precision import is_real
@@ -50,8 +49,7 @@ def _excess(config: EnvConfig, field: Field) -> float:
     fastest = 1.5 * max(max(c.max_speed, c.max_reverse_speed) for c in cars)
     if field.speed:
         return fastest / field.speed if fast else 0.0
-    members = lot.members if isinstance(lot, MixtureConfig) else (lot,)
-    files = [x.layout for x in members if isinstance(x, FromFileConfig)]
+    files = [part.layout for part in lot.parts if part.layout is not None]
     extent = max((float(np.max(x.extent)) for x in files), default=0.0)
     way = fastest * config.episode.max_steps * config.sim.ctrl_dt
     return 2.0 * (way + 2.0 * extent) / field.metres  # of two cars from each other

@@ -32,7 +32,7 @@ def config_classes(cls, found):
 
 CLASSES = config_classes(EnvConfig, {TannerObservation, IndexObservation})
 CLASSES |= {PoseReward, JunctionConfig, RasterConfig, RewardRules, ParkedRule}
-CLASSES |= {family.config for family in FAMILIES.values()} - {FromFileConfig}
+CLASSES |= {*FAMILIES.values()} - {FromFileConfig}
 CLASSES |= {NetworkConfig, CurriculumConfig, PPOConfig, QLearningConfig, SACConfig}
 JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))
 

@@ -21,7 +21,7 @@ from carpark_mj.config import (
 from carpark_mj.mdp.rewards import TERMS, reward_terms
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.training.ppo.group import make_learner, program
-from carpark_mj.training.ppo.presets import PRESETS
+from carpark_mj.training.ppo.parts import PRESETS
 
 CALLS = []
 

@@ -12,6 +12,7 @@ import pytest
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation, make_fields
+from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.wrappers.goal import GoalParking, PoseReward
 
 GOAL = "carpark_mj/ParkGoal-v0"
@@ -158,5 +159,12 @@ def test_impossible_rewards_are_refused(changes, message):
 def test_goal_poses_are_for_one_agent_that_stays():
     with pytest.raises(ValueError, match="num_agents = 1"):
         GoalParking(ParkingEnv(EnvConfig(num_agents=1)), PoseReward())
-    with pytest.raises(ValueError, match="encoding 'continuous', not IndexObservation"):
-        gymnasium.make(GOAL, config="tanner-qlearning")
+
+
+def test_any_encoder_may_say_what_reveals_the_goal():
+    task = dataclasses.replace(
+        TANNER_QLEARNING, episode=EpisodeConfig("tanner", respawn=False)
+    )
+    parking = GoalParking(ParkingEnv(task), PoseReward())
+    assert {field.name for field in make_fields(task)} == {"level", "bearing"}
+    assert [field.name for field in parking.fields] == ["level"]
