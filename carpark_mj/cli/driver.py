@@ -15,19 +15,12 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fleet.checks import parked_cars_needed
 from carpark_mj.layouts import layout_config
-from carpark_mj.planning.policy import planner_policy
 from carpark_mj.policy import pretrained
 from carpark_mj.policy.acting import AnyPolicy
-from carpark_mj.policy.baselines import random_policy, zero_policy
 from carpark_mj.policy.loading import load_policy
+from carpark_mj.policy.named import POLICIES
 from carpark_mj.policy.networks import Policy
 from carpark_mj.registry import environment
-
-BASELINES: dict[str, Callable[[ParkingEnv], AnyPolicy]] = {
-    "zero": lambda env: zero_policy(env.action_spec),
-    "random": lambda env: random_policy(env.action_spec),
-    "planner": lambda env: planner_policy(env)[0],
-}
 
 
 def command_help(text: str | None) -> str:
@@ -52,25 +45,25 @@ class Driver:
 
 
 def find_driver(name: str, named: str = "", deterministic: bool = True) -> Driver:
-    """Finds a baseline, a pretrained policy or that of a run.
+    """Finds a policy of `POLICIES`, a pretrained one or that of a run.
 
     Args:
-        name: `zero`, `random`, `planner`, name of a pretrained policy, or a run folder
-            or checkpoint file.
-        named: name of an environment. Baselines drive in it, in the default one if
-            empty; a trained policy has its task, observed as in training.
+        name: of a policy, as `zero`, `random` or `planner`, or of a pretrained one, or
+            a run folder or checkpoint file.
+        named: name of an environment. Policies by name drive in it, in the default one
+            if empty; a trained policy has its task, observed as in training.
         deterministic: take a distribution's mode instead of samples.
 
     Raises:
         CheckpointError: the run cannot be read.
         ValueError: unknown environment, or one in which cars cannot be observed as the
-            policy does; or a baseline is to be sampled.
+            policy does; or a policy that has no distribution is to be sampled.
     """
-    if name in BASELINES:
+    if name in POLICIES:
         if not deterministic:
             raise ValueError(f"stochastic has no effect with {name}: leave it out")
         env = environment(named) if named else EnvConfig()
-        return Driver(env, Path("runs") / name, BASELINES[name])
+        return Driver(env, Path("runs") / name, POLICIES[name])
     loaded = load_policy(name, deterministic)
     env = _observed_alike(loaded.env, environment(named)) if named else loaded.env
 

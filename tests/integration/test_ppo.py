@@ -17,7 +17,7 @@ from helpers.programs import exit_code
 ROOT = Path(__file__).resolve().parents[2]
 TINY = (
     *("--preset", "cpu", "--num-lots", "4", "--num-minibatches", "2"),
-    *("--unroll-length", "4", "--num-steps", "640", "--checkpoint-updates", "3"),
+    *("--unroll-length", "4", "--num-steps", "640", "--checkpoint-minutes", "1e-6"),
     *("--minutes", "0"),  # repeatable
     *("--env.num-parked-cars", "4", "--env.sim.sim-dt", "0.02"),
     *("--env.physics", "bicycle"),  # quicker to compile; `test_learner` trains on MJX
@@ -221,7 +221,7 @@ def test_seeds_side_by_side_are_runs_like_any_other(environment, tmp_path):
 
 def test_a_run_is_one_process_s_and_ctrl_c_leaves_a_checkpoint(finished, environment):
     folder = finished[0].parent / "stopped"
-    arguments = (*TINY, "--num-steps", "10000000", "--checkpoint-updates", "1000000")
+    arguments = (*TINY, "--num-steps", "10000000", "--checkpoint-minutes", "1000")
     process = subprocess.Popen(
         command(
             "train/ppo.py",
