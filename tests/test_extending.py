@@ -91,7 +91,12 @@ def test_every_lot_of_the_new_family_is_valid():
 
 
 @pytest.mark.parametrize(
-    ("section", "name"), [("A reward term", "haste"), ("A metric", "peak_lateral")]
+    ("section", "name"),
+    [
+        ("A reward term", "haste"),
+        ("A metric", "peak_lateral"),
+        ("A policy", "pure_pursuit"),
+    ],
 )
 def test_the_page_shows_the_packages_as_they_are(section, name):
     module = PACKAGES / name / f"{name}.py"

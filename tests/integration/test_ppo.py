@@ -302,7 +302,7 @@ BAD = {
     "seeds": (("--seeds", "0-3"), "seeds must be like 0..7 or 1,5,9, not '0-3'"),
     "too many runs": (("--seeds", "0..999", "--num-lots", "8192"), "GiB of memory"),
     "unwritable": (("--runs-dir", "/proc/runs"), "/proc/runs"),
-    "unknown preset": (("--preset", "nope"), "'nope' for argument '--preset'"),
+    "unknown preset": (("--preset", "nope"), "unknown preset 'nope'"),
     "unknown flag": (("--num-lot", "3"), "perhaps you meant --num-lots"),
     "no number": (("--seed", "x"), "--seed: invalid literal"),
     "a name outside": (("--name", "../../x"), "not '../../x'"),
