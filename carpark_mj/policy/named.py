@@ -1,4 +1,4 @@
-"""Policies by name that nobody trained: baselines, planners, those of other packages."""
+"""Policies by name that nobody trained: baselines, planners and those of packages."""
 
 from collections.abc import Callable
 
