@@ -84,7 +84,7 @@ def test_a_span_counts_the_episodes_that_begin_within_it(env):
 
 def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
     by_term = result.summary["mean_returns"]
-    assert {"park", "crash", "time", "progress", "approach"} <= by_term.keys()
+    assert {"park", "crash", "time", "progress"} <= by_term.keys()
     for row in result.episodes:
         total = sum(row[f"return_{name}"] for name in by_term)
         # float32 sums of 30 steps.

@@ -50,7 +50,7 @@ def test_it_parks_where_the_way_is_free(lot, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     found = json.loads((out / "evaluation.json").read_text())
-    assert found["summary"]["parked"] > 0.9
+    assert found["summary"]["parked"]["rate"] > 0.9
 
 
 def test_a_picture_shows_it(lot, tmp_path):

@@ -206,7 +206,7 @@ def test_impossible_scenes_are_one_sentence(tmp_path):
 
 @pytest.mark.parametrize("layout", ["metadrive", "tpcap_3", "slots_single", "street"])
 def test_every_lot_opens_by_its_name_alone(layout):
-    assert ParkingEnv(default_env(SceneConfig(layout, out="x.xml")))
+    assert ParkingEnv(default_env(SceneConfig(layout=layout, out="x.xml")))
 
 
 def test_without_a_display_the_way_out_is_named(monkeypatch):

@@ -25,13 +25,13 @@ LAYOUT = make_layout("tanner")
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def draw(config, around, keys):
+def draw(config, layout, around, keys):
     def one(key):
         first, again = jax.random.split(key)
         draws = draw_uniform(spawn_shapes(config), first)
         goal_pose = jnp.array([0.0, 18.0, 0.0])
-        pose = spawn_pose(config, around.layout, around, goal_pose, draws)
-        return redraw(config, around.layout, around, pose, again)
+        pose = spawn_pose(config, layout, around, goal_pose, draws)
+        return redraw(config, layout, around, pose, again)
 
     return jax.vmap(one)(keys)
 
@@ -39,7 +39,9 @@ def draw(config, around, keys):
 def starts(config, others, layout=LAYOUT, count=2000):
     """Start poses, and their distances to the nearest of the others."""
     around = surroundings_of(layout, others, True)
-    pose = np.asarray(draw(config, around, jax.random.split(jax.random.key(0), count)))
+    pose = np.asarray(
+        draw(config, layout, around, jax.random.split(jax.random.key(0), count))
+    )
     gap = np.linalg.norm(pose[:, None, :2] - np.array(others), axis=2).min(axis=1)
     return pose, gap
 
