@@ -41,6 +41,11 @@ def require_physics(physics: Any) -> Physics[PhysicsState]:
     Raises:
         TypeError: naming what it lacks.
     """
+    if isinstance(physics, str):
+        raise TypeError(
+            f"physics must be of Physics or None, not {physics!r}: a name stands in "
+            "the config"
+        )
     if missing := [name for name in MEMBERS if not hasattr(physics, name)]:
         raise TypeError(
             f"physics {type(physics).__name__} lacks {', '.join(missing)} of a back "

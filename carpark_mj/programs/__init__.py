@@ -16,7 +16,7 @@ COMMANDS = {
     "play": Entry("carpark_mj.cli.play:run", "drive a car yourself"),
     "layouts": Entry("carpark_mj.cli.layouts:main", "plot, check and save layouts"),
     "suite": Entry(
-        "carpark_mj.studies.hope.program:run",
+        "carpark_mj.programs.suite:run",
         "compare policies on the held-out hard cases",
     ),
     "export": Entry(

@@ -374,7 +374,7 @@ def test_a_fleet_has_flags_and_survives_its_config_file():
     import tyro
 
     flags = "--fleet.agents city suv --jitter.along -0.3 0.3 --occupancy 0.2 0.4"
-    flags += " observation:continuous-observation --observation.own-car"
+    flags += " --observation.own-car"
     config = tyro.cli(EnvConfig, args=flags.split())
     assert config.fleet.agents == ("city", "suv")
     assert config.jitter.along == (-0.3, 0.3)

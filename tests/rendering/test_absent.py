@@ -24,7 +24,7 @@ def test_absent_agents_are_not_recorded(env, monkeypatch):
     for seed in range(4):
         recording = record(env, random_policy(env.action_spec), 2, seed)
         count = recording.goal.shape[1]
-        for name in ("steering", "speed", "active", "parked", "step", "size"):
+        for name in ("steering", "speed", "active", "parked", "step"):
             assert getattr(recording, name).shape[1] == count
         assert recording.pose_w.shape[2] == count
         assert recording.parked_pose.shape[1] == 4
