@@ -15,7 +15,7 @@ import importlib
 import importlib.metadata
 import os
 import pkgutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
 GROUP = "carpark_mj.extensions"
@@ -23,6 +23,7 @@ VARIABLE = "CARPARK_MJ_EXTENSIONS"
 
 T = TypeVar("T")
 _loaded: set[str] = set()
+_broken: dict[str, str] = {}  # why an extension cannot be imported
 
 
 class Registry(Mapping[str, T], Generic[T]):
@@ -126,22 +127,23 @@ def load_extensions() -> None:
     Raises:
         ValueError: one cannot be imported; the message names it and says why.
     """
-    for name, load in _extensions().items():
-        if name in _loaded:
-            continue
-        _loaded.add(name)  # first: while it is imported it may look names up
-        try:
-            load()
-        except Exception as error:
-            _loaded.discard(name)
-            why = " ".join(str(error).split()) or type(error).__name__
+    for name in _extensions():
+        if name not in _loaded:
+            _loaded.add(name)  # first: while it is imported it may look names up
+            try:
+                importlib.import_module(name)
+            except Exception as error:
+                why = " ".join(str(error).split()) or type(error).__name__
+                _broken[name] = why
+        # Not tried again: what it registered before it failed would be there already.
+        if name in _broken:
             raise ValueError(
-                f"the extension {name} cannot be imported: {why}"
-            ) from error
+                f"the extension {name} cannot be imported: {_broken[name]}"
+            )
 
 
-def _extensions() -> dict[str, Callable[[], object]]:
-    """What imports each extension, by the name of its module."""
+def _extensions() -> list[str]:
+    """The modules of all extensions, each once."""
     from carpark_mj import studies
 
     names = [
@@ -150,8 +152,4 @@ def _extensions() -> dict[str, Callable[[], object]]:
     ]
     names += [point.module for point in importlib.metadata.entry_points(group=GROUP)]
     names += [name for name in os.environ.get(VARIABLE, "").split(",") if name]
-    return {name: _importer(name) for name in names}
-
-
-def _importer(name: str) -> Callable[[], object]:
-    return lambda: importlib.import_module(name)
+    return list(dict.fromkeys(names))

@@ -13,6 +13,7 @@ from carpark_mj.extensions import VARIABLE, Registry, load_extensions
 def extension(tmp_path, monkeypatch):
     """Writes a module that `VARIABLE` names; returns what writes it."""
     monkeypatch.setattr(extensions, "_loaded", set(extensions._loaded))
+    monkeypatch.setattr(extensions, "_broken", dict(extensions._broken))
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def write(name, text):
@@ -59,7 +60,16 @@ def test_an_unknown_name_imports_the_extensions(extension):
 
 
 def test_an_extension_that_does_not_import_is_named(extension):
-    extension("trial_broken", "raise RuntimeError('no such file')")
-    for _ in range(2):  # not only the first time
+    sys.modules["trial_registry"] = type(sys)("trial_registry")
+    sys.modules["trial_registry"].cars = Registry("car")
+    extension(
+        "trial_broken",
+        """
+        from trial_registry import cars
+        cars.register("mini", [])
+        raise RuntimeError('no such file')
+        """,
+    )
+    for _ in range(2):  # and not that "mini" is there already
         with pytest.raises(ValueError, match=r"trial_broken.*no such file"):
             load_extensions()
