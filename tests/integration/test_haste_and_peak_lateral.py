@@ -2,54 +2,24 @@
 
 import csv
 import json
-import os
-import subprocess
-import sys
-import tomllib
-from pathlib import Path
 
 import pytest
+from helpers.packages import run, train
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ROOT / "examples" / "extensions"
 NAMES = ("haste", "peak_lateral")
-TINY = (
-    *("--preset", "cpu", "--num-lots", "4", "--num-minibatches", "2"),
-    *("--unroll-length", "64", "--num-steps", "1536", "--minutes", "0"),
-    *("--env.physics", "bicycle", "--env.num-parked-cars", "2"),
-    *("--env.episode.max-steps", "30", "--eval-episodes", "8", "--video-seconds", "0"),
-    *("--networks.policy-layers", "16", "--networks.value-layers", "16"),
-)
 HASTE = ("--env.reward.extra.haste", "0.01", "--env.reward.extra.haste.above", "0.5")
-
-
-def run(*arguments, extensions=NAMES):
-    paths = [str(ROOT), *(str(PACKAGES / name) for name in NAMES)]
-    given = {
-        "PYTHONPATH": os.pathsep.join(paths),
-        "CARPARK_MJ_EXTENSIONS": ",".join(extensions),
-        "COLUMNS": "200",
-    }
-    return subprocess.run(
-        [sys.executable, "-m", "carpark_mj", *arguments],
-        cwd=ROOT,
-        env=os.environ | given,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+LONG = (  # so that episodes end
+    *("--unroll-length", "64", "--num-steps", "1536", "--minutes", "0"),
+    *("--env.physics", "bicycle", "--env.episode.max-steps", "30"),
+    *("--eval-episodes", "8"),
+)
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """The folder of a few updates with both, evaluated."""
-    runs = tmp_path_factory.mktemp("runs")
-    folder = ("--runs-dir", str(runs), "--name", "calm")
-    flags = (*HASTE, "--env.metrics.extra", "peak_lateral")
-    done = run("train", *TINY, *flags, *folder)
-    assert done.returncode == 0, done.stderr
-    return runs / "calm"
+    flags = (*HASTE, *LONG, "--env.metrics.extra", "peak_lateral")
+    return train(*flags, extensions=NAMES, runs=tmp_path_factory.mktemp("runs"))
 
 
 def test_they_are_in_the_log_of_a_training(trained):
@@ -81,14 +51,6 @@ def test_without_them_the_run_is_refused_in_one_line(trained, tmp_path):
     for missing, kind in (("haste", "reward term"), ("peak_lateral", "metric")):
         others = [name for name in NAMES if name != missing]
         flags = (str(trained), "--out", str(tmp_path))
-        done = run("evaluate", *flags, extensions=others)
+        done = run("evaluate", *flags, extensions=others, found=NAMES)
         assert (done.returncode, done.stderr.count("\n")) == (2, 1)
         assert f"unknown {kind} {missing!r}" in done.stderr
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_packages_name_their_module_as_an_entry_point(name):
-    project = tomllib.loads((PACKAGES / name / "pyproject.toml").read_text())
-    points = project["project"]["entry-points"]["carpark_mj.extensions"]
-    assert points == {name: name}
-    assert (PACKAGES / name / f"{name}.py").is_file()

@@ -1,38 +1,17 @@
 """A planner of another package as a policy by name."""
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from helpers.packages import run
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = ROOT / "examples" / "extensions" / "pure_pursuit"
+NAMES = ("pure_pursuit",)
 LOT = {
     "format": "carpark_mj layout 1",
     "bays": [{"pose": [0.0, 0.0, 0.0], "size": [5.5, 2.8]}],
     "spawns": [{"pose": [-9.0, 0.5, 0.0], "size": [1.0, 1.0], "spread": 0.1}],
     "extent": [15.0, 6.0],
 }
-
-
-def run(*arguments, extensions="pure_pursuit"):
-    given = {
-        "PYTHONPATH": os.pathsep.join([str(ROOT), str(PACKAGE)]),
-        "CARPARK_MJ_EXTENSIONS": extensions,
-        "COLUMNS": "200",
-    }
-    return subprocess.run(
-        [sys.executable, "-m", "carpark_mj", *arguments],
-        cwd=ROOT,
-        env=os.environ | given,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
 
 
 @pytest.fixture
@@ -45,9 +24,8 @@ def lot(tmp_path):
 
 def test_it_parks_where_the_way_is_free(lot, tmp_path):
     out = tmp_path / "found"
-    done = run(
-        *("evaluate", "pure_pursuit", "--episodes", "64", *lot, "--out", str(out))
-    )
+    flags = ("--episodes", "64", *lot, "--out", str(out))
+    done = run("evaluate", "pure_pursuit", *flags, extensions=NAMES)
     assert done.returncode == 0, done.stderr
     found = json.loads((out / "evaluation.json").read_text())
     assert found["summary"]["parked"]["rate"] > 0.9
@@ -55,12 +33,21 @@ def test_it_parks_where_the_way_is_free(lot, tmp_path):
 
 def test_a_picture_shows_it(lot, tmp_path):
     out = tmp_path / "still.png"
-    done = run("render", "pure_pursuit", "--frame", "10", *lot, "--out", str(out))
+    done = run(
+        "render",
+        "pure_pursuit",
+        "--frame",
+        "10",
+        *lot,
+        "--out",
+        str(out),
+        extensions=NAMES,
+    )
     assert done.returncode == 0, done.stderr
     assert out.stat().st_size > 10_000
 
 
 def test_without_the_package_its_name_is_that_of_no_run():
-    done = run("evaluate", "pure_pursuit", "--episodes", "8", extensions="")
+    done = run("evaluate", "pure_pursuit", "--episodes", "8", extensions=())
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "pure_pursuit" in done.stderr

@@ -1,14 +1,12 @@
 """The example of a mover: a cart on a rail, from a package outside the library."""
 
-import os
-import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.packages import PACKAGES, train
 from helpers.sliding import SlidePhysics, placed
 from helpers.states import any_hit
 
@@ -27,8 +25,7 @@ from carpark_mj.rendering.snapshot import snapshot
 from carpark_mj.scene.export import drivable_scene
 from carpark_mj.scene.materials import MOVER
 
-ROOT = Path(__file__).parents[2]
-FOLDER = ROOT / "examples" / "extensions" / "rail_cart"
+FOLDER = PACKAGES / "rail_cart"
 TRACES = 4  # of `SlidePhysics`
 
 
@@ -168,27 +165,7 @@ def test_pictures_show_it_where_it_is(cart):
     np.testing.assert_allclose(model.geom("mover0").size[:2], [1.5, 1.0])
 
 
-TINY = (
-    *("--num-lots", "4", "--num-minibatches", "2", "--unroll-length", "4"),
-    *("--num-steps", "128", "--env.physics", "bicycle", "--env.num-parked-cars", "4"),
-    *("--networks.policy-layers", "16", "--networks.value-layers", "16"),
-    *("--eval-episodes", "0", "--video-seconds", "0"),
-)
-
-
 def test_a_policy_trains_with_it_by_its_name(cart, tmp_path):
-    path = os.pathsep.join([str(ROOT), str(FOLDER)])
-    environment = os.environ | {"PYTHONPATH": path, extensions.VARIABLE: "rail_cart"}
-    done = subprocess.run(
-        [
-            *(sys.executable, "train/ppo.py", "--env.movers", "rail_cart", *TINY),
-            *("--runs-dir", str(tmp_path), "--name", "carts"),
-        ],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert load_policy(str(tmp_path / "carts")).env.movers == ("rail_cart",)
+    flags = ("--env.movers", "rail_cart", "--env.physics", "bicycle")
+    folder = train(*flags, extensions=("rail_cart",), runs=tmp_path)
+    assert load_policy(str(folder)).env.movers == ("rail_cart",)
