@@ -10,7 +10,6 @@ from carpark_mj.config import (
     FleetConfig,
     RandomizationConfig,
     SensorConfig,
-    physics_config,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fleet.checks import parked_cars_needed
@@ -121,11 +120,4 @@ def adapt(
         given["num_parked_cars"] = max(env.num_parked_cars, needed)
     if "vehicle" in given:
         given["fleet"] = FleetConfig()
-    if "physics" in given:
-        old, new = env.physics_config, physics_config(given["physics"])
-        if (old.continuous, old.choices) != (new.continuous, new.choices):
-            raise ValueError(
-                f"a policy for {env.physics} physics cannot drive on "
-                f"{given['physics']}, which takes other controls"
-            )
     return dataclasses.replace(env, **given)

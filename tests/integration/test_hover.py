@@ -26,7 +26,7 @@ def test_ppo_trains_on_it_and_the_policy_is_read_back(trained, tmp_path):
 @pytest.mark.parametrize(
     ("extensions", "flags", "named"),
     [
-        (NAMES, ("--physics", "mjx"), "other controls"),
+        (NAMES, ("--physics", "mjx"), "other actions"),
         ((), (), "unknown physics 'hover'"),
     ],
 )
