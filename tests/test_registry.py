@@ -10,6 +10,7 @@ import pytest
 from carpark_mj.config import LAYOUTS
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import observation_size
+from carpark_mj.policy.loading import load_policy
 from carpark_mj.registry import ANYWHERE, environment
 from carpark_mj.studies.hope.environments import HOPE
 from carpark_mj.studies.hope.suite import suite_env
@@ -78,3 +79,9 @@ def test_hope_is_the_task_of_the_suite():
     assert HOPE.episode.max_steps == suite.episode.max_steps
     same = dataclasses.replace(suite, layout=HOPE.layout, episode=HOPE.episode)
     assert same == HOPE
+
+
+def test_the_shipped_policy_anywhere_has_the_environment_of_its_name():
+    shipped = load_policy("anywhere").env
+    assert shipped == environment("anywhere")
+    assert len(shipped.fleet.agents) == 6

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.registering import restore_after
 from helpers.scenes import cars, check_occupancy, fields_of, lot
 from helpers.sliding import SlidePhysics, placed
 from helpers.states import parked_in, state_of
@@ -16,14 +15,12 @@ from helpers.transitions import no_events
 from carpark_mj.config import (
     PARKED_RULES,
     EnvConfig,
-    EpisodeConfig,
     FleetConfig,
     JitterConfig,
     RandomizationConfig,
     SimConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.draw import Fleet
 from carpark_mj.fleet.randomization import randomize_all
 from carpark_mj.geometry import box_inside
 from carpark_mj.layouts import build
@@ -33,12 +30,8 @@ from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import (
-    COMPACT,
     PRESETS,
-    VEHICLES,
     make_vehicle,
-    preset,
-    register_vehicle,
 )
 
 AGENTS, PARKED = ("city", "suv", "van"), ("city", "sedan", "van")
@@ -382,35 +375,3 @@ def test_a_fleet_has_flags_and_survives_its_config_file():
     assert config.observation.own_car
     for kept in (config, CONFIG):
         assert from_dict(EnvConfig, dataclasses.asdict(kept)) == kept
-
-
-def test_presets_of_one_size_are_told_apart(monkeypatch):
-    restore_after(monkeypatch, VEHICLES)
-    heavy = register_vehicle("heavy", dataclasses.replace(COMPACT, mass=1900.0))
-    names = ("compact", "heavy")
-    config = EnvConfig(
-        num_agents=6,
-        num_parked_cars=8,
-        fleet=FleetConfig(agents=names, parked_cars=names),
-        observation=ContinuousObservation(own_car=True),
-        episode=EpisodeConfig(max_steps=2),
-    )
-    env = ParkingEnv(config, SlidePhysics())
-    state, _ = jax.jit(env.reset)(jax.random.key(0))
-    mass, seen = np.array([COMPACT.mass, heavy.mass]), []
-    for _ in range(6):  # three respawns
-        np.testing.assert_allclose(state.physics.vehicle.mass, mass[state.kind])
-        seen.append(np.asarray(state.kind))
-        state, _ = jax.jit(env.step)(state, jnp.zeros((6, 2)))
-    assert {*np.unique(seen)} == {0, 1}
-    assert len(np.unique(seen, axis=0)) > 1
-    parked = env.fleet.parked_vehicles(state.parked_cars)
-    assert {car.mass for car in parked} == {COMPACT.mass, heavy.mass}
-
-
-def test_a_car_without_a_name_is_called_a_custom_car():
-    own = dataclasses.replace(COMPACT, length=4.2)
-    config = EnvConfig(num_agents=1)
-    assert Fleet(config, own).agent_names == ("custom car",)
-    assert Fleet(config, preset("city")).agent_names == ("city",)
-    assert Fleet(config, COMPACT).parked_names == ("compact",)

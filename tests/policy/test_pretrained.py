@@ -22,7 +22,6 @@ from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import FOLDER_SETTINGS
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.pretrained import find_policy, pretrained_names
-from carpark_mj.registry import environment
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.run import finish
@@ -384,12 +383,6 @@ def test_a_fault_of_a_card_is_found(shipped, wrong, right, fault):
     found = list(faults("tiny", CARD.replace(wrong, right)))
     assert len(found) == 1
     assert fault in found[0]
-
-
-def test_anywhere_has_the_environment_of_its_name():
-    shipped = loading.load_policy("anywhere").env
-    assert shipped == environment("anywhere")
-    assert len(shipped.fleet.agents) == 6
 
 
 def test_the_page_of_the_policies_shows_all_cards():

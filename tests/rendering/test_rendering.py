@@ -1,7 +1,6 @@
 """Off-screen pictures: things are where they should be, and say what they are."""
 
 import dataclasses
-import os
 import re
 
 import jax
@@ -11,7 +10,6 @@ from helpers.disks import largest_file
 
 from carpark_mj.config.observations import Tracked
 from carpark_mj.layouts import layout_config, make_layout
-from carpark_mj.rendering import gl, window
 from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.recording import Recording
 from carpark_mj.rendering.renderer import (
@@ -26,7 +24,6 @@ from carpark_mj.rendering.snapshot import (
     frames_per_second,
     num_frames,
     snapshot,
-    tracked_points,
 )
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
@@ -160,53 +157,6 @@ def test_the_status_is_written_in_the_top_left_corner_only(renderer):
     assert rows.max() < 80
     assert columns.max() < 200
     assert changed.sum() > 500
-
-
-def test_missing_gl_is_one_sentence_with_the_package_to_install(monkeypatch):
-    monkeypatch.setattr(gl, "_LIBRARIES", {"egl": "libnone.so", "osmesa": "libno.so"})
-    monkeypatch.setattr(gl.sys, "platform", "linux")
-    for wanted in ("egl", ""):
-        monkeypatch.setenv("MUJOCO_GL", wanted)
-        assert "apt install libegl1" in gl.choose_gl()
-        # MuJoCo must still import, for training without pictures.
-        assert "MUJOCO_GL" not in os.environ
-
-
-GL = {
-    "junk": "must be egl, osmesa or glfw",
-    "osmesa": "libosmesa6",
-    "glfw": "no display",
-    "GLX": "no display",
-    "off": "turns pictures off",
-}
-
-
-@pytest.mark.parametrize("wanted", GL)
-def test_an_opengl_that_cannot_work_is_told_what_it_lacks(wanted, monkeypatch):
-    monkeypatch.setattr(gl, "_LIBRARIES", {"egl": "libnone.so", "osmesa": "libno.so"})
-    monkeypatch.setattr(gl.sys, "platform", "linux")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("MUJOCO_GL", wanted)
-    told = []
-    for find in (gl.check_gl, gl.choose_gl):
-        try:
-            told.append(find())
-        except ValueError as error:
-            told.append(str(error))
-    importable = wanted not in ("junk", "osmesa")  # a command can do without pictures
-    assert (told[0] is None) == importable
-    assert GL[wanted] in told[1]
-    assert "libegl1" not in told[1]
-
-
-def test_a_display_that_does_not_answer_is_named(monkeypatch):
-    monkeypatch.setattr(window.sys, "platform", "linux")
-    monkeypatch.setenv("DISPLAY", ":987")
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert "DISPLAY=:987" in window.missing_display()
-    monkeypatch.delenv("DISPLAY")
-    assert "are unset" in window.missing_display()
 
 
 def recording(steps=3, traces=4, **events):
@@ -373,40 +323,6 @@ def test_links_and_rings_are_drawn_when_asked_for(renderer):
     assert near(POSE[0, :2] + (0.0, 4.0))  # on the ring
     assert not near(POSE[0, :2] + (-3.0, 4.5))
     assert near((POSE[0, :2] + POSE[1, :2]) / 2)  # between the agents
-
-
-def links(what, tracked):
-    """What is tracked, as (agent, (x, y))."""
-    return [(agent, tuple(point)) for agent, point in tracked_points(what, tracked)]
-
-
-def test_tracked_points_are_the_nearest_cars_of_each_agent():
-    pose = np.array([[0.0, 0, 0], [3, 0, 0], [10, 0, 0]])
-    parked = np.array([[0.0, 5, 0], [9, 5, 0]])
-    what = seen(pose=pose, goal=np.array([1, 2, 3]), parked=parked)
-    assert sorted(links(what, Tracked(1, 1))) == [
-        (0, (0.0, 5.0)),
-        (0, (3.0, 0.0)),
-        (1, (0.0, 0.0)),
-        (1, (0.0, 5.0)),
-        (2, (3.0, 0.0)),
-        (2, (9.0, 5.0)),
-    ]
-    assert links(what, Tracked()) == []
-    # In one list the nearest is an agent for 0 and 1 and a parked car for 2.
-    together = [(0, (3.0, 0.0)), (1, (0.0, 0.0)), (2, (9.0, 5.0))]
-    assert links(what, Tracked(cars=1)) == together
-    empty = dataclasses.replace(what, parked_pose=np.zeros((0, 3)))
-    assert len(links(empty, Tracked(5, 2))) == 6  # two others each, no parked car
-
-
-def test_tracked_bays_are_linked_and_empty_slots_are_not():
-    none = [np.nan, np.nan]
-    bays = np.array([[[1.0, 2.0], none], [none, none], [[3.0, 4.0], [5.0, 6.0]]])
-    what = seen(pose=np.zeros((3, 3)), goal=np.array([1, 2, 3]))
-    what = dataclasses.replace(what, tracked_bay_xy=bays)
-    expected = [(0, (1.0, 2.0)), (2, (3.0, 4.0)), (2, (5.0, 6.0))]
-    assert links(what, Tracked()) == expected
 
 
 @pytest.mark.parametrize("outcome", ["parked", "crashed"])

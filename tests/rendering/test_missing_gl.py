@@ -1,0 +1,54 @@
+"""Without OpenGL or a display a sentence says what is missing."""
+
+import os
+
+import pytest
+
+from carpark_mj.rendering import gl, window
+
+
+def test_missing_gl_is_one_sentence_with_the_package_to_install(monkeypatch):
+    monkeypatch.setattr(gl, "_LIBRARIES", {"egl": "libnone.so", "osmesa": "libno.so"})
+    monkeypatch.setattr(gl.sys, "platform", "linux")
+    for wanted in ("egl", ""):
+        monkeypatch.setenv("MUJOCO_GL", wanted)
+        assert "apt install libegl1" in gl.choose_gl()
+        # MuJoCo must still import, for training without pictures.
+        assert "MUJOCO_GL" not in os.environ
+
+
+GL = {
+    "junk": "must be egl, osmesa or glfw",
+    "osmesa": "libosmesa6",
+    "glfw": "no display",
+    "GLX": "no display",
+    "off": "turns pictures off",
+}
+
+
+@pytest.mark.parametrize("wanted", GL)
+def test_an_opengl_that_cannot_work_is_told_what_it_lacks(wanted, monkeypatch):
+    monkeypatch.setattr(gl, "_LIBRARIES", {"egl": "libnone.so", "osmesa": "libno.so"})
+    monkeypatch.setattr(gl.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("MUJOCO_GL", wanted)
+    told = []
+    for find in (gl.check_gl, gl.choose_gl):
+        try:
+            told.append(find())
+        except ValueError as error:
+            told.append(str(error))
+    importable = wanted not in ("junk", "osmesa")  # a command can do without pictures
+    assert (told[0] is None) == importable
+    assert GL[wanted] in told[1]
+    assert "libegl1" not in told[1]
+
+
+def test_a_display_that_does_not_answer_is_named(monkeypatch):
+    monkeypatch.setattr(window.sys, "platform", "linux")
+    monkeypatch.setenv("DISPLAY", ":987")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert "DISPLAY=:987" in window.missing_display()
+    monkeypatch.delenv("DISPLAY")
+    assert "are unset" in window.missing_display()
