@@ -57,6 +57,7 @@ def test_a_circle_is_found_even_if_one_import_waits_in_a_function(tmp_path, inde
 def test_the_core_is_imported_without_the_studies():
     code = (
         "import sys, carpark_mj.env, carpark_mj.registry; "
+        "import carpark_mj.training.ppo.presets; "
         "carpark_mj.env.ParkingEnv(); "
         "print(*(m for m in sys.modules if m.startswith('carpark_mj.studies.')))"
     )

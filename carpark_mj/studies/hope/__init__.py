@@ -3,6 +3,6 @@
 from carpark_mj.studies.hope import layouts
 
 # isort: split
-from carpark_mj.studies.hope import environments  # of what is named above
+from carpark_mj.studies.hope import environments, programs  # of what is named above
 
-__all__ = ["environments", "layouts"]
+__all__ = ["environments", "layouts", "programs"]

@@ -1,8 +1,8 @@
 """Presets of PPO training.
 
-`cpu` and `gpu` are made for a kind of hardware and end in time. `square`, `dynamic`,
-`anywhere` and `hope` have the names of their environments in `carpark_mj.registry`,
-train real cars and are meant for a GPU. `parts` names them.
+`cpu` and `gpu` are made for a kind of hardware and end in time. `square`, `dynamic` and
+`anywhere` have the names of their environments in `carpark_mj.registry`, train real
+cars and are meant for a GPU. `parts` names them.
 """
 
 import dataclasses
@@ -70,21 +70,4 @@ ANYWHERE = dataclasses.replace(
     ),
     networks=NetworkConfig((256, 256, 256), (256, 256, 256), min_std=0.1),
     env=environment("anywhere"),
-)
-# One car alone: there is nobody to collide with, and no set of cars to read.
-HOPE = dataclasses.replace(
-    SQUARE,
-    preset="hope",
-    num_steps=800_000_000,
-    num_lots=8192,
-    num_minibatches=32,
-    curriculum=dataclasses.replace(
-        _CURRICULUM,
-        crash_scale=2.0,
-        crash_ratio=0.0,
-        reverse_ratio=0.5,
-        target_rate=0.99,
-    ),
-    networks=NetworkConfig((256, 256, 256), (256, 256, 256), encoder="flat"),
-    env=environment("hope"),
 )

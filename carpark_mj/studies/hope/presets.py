@@ -1,0 +1,25 @@
+"""The preset of PPO for HOPE's levels, meant for a GPU."""
+
+import dataclasses
+
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.studies.hope import environments
+from carpark_mj.training.ppo.presets import SQUARE
+
+# One car alone: there is nobody to collide with, and no set of cars to read.
+HOPE = dataclasses.replace(
+    SQUARE,
+    preset="hope",
+    num_steps=800_000_000,
+    num_lots=8192,
+    num_minibatches=32,
+    curriculum=dataclasses.replace(
+        SQUARE.curriculum,
+        crash_scale=2.0,
+        crash_ratio=0.0,
+        reverse_ratio=0.5,
+        target_rate=0.99,
+    ),
+    networks=NetworkConfig((256, 256, 256), (256, 256, 256), encoder="flat"),
+    env=environments.HOPE,
+)
