@@ -237,7 +237,7 @@ def test_a_process_that_fails_is_named_in_one_line(monkeypatch, code, stderr, sa
 
     monkeypatch.setattr(subprocess, "run", failed)
     with pytest.raises(run.WorkerError, match=f"physics brush with 3 lots.*{said}"):
-        run.run_job(JOB, OURS)
+        run.run_job(JOB, checkouts.here())
 
 
 def test_only_the_checkout_that_was_asked_for_is_measured(tmp_path):
