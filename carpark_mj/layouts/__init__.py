@@ -1,20 +1,18 @@
-"""Layouts of lots and the families of generators that make them."""
+"""Layouts of lots and the families of generators that make them.
 
-from carpark_mj.layouts.angled import AngledConfig
-from carpark_mj.layouts.dead_end import DeadEndConfig
-from carpark_mj.layouts.from_file import FromFileConfig
-from carpark_mj.layouts.garage_row import GarageRowConfig
-from carpark_mj.layouts.lot import LotConfig
-from carpark_mj.layouts.mixture import MixtureConfig
+Families are imported when they are used.
+"""
+
+import importlib
+from typing import Any
+
 from carpark_mj.layouts.registry import (
     layout_config,
     make_layout,
     member_shares,
     mixture,
 )
-from carpark_mj.layouts.square import COMPACT, SQUARE, SquareConfig
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
 from carpark_mj.layouts.types import (
     ROWS,
     BayEnd,
@@ -27,25 +25,28 @@ from carpark_mj.layouts.types import (
     pad_layout,
 )
 
-__all__ = [
-    "COMPACT",
+_HOMES = {
+    "AngledConfig": "angled",
+    "COMPACT": "square",
+    "DeadEndConfig": "dead_end",
+    "FromFileConfig": "from_file",
+    "GarageRowConfig": "garage_row",
+    "LotConfig": "lot",
+    "MixtureConfig": "mixture_config",
+    "SQUARE": "square",
+    "SquareConfig": "square",
+    "StreetConfig": "street",
+    "StreetParallelConfig": "street",
+}
+
+__all__ = [  # pyright: ignore[reportUnsupportedDunderAll]
     "ROWS",
-    "SQUARE",
-    "AngledConfig",
     "BayEnd",
     "BayKind",
-    "DeadEndConfig",
     "DesignCar",
     "DiscKind",
-    "FromFileConfig",
-    "GarageRowConfig",
     "Layout",
-    "LotConfig",
     "Maxima",
-    "MixtureConfig",
-    "SquareConfig",
-    "StreetConfig",
-    "StreetParallelConfig",
     "WallKind",
     "layout_config",
     "layout_maxima",
@@ -53,4 +54,11 @@ __all__ = [
     "member_shares",
     "mixture",
     "pad_layout",
+    *_HOMES,
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
