@@ -22,10 +22,11 @@ from carpark_mj.config.rewards import RewardConfig
 from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import SpawnConfig
 from carpark_mj.config.terminations import EpisodeConfig
+from carpark_mj.renamed import OldNames
 
 
 @dataclasses.dataclass(frozen=True)
-class EnvConfig:
+class EnvConfig(OldNames):
     """A parking environment.
 
     Attributes:

@@ -1,5 +1,7 @@
 """Layouts of lots and the families of generators that make them."""
 
+from typing import TYPE_CHECKING
+
 from carpark_mj.layouts.angled import AngledConfig
 from carpark_mj.layouts.dead_end import DeadEndConfig
 from carpark_mj.layouts.from_file import FromFileConfig
@@ -26,6 +28,10 @@ from carpark_mj.layouts.types import (
     layout_maxima,
     pad_layout,
 )
+from carpark_mj.renamed import old_names
+
+if not TYPE_CHECKING:  # for which a module with this has every name
+    __getattr__ = old_names(__name__)
 
 __all__ = [
     "COMPACT",
