@@ -66,7 +66,7 @@ class BenchmarkConfig:
     against: str = ""
     peer: Peer | None = None
     batches: tuple[int, ...] = (128,)
-    layouts: tuple[str, ...] = ("tanner",)
+    layouts: tuple[str, ...] = ("square",)
     cars: tuple[Cars, ...] = get_args(Cars)
     num_agents: int = EnvConfig.num_agents
     num_parked_cars: int = EnvConfig.num_parked_cars

@@ -226,7 +226,7 @@ def test_a_fleet_that_finds_too_few_goals_is_refused():
     """Two bays that the van can be parked in, and four agents."""
     layout = lot([(0.0, 4.0 * k, 0.0) for k in range(8)])
     size = layout.bay_size.at[2:].set(jnp.array([4.95, 2.5]))
-    layout, square = layout.replace(bay_size=size), layout_config("tanner")
+    layout, square = layout.replace(bay_size=size), layout_config("square")
 
     def check(names, num_agents, rule="strict"):
         config = EnvConfig(

@@ -77,7 +77,7 @@ def test_a_file_that_has_changed_is_read_again(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "config", ["tanner", LotConfig(pillar_every=3, num_aisles=(1, 2))]
+    "config", ["square", LotConfig(pillar_every=3, num_aisles=(1, 2))]
 )
 def test_layouts_are_written_and_read_bit_for_bit(config, tmp_path):
     layout = jax.device_get(make_layout(config, jax.random.key(3)))

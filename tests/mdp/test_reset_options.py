@@ -81,7 +81,7 @@ def test_agents_begin_as_asked_and_the_others_are_drawn(config):
 
 def test_on_the_grid_a_car_has_a_point_a_heading_and_a_level():
     env = ParkingEnv(
-        EnvConfig(layout="tanner", vehicle="tanner", num_agents=1, physics="grid")
+        EnvConfig(layout="square", vehicle="tanner", num_agents=1, physics="grid")
     )
     size, level = FINE.point_size, 4 * FINE.point_size / 0.2
     pose = jnp.array([[8 * size, -16 * size, jnp.pi / 2]])

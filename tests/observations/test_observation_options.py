@@ -225,11 +225,11 @@ def test_agents_track_where_their_sensors_see_others():
 
 
 def scene(count=6):
-    """Cars anywhere in a `tanner` lot, and bays they track."""
+    """Cars anywhere in a `square` lot, and bays they track."""
     rng = np.random.default_rng(0)
     low, high = (-15, -15, -3.1), (15, 15, 3.1)
     motion = cars(rng.uniform(low, high, (count, 3)), rng.uniform(-1, 3, count))
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     bays = rng.permutation(36)
     parked = np.asarray(layout.bay_pose)[bays[:10]]
     tracked = np.stack([rng.permutation(bays[10:14])[:2] for _ in range(count)])

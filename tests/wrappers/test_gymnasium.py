@@ -212,7 +212,7 @@ def test_no_environment_of_many_is_an_absent_agent():
         {"config": "pandita"},
         {"layout": "slots", "parked_cars": 0, "physics": "bicycle"},
         {
-            "layout": mixture(["tanner", "tpcap"]),
+            "layout": mixture(["square", "tpcap"]),
             "parked_cars": 0,
             "physics": "bicycle",
         },

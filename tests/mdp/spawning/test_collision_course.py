@@ -48,7 +48,7 @@ def attempts(
     config=CRASH, layout=None, xy=XY, goal=GOAL, targets=OTHERS, size=None, count=2000
 ):
     """Many attempts for agent 0: poses, and which of them succeeded."""
-    layout = layout if layout is not None else make_layout("tanner")
+    layout = layout if layout is not None else make_layout("square")
     keys = jax.random.split(jax.random.key(0), count)
     xy, goal = (jnp.asarray(x, jnp.float32) for x in (xy, goal))
     around = surroundings_of(layout, xy, OTHERS, size)
@@ -136,7 +136,7 @@ def test_only_agents_that_drive_are_crash_targets():
 
 def test_crash_starts_are_where_the_car_touches_nothing():
     # A wall fills the left half: of a car of 4 m by 2 m no corner is there.
-    layout = walled(make_layout("tanner"), (-10.0, 0.0, 0.0), (20.0, 60.0))
+    layout = walled(make_layout("square"), (-10.0, 0.0, 0.0), (20.0, 60.0))
     pose, found = attempts(layout=layout, size=(4.0, 2.0))
     assert found.any()
     x, _, yaw = pose[found].T

@@ -18,7 +18,7 @@ from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surround
 from carpark_mj.types import NO_BAY
 
 HALF = 21 * WORLD_UNIT
-LAYOUT = pad_layout(make_layout("tanner"), Maxima(40, 8, 0, 0, 1))
+LAYOUT = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
 BAYS = 40  # four of them padding
 CLOSE = SpawnConfig(close_ratio=1.0)
 MIXED = SpawnConfig(close_ratio=0.3, crash_ratio=0.2)

@@ -33,7 +33,7 @@ AREA = 42 * WORLD_UNIT  # m, side of the study's spawn area
 MIXED = SpawnConfig(close_ratio=0.2, crash_ratio=0.5, close_distance=0.5)
 CRASH = SpawnConfig(close_ratio=0.0, crash_ratio=1.0)
 FIRST = np.arange(AGENTS) == 0
-LAYOUT = make_layout("tanner")
+LAYOUT = make_layout("square")
 BAY_XY = np.asarray(LAYOUT.bay_pose, np.float64)[:, :2]
 
 

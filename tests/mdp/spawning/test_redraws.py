@@ -21,7 +21,7 @@ from carpark_mj.types import NO_BAY
 # One candidate a round, and others in three corners of the square of 23.6 m.
 ONE = SpawnConfig(close_ratio=0.0, num_candidates=1, min_distance=16.0)
 CORNERS = [(-11.0, -11.0), (11.0, -11.0), (-11.0, 11.0)]
-LAYOUT = make_layout("tanner")
+LAYOUT = make_layout("square")
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -150,7 +150,7 @@ def test_a_lot_of_agents_that_choose_begins_with_starts_of_all_kinds_if_asked():
 def test_the_study_s_fixed_goals_may_repeat():
     spawn = dataclasses.replace(TANNER_FIXED.spawn, close_ratio=0.0, crash_ratio=0.0)
     config = dataclasses.replace(
-        TANNER_FIXED, num_agents=1, num_parked_cars=3, layout="tanner", spawn=spawn
+        TANNER_FIXED, num_agents=1, num_parked_cars=3, layout="square", spawn=spawn
     )
     again = 0
     for may_repeat in (True, False):
