@@ -34,7 +34,7 @@ DYNAMIC = dataclasses.replace(
 # finds tight bays too rarely to begin with: more pay for the way into the bay.
 _CARS = ("city", "compact", "sedan", "sedan_fwd", "suv", "van")
 ANYWHERE = EnvConfig(
-    layout="square,compact,street,street_parallel,angled,lot,garage_row,dead_end",
+    layout="square,square_compact,street,street_parallel,angled,lot,garage_row,dead_end",
     num_agents=8,
     min_agents=1,
     num_parked_cars=20,

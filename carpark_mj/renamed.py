@@ -38,6 +38,7 @@ RENAMED: dict[str, str] = {
     "ShareConfig.goal_headings": "a setting of the encoding 'tanner'",
     "LayoutsConfig.held_out": "the function carpark_mj.studies.hope.held_out.write",
     "SceneConfig.junction": "carpark_mj study junction_scene",
+    "layout compact": "square_compact",
     "layout tanner": "square",
     "carpark_mj.cli.suite": "carpark_mj.studies.hope.suite_command",
     "carpark_mj.config.BayPart": "carpark_mj.studies.tanner.observation.BayPart",

@@ -30,11 +30,11 @@ class EnvConfig(OldNames):
     """A parking environment.
 
     Attributes:
-        layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `compact` (the same
-            with 2.5 m x 5.0 m bays), a random family as `street`, or any other of
-            `LAYOUTS`, to which studies and other packages add theirs. Or a layout file
-            (.json). A comma-separated list is a mixture. From Python also the config
-            of a family, see `carpark_mj.layouts`.
+        layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `square_compact`
+            (the same with 2.5 m x 5.0 m bays), a random family as `street`, or any
+            other of `LAYOUTS`, to which studies and other packages add theirs. Or a
+            layout file (.json). A comma-separated list is a mixture. From Python also
+            the config of a family, see `carpark_mj.layouts`.
         vehicle: name of one of `carpark_mj.vehicle.VEHICLES`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,

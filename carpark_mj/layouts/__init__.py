@@ -14,7 +14,7 @@ from carpark_mj.layouts.registry import (
     member_shares,
     mixture,
 )
-from carpark_mj.layouts.square import COMPACT, SQUARE, SquareConfig
+from carpark_mj.layouts.square import SQUARE, SQUARE_COMPACT, SquareConfig
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
 from carpark_mj.layouts.types import (
@@ -34,9 +34,9 @@ if not TYPE_CHECKING:  # for which a module with this has every name
     __getattr__ = old_names(__name__)
 
 __all__ = [
-    "COMPACT",
     "ROWS",
     "SQUARE",
+    "SQUARE_COMPACT",
     "AngledConfig",
     "BayEnd",
     "BayKind",

@@ -143,7 +143,7 @@ def test_members_of_a_mixture_get_their_shares_of_the_lots(shares, lots, counts)
 @pytest.mark.parametrize("episodes", [1, 40])
 def test_rare_members_of_a_mixture_get_a_lot_with_every_number_of_agents(episodes):
     config = EnvConfig(
-        layout=mixture(["square", "compact", "street"], [47, 2, 1]),
+        layout=mixture(["square", "square_compact", "street"], [47, 2, 1]),
         num_agents=2,
         min_agents=1,
         num_parked_cars=1,
@@ -157,8 +157,8 @@ def test_rare_members_of_a_mixture_get_a_lot_with_every_number_of_agents(episode
 
 def test_families_are_summed_up_apart_and_add_up(mixed):
     of_lot = {row["lot"]: row["family"] for row in mixed.episodes}
-    assert of_lot == dict(enumerate(["compact"] * 4 + ["street"] * 2))
-    assert list(mixed.families) == ["compact", "street"]
+    assert of_lot == dict(enumerate(["square_compact"] * 4 + ["street"] * 2))
+    assert list(mixed.families) == ["square_compact", "street"]
     for name, summary in mixed.families.items():
         rows = [row for row in mixed.episodes if row["family"] == name]
         assert summary["episodes"] == len(rows)
@@ -193,7 +193,7 @@ def crowds():
     """A mixture with one to three agents, and its evaluation."""
     street = StreetConfig(bays_per_side=(3, 4))
     config = EnvConfig(
-        layout=mixture(["compact", street]),
+        layout=mixture(["square_compact", street]),
         num_agents=3,
         min_agents=1,
         num_parked_cars=1,
@@ -210,7 +210,7 @@ def test_every_number_of_agents_gets_the_same_number_of_lots(crowds):
     of_lot = {row["lot"]: row["agents_present"] for row in crowds.episodes}
     family = {row["lot"]: row["family"] for row in crowds.episodes}
     assert of_lot == dict(enumerate([1, 2, 3] * 2))
-    assert family == dict(enumerate(["compact"] * 3 + ["street"] * 3))
+    assert family == dict(enumerate(["square_compact"] * 3 + ["street"] * 3))
     counts = collections.Counter((row["lot"], row["agent"]) for row in crowds.episodes)
     present = {(lot, agent) for lot, n in of_lot.items() for agent in range(int(n))}
     assert counts == dict.fromkeys(present, 5)  # 50 episodes over 12 agents, rounded up

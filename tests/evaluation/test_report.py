@@ -85,7 +85,7 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
     ]
     with files[2].open() as file:
         rows = list(csv.DictReader(file))
-    assert [row["family"] for row in rows] == ["compact", "street", "all"]
+    assert [row["family"] for row in rows] == ["square_compact", "street", "all"]
     assert [int(row["episodes"]) for row in rows] == [4, 2, 6]
     for row in rows:
         rates = [float(row[f"{outcome}_rate"]) for outcome in ENDINGS]
@@ -95,7 +95,7 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
     assert stored["families"]["street"]["episodes"] == 2
     print_groups("family", mixed.families | {"all": mixed.summary})
     printed = capsys.readouterr().out
-    for name in ("compact", "street", "all"):
+    for name in ("square_compact", "street", "all"):
         assert name in printed
 
 

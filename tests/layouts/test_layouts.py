@@ -9,7 +9,7 @@ import shapely
 from helpers.scenes import moved, polygons
 
 from carpark_mj.layouts import (
-    COMPACT,
+    SQUARE_COMPACT,
     Maxima,
     SquareConfig,
     make_layout,
@@ -18,7 +18,7 @@ from carpark_mj.layouts import (
 from carpark_mj.layouts.checks import describe_faults
 
 WU = 0.5625  # m per world unit of Tanner's scene
-NAMES = ["compact", "square"]
+NAMES = ["square_compact", "square"]
 EXACT = 1e-5  # m; float32 at 25 m resolves 2e-6 m
 
 
@@ -76,9 +76,9 @@ def test_the_spawn_region_is_tanners_square_of_42_world_units():
 
 
 def test_compact_bays_are_2_50_m_by_5_00_m():
-    layout = make_layout("compact")
+    layout = make_layout("square_compact")
     np.testing.assert_allclose(layout.bay_size, [[5.0, 2.5]] * 36, atol=EXACT)
-    assert COMPACT.bay_width == 2.5
+    assert SQUARE_COMPACT.bay_width == 2.5
     # Rows start where the open square of nine bay widths ends.
     far = np.abs(np.asarray(layout.bay_pose)[:, :2]).max(axis=1)
     np.testing.assert_allclose(far, 9 * 2.5 / 2 + 5.0 / 2, atol=EXACT)
@@ -140,7 +140,7 @@ def test_a_disc_and_a_lane_out_of_the_way_are_sound():
 
 
 def test_a_larger_car_needs_more_room():
-    layout = make_layout("compact")
+    layout = make_layout("square_compact")
     assert describe_faults(layout, (4.5, 1.8)) == []
     problems = describe_faults(layout, (5.1, 1.8))
     assert problems[0].startswith("bays are smaller than the car: [0, 1, 2]")

@@ -27,7 +27,7 @@ from carpark_mj.studies.tanner.grid_config import FINE
 from carpark_mj.types import NO_BAY
 
 NAN = float("nan")
-SMALL = EnvConfig(layout="compact", num_agents=3, physics="bicycle")
+SMALL = EnvConfig(layout="square_compact", num_agents=3, physics="bicycle")
 POSE = (1.0, -2.0, 2.5)
 FIRST = ResetOptions(
     pose=jnp.array([POSE, (NAN,) * 3, (NAN,) * 3]),
@@ -115,7 +115,7 @@ def test_parked_cars_and_drawn_starts_keep_clear_of_given_ones(varied):
     if varied:
         config = dataclasses.replace(config, num_parked_cars=36, occupancy=(0.5, 1))
     env = ParkingEnv(config)
-    layout = make_layout("compact")
+    layout = make_layout("square_compact")
     corner = layout.bay_pose[20] + jnp.array([1.2, 0.0, 0.3])  # over two bays
     asked = FIRST.replace(pose=FIRST.pose.at[0].set(corner))
     reset = jax.jit(jax.vmap(lambda key: env.reset(key, options=asked)[0]))
@@ -135,8 +135,10 @@ def test_parked_cars_and_drawn_starts_keep_clear_of_given_ones(varied):
 
 
 def test_parked_cars_without_a_bay_are_absent():
-    env = ParkingEnv(EnvConfig(layout="compact", num_agents=1, num_parked_cars=35))
-    pose = make_layout("compact").bay_pose[:1]
+    env = ParkingEnv(
+        EnvConfig(layout="square_compact", num_agents=1, num_parked_cars=35)
+    )
+    pose = make_layout("square_compact").bay_pose[:1]
     asked = ResetOptions(pose, goal=jnp.array([1]))
     state, _ = jax.jit(env.reset)(jax.random.key(0), options=asked)
     check_starts(env.config, asked, state)

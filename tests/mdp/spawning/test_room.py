@@ -134,7 +134,7 @@ def test_a_lot_with_room_for_all_knows_of_no_absent_agents():
 @pytest.mark.parametrize("spacing", [0.0, 0.5625])
 def test_room_for_all_is_room_wherever_the_others_stand(spacing):
     """They stand as far apart as they can, and across the car that starts."""
-    layout = make_layout("compact")
+    layout = make_layout("square_compact")
     most = next(n for n in itertools.count(1) if not has_room(layout, SIZE, n, spacing))
     most -= 1
     assert 4 <= most <= 8
