@@ -11,6 +11,9 @@ from typing import Any, get_type_hints
 # and "" is gone.
 RENAMED: dict[str, str] = {
     "EnvConfig.grid": "physics",
+    "CurriculumConfig.crash_ratio": "conflict_ratio",
+    "SpawnConfig.crash_distance": "conflict_distance",
+    "SpawnConfig.crash_ratio": "conflict_ratio",
     "RewardConfig.approach": "extra.approach",
     "RewardConfig.smoothness": "extra.smoothness",
     "RewardConfig.smoothness_by_speed": "extra.smoothness.by_speed",

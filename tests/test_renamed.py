@@ -23,6 +23,7 @@ from carpark_mj.config import (
     RewardConfig,
     ShareConfig,
     SimConfig,
+    SpawnConfig,
     insert,
 )
 from carpark_mj.extensions import Registry
@@ -48,6 +49,7 @@ CONFIGS: dict[str, Any] = {
         SceneConfig,
         ShareConfig,
         SimConfig,
+        SpawnConfig,
     )
 }
 MODULES = [old for old in RENAMED if old.startswith("carpark_mj.")]

@@ -143,11 +143,11 @@ class EnvConfig(OldNames):
             )
         spawn = self.spawn
         if self.goals.drive_out and (
-            spawn.close_ratio or spawn.crash_ratio or spawn.reverse_ratio
+            spawn.close_ratio or spawn.conflict_ratio or spawn.reverse_ratio
         ):
             raise ValueError(
                 "goals.drive_out needs starts at random: spawn.close_ratio, "
-                "crash_ratio and reverse_ratio = 0"
+                "conflict_ratio and reverse_ratio = 0"
             )
         if self.goals.drive_out and (self.num_parked_cars or self.fleet.agents):
             raise ValueError(

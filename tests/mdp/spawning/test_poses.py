@@ -178,7 +178,7 @@ def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
 
 
 def test_starts_are_of_one_kind_at_most_in_their_ratios():
-    config = SpawnConfig(close_ratio=0.2, crash_ratio=0.5, reverse_ratio=0.25)
+    config = SpawnConfig(close_ratio=0.2, conflict_ratio=0.5, reverse_ratio=0.25)
     numbers = jax.random.uniform(jax.random.key(2), (COUNT,))
     close, crash, reverse = kinds = draw_kind(config, numbers)
     assert sum(kind.astype(int) for kind in kinds).max() == 1

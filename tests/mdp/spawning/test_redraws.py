@@ -139,16 +139,16 @@ def test_a_lot_of_agents_that_choose_begins_with_starts_of_all_kinds_if_asked():
         return has.mean(), shared.mean()
 
     assert goals(kinds_at_reset=False) == (0.0, 0.0)
-    close, alone = goals(crash_ratio=0.0)
+    close, alone = goals(conflict_ratio=0.0)
     assert 0.15 < close <= 0.27  # half of the close ones, if they track the bay
-    has, shared = goals(crash_ratio=0.5)
+    has, shared = goals(conflict_ratio=0.5)
     # Those in conflict as well, if anybody's goal is among their bays.
     assert has > close + 0.03
     assert shared > alone + 0.06
 
 
 def test_the_study_s_fixed_goals_may_repeat():
-    spawn = dataclasses.replace(TANNER_FIXED.spawn, close_ratio=0.0, crash_ratio=0.0)
+    spawn = dataclasses.replace(TANNER_FIXED.spawn, close_ratio=0.0, conflict_ratio=0.0)
     config = dataclasses.replace(
         TANNER_FIXED, num_agents=1, num_parked_cars=3, layout="square", spawn=spawn
     )
