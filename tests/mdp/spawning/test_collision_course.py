@@ -24,8 +24,8 @@ from carpark_mj.mdp.spawning.collision_course import (
 )
 from carpark_mj.mdp.spawning.draws import draw_uniform
 
-CONFLICT = SpawnConfig(close_ratio=0.0, conflict_ratio=1.0)
-SPACED = dataclasses.replace(CONFLICT, spacing=WORLD_UNIT / 16)
+COURSE = SpawnConfig(close_ratio=0.0, conflict_ratio=1.0)
+SPACED = dataclasses.replace(COURSE, spacing=WORLD_UNIT / 16)
 AREA = 42 * WORLD_UNIT  # m, side of the study's spawn area
 # Agent 0 starts; 1 and 2 have far to go, 3 has not.
 XY = np.array([[0.0, 0.0], [-9.0, -9.0], [9.0, -9.0], [9.0, 9.0]])
@@ -45,7 +45,7 @@ def try_all(config, layout, around, goal_xy, targets, keys):
 
 
 def attempts(
-    config=CONFLICT,
+    config=COURSE,
     layout=None,
     xy=XY,
     goal=GOAL,
@@ -66,13 +66,11 @@ def attempts(
 def test_both_straight_ways_reach_the_crash_point_after_equal_distance():
     pose, found = attempts()
     assert found.mean() > 0.3
-    met = meets(CONFLICT, pose[found], XY, GOAL)
+    met = meets(COURSE, pose[found], XY, GOAL)
     # Agent 3 has a way of 4.6 m, less than conflict_distance.
     assert not met[:, 2].any()
     assert met.any(axis=1).all()
-    assert (
-        not meets(CONFLICT, pose[found] + [0.3, 0.3, 0.0], XY, GOAL).any(axis=1).all()
-    )
+    assert not meets(COURSE, pose[found] + [0.3, 0.3, 0.0], XY, GOAL).any(axis=1).all()
 
 
 def test_a_crash_start_is_in_the_spawn_area_and_far_enough_from_others():
@@ -81,7 +79,7 @@ def test_a_crash_start_is_in_the_spawn_area_and_far_enough_from_others():
         pose, found = attempts(layout=layout)
         assert found.any()
         gap = np.linalg.norm(pose[found, None, :2] - XY[1:], axis=-1)
-        assert gap.min() > CONFLICT.min_distance
+        assert gap.min() > COURSE.min_distance
         return np.abs(pose[found, :2]).max()
 
     # Worked out apart: here starts that keep the distance are 10.80 m to 11.01 m out.
@@ -96,7 +94,7 @@ def test_crash_targets_are_uniform_among_those_far_enough_from_their_goals():
     goal = np.array([[0.0, 18.0], [9.0, 18.0], [-9.0, 18.0], [0.0, 81.0]])
     pose, found = attempts(layout=wide, xy=xy, goal=goal)
     assert found.mean() > 0.9
-    met = meets(CONFLICT, pose[found], xy, goal)
+    met = meets(COURSE, pose[found], xy, goal)
     assert met.any(axis=1).all()
     assert not met[:, 2].any()
     # Deviation 1.1 %: five of them.
@@ -109,9 +107,9 @@ def test_the_crash_point_is_uniform_between_both_least_distances():
     goal = np.array([[0.0, 60.0], [40.0, 40.0], [90.0, 91.0], [90.0, 96.0]])
     pose, found = attempts(layout=wide, xy=xy, goal=goal)
     assert found.all()
-    assert meets(CONFLICT, pose, xy, goal)[:, 0].all()
+    assert meets(COURSE, pose, xy, goal)[:, 0].all()
     way, _ = meetings(pose[:, :2], goal[0], xy[1], goal[1])
-    low, high = CONFLICT.min_distance, 80.0 - CONFLICT.conflict_distance
+    low, high = COURSE.min_distance, 80.0 - COURSE.conflict_distance
     share = (way - low) / (high - low)
     assert share.min() > -1e-4
     assert share.max() < 1 + 1e-4
@@ -139,7 +137,7 @@ def test_without_anybody_far_enough_from_its_goal_the_attempt_fails():
 def test_only_agents_that_drive_are_crash_targets():
     pose, found = attempts(targets=np.array([False, False, True, False]))
     assert found.any()
-    assert meets(CONFLICT, pose[found], XY, GOAL)[:, 1].all()
+    assert meets(COURSE, pose[found], XY, GOAL)[:, 1].all()
 
 
 def test_crash_starts_are_where_the_car_touches_nothing():
