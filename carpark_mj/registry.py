@@ -46,7 +46,7 @@ ANYWHERE = EnvConfig(
         park=8.0,
         progress=0.4,
         route=True,
-        reeds_shepp=20.0,
+        reeds_shepp_reach=20.0,
         alignment=0.0,
         closeness=0.0,
         time=2.5,  # dear, against standing where they might turn either way
@@ -54,7 +54,7 @@ ANYWHERE = EnvConfig(
     observation=ContinuousObservation(
         tracked_agents=7,
         tracked_parked_cars=6,
-        share=ShareConfig(steering=True, order=True),
+        share=ShareConfig(steering=True, priority=True),
         own_car=True,
         lines=True,
         route=True,

@@ -171,10 +171,10 @@ class EnvConfig(OldNames):
                 "steer: goals.dynamic = False, and a physics other than "
                 f"{physics.back_end}"
             )
-        if self.reward.reeds_shepp and not physics.steers:
+        if self.reward.reeds_shepp_reach and not physics.steers:
             raise ValueError(
-                f"reward.reeds_shepp {self.reward.reeds_shepp} needs cars that steer: "
-                f"a physics other than {physics.back_end}"
+                f"reward.reeds_shepp_reach {self.reward.reeds_shepp_reach} needs cars "
+                f"that steer: a physics other than {physics.back_end}"
             )
         scale = self.episode.hitbox_scale
         if scale != 1.0 and physics.contacts:

@@ -64,10 +64,10 @@ def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax
     if weights.route:
         goal = transition.goal
         distance = way_to(state.routes, state.layout, motion.xy, goal).length
-    if not _is_off(weights.reeds_shepp):
+    if not _is_off(weights.reeds_shepp_reach):
         car = transition.before.physics.vehicle
         distance = mix_in_maneuver(
-            weights.reeds_shepp, distance, car, motion, target, transition.one_way
+            weights.reeds_shepp_reach, distance, car, motion, target, transition.one_way
         )
     return goal_potential(weights, motion.pose_w, target, distance, transition.one_way)
 

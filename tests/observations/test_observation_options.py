@@ -99,22 +99,22 @@ def test_rivals_for_fixed_goals_by_hand():
 
 
 def test_steering_and_order_of_others_by_hand():
-    config = ContinuousObservation(share=ShareConfig(steering=True, order=True))
+    config = ContinuousObservation(share=ShareConfig(steering=True, priority=True))
     motion = dataclasses.replace(THREE, steering=jnp.array([0.1, -0.2, 0.3]))
     named = observed(config, BAYS, motion, [0, 1, 2])
     limit = 0.3 / named["steering"][2]
     # The middle one tracks the others, nearest first.
-    order = [int(named[f"agent_{k}_order"][1, 0]) for k in range(2)]
+    order = [int(named[f"agent_{k}_priority"][1, 0]) for k in range(2)]
     steering = [float(named[f"agent_{k}_steering"][1, 0] * limit[0]) for k in range(2)]
     assert sorted(zip(order, np.round(steering, 5), strict=True)) == [
         (0, 0.3),
         (1, 0.1),
     ]
     for k in range(2):  # nobody comes before the first, all before the last
-        assert named[f"agent_{k}_order"][0] == 0.0
-        assert named[f"agent_{k}_order"][2] == 1.0
+        assert named[f"agent_{k}_priority"][0] == 0.0
+        assert named[f"agent_{k}_priority"][2] == 1.0
     alone = observed(config, BAYS, jax.tree.map(lambda x: x[:1], motion), [0])
-    assert not alone["agent_0_order"].any()
+    assert not alone["agent_0_priority"].any()
     assert not alone["agent_0_steering"].any()
 
 
