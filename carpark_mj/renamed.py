@@ -18,6 +18,7 @@ RENAMED: dict[str, str] = {
     "RewardConfig.smoothness": "extra.smoothness",
     "RewardConfig.smoothness_by_speed": "extra.smoothness.by_speed",
     "RewardConfig.reverse": "extra.reverse",
+    "EvaluateConfig.span": "horizon",
     "RewardConfig.reeds_shepp": "reeds_shepp_reach",
     "ShareConfig.order": "priority",
     **dict.fromkeys(

@@ -70,16 +70,16 @@ def test_one_program_evaluates_environments_that_differ_in_numbers(env, result):
 
 
 def test_a_span_counts_the_episodes_that_begin_within_it(env):
-    policy, span = random_policy(ActionSpec(2)), 8.0  # s, 40 steps
-    result = evaluate(env, policy, num_episodes=8, seed=3, num_lots=4, span=span)
+    policy, horizon = random_policy(ActionSpec(2)), 8.0  # s, 40 steps
+    result = evaluate(env, policy, num_episodes=8, seed=3, num_lots=4, horizon=horizon)
     lengths: dict[tuple, list[float]] = {}
     for row in result.episodes:
         lengths.setdefault((row["lot"], row["agent"]), []).append(row["length"])
     assert len(lengths) == 8
     for steps in lengths.values():
         assert sum(steps[:-1]) < 40 <= sum(steps)
-    with pytest.raises(ValueError, match="span must be positive, not 0"):
-        evaluate(env, policy, num_episodes=8, seed=3, span=0.0)
+    with pytest.raises(ValueError, match="horizon must be positive, not 0"):
+        evaluate(env, policy, num_episodes=8, seed=3, horizon=0.0)
 
 
 def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
@@ -238,8 +238,8 @@ def test_numbers_of_agents_are_summed_up_apart_and_add_up(crowds, plain):
         ({"num_lots": 0}, "num_lots must be at least 1"),
         ({"num_lots": 2.5}, "num_lots must be a whole number"),
         ({"seed": 0.5}, "seed must be a whole number"),
-        ({"span": float("nan")}, "span must be positive, not nan"),
-        ({"span": "1"}, "span must be positive, not '1'"),
+        ({"horizon": float("nan")}, "horizon must be positive, not nan"),
+        ({"horizon": "1"}, "horizon must be positive, not '1'"),
     ],
 )
 def test_impossible_evaluations_are_refused(env, change, message):

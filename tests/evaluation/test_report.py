@@ -161,7 +161,7 @@ def test_an_evaluation_is_written_before_it_is_printed(plain, tmp_path, monkeypa
             {"rule": "strict", "layout": "street,my/yard.json"},
             "rule-strict_layout-street,my%2Fyard.json",
         ),
-        ({"episodes": 4096, "span": 100.0}, "episodes-4096_span-100.0"),
+        ({"episodes": 4096, "horizon": 100.0}, "episodes-4096_horizon-100.0"),
         ({"layout": "my-yard.json"}, "layout-my-yard.json"),
     ],
 )

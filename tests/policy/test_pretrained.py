@@ -217,7 +217,7 @@ def test_nothing_is_written_into_the_package(shipped):
         ({"num_agents": 1}, "runs/tiny/evaluations/num_agents-1"),
         ({"nominal": True}, "runs/tiny"),  # nothing to turn off
         ({"episodes": 8}, "runs/tiny/evaluations/episodes-8"),
-        ({"span": 9.0}, "runs/tiny/evaluations/span-9.0"),
+        ({"horizon": 9.0}, "runs/tiny/evaluations/horizon-9.0"),
         ({"seed": 1}, "runs/tiny/evaluations/seed-1"),
         ({"stochastic": True}, "runs/tiny/evaluations/stochastic-True"),
         ({"stochastic": True, "out": "mine"}, "mine"),
