@@ -19,6 +19,7 @@ RENAMED: dict[str, str] = {
     "RewardConfig.smoothness_by_speed": "extra.smoothness.by_speed",
     "RewardConfig.reverse": "extra.reverse",
     "EvaluateConfig.span": "horizon",
+    "JunctionConfig.restart": "respawn",
     "RewardConfig.reeds_shepp": "reeds_shepp_reach",
     "ShareConfig.order": "priority",
     **dict.fromkeys(

@@ -30,6 +30,7 @@ from carpark_mj.extensions import Registry
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.renamed import RENAMED, OldNames
+from carpark_mj.studies.cederle.junction import JunctionConfig
 from carpark_mj.sweeps.axes import read_axis
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
@@ -43,6 +44,7 @@ CONFIGS: dict[str, Any] = {
         EnvConfig,
         EvaluateConfig,
         GoalRewards,
+        JunctionConfig,
         LayoutsConfig,
         PPOConfig,
         RewardConfig,

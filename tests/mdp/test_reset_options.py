@@ -173,7 +173,7 @@ def test_starts_that_cannot_be_are_refused(small, change, message):
         check_starts(env.config, asked, reset(jax.random.key(0), options=asked)[0])
 
 
-def test_absent_agents_chosen_goals_and_other_types_are_refused(small):
+def test_absent_agents_dynamic_goals_and_other_types_are_refused(small):
     with pytest.raises(TypeError, match="options must be of ResetOptions"):
         small[0].reset(jax.random.key(0), options={"goal": 3})
     chosen = ParkingEnv(dataclasses.replace(SMALL, goals=GoalConfig(dynamic=True)))

@@ -1,4 +1,4 @@
-"""Shared goals and speeds, chosen goals, rivals, rings' past and limits of the view."""
+"""Shared goals and speeds, dynamic goals, rivals, rings' past, limits of the view."""
 
 import dataclasses
 import math
@@ -118,7 +118,7 @@ def test_steering_and_order_of_others_by_hand():
     assert not alone["agent_0_steering"].any()
 
 
-def test_chosen_goals_by_hand():
+def test_dynamic_goals_by_hand():
     config = ContinuousObservation(rings=RingConfig(), global_information=True)
     bays = [[2, 0], [1, NONE], [NONE, 2]]
     named = observed(config, BAYS, THREE, [0, 2, NONE], (), bays)
@@ -308,7 +308,7 @@ def test_the_way_needs_fixed_goals_and_open_ground(changes):
         assert "\n" not in str(refusal.value)
 
 
-def test_chosen_goals_need_bays_enough():
+def test_dynamic_goals_need_bays_enough():
     chosen = GoalConfig(dynamic=True, num_tracked_bays=21)
     with pytest.raises(ValueError, match=r"num_\w+ must be at most 20 .* not 21"):
         ParkingEnv(EnvConfig(goals=chosen, num_parked_cars=16))

@@ -14,8 +14,8 @@ from carpark_mj.config import WORLD_UNIT, EnvConfig, SpawnConfig
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.chosen_goals import ChosenGoals
 from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.mdp.dynamic_goals import DynamicGoals
 from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import (
@@ -196,7 +196,7 @@ def test_who_chooses_goals_is_placed_exploring_and_nobody_else_is_touched():
     goal, parked_cars, pose = lots(200)
     done = np.isin(np.arange(AGENTS), (1, 4))
     keys = jax.random.split(jax.random.key(2), 200)
-    goals = ChosenGoals(config_of(MIXED))
+    goals = DynamicGoals(config_of(MIXED))
     after = jax.device_get(place_lots(goals, goal, parked_cars, pose, done, keys))
     assert (after.goal[:, done] == NO_BAY).all()
     np.testing.assert_array_equal(after.goal[:, ~done], goal[:, ~done])

@@ -84,7 +84,7 @@ class JunctionEnv:
     @property
     def respawns(self) -> bool:
         """Whether `step` begins the next episode itself."""
-        return self.config.restart
+        return self.config.respawn
 
     @property
     def observation_shape(self) -> tuple[int, ...]:
@@ -197,7 +197,7 @@ class JunctionEnv:
             over=~active.any(),
             final_observation=seen,
         )
-        if config.restart:
+        if config.respawn:
             fresh, first = self.reset(state.key)
             state = where_cars(timestep.over, fresh, state)
             observation = jnp.where(timestep.over, first, seen)
