@@ -4,7 +4,7 @@ Families are imported when they are used.
 """
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from carpark_mj.layouts.registry import (
     layout_config,
@@ -24,29 +24,58 @@ from carpark_mj.layouts.types import (
     layout_maxima,
     pad_layout,
 )
+from carpark_mj.renamed import old_names
 
-_HOMES = {
-    "AngledConfig": "angled",
-    "COMPACT": "square",
-    "DeadEndConfig": "dead_end",
-    "FromFileConfig": "from_file",
-    "GarageRowConfig": "garage_row",
-    "LotConfig": "lot",
-    "MixtureConfig": "mixture_config",
-    "SQUARE": "square",
-    "SquareConfig": "square",
-    "StreetConfig": "street",
-    "StreetParallelConfig": "street",
-}
+if TYPE_CHECKING:
+    from carpark_mj.layouts.angled import AngledConfig
+    from carpark_mj.layouts.dead_end import DeadEndConfig
+    from carpark_mj.layouts.from_file import FromFileConfig
+    from carpark_mj.layouts.garage_row import GarageRowConfig
+    from carpark_mj.layouts.lot import LotConfig
+    from carpark_mj.layouts.mixture_config import MixtureConfig
+    from carpark_mj.layouts.square import SQUARE, SQUARE_COMPACT, SquareConfig
+    from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
+else:
+    _HOMES = {
+        "AngledConfig": "angled",
+        "DeadEndConfig": "dead_end",
+        "FromFileConfig": "from_file",
+        "GarageRowConfig": "garage_row",
+        "LotConfig": "lot",
+        "MixtureConfig": "mixture_config",
+        "SQUARE": "square",
+        "SQUARE_COMPACT": "square",
+        "SquareConfig": "square",
+        "StreetConfig": "street",
+        "StreetParallelConfig": "street",
+    }
 
-__all__ = [  # pyright: ignore[reportUnsupportedDunderAll]
+    def __getattr__(name: str) -> Any:
+        if name in _HOMES:
+            home = importlib.import_module(f"{__name__}.{_HOMES[name]}")
+            return getattr(home, name)
+        return old_names(__name__)(name)
+
+
+__all__ = [
     "ROWS",
+    "SQUARE",
+    "SQUARE_COMPACT",
+    "AngledConfig",
     "BayEnd",
     "BayKind",
+    "DeadEndConfig",
     "DesignCar",
     "DiscKind",
+    "FromFileConfig",
+    "GarageRowConfig",
     "Layout",
+    "LotConfig",
     "Maxima",
+    "MixtureConfig",
+    "SquareConfig",
+    "StreetConfig",
+    "StreetParallelConfig",
     "WallKind",
     "layout_config",
     "layout_maxima",
@@ -54,11 +83,4 @@ __all__ = [  # pyright: ignore[reportUnsupportedDunderAll]
     "member_shares",
     "mixture",
     "pad_layout",
-    *_HOMES,
 ]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -31,7 +31,7 @@ def measured(rate, compile_s=10.0):
         jax="0.10.2",
         mujoco="4.0.0",
         what="env",
-        layout="tanner",
+        layout="square",
         agents=2,
         lots=128,
         rate=rate,
@@ -62,7 +62,7 @@ def test_the_table_has_a_line_for_each_checkout_and_one_of_their_ratios():
     assert lines[0] == "2 CPU cores, JAX 0.10.2, MuJoCo 4.0.0"
     assert len({line.count("|") for line in lines[2:]}) == 1
     cells = [[c.strip() for c in line.strip("|").split("|")] for line in lines[4:]]
-    about = ["env", "tanner", "2", "128"]
+    about = ["env", "square", "2", "128"]
     unit = "agent-steps/s"
     assert cells == [
         [*about, "here (1234567)", "11,000", unit, "8.0", "16.0", "1,000.0"],
@@ -110,10 +110,10 @@ def test_checkouts_take_turns_and_an_interrupted_run_keeps_its_rows(
 
 
 def test_each_round_measures_every_variant_in_every_batch():
-    config = benchmark.BenchmarkConfig(batches=(4, 8), layouts=("tanner", "mixture"))
+    config = benchmark.BenchmarkConfig(batches=(4, 8), layouts=("square", "mixture"))
     asked = [(job.what, job.variant, job.lots) for job in config.jobs()]
     variants = [
-        ("env", "tanner"),
+        ("env", "square"),
         ("env", "mixture"),
         ("ppo", "auto"),
         ("physics", "brush"),
