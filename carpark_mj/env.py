@@ -31,15 +31,14 @@ from carpark_mj.layouts.splits import Split, lot_key, lot_number
 from carpark_mj.mdp import actions, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.mdp.goals import make_goals
+from carpark_mj.mdp.progress import drives_wrong_way
 from carpark_mj.mdp.reset_options import (
     ResetOptions,
     check_starts,
     read_reset_options,
 )
-from carpark_mj.mdp.wrong_way import drives_wrong_way
 from carpark_mj.observations import observation_size, observe, sensors
-from carpark_mj.physics.base import Physics, where_cars
-from carpark_mj.physics.make import make_physics, require_physics
+from carpark_mj.physics.base import Physics, make_physics, require_physics, where_cars
 from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition

@@ -32,12 +32,12 @@ from carpark_mj.mdp.spawning.placing import (
     SURE,
     Patience,
     SpawnInputs,
+    has_room,
     place_waiting,
     start_placing,
 )
-from carpark_mj.mdp.spawning.room import has_room
 from carpark_mj.observations import sensors
-from carpark_mj.obstacles.movers import begin_movers, step_movers, trace_still
+from carpark_mj.obstacles import begin_movers, step_movers, trace_still
 from carpark_mj.physics.base import Physics, RollingStarts, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
 from carpark_mj.vehicle import Vehicle, VehicleParameters

@@ -94,6 +94,26 @@ RENAMED: dict[str, str] = {
         )
         for name in ("benchmarl", "jaxmarl", "pettingzoo", "torchrl")
     },
+    **{
+        f"carpark_mj.{old}": f"carpark_mj.{new}"
+        for old, new in {
+            "config.sensors": "config.observations",
+            "layouts.lanes": "layouts.routes",
+            "mdp.goal_rewards": "mdp.rewards",
+            "mdp.metrics.collision_time": "mdp.metrics.safety",
+            "mdp.metrics.driving": "mdp.metrics.tallies",
+            "mdp.metrics.goals": "mdp.metrics.tallies",
+            "mdp.spawning.driving_out": "mdp.fixed_goals",
+            "mdp.spawning.room": "mdp.spawning.placing",
+            "mdp.wrong_way": "mdp.progress",
+            "observations.lane": "observations.ego",
+            "observations.localised": "observations.fields",
+            "physics.make": "physics.base",
+            "vehicle.load": "vehicle.conditions",
+            "vehicle.surfaces": "vehicle.conditions",
+            "vehicle.tipping": "fleet.randomization",
+        }.items()
+    },
 }
 
 

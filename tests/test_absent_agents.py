@@ -25,7 +25,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp import fixed_goals
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.clearance import RANGE
-from carpark_mj.mdp.metrics.collision_time import HORIZON
+from carpark_mj.mdp.metrics.safety import HORIZON
 from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.tracking import tracks

@@ -28,8 +28,7 @@ from carpark_mj.config import (
     GivingWayConfig,
     RewardConfig,
 )
-from carpark_mj.mdp.goal_rewards import goal_weights
-from carpark_mj.mdp.rewards import TERMS
+from carpark_mj.mdp.rewards import TERMS, goal_weights
 from carpark_mj.observations import make_fields, markdown_table, observation_size
 from carpark_mj.programs.benchmark import BenchmarkConfig
 from carpark_mj.registry import ENVIRONMENTS

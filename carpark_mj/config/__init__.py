@@ -29,6 +29,7 @@ from carpark_mj.config.observations import (
     ObservationConfig,
     RayConfig,
     RingConfig,
+    SensorConfig,
     ShareConfig,
 )
 from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
@@ -41,16 +42,15 @@ from carpark_mj.config.reward_terms import (
     term_settings,
 )
 from carpark_mj.config.rewards import REWARDS, RewardConfig
-from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import RelocationRule, SpawnConfig
 from carpark_mj.config.terminations import (
     PARKED_RULES,
+    WORLD_UNIT,
     EpisodeConfig,
     ParkedRule,
     register_rule,
     require_rule,
 )
-from carpark_mj.config.units import WORLD_UNIT
 from carpark_mj.renamed import old_names
 
 if not TYPE_CHECKING:  # for which a module with this has every name

@@ -14,12 +14,11 @@ from carpark_mj.config.giving_way import GivingWayConfig
 from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.config.metrics import MetricsConfig
-from carpark_mj.config.observations import ENCODERS, ObservationConfig
+from carpark_mj.config.observations import ENCODERS, ObservationConfig, SensorConfig
 from carpark_mj.config.obstacles import Mover, MoverChoice, make_movers
 from carpark_mj.config.physics import SimConfig
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import RewardConfig
-from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import SpawnConfig
 from carpark_mj.config.terminations import EpisodeConfig
 from carpark_mj.renamed import OldNames

@@ -29,7 +29,7 @@ class SimConfig(CheckedConfig):
         suspension: springs between contact tyres and car; brush tyres always have them.
         stepper: of `mjx` cars: the `unrolled` equations, or `mjx.step`; `auto` takes
             the former where they hold, on brush tyres.
-        surface: road surface, which sets the grip, `carpark_mj.vehicle.surfaces`.
+        surface: road surface, which sets the grip, `carpark_mj.vehicle.conditions`.
     """
 
     sim_dt: float = 0.01

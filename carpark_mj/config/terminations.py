@@ -15,7 +15,8 @@ from carpark_mj.config.checks import (
     require_whole,
 )
 from carpark_mj.config.insertion import data
-from carpark_mj.config.units import WORLD_UNIT
+
+WORLD_UNIT = 0.5625  # m; Tanner's car of 8 world units is then 4.5 m long
 
 
 @dataclasses.dataclass(frozen=True)

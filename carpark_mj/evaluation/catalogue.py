@@ -7,7 +7,7 @@ table of episodes, and a number or a few of all episodes together.
 
 from carpark_mj.config.metrics import METRICS, Metric, Pool
 from carpark_mj.mdp.clearance import RANGE
-from carpark_mj.mdp.metrics.collision_time import HORIZON
+from carpark_mj.mdp.metrics.safety import HORIZON
 
 # How episodes add up.
 POOLS: dict[Pool, str] = {

@@ -14,22 +14,14 @@ import jax.numpy as jnp
 from carpark_mj.config import RandomizationConfig
 from carpark_mj.config.randomization import ADDED
 from carpark_mj.vehicle import Vehicle, VehicleParameters
-from carpark_mj.vehicle.load import with_mass
+from carpark_mj.vehicle.conditions import with_grip, with_mass
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import GRAVITY
-from carpark_mj.vehicle.surfaces import with_grip
-from carpark_mj.vehicle.tipping import (
-    pitch_stiffness,
-    roll_stiffness,
-    tip_limit,
-    turning_acceleration,
-)
 
 # What brings a car's centre of gravity higher or nearer to its wheels, or brakes it.
 TIPPING = ("mass", "cg_height", "cg_x", "brake_gain")
-OVERSHOOT = (
-    1.5  # of the roll after a sudden turn; at 1.3 cars were seen to stay upright
-)
+# Of the roll after a sudden turn; at 1.3 cars were seen to stay upright.
+OVERSHOOT = 1.5
 
 
 def randomize(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> Vehicle:
@@ -163,3 +155,37 @@ def _check_tipping(
                 f"lift at {max(limit, 0.0):.2f} m/s^2, it must bear "
                 f"{needed + slope:.2f}; narrow these ranges"
             )
+
+
+def tip_limit(mass: float, height: float, arm: float, stiffness: float) -> float:
+    """Acceleration [m/s^2] at which a car's wheels lift; not positive if it falls over.
+
+    Quasi-static. At acceleration a the load moves by m a h; the car leans by m a h over
+    (stiffness - m g h), which moves it by m g h times that again. The wheels on the
+    inside have lifted when all of m g arm has moved.
+
+    Args:
+        mass: of the car [kg].
+        height: of its centre of gravity [m].
+        arm: from there to the wheels about which it tips, horizontally [m].
+        stiffness: against the lean [N m/rad].
+    """
+    return GRAVITY * arm / height * (1.0 - mass * GRAVITY * height / stiffness)
+
+
+def roll_stiffness(params: VehicleParameters) -> float:
+    """Of the springs of all four corners against roll [N m/rad]."""
+    return params.tyre.vertical_stiffness * params.track_width**2
+
+
+def pitch_stiffness(params: VehicleParameters, cg_to_rear_axle: float) -> float:
+    """The same against pitch about a centre of gravity ahead of the rear axle [m]."""
+    to_front = params.wheelbase - cg_to_rear_axle
+    arms = cg_to_rear_axle**2 + to_front**2
+    return 2.0 * params.tyre.vertical_stiffness * arms
+
+
+def turning_acceleration(params: VehicleParameters) -> float:
+    """Lateral acceleration at top speed on full lock [m/s^2]."""
+    speed = max(params.max_speed, params.max_reverse_speed)
+    return speed**2 / params.turning_radius

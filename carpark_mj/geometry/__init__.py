@@ -15,12 +15,12 @@ from carpark_mj.geometry.boxes import (
     ray_disc_distance,
     swept_half_size,
 )
-from carpark_mj.geometry.nearest import nearest
 from carpark_mj.geometry.reeds_shepp import reeds_shepp_length
 from carpark_mj.geometry.se2 import (
     axis_angle_error,
     heading_error,
     move_forward,
+    nearest,
     norm,
     rotate,
     to_local,

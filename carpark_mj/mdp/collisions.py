@@ -15,7 +15,7 @@ from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import norm
 from carpark_mj.geometry.broad_phase import MARGIN, is_crowded, visit_near
 from carpark_mj.geometry.obstacles import Group, Merged, by_shape, merge, take
-from carpark_mj.obstacles.lot import lot_obstacles
+from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import Motion, State
 
 HITS_CHUNK = 3  # pairs per agent tested at a time for overlap: few are near

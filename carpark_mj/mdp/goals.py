@@ -10,8 +10,6 @@ from typing import Protocol
 import jax
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.mdp.dynamic_goals import DynamicGoals
-from carpark_mj.mdp.fixed_goals import FixedGoals
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs
 from carpark_mj.types import Events, GoalEvents, State
 
@@ -82,4 +80,10 @@ class Goals(Protocol):
 
 def make_goals(config: EnvConfig) -> Goals:
     """The way that `GoalConfig.dynamic` names."""
-    return DynamicGoals(config) if config.goals.dynamic else FixedGoals(config)
+    if config.goals.dynamic:
+        from carpark_mj.mdp.dynamic_goals import DynamicGoals
+
+        return DynamicGoals(config)
+    from carpark_mj.mdp.fixed_goals import FixedGoals
+
+    return FixedGoals(config)

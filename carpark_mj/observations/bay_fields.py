@@ -14,12 +14,13 @@ from carpark_mj.observations.fields import (
     FAR,
     FARTHEST,
     LENGTH,
+    POSE_FIELDS,
     Field,
     far,
+    localise,
     repeated,
     repeated_values,
 )
-from carpark_mj.observations.localised import POSE_FIELDS, localise
 from carpark_mj.observations.parts import Part, Sight
 from carpark_mj.types import NO_BAY, Motion
 

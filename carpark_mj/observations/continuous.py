@@ -14,7 +14,7 @@ from carpark_mj.config.observations import (
     ShareConfig,
     Tracked,
 )
-from carpark_mj.observations import bay_fields, ego, lane
+from carpark_mj.observations import bay_fields, ego
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.parts import Part, Sight
 from carpark_mj.observations.rays import rays_part
@@ -94,7 +94,7 @@ class ContinuousObservation(ObservationConfig):
         if self.rays.count:
             parts.append(rays_part(self.rays))
         if self.lane:
-            parts.append(lane.LANE)
+            parts.append(ego.LANE)
         return parts
 
     def fields(self, env: EnvConfig) -> list[Field]:

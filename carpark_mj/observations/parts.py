@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import Field
-from carpark_mj.obstacles.lot import lot_obstacles
+from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import CarParameters, Motion, State
 
 

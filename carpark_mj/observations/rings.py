@@ -12,7 +12,7 @@ from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.parts import Part, Sight
 from carpark_mj.observations.sensors import observed
-from carpark_mj.obstacles.lot import lot_obstacles
+from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import State
 
 

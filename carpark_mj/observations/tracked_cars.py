@@ -10,14 +10,15 @@ from carpark_mj.config.observations import ShareConfig
 from carpark_mj.geometry import to_local
 from carpark_mj.observations.bay_fields import goal_code
 from carpark_mj.observations.fields import (
+    CAR_FIELDS,
     FAR,
     FARTHEST,
     Field,
     far,
+    localise,
     repeated,
     repeated_values,
 )
-from carpark_mj.observations.localised import CAR_FIELDS, localise
 from carpark_mj.observations.parts import Part, Sight
 from carpark_mj.observations.tracking import track_agents, track_parked_cars
 from carpark_mj.types import NO_BAY, ParkedCars

@@ -1,4 +1,4 @@
-"""The interface between physics and task, and what its back ends share.
+"""The interface between physics and task: what its back ends share, who makes them.
 
 Every function takes any leading batch shape, but `ScenePhysics.step`: see there.
 """
@@ -10,8 +10,10 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import PhysicsConfig, SimConfig
+from carpark_mj.config import EnvConfig, PhysicsConfig, SimConfig
+from carpark_mj.layouts import Layout
 from carpark_mj.types import Motion, PhysicsState
+from carpark_mj.vehicle import VehicleParameters
 from carpark_mj.vehicle.vehicle import Vehicle
 
 S = TypeVar("S", bound=PhysicsState)
@@ -210,3 +212,55 @@ def require_plain_ground(sim: SimConfig, name: str) -> None:
                 f"{name} physics has no tyres and no ground: {setting} must stay "
                 f"{default!r}, not {value!r}"
             )
+
+
+MEMBERS = (
+    "config",
+    "init",
+    "step",
+    "place",
+    "set_parked_poses",
+    "parked_poses",
+    "read",
+)
+
+
+def make_physics(
+    config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
+) -> Physics[PhysicsState]:
+    """Builds the back end of an environment.
+
+    Args:
+        config: the environment.
+        layout: its lot; None if that is random.
+        vehicle: of all cars, for `scene`.
+
+    Raises:
+        ValueError: the back end cannot do what else is configured.
+        TypeError: what its config makes is no back end.
+    """
+    return require_physics(config.physics_config.make(config, layout, vehicle))
+
+
+def require_physics(physics: Any) -> Physics[PhysicsState]:
+    """Refuses an object that is no back end.
+
+    Raises:
+        TypeError: naming what it lacks.
+    """
+    if isinstance(physics, str):
+        raise TypeError(
+            f"physics must be of Physics or None, not {physics!r}: a name stands in "
+            "the config"
+        )
+    if missing := [name for name in MEMBERS if not hasattr(physics, name)]:
+        raise TypeError(
+            f"physics {type(physics).__name__} lacks {', '.join(missing)} of a back "
+            "end, carpark_mj.physics.base.Physics"
+        )
+    if not isinstance(physics.config, PhysicsConfig):
+        raise TypeError(
+            f"config of physics {type(physics).__name__} must be a PhysicsConfig, not "
+            f"{physics.config!r}"
+        )
+    return physics

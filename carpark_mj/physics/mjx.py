@@ -25,9 +25,9 @@ from carpark_mj.physics.vectors import column, dot
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
+from carpark_mj.vehicle.conditions import on_surface
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.presets import COMPACT
-from carpark_mj.vehicle.surfaces import on_surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
 LEAST_UP = 0.5  # cosine of the lean at which a car has overturned: 60 degrees

@@ -26,8 +26,8 @@ from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars
 from carpark_mj.physics.scene_model import Masses, Moving, SceneModel
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
+from carpark_mj.vehicle.conditions import on_surface
 from carpark_mj.vehicle.parameters import VehicleParameters
-from carpark_mj.vehicle.surfaces import on_surface
 from carpark_mj.vehicle.vehicle import Vehicle
 
 MOVED = 1e-3  # m or rad; a parked car set further than that away is placed anew

@@ -11,7 +11,7 @@ from jax.experimental import io_callback
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry.obstacles import Boxes, Group, by_shape
-from carpark_mj.obstacles.lot import lot_obstacles
+from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.planning.driving import Agent, Sight
 from carpark_mj.planning.obstacles import Solids
 from carpark_mj.planning.paths import PlannerCar

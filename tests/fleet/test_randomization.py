@@ -14,10 +14,9 @@ from carpark_mj.fleet.randomization import check_randomization, randomize
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
-from carpark_mj.vehicle.load import with_mass
+from carpark_mj.vehicle.conditions import SURFACES, on_surface, with_mass
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
-from carpark_mj.vehicle.surfaces import SURFACES, on_surface
 
 EVERYTHING = RandomizationConfig(
     mass=(0.8, 1.2),

@@ -10,7 +10,7 @@ from helpers.states import parked_at
 from carpark_mj.config import SpawnConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.spawning.placing import Surroundings
-from carpark_mj.obstacles.lot import lot_obstacles
+from carpark_mj.obstacles import lot_obstacles
 
 
 def surroundings_of(

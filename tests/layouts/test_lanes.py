@@ -8,7 +8,7 @@ from helpers.lanes import EAST, PLAN, with_lanes
 from helpers.scenes import polygons
 
 from carpark_mj.layouts import build
-from carpark_mj.layouts.lanes import nearest_lane
+from carpark_mj.layouts.routes import nearest_lane
 
 nearest_lane_jit = jax.jit(nearest_lane)
 

@@ -13,7 +13,7 @@ from carpark_mj.geometry.obstacles import Boxes, Discs
 from carpark_mj.mdp import clearance
 from carpark_mj.mdp.clearance import RANGE, agent_clearance, clearances
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.obstacles.lot import lot_obstacles
+from carpark_mj.obstacles import lot_obstacles
 
 LOTS, AGENTS, PARKED, WALLS, DISCS, TRACES = 60, 4, 5, 3, 4, 3
 TEMPLATE = lot(np.zeros((1, 3)), np.zeros((WALLS, 3)), discs=np.zeros((DISCS, 3)))

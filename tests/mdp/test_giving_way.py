@@ -19,7 +19,7 @@ from carpark_mj.config import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.giving_way import find_contexts, goals_in_turn
-from carpark_mj.mdp.metrics.goals import CONTEXTS
+from carpark_mj.mdp.metrics.tallies import CONTEXTS
 from carpark_mj.observations import ContinuousObservation, observation_size
 from carpark_mj.observations.tracking import tracks
 from carpark_mj.registry import environment

@@ -14,8 +14,8 @@ from helpers.sliding import SlidePhysics, placed
 from carpark_mj.config import EnvConfig, EpisodeConfig, RingConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.layouts.lanes import has_lanes
-from carpark_mj.mdp.wrong_way import drives_wrong_way
+from carpark_mj.layouts.routes import has_lanes
+from carpark_mj.mdp.progress import drives_wrong_way
 from carpark_mj.observations import ContinuousObservation
 
 wrong_way_jit = jax.jit(drives_wrong_way)

@@ -14,7 +14,7 @@ from carpark_mj.config.obstacles import hit_kinds, make_movers
 from carpark_mj.geometry import broad_phase
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.obstacles.movers import begin_movers, step_movers, trace_still
+from carpark_mj.obstacles import begin_movers, step_movers, trace_still
 from carpark_mj.policy.runs import from_dict
 
 LOT = lot([(30.0, 0.0, 0.0)])

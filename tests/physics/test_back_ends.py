@@ -22,8 +22,8 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
+from carpark_mj.physics.base import MEMBERS
 from carpark_mj.physics.bicycle import BicyclePhysics
-from carpark_mj.physics.make import MEMBERS
 from carpark_mj.planning.policy import planner_policy
 from carpark_mj.play.driven import DrivenLot
 from carpark_mj.policy.baselines import zero_policy

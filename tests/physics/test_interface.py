@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import EnvConfig, SimConfig
-from carpark_mj.physics.make import make_physics
+from carpark_mj.physics.base import make_physics
 from carpark_mj.vehicle import COMPACT, make_vehicle, preset
 
 SUV = preset("suv")

@@ -10,9 +10,8 @@ import pytest
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
-from carpark_mj.vehicle.load import with_mass
+from carpark_mj.vehicle.conditions import SURFACES, with_grip, with_mass
 from carpark_mj.vehicle.parameters import GRAVITY
-from carpark_mj.vehicle.surfaces import SURFACES, with_grip
 
 NAMES = list(PRESETS)
 VARIANTS = ("plain", "loaded", "wet", "ice")

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.geometry import heading_error, norm
-from carpark_mj.layouts.lanes import has_lanes
+from carpark_mj.layouts.routes import has_lanes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.metrics.tallies import first_tallies, fold_tallies, measure
 from carpark_mj.mdp.progress import direction_of_travel

@@ -6,11 +6,13 @@ top of another car, or of a wall, is not made: where there is no room an agent w
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from carpark_mj.geometry import box_distance, boxes_overlap, norm
@@ -18,7 +20,7 @@ from carpark_mj.geometry.obstacles import NO_MOVERS, Group, Movers
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
-from carpark_mj.obstacles.lot import lot_obstacles
+from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import NO_BAY, CarParameters, ParkedCars
 
 
@@ -283,3 +285,34 @@ def place_waiting(
 
     # A loop over waiting agents only: in most steps no episode ends.
     return jax.lax.while_loop(lambda placing: due(placing).any(), one, placing)
+
+
+FREE = 0.25  # least share of a region's points that are free at any heading
+
+
+def has_room(
+    layout: Layout, size: tuple[float, float], num_agents: int, spacing: float
+) -> bool:
+    """Whether a car of the last agent always finds a start in the largest spawn region.
+
+    Another car takes the points of a region away at which boxes would overlap: their
+    Minkowski sum. That of two l x w boxes turned by t against each other has the area
+    2 l w + (l^2 + w^2) sin t + 2 l w cos t, and the perimeter 4 (l + w).
+
+    Args:
+        layout: the lot.
+        size: length and width of the largest of the cars [m].
+        num_agents: in the lot.
+        spacing: of the grid of start positions [m], see `SpawnConfig`.
+    """
+    length, width = size
+    both, squares = 2 * length * width, length**2 + width**2
+    taken = both + math.hypot(squares, both)
+    # A convex figure of area a and perimeter p holds at most a + p / 2 + 1 points of
+    # the unit grid (Pick).
+    taken += spacing * 2 * (length + width) + spacing**2
+    sides = np.asarray(jax.device_get(layout.spawn_size), float)
+    if spacing:
+        sides = spacing * (2 * np.floor(0.5 * sides / spacing + 1e-4) + 1)
+    area = np.where(layout.spawn_mask, sides[:, 0] * sides[:, 1], 0.0).max(initial=0.0)
+    return bool((num_agents - 1) * taken <= (1 - FREE) * area)

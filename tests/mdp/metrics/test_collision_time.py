@@ -11,8 +11,8 @@ from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at
 
 from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
-from carpark_mj.mdp.metrics.collision_time import HORIZON, collision_times
-from carpark_mj.obstacles.lot import lot_obstacles
+from carpark_mj.mdp.metrics.safety import HORIZON, collision_times
+from carpark_mj.obstacles import lot_obstacles
 
 PAIRS = 400
 TIMES = np.arange(0.0, HORIZON, 0.02)

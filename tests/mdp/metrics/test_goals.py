@@ -8,7 +8,7 @@ from helpers.transitions import no_goal_events, no_terms, transition
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.mdp.metrics import init_stats, update_stats
-from carpark_mj.mdp.metrics.goals import (
+from carpark_mj.mdp.metrics.tallies import (
     CHANGES,
     CONTEXTS,
     COUNTS,

@@ -18,7 +18,7 @@ from helpers.transitions import no_terms, transition
 from carpark_mj.config import EnvConfig, MetricsConfig, SimConfig
 from carpark_mj.mdp.clearance import RANGE
 from carpark_mj.mdp.metrics import init_stats, update_stats
-from carpark_mj.mdp.metrics.collision_time import HORIZON
+from carpark_mj.mdp.metrics.safety import HORIZON
 from carpark_mj.mdp.metrics.tallies import fold_tallies
 from carpark_mj.types import NO_BAY
 

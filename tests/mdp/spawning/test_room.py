@@ -16,12 +16,13 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import SquareConfig, make_layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.spawning.placing import (
+    FREE,
     Patience,
     SpawnInputs,
+    has_room,
     place_waiting,
     start_placing,
 )
-from carpark_mj.mdp.spawning.room import FREE, has_room
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT
 

@@ -23,7 +23,7 @@ from carpark_mj.observations import (
     observation_size,
     observe,
 )
-from carpark_mj.obstacles.lot import lot_obstacles
+from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.studies.tanner.environments import (
     TANNER_QLEARNING,
     TANNER_QLEARNING_RINGS,

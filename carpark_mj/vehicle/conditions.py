@@ -1,10 +1,11 @@
-"""Mass and centre of gravity of a loaded car: passengers, luggage, an empty tank."""
+"""Cars under other conditions: their load, and the ground they drive on."""
 
 import dataclasses
 
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config import Surface
 from carpark_mj.vehicle.mjcf import CHASSIS
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import Vehicle
@@ -12,6 +13,8 @@ from carpark_mj.vehicle.vehicle import Vehicle
 
 def with_mass(vehicle: Vehicle, mass: jax.Array, cg: jax.Array) -> Vehicle:
     """One car whose chassis has another mass and centre of gravity.
+
+    A loaded car: passengers, luggage, an empty tank.
 
     Wheels and knuckles stay as they are; the chassis' inertia about its own centre
     grows with its mass. Static tyre loads follow, so that the car rests at the same
@@ -46,3 +49,26 @@ def with_mass(vehicle: Vehicle, mass: jax.Array, cg: jax.Array) -> Vehicle:
         body_ipos=vehicle.body_ipos.at[CHASSIS].set(moment / chassis),
         body_inertia=vehicle.body_inertia.at[CHASSIS].multiply(chassis / before),
     )
+
+
+# A car's tyre friction is that on dry asphalt; a surface scales it for every car alike.
+# Dry: peak friction of passenger-car tyres on asphalt (Gillespie; sliding 0.76 +- 0.06,
+# 17 studies in Bartlett); wet 0.5 to 0.6 and ice 0.1 to 0.15, textbook ranges.
+SURFACES: dict[Surface, float] = {"dry": 0.9, "wet": 0.55, "ice": 0.12}
+
+
+def on_surface(vehicle: Vehicle, surface: Surface) -> Vehicle:
+    """Cars (...) with the grip they have on a surface; `dry` changes nothing."""
+    if surface == "dry":
+        return vehicle
+    return with_grip(vehicle, SURFACES[surface] / SURFACES["dry"])
+
+
+def with_grip(vehicle: Vehicle, factor: float | jax.Array) -> Vehicle:
+    """Cars (...) whose tyre friction, scrub torque included, is scaled."""
+    tyres = dataclasses.replace(
+        vehicle.tyres,
+        friction=vehicle.tyres.friction * factor,
+        torsion_stiffness=vehicle.tyres.torsion_stiffness * factor,
+    )
+    return dataclasses.replace(vehicle, tyres=tyres)

@@ -1,4 +1,7 @@
-"""Movers: how the obstacles that move by themselves begin and go on with a lot."""
+"""Obstacles: all that agents can hit, see and keep away from, in one list.
+
+Movers are those that move by themselves; they begin and go on with a lot.
+"""
 
 import dataclasses
 from collections.abc import Sequence
@@ -7,11 +10,70 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.obstacles import Mover
-from carpark_mj.geometry import wrap_angle
-from carpark_mj.geometry.obstacles import Boxes, Discs, Group, Movers
+from carpark_mj.config.obstacles import Mover, ObstacleKind
+from carpark_mj.geometry import rotate, wrap_angle
+from carpark_mj.geometry.obstacles import NO_MOVERS, Boxes, Discs, Group, Movers
 from carpark_mj.layouts.types import Layout
-from carpark_mj.types import State
+from carpark_mj.types import Motion, ParkedCars, State
+
+__all__ = [
+    "Boxes",
+    "Discs",
+    "Group",
+    "begin_movers",
+    "lot_obstacles",
+    "step_movers",
+    "trace_still",
+]
+
+
+def lot_obstacles(
+    layout: Layout,
+    motion: Motion | None,
+    parked_cars: ParkedCars,
+    movers: Movers = NO_MOVERS,
+) -> tuple[Group, ...]:
+    """All obstacles of a lot, agents first.
+
+    Args:
+        layout: its walls and discs.
+        motion: the agents; None = leave them out.
+        parked_cars: where they stand.
+        movers: where they are.
+    """
+    groups: list[Group] = []
+    if motion is not None:
+        velocity_w = rotate(motion.velocity_b, motion.pose_w[..., 2])
+        groups.append(
+            Boxes(
+                motion.pose_w,
+                motion.size,
+                velocity_w,
+                trace_w=motion.trace_w,
+                kind=ObstacleKind.AGENT,
+            )
+        )
+    groups += [
+        Boxes(
+            parked_cars.pose_w,
+            parked_cars.size,
+            mask=parked_cars.present,
+            kind=ObstacleKind.PARKED_CAR,
+        ),
+        Boxes(
+            layout.wall_pose,
+            layout.wall_size,
+            mask=layout.wall_mask,
+            kind=ObstacleKind.WALL,
+        ),
+        Discs(
+            layout.disc_centre,
+            layout.disc_radius,
+            mask=layout.disc_mask,
+            kind=ObstacleKind.WALL,
+        ),
+    ]
+    return (*groups, *movers.groups)
 
 
 def begin_movers(movers: Sequence[Mover], layout: Layout, key: jax.Array) -> Movers:
