@@ -170,7 +170,7 @@ def test_the_readme_has_speeds_of_the_results():
 
 
 def test_the_readme_fits_on_two_screens():
-    assert len(README.splitlines()) <= 150
+    assert len(README.splitlines()) <= 120
     assert f"**{observation_size(EnvConfig())} numbers**" in README
 
 
@@ -346,7 +346,7 @@ def test_links_files_and_modules_exist(page):
 def test_rows_that_list_parked_rules_list_all():
     text = "\n".join(page.read_text() for page in PAGES)
     rows = re.findall(r"^\| (?:`rule`|parked|parked rule) \|.*`tanner`.*", text, re.M)
-    assert len(rows) > 5
+    assert len(rows) > 2
     for row in rows:
         assert [n for n in re.findall(r"`(\w+)`", row) if n != "rule"] == [
             *PARKED_RULES
