@@ -17,8 +17,8 @@ import numpy as np
 from carpark_mj.config import SimConfig, Surface
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle
-from carpark_mj.vehicle.drive import HOLD_PEDAL, SWITCH_SPEED
 from carpark_mj.vehicle.conditions import SURFACES, with_grip
+from carpark_mj.vehicle.drive import HOLD_PEDAL, SWITCH_SPEED
 from carpark_mj.vehicle.parameters import GRAVITY
 from vehicle_suite.table import Study, relative
 from vehicle_suite.testbed import Testbed
