@@ -81,8 +81,8 @@ def detect_events(
             None = 1.
     """
     layout, goal, motion = state.layout, state.goal, state.motion
-    aid = 1.0 if hitbox_scale is None else hitbox_scale
-    hits = find_hits(state, config.hitbox_scale * aid)
+    scale = config.hitbox_scale * (1.0 if hitbox_scale is None else hitbox_scale)
+    hits = find_hits(state, scale)
     hit = functools.reduce(jnp.logical_or, hits.values())
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite

@@ -36,13 +36,13 @@ class Planner:
 
         Args:
             ctrl_dt: control period [s].
-            seed: see `restart`.
+            seed: see `reset`.
             config: how to search; the defaults if None.
         """
         self._dt, self._config = ctrl_dt, config or SearchConfig()
-        self.restart(seed)
+        self.reset(seed)
 
-    def restart(self, seed: int, first_lot: int = 0) -> None:
+    def reset(self, seed: int, first_lot: int = 0) -> None:
         """Forgets all paths and counts anew, for other lots.
 
         Args:
