@@ -219,7 +219,7 @@ class State:
             Absent agents are not active and stand far away.
         waited: (num_agents,) int32 control steps for which an absent agent has waited
             for room to start; 0 = it does not wait. None where nobody ever does.
-        routes: ways along the lanes to the bays; None where nothing reads them.
+        routes: along the lanes to the bays; None where nothing reads them.
         kind: (num_agents,) int32 which of `Fleet.agents` each drives; None where there
             is one kind.
         movers: obstacles that move by themselves.

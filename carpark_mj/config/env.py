@@ -225,7 +225,7 @@ class EnvConfig(OldNames):
 
     @property
     def follows_routes(self) -> bool:
-        """Whether the way along the lanes is rewarded or observed."""
+        """Whether the route along the lanes is rewarded or observed."""
         return self.observation.sees_routes or self.reward.route
 
     @property

@@ -184,7 +184,7 @@ class ShareConfig(CheckedConfig):
 
 @dataclasses.dataclass(frozen=True)
 class RayConfig(CheckedConfig):
-    """Bearings along which the free way is observed; none by default.
+    """Bearings along which the free distance is observed; none by default.
 
     Attributes:
         count: number of rays, evenly spaced about the car from straight ahead; 0 =

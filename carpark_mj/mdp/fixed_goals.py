@@ -47,7 +47,7 @@ class PlaceDraws(NamedTuple):
         start: for a random or close start.
         course_goal: (attempts, 2, bays) the goals of attempts at a collision course.
         course: for the attempts.
-        reverse: for a start on a way out of the goal's bay.
+        reverse: for a start on a path out of the goal's bay.
     """
 
     goal: Any

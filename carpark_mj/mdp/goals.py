@@ -1,6 +1,6 @@
 """Goals: which bay an agent heads for, and how that is decided.
 
-Two ways behind one interface, chosen when an environment is built: `FixedGoals`, drawn
+Two kinds behind one interface, chosen when an environment is built: `FixedGoals`, drawn
 by the environment for each episode, and `DynamicGoals`, chosen by the agents themselves
 at every step.
 """
@@ -81,5 +81,5 @@ class Goals(Protocol):
 
 
 def make_goals(config: EnvConfig) -> Goals:
-    """The way that `GoalConfig.dynamic` names."""
+    """The goals that `GoalConfig.dynamic` asks for."""
     return DynamicGoals(config) if config.goals.dynamic else FixedGoals(config)

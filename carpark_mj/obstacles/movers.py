@@ -124,11 +124,11 @@ def _trace(before: Group, after: Group, num_traces: int) -> Group:
 
     Those that were not there before have not come from anywhere.
     """
-    way = after.pose_w - before.pose_w
+    moved = after.pose_w - before.pose_w
     if type(after) is Boxes:
-        way = way.at[:, 2].set(wrap_angle(way[:, 2]))
+        moved = moved.at[:, 2].set(wrap_angle(moved[:, 2]))
     if before.mask is not None:
-        way = jnp.where(before.mask[:, None], way, 0.0)
-    share = jnp.arange(num_traces - 1, -1, -1, dtype=way.dtype) / num_traces
-    trace_w = after.pose_w[:, None] - share[:, None] * way[:, None]
+        moved = jnp.where(before.mask[:, None], moved, 0.0)
+    share = jnp.arange(num_traces - 1, -1, -1, dtype=moved.dtype) / num_traces
+    trace_w = after.pose_w[:, None] - share[:, None] * moved[:, None]
     return dataclasses.replace(after, trace_w=trace_w)

@@ -103,7 +103,7 @@ def test_an_agent_stops_for_another_one_and_plans_around_it():
     # Somebody stands on the first metres of the path, past the car's outline.
     segment = found.path.segments[0]
     there = CAR.centre(segment.pose[np.searchsorted(segment.distance, 2.0)])
-    reach = segment.way * (CAR.length / 2 + 0.5)
+    reach = segment.gear * (CAR.length / 2 + 0.5)
     there = there + reach * np.array([np.cos(there[2]), np.sin(there[2]), 0.0])
     others = there[None], np.array([[0.5, 0.5]])
     for _ in range(PATIENCE - 2):
