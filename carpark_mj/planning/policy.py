@@ -24,15 +24,15 @@ class Planner:
     """Drives all agents of some lots; remembers their paths from step to step.
 
     Attributes:
-        agents: by number of lot and agent, as far as they have driven.
-        decisions: how many actions they have chosen.
-        seconds: of the processor that these took, searches included [s].
+        agents: their paths and progress, by number of lot and agent.
+        decisions: number of actions computed.
+        seconds: CPU time of these, searches included [s].
     """
 
     def __init__(
         self, ctrl_dt: float, seed: int = 0, config: SearchConfig | None = None
     ) -> None:
-        """A planner that has seen no lot yet.
+        """A planner without any paths.
 
         Args:
             ctrl_dt: control period [s].
@@ -43,7 +43,7 @@ class Planner:
         self.reset(seed)
 
     def reset(self, seed: int, first_lot: int = 0) -> None:
-        """Forgets all paths and counts anew, for other lots.
+        """Removes all paths and resets the counters, for other lots.
 
         Args:
             seed: of the searches, another one for each lot and agent.

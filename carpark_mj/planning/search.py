@@ -51,17 +51,17 @@ class SearchConfig:
 
     @property
     def most_searches(self) -> int:
-        """Of paths at a clearance."""
+        """Largest number of searches at a clearance."""
         return self.paths + self.more_paths
 
 
 class Search(NamedTuple):
-    """What came of a search.
+    """The result of a search.
 
     Attributes:
         path: None if none was found.
-        seconds: of the processor that it took [s].
-        clearance: that was kept [m]; NaN without a path.
+        seconds: CPU time [s].
+        clearance: distance kept from obstacles [m]; NaN without a path.
     """
 
     path: PlannedPath | None
