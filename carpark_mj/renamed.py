@@ -67,6 +67,8 @@ RENAMED: dict[str, str] = {
     "carpark_mj.evaluation.suite": "carpark_mj.studies.hope.suite",
     "carpark_mj.evaluation.suite_cases": "carpark_mj.studies.hope.suite_cases",
     "carpark_mj.junction": "carpark_mj.studies.cederle.junction",
+    "carpark_mj.layouts.COMPACT": "carpark_mj.layouts.SQUARE_COMPACT",
+    "carpark_mj.layouts.TANNER": "carpark_mj.layouts.SQUARE",
     "carpark_mj.layouts.HopeConfig": "carpark_mj.studies.hope.layouts.HopeConfig",
     "carpark_mj.layouts.MetaDriveConfig": (
         "carpark_mj.studies.metadrive.layouts.MetaDriveConfig"

@@ -104,7 +104,7 @@ class ObservationConfig(CheckedConfig, abc.ABC):
         return False
 
     def tracks_agents(self, state: Any) -> Any:
-        """Whether agents track each other, (num_agents, num_agents); None = nobody."""
+        """Whether agents track each other, (num_agents, num_agents); None = none."""
         del state
 
     def tracks_parked_cars(self, state: Any) -> Any:

@@ -27,7 +27,7 @@ from carpark_mj.layouts.turning import Entry
 
 @dataclasses.dataclass(frozen=True)
 class TightConfig(LayoutConfig):
-    """What the families with tight bays share; lengths [m].
+    """Base of the families with tight bays; lengths [m].
 
     Attributes:
         level: how much room there is.
