@@ -151,7 +151,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
             return function(state, controls)
 
     def read(self, state: BicycleState) -> Motion:
-        """What the task may know; see `Physics.read`."""
+        """The motion of the cars; see `Physics.read`."""
         slip = slip_angle(state.actuators.steering + state.vehicle.steering_offset)
         # The rear axle follows the middle between the axles along the car's axis.
         rear = state.speed * jnp.cos(slip)
