@@ -1,4 +1,4 @@
-"""Clearance: the gap from each agent's footprint to what it could hit."""
+"""Clearance: the gap from each agent's footprint to the nearest obstacle."""
 
 import functools
 from collections.abc import Callable, Sequence

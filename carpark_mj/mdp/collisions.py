@@ -1,4 +1,4 @@
-"""Collisions: what each agent touched during a step.
+"""Collisions: the obstacles that each agent touched during a step.
 
 Physics with contacts reports them; otherwise footprints are tested for overlap at
 every traced instant, of near pairs only where a lot is crowded.
@@ -68,7 +68,7 @@ def _add_hits(hits: _Hits, motion: Motion, groups: Sequence[Group]) -> _Hits:
 
 
 def _group_hits(motion: Motion, group: Group) -> jax.Array:
-    """Who overlapped any of a group at a traced instant; (num_agents,) bool."""
+    """Agents (num_agents,) bool that overlapped any of a group at a traced instant."""
     own, own_size = motion.trace_w[:, None], motion.size[:, None, None]
     overlap = group.traced.overlap(own, own_size)
     counts = group.counts(motion.size.shape[0])

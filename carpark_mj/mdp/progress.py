@@ -1,4 +1,4 @@
-"""Progress of a step: potential, whether it led nearer, and direction of travel."""
+"""Progress of a step: potential, approach to a target, direction of travel."""
 
 import jax
 import jax.numpy as jnp

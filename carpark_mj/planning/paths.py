@@ -23,7 +23,7 @@ SHIFT_TIME = 0.7  # s that a change of gear takes besides the turning of the whe
 
 
 class PlannerCar(NamedTuple):
-    """What a planner must know of a car; SI units.
+    """Parameters of a car that the planner uses; SI units.
 
     Attributes:
         length: [m].
@@ -55,7 +55,7 @@ class PlannerCar(NamedTuple):
 
 
 def car_of(params: VehicleParameters) -> PlannerCar:
-    """A vehicle as the planner knows it."""
+    """The planner's parameters of a vehicle."""
     return PlannerCar(
         params.length,
         params.width,
@@ -102,8 +102,8 @@ class PlannedPath(NamedTuple):
 
     Attributes:
         segments: at least one.
-        duration: about how long it takes [s]: at the segments' speeds, and with wheels
-            that are turned while the car stands.
+        duration: estimated driving time [s]: at the segments' speeds, and with steering
+            while the car stands.
     """
 
     segments: tuple[Segment, ...]

@@ -32,11 +32,11 @@ PULLING_AWAY = 0.3  # m/s^2, more than the tyres' rolling resistance
 
 
 class Progress(NamedTuple):
-    """How far a car has got.
+    """Progress of a car along its path.
 
     Attributes:
-        segment: number of the segment that it drives; their number once it has arrived.
-        point: of that segment, the nearest.
+        segment: index of the current segment; the number of segments at the end.
+        point: index of its nearest point.
     """
 
     segment: int = 0
@@ -58,12 +58,12 @@ class Driven(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What to do in a control step, and how far the car has got.
+    """The action of a control step, and the progress.
 
     Attributes:
         steer: in [-1, 1].
         pedal: in [-1, 1].
-        progress: to be handed in again at the next step.
+        progress: input of the next step.
         error: distance from the path [m].
     """
 
@@ -110,7 +110,7 @@ def _nearest(segment: Segment, point: int, pose: np.ndarray) -> int:
 def _steer(
     segment: Segment, point: int, car: PlannerCar, driven: Driven, dt: float
 ) -> tuple[float, float, float]:
-    """How far along the segment a car is, its distance from it, and its steering."""
+    """Distance driven along the segment, distance from it, and steering."""
     x, y, yaw = segment.pose[point]
     dx, dy = driven.pose[0] - x, driven.pose[1] - y
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -164,7 +164,7 @@ def brake(speed: float, car: PlannerCar, dt: float) -> float:
 
 @functools.cache
 def hold_distances() -> tuple[np.ndarray, np.ndarray]:
-    """How far a car rolls once its pedal is released, by its speed.
+    """Stopping distances of a car whose pedal is released, by its speed.
 
     Returns:
         Speeds (n,) up to `CREEP` [m/s], and the distances (n,) in which the holding
