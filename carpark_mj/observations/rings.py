@@ -41,9 +41,9 @@ def rings_part(config: RingConfig) -> Part:
 
 
 def count_rings(config: RingConfig, state: State) -> jax.Array:
-    """Counts (num_agents, rings) int32, up to the cap, where agents think they are.
+    """Counts (num_agents, rings) int32, up to the cap, about the sensed positions.
 
-    Every object is tested: no cheaper test than this distance could rule one out.
+    There is no broad phase: the distance is the cheapest test.
     """
     motion = observed(state)
     there = lot_obstacles(state.layout, motion, state.parked_cars, state.movers)
