@@ -26,13 +26,13 @@ class Sight:
         agents: all of them (num_agents,) as their sensors tell; `state.motion` is true.
         num_observers: how many of them observe, the first; None = all, as in `values`
             of parts (num_agents, k).
-        order: (num_agents,) numbers by which they are in order; None = as they stand.
+        number: (num_agents,) numbers that give priority; None = 0, 1, 2...
     """
 
     state: State
     agents: Motion
     num_observers: int | None = None
-    order: jax.Array | None = None
+    number: jax.Array | None = None
 
     @classmethod
     def of(cls, state: State) -> Self:

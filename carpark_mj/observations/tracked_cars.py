@@ -83,9 +83,9 @@ def _shared(share: ShareConfig, num_tracked_bays: int) -> list[tuple[Field, Shar
     if share.steering:
         meaning = "its road-wheel angle [its limit], left > 0"
         shared.append((Field("steering", 1, -1.0, 1.0, meaning), _steering))
-    if share.order:
+    if share.priority:
         meaning = "1 if its number in the lot is lower than the own, else 0"
-        shared.append((Field("order", 1, 0.0, 1.0, meaning), _order))
+        shared.append((Field("priority", 1, 0.0, 1.0, meaning), _priority))
     return shared
 
 
@@ -111,9 +111,9 @@ def _steering(sight: Sight, index: jax.Array) -> jax.Array:
     return steering[index][..., None]
 
 
-def _order(sight: Sight, index: jax.Array) -> jax.Array:
-    number = sight.order
-    own = jnp.arange(index.shape[0]) if number is None else number[: index.shape[0]]
+def _priority(sight: Sight, index: jax.Array) -> jax.Array:
+    number, count = sight.number, index.shape[0]
+    own = jnp.arange(count) if number is None else number[:count]
     before = (index if number is None else number[index]) < own[:, None]
     return before[..., None].astype(jnp.float32)
 

@@ -8,7 +8,6 @@ import json
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
@@ -33,8 +32,8 @@ def require_outside(config: EnvConfig) -> None:
     encoder = config.observation
     if not isinstance(encoder, ContinuousObservation):
         raise ValueError(
-            f"the encoding {encoder.encoding!r} reads the whole state of the lot, which "
-            "a car outside does not know: export without --from-state"
+            f"the encoding {encoder.encoding!r} reads all of the lot's state, of which "
+            "a car outside knows only a part: export without --from-state"
         )
     if encoder.init_memory(config) is not None:
         raise ValueError(

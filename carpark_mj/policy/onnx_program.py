@@ -144,7 +144,7 @@ def _is_finite(graph: Graph, dtype: Any, value: Value) -> Value:
 
 
 def _select(graph: Graph, dtype: Any, which: Value, no: Value, yes: Value) -> Value:
-    if dtype != bool:
+    if np.dtype(dtype).kind != "b":
         return graph.elementwise("Where", dtype, which, yes, no)
     otherwise = graph.elementwise("Not", bool, which)
     first = graph.elementwise("And", bool, which, yes)

@@ -91,8 +91,8 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> Sight:
         present=present,
         routes=routes,
     )
-    first = jnp.concatenate([jnp.zeros(1, bool), given["other_first"]])
-    return Sight(state, motion, num_observers=1, order=-first.astype(jnp.int32))
+    before = jnp.concatenate([jnp.zeros(1, bool), given["other_priority"]])
+    return Sight(state, motion, num_observers=1, number=-before.astype(jnp.int32))
 
 
 def _layout(rows: Rows, given: Mapping[str, jax.Array]) -> Layout:
@@ -157,7 +157,7 @@ def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
     }
     told = ("pose", "size", "speed", "steering", "max_steering")
     values |= {f"other_{name}": values[name][other] for name in told}
-    values |= {"other_mask": present[other], "other_first": other < agent}
+    values |= {"other_mask": present[other], "other_priority": other < agent}
     end = jnp.zeros_like(layout.bay_kind) if layout.bay_end is None else layout.bay_end
     if bays is None:
         kind, which = "goal", goal

@@ -89,7 +89,7 @@ INPUTS = (
         "they tell: 0 = none, k = the k-th of the own bays, one more = another",
         "int32",
     ),
-    PlainInput("other_first", ("others",), "", "go before the own car", "bool"),
+    PlainInput("other_priority", ("others",), "", "before the own car", "bool"),
     PlainInput("other_mask", ("others",), "", "which there are", "bool"),
     PlainInput("parked_pose", ("parked", 3), _POSE, "parked cars"),
     PlainInput("parked_size", ("parked", 2), "m", _SIZE),

@@ -100,7 +100,7 @@ class GoalParking:
         """Wraps an environment.
 
         Raises:
-            ValueError: not one agent that stays where it has finished, a chosen goal,
+            ValueError: not one agent that stays where it has finished, a dynamic goal,
                 or observations without a field that reveals the goal.
             TypeError: an argument of another type.
         """
