@@ -32,15 +32,20 @@ class Graph:
         self._nodes: list[Any] = []
         self._constants: dict[tuple[Any, ...], Any] = {}
         self._joined: dict[str, tuple[int, list[Value]]] = {}
+        self._reshaped: dict[str, Named] = {}  # what it was before
+        self._known: dict[Any, Named] = {}
 
     def add(self, kind: str, *values: Value, like: Any, **attributes: Any) -> Named:
         """Adds a node of one output, whose shape and dtype are those of `like`."""
         from onnx import helper
 
-        name = f"v{len(self._nodes)}"
         inputs = [self._name(value) for value in values]
-        self._nodes.append(helper.make_node(kind, inputs, [name], **attributes))
-        return Named(name, tuple(like.shape), np.dtype(like.dtype))
+        key = (kind, *inputs, *map(str, attributes.items()))
+        if key not in self._known:
+            name = f"v{len(self._nodes)}"
+            self._nodes.append(helper.make_node(kind, inputs, [name], **attributes))
+            self._known[key] = Named(name, tuple(like.shape), np.dtype(like.dtype))
+        return self._known[key]
 
     def _name(self, value: Value) -> str:
         from onnx import numpy_helper
@@ -73,7 +78,11 @@ class Graph:
         """The same numbers in another shape."""
         if isinstance(value, np.ndarray):
             return value.reshape(shape)
-        return self._shaped("Reshape", value, shape)
+        before = self._reshaped.get(value.name, value)
+        found = self._shaped("Reshape", before, shape)
+        if found is not before:
+            self._reshaped[found.name] = before
+        return found
 
     def expand(self, value: Value, shape: Sequence[int]) -> Value:
         """The value in the whole shape that it stands for."""

@@ -246,24 +246,28 @@ def _stack(graph: Graph, like: Any, *values: Value, axis: int) -> Value:
 
 def _split(graph: Graph, likes: Any, value: Value, sizes: Any, axis: int) -> Any:
     del likes
-    ends = np.cumsum(sizes)
-    return [
-        _part(graph, value, axis, end - size, end)
-        for size, end in zip(sizes, ends, strict=True)
-    ]
+    ends = np.cumsum(sizes).tolist()
+    starts = [0, *ends[:-1]]
+    return [_part(graph, value, axis, *ends) for ends in zip(starts, ends, strict=True)]
 
 
 def _slice(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
     del like
     starts, ends = params["start_indices"], params["limit_indices"]
-    return graph.cut(value, starts, ends, params["strides"] or [1] * len(starts))
+    return _cut(graph, value, starts, ends, params["strides"])
 
 
 def _part(graph: Graph, value: Value, axis: int, start: int, end: int) -> Value:
     """What lies from `start` to `end` along an axis."""
     starts, ends = [0] * len(value.shape), list(value.shape)
-    starts[axis], ends[axis] = int(start), int(end)
-    return graph.cut(value, starts, ends, [1] * len(starts))
+    starts[axis], ends[axis] = start, end
+    return _cut(graph, value, starts, ends)
+
+
+def _cut(
+    graph: Graph, value: Value, starts: Any, ends: Any, steps: Any = None
+) -> Value:
+    return graph.cut(value, starts, ends, steps or [1] * len(starts))
 
 
 def _pad(graph: Graph, like: Any, value: Value, fill: Value, **params: Any) -> Value:
@@ -320,59 +324,54 @@ def _product(graph: Graph, like: Any, a: Value, b: Value, **params: Any) -> Valu
 
 
 def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> Value:
-    """Rows of a table: the axes that are indexed in front, joined into one."""
+    """Rows of a table: axes that are indexed come in front and are joined into one."""
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
-    batch, indexed = numbers.operand_batching_dims, numbers.start_index_map
-    front = (*batch, *indexed)
+    lead, batch = at.shape[:-1], numbers.operand_batching_dims
+    starts, moving = [0] * len(value.shape), {}
+    for k, axis in enumerate(numbers.start_index_map):
+        index = graph.reshape(_part(graph, at, len(lead), k, k + 1), lead)
+        if isinstance(index, Named) or np.ptp(index):
+            moving[axis] = index
+        else:
+            starts[axis] = min(max(index.flat[0], 0), value.shape[axis] - sizes[axis])
+    front = [*batch, *moving]
+    if any(sizes[axis] != 1 for axis in front):
+        raise NotImplementedError("windows that move have no operator")
     rest = [axis for axis in range(len(value.shape)) if axis not in front]
-    if any(sizes[k] != 1 for k in front) or any(
-        sizes[k] != value.shape[k] for k in rest
-    ):
-        raise NotImplementedError("gathering parts of rows has no operator")
-    order = graph.transpose(value, [*front, *rest])
-    whole = [value.shape[axis] for axis in rest]
-    table = graph.reshape(order, [math.prod(value.shape[k] for k in front), *whole])
-    lead = at.shape[:-1]
-    steps = [
-        math.prod(value.shape[k] for k in front[i + 1 :]) for i in range(len(front))
-    ]
-    row: Value = np.zeros((), np.int32)
-    for axis, step in zip(numbers.start_indices_batching_dims, steps, strict=False):
-        shape = [lead[axis] if k == axis else 1 for k in range(len(lead))]
-        row = row + step * np.arange(lead[axis], dtype=np.int32).reshape(shape)
-    inside: Value | None = None
-    for k, step in enumerate(steps[len(batch) :]):
-        most = np.asarray(value.shape[indexed[k]] - 1, np.int32)
-        index = _part(graph, at, len(lead), k, k + 1)
-        index = graph.cast(graph.reshape(index, lead), np.int32)
-        least = np.zeros((), np.int32)
+    ends = list(value.shape)
+    for axis in rest:
+        ends[axis] = starts[axis] + sizes[axis]
+    value = graph.transpose(_cut(graph, value, starts, ends), [*front, *rest])
+    counts, whole = value.shape[: len(front)], value.shape[len(front) :]
+    table = graph.reshape(value, [math.prod(counts), *whole])
+    row: Value = np.zeros(lead, np.int32)
+    for axis in numbers.start_indices_batching_dims:
+        row = row * lead[axis] + np.indices(lead, np.int32)[axis]
+    inside: Value = np.asarray(True)
+    for count, index in zip(counts[len(batch) :], moving.values(), strict=True):
+        least, most = np.asarray(0, np.int32), np.asarray(count - 1, np.int32)
+        index = graph.cast(index, np.int32)
         clipped = _clamp(graph, np.int32, least, index, most)
-        if params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP:
-            same = graph.elementwise("Equal", bool, clipped, index)
-            inside = (
-                same if inside is None else _plain("And")(graph, bool, inside, same)
-            )
-        step_by = graph.elementwise(
-            "Mul", np.int32, clipped, np.asarray(step, np.int32)
-        )
-        row = graph.elementwise("Add", np.int32, row, step_by)
-    row = graph.expand(row, lead)
-    found = jax.ShapeDtypeStruct((*lead, *whole), value.dtype)
-    found = graph.add("Gather", table, row, like=found, axis=0)
-    if inside is not None:
+        same = graph.elementwise("Equal", bool, clipped, index)
+        inside = graph.elementwise("And", bool, inside, same)
+        row = graph.elementwise("Mul", np.int32, row, np.asarray(count, np.int32))
+        row = graph.elementwise("Add", np.int32, row, clipped)
+    shape = jax.ShapeDtypeStruct((*lead, *whole), value.dtype)
+    found: Value = graph.add("Gather", table, row, like=shape, axis=0)
+    if params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP and moving:
+        inside = graph.reshape(graph.expand(inside, lead), [*lead, *[1] * len(whole)])
         fill = np.asarray(params["fill_value"], value.dtype)
-        spread = graph.reshape(inside, [*lead, *[1] * len(whole)])
-        found = _select(graph, value.dtype, spread, fill, found)
+        found = _select(graph, value.dtype, inside, fill, found)
+    # The rows' axes come where the result has them, those of the index in order.
     offset = numbers.offset_dims
-    kept = [k for k in range(len(value.shape)) if k not in numbers.collapsed_slice_dims]
-    kept = [k for k in kept if k not in batch]
-    # Axes of the result: those of the rows at `offset`, the others in order.
-    places = [k for k in range(len(like.shape)) if k not in offset]
-    inner = {k: len(lead) + i for i, k in enumerate(rest)}
-    order = {place: i for i, place in enumerate(places)}
-    order |= {o: inner[k] for o, k in zip(offset, kept, strict=True) if k in inner}
-    moved = graph.transpose(found, [order[k] for k in sorted(order)])
-    return graph.reshape(moved, like.shape)
+    kept = [size for k, size in enumerate(sizes) if k not in _dropped(numbers)]
+    ahead = [k for k in range(len(like.shape)) if k not in offset]
+    order = np.argsort([*ahead, *offset]).tolist()
+    return graph.transpose(graph.reshape(found, [*lead, *kept]), order)
+
+
+def _dropped(numbers: Any) -> tuple[int, ...]:
+    return (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
 
 
 # By primitive: of values in their whole shapes.

@@ -4,6 +4,7 @@ A car outside is the first agent of a lot that is made of what it knows, and the
 one that observes. So it observes by the code of the environment.
 """
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -72,7 +73,7 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> Sight:
         goal, routes = jnp.where(choice == 0, NO_BAY, choice - 1), None
     else:
         goal, tracked_bays = jnp.arange(1 + rows.others, dtype=jnp.int32), None
-        routes = make_routes(layout)
+        routes = make_routes(_only_goal(layout))
     parked = jnp.where(given["parked_mask"], jnp.arange(rows.parked), NO_BAY)
     unread: Any = None
     state = State(
@@ -129,6 +130,16 @@ def _layout(rows: Rows, given: Mapping[str, jax.Array]) -> Layout:
         spawn_mask=none[:, 0] > 0.0,
         extent=jnp.zeros(2),
         bay_end=jnp.pad(end, (0, more)) if rows.bay_ends else None,
+    )
+
+
+def _only_goal(layout: Layout) -> Layout:
+    """The layout with the first bay alone, the own goal."""
+    return dataclasses.replace(
+        layout,
+        bay_pose=layout.bay_pose[:1],
+        bay_size=layout.bay_size[:1],
+        bay_mask=layout.bay_mask[:1],
     )
 
 

@@ -1,6 +1,7 @@
 """Policies as ONNX models with the observation inside, for a car outside.
 
-The model's inputs are those of `INPUTS` that the policy reads, its output the action.
+The inputs are those of `INPUTS` that the policy reads, the output is the action. The
+observation is the environment's own program, translated by `onnx_program`.
 """
 
 import dataclasses
@@ -42,7 +43,7 @@ def require_outside(config: EnvConfig) -> None:
         )
 
 
-def make_outside_model(loaded: LoadedPolicy, rows: Rows) -> Any:
+def make_car_model(loaded: LoadedPolicy, rows: Rows) -> Any:
     """The ONNX model (`onnx.ModelProto`) of a policy and what it observes.
 
     Raises:
@@ -56,8 +57,7 @@ def make_outside_model(loaded: LoadedPolicy, rows: Rows) -> Any:
         return {OUTPUT: decide(loaded, rows, given)[0]}
 
     model = make_graph(act, inputs)
-    by_name = {x.name: x for x in INPUTS}
-    read = [by_name[value.name] for value in model.graph.input]
+    read = inputs_of(model)
     for value, entry in zip(model.graph.input, read, strict=True):
         value.doc_string = describe(entry)
     model.graph.output[0].doc_string = describe_action(action_spec(loaded.env))
@@ -74,6 +74,12 @@ def decide(
     assert isinstance(encoder, ContinuousObservation)
     observation = join(loaded.env, encoder.see(loaded.env, sight), 1)
     return loaded.policy(observation, jax.random.key(0))[0][0], observation[0]
+
+
+def inputs_of(model: Any) -> list[PlainInput]:
+    """Those of `INPUTS` that a model takes, in order."""
+    names = {value.name for value in model.graph.input}
+    return [entry for entry in INPUTS if entry.name in names]
 
 
 def describe(entry: PlainInput) -> str:
