@@ -78,9 +78,9 @@ class Group:
         return norm(corners - corners[:, -1:]).max(axis=(1, 2))
 
     def counts(self, num_agents: int) -> jax.Array:
-        """(num_agents, n) bool, which of them each agent can hit: never itself."""
+        """(num_agents, n) bool, which of them the first agents can hit: not itself."""
         if self.kind == ObstacleKind.AGENT:
-            return ~jnp.eye(num_agents, dtype=bool)
+            return ~jnp.eye(num_agents, self.count, dtype=bool)
         mask = jnp.ones(self.count, bool) if self.mask is None else self.mask
         return jnp.broadcast_to(mask, (num_agents, self.count))
 

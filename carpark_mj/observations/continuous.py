@@ -103,7 +103,11 @@ class ContinuousObservation(ObservationConfig):
 
     def values(self, env: EnvConfig, state: State) -> dict[str, jax.Array]:
         """See `ObservationConfig.values`."""
-        sight, values = Sight(state, observed(state)), {}
+        return self.see(env, Sight.of(state))
+
+    def see(self, env: EnvConfig, sight: Sight) -> dict[str, jax.Array]:
+        """Values (num_observers, field.size) of all fields by name."""
+        values = {}
         for part in self.parts(env):
             values |= part.fill(sight)
         return values
