@@ -1,4 +1,4 @@
-"""Layouts of names, files and configs."""
+"""Layouts by name, file or config."""
 
 from collections.abc import Sequence
 from typing import Any

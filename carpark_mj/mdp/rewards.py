@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import REWARD_TERMS, EnvConfig, RewardTerm
 from carpark_mj.geometry import norm
-from carpark_mj.layouts.routes import way_to
+from carpark_mj.layouts.routes import route_to
 from carpark_mj.mdp.clearance import agent_clearance
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.tracked_bays import target_bay
@@ -63,7 +63,7 @@ def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax
     distance = norm(motion.xy - target[:, :2])
     if weights.route:
         goal = transition.goal
-        distance = way_to(state.routes, state.layout, motion.xy, goal).length
+        distance = route_to(state.routes, state.layout, motion.xy, goal).length
     if not _is_off(weights.reeds_shepp_reach):
         car = transition.before.physics.vehicle
         distance = mix_in_maneuver(
@@ -149,7 +149,7 @@ GOAL_TERMS = {
 
 
 def dynamic_progress(config: EnvConfig, transition: Transition) -> jax.Array:
-    """Progress (num_agents,) when goals change, without a profit from any loop.
+    """Progress (num_agents,) when goals change; no cycle of goals is profitable.
 
     Progress is measured towards the goal chosen in the step. Exploring agents get no
     positive progress, but moving away from the nearest tracked bay costs as much as
