@@ -9,13 +9,7 @@ from gymnasium.vector.utils import batch_space
 
 from carpark_mj.config.checks import require_count
 from carpark_mj.wrappers.batch import LotEnv, NumpyBatch, Seeds, require_shape
-from carpark_mj.wrappers.goal import PoseReward
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, one_agent
-from carpark_mj.wrappers.gymnasium_goal import (
-    GOAL_OPTIONS,
-    PoseRewardMixin,
-    shared_goal_env,
-)
 from carpark_mj.wrappers.gymnasium_spaces import (
     action_space,
     observation_space,
@@ -165,26 +159,6 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         for index in np.flatnonzero(done):
             final[index] = split_observation(env, flat[index])
         return final
-
-
-class ParkGoalVectorEnv(PoseRewardMixin, ParkVectorEnv):
-    """`carpark_mj/ParkGoal-v0` many times; see `ParkVectorEnv` and `ParkGoalEnv`."""
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        render_mode: str | None = None,
-        camera: str = "topdown",
-        pose_reward: PoseReward | None = None,
-        **options: Unpack[Options],
-    ) -> None:
-        """As of `ParkVectorEnv` and `ParkGoalEnv`."""
-        self._take(pose_reward)
-        super().__init__(num_envs, render_mode, camera, **options)
-
-    def _make(self, options: Options) -> LotEnv:
-        config = one_agent(configure(options, GOAL_OPTIONS))
-        return shared_goal_env(config, self.pose_reward)
 
 
 class ParkManyVectorEnv(ParkVectorEnv):

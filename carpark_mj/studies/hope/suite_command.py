@@ -10,7 +10,7 @@ import jax
 import tyro
 
 from carpark_mj.cli.driver import find_driver
-from carpark_mj.config import EnvConfig, require_rule
+from carpark_mj.config import EnvConfig, find_rules
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
@@ -99,7 +99,7 @@ class SuiteConfig:
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
             )
-        require_rule(self.rule)
+        find_rules(self.rule)
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
         for level in self.levels:
