@@ -11,6 +11,7 @@ So the core imports none of them, and every program finds all of them.
 """
 
 import dataclasses
+import functools
 import importlib
 import importlib.metadata
 import os
@@ -127,7 +128,7 @@ def load_extensions() -> None:
     Raises:
         ValueError: one cannot be imported; the message names it and says why.
     """
-    for name in _extensions():
+    for name in _extensions(os.environ.get(VARIABLE, "")):
         if name not in _loaded:
             _loaded.add(name)  # first: while it is imported it may look names up
             try:
@@ -142,8 +143,9 @@ def load_extensions() -> None:
             )
 
 
-def _extensions() -> list[str]:
-    """The modules of all extensions, each once."""
+@functools.cache  # registries ask at every look, and reading entry points takes 1 ms
+def _extensions(named: str) -> tuple[str, ...]:
+    """The modules of all extensions, each once; `named` is the variable's value."""
     from carpark_mj import studies
 
     names = [
@@ -151,5 +153,5 @@ def _extensions() -> list[str]:
         for module in pkgutil.iter_modules(studies.__path__)
     ]
     names += [point.module for point in importlib.metadata.entry_points(group=GROUP)]
-    names += [name for name in os.environ.get(VARIABLE, "").split(",") if name]
-    return list(dict.fromkeys(names))
+    names += [name for name in named.split(",") if name]
+    return tuple(dict.fromkeys(names))

@@ -73,3 +73,17 @@ def test_an_extension_that_does_not_import_is_named(extension):
     for _ in range(2):  # and not that "mini" is there already
         with pytest.raises(ValueError, match=r"trial_broken.*no such file"):
             load_extensions()
+
+
+def test_installed_extensions_are_looked_for_once(monkeypatch):
+    calls = []
+    monkeypatch.setattr(
+        extensions.importlib.metadata,
+        "entry_points",
+        lambda group: calls.append(group) or (),
+    )
+    extensions._extensions.cache_clear()
+    for _ in range(3):
+        assert len(Registry("car")) == 0
+    assert calls == [extensions.GROUP]
+    extensions._extensions.cache_clear()

@@ -33,12 +33,13 @@ def complete_row(row: Row, ctrl_dt: float) -> Row:
         kinds = [f"{name}_{kind.label}" for kind in ObstacleKind]
         if found := [row[kind] for kind in kinds if kind in row]:
             added[name] = min(found)
-    for metric in metrics():
+    known = metrics()
+    for metric in known:
         if metric.ratio is not None and row.keys() >= {*metric.ratio}:
             above, below = (row[name] for name in metric.ratio)
             added[metric.name] = above / below if below else math.nan
     whole = row | added
-    order = [metric.name for metric in metrics() if metric.name in whole]
+    order = [metric.name for metric in known if metric.name in whole]
     return {name: whole[name] for name in order} | whole
 
 

@@ -3,11 +3,8 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parents[2]
 
 # A program whose argument is still being computed, and callbacks with 1 MB.
 PROGRAM = """
@@ -37,23 +34,3 @@ def test_callbacks_with_large_arrays_end_on_one_core():
     command = [sys.executable, "-c", PROGRAM]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.stdout == "ended\n", done.stderr
-
-
-# What a script leaves behind.
-AFTER = """
-import contextlib, os, runpy, sys
-script = sys.argv[1]
-sys.argv, sys.path[0] = [script, "--help"], os.path.dirname(script)
-with contextlib.suppress(SystemExit), contextlib.redirect_stdout(sys.stderr):
-    runpy.run_path(script, run_name="__main__")
-import jax
-print(jax.config.values["jax_cpu_enable_async_dispatch"])
-"""
-
-
-@pytest.mark.parametrize("script", ["suite", "evaluate", "render"])
-def test_scripts_that_call_back_dispatch_synchronously(script):
-    path = str(ROOT / "eval" / f"{script}.py")
-    command = [sys.executable, "-c", AFTER, path]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout == "False\n"

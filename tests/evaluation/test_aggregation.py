@@ -196,8 +196,9 @@ def test_wilson_intervals_match_published_values():
 
 def in_lots(outcomes, **stratum):
     """Episodes with `parked` as given for each lot."""
+    either = [episode(parked=parked, **stratum) for parked in (0.0, 1.0)]
     return [
-        episode(parked=float(parked), lot=float(lot), **stratum)
+        either[int(parked)] | {"lot": float(lot)}
         for lot, episodes in enumerate(outcomes)
         for parked in episodes
     ]

@@ -358,19 +358,17 @@ EVALUATION_BAD = {
 
 
 @pytest.mark.parametrize("case", sorted(EVALUATION_BAD))
-def test_bad_evaluations_exit_with_2_and_one_line(case, environment, tmp_path):
+def test_bad_evaluations_exit_with_2_and_one_line(case, capsys, monkeypatch, tmp_path):
+    from carpark_mj.programs import evaluate
+
+    monkeypatch.chdir(tmp_path)
+    for name in ("dispatch_synchronously", "enable_output_fusion"):
+        monkeypatch.setattr(evaluate, name, lambda: None)  # JAX is running here
+    monkeypatch.setattr(evaluate, "keep_compiled_programs", lambda: None)
     arguments, message = EVALUATION_BAD[case]
-    done = subprocess.run(
-        command("eval/evaluate.py", *arguments),
-        env=environment,
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-    assert done.returncode == 2, done.stdout
-    assert done.stderr.startswith("evaluate: ")
-    assert done.stderr.count("\n") == 1
-    assert message in done.stderr
-    assert not (tmp_path / "evaluation.csv").exists()
+    assert exit_code(evaluate, arguments) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("program: ")
+    assert told.count("\n") == 1
+    assert message in told
+    assert list(tmp_path.iterdir()) == []

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,16 @@ from carpark_mj.sweeps.work import Work
 
 HERE = Where("debug")
 TESTS = Path(__file__).parents[1]
+SUBMITIT_SIGNALS = signal.SIGTERM, signal.SIGCONT, signal.SIGUSR1, signal.SIGUSR2
+
+
+@pytest.fixture(autouse=True)
+def handlers() -> Iterator[None]:
+    """Puts signals' handlers back: submitit's ignore SIGTERM, and it keeps them."""
+    before = [(number, signal.getsignal(number)) for number in SUBMITIT_SIGNALS]
+    yield
+    for number, handler in before:
+        signal.signal(number, handler)
 
 
 def table(folder: Path) -> list[dict[str, str]]:

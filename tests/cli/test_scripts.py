@@ -1,0 +1,78 @@
+"""What a script sets up before its work: OpenGL, XLA's flags and dispatch."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from carpark_mj.cli.common import OUTPUT_FUSION
+from carpark_mj.rendering.gl import choose_gl
+
+ROOT = Path(__file__).parents[2]
+# Runs a script's help. Says what it has set when MuJoCo is first imported and after it,
+# and whether a program compiled then is fused.
+PROGRAM = """
+import contextlib, json, os, runpy, sys
+
+class Watch:
+    gl = None
+    def find_spec(self, name, path=None, target=None):
+        if name == "mujoco":
+            Watch.gl = os.environ.get("MUJOCO_GL", "")
+
+sys.meta_path.insert(0, Watch())
+script = sys.argv[1]
+sys.argv, sys.path[0] = [script, "--help"], os.path.dirname(script)
+with contextlib.suppress(SystemExit), contextlib.redirect_stdout(sys.stderr):
+    runpy.run_path(script, run_name="__main__")
+import jax, jax.numpy as jnp
+twice = jax.jit(lambda x: (jnp.exp(x) + x, jnp.exp(x) - x))
+text = twice.lower(jnp.ones(9)).compile().as_text()
+print(json.dumps({
+    "gl": Watch.gl,
+    "flags": os.environ.get("XLA_FLAGS"),
+    "fused": "(f32[9]{0}, f32[9]{0}) fusion(" in text,
+    "asynchronous": jax.config.values["jax_cpu_enable_async_dispatch"],
+}))
+"""
+RENDERING = "train/ppo.py", "eval/render.py", "eval/suite.py"
+CALLING_BACK = "eval/suite.py", "eval/evaluate.py", "eval/render.py"
+FUSED = "train/ppo.py", "train/q_learning.py", "eval/evaluate.py", "eval/render.py"
+
+
+def left_behind(script: str, flags: str | None = None) -> dict[str, object]:
+    """What `PROGRAM` says of a script, started with `XLA_FLAGS` or without."""
+    ours = "XLA_FLAGS", "MUJOCO_GL"
+    environment = {k: v for k, v in os.environ.items() if k not in ours}
+    environment["PYTHONPATH"] = str(ROOT)
+    if flags is not None:
+        environment["XLA_FLAGS"] = flags
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(ROOT / script)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("script", sorted({*RENDERING, *CALLING_BACK, *FUSED}))
+def test_a_script_sets_up_what_it_needs(script):
+    assert choose_gl() is None, "this machine cannot render"
+    left = left_behind(script)
+    if script in RENDERING:
+        assert left["gl"] == os.environ["MUJOCO_GL"]
+    if script in CALLING_BACK:
+        assert not left["asynchronous"]
+    if script in FUSED:
+        assert (left["fused"], left["flags"]) == (True, OUTPUT_FUSION)
+
+
+def test_flags_of_the_user_are_kept():
+    left = left_behind("eval/evaluate.py", "--xla_cpu_enable_fast_math=false")
+    assert (left["fused"], left["flags"]) == (False, "--xla_cpu_enable_fast_math=false")
+    assert not left_behind("eval/evaluate.py", "")["fused"]
