@@ -25,7 +25,7 @@ FLOORS = (
     ("fleet",),
     ("episodes",),
     ("env",),
-    ("registry", "registration", "policy"),
+    ("registry", "registration", "policy", "tasks"),
     ("planning",),
     ("evaluation",),
     ("analysis",),
