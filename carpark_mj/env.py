@@ -230,9 +230,7 @@ class ParkingEnv:
         return own_buffers(state), observe(self.config, state)
 
     @float32_only
-    def step(
-        self, state: State, action: jax.Array, hitbox_scale: jax.Array | None = None
-    ) -> tuple[State, TimeStep]:
+    def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         """Advances the lot by one control step.
 
         Args:
@@ -240,7 +238,6 @@ class ParkingEnv:
             action: (num_agents, action_spec.size); agents that have finished, or are
                 absent, brake instead. What is NaN or out of range is sanitized and
                 counted in the metric `invalid_actions`.
-            hitbox_scale: see `terminations.detect_events`; None = 1.
 
         Returns:
             The next state, and what agents get from the step.
@@ -263,7 +260,7 @@ class ParkingEnv:
         chosen = self.goals.choose(before, act.goal_choice)
         after = self._move(chosen, act.controls, keys)
         with jax.named_scope("terminations"):
-            events = terminations.detect_events(config.episode, after, hitbox_scale)
+            events = terminations.detect_events(config.episode, after)
             ended = self._episodes.end(after, events, keys)
         with jax.named_scope("goals"):
             ended, goal_events = self.goals.update(before, ended, events)

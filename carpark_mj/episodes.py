@@ -355,8 +355,7 @@ def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
     # Spawn regions have room for the car they are made for; in a square for any turn.
     reach = math.hypot(car.length, car.width) / 2
     return all(
-        is_made_for(part, car) or reach <= getattr(part, "spawn_margin", 0.0)
-        for part in lot.parts
+        is_made_for(part, car) or reach <= part.spawn_margin for part in lot.parts
     )
 
 

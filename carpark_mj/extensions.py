@@ -19,6 +19,8 @@ import pkgutil
 from collections.abc import Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
+from carpark_mj.renamed import refuse_part
+
 GROUP = "carpark_mj.extensions"
 VARIABLE = "CARPARK_MJ_EXTENSIONS"
 
@@ -78,6 +80,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 cannot be imported.
         """
         if name not in self:
+            refuse_part(self._kind, name)
             raise ValueError(
                 f"unknown {self._kind} {name!r}; choose from {sorted(self._parts)}"
             )

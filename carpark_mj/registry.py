@@ -34,7 +34,7 @@ DYNAMIC = dataclasses.replace(
 # finds tight bays too rarely to begin with: more pay for the way into the bay.
 _CARS = ("city", "compact", "sedan", "sedan_fwd", "suv", "van")
 ANYWHERE = EnvConfig(
-    layout="square,compact,street,street_parallel,angled,lot,garage_row,dead_end",
+    layout="square,square_compact,street,street_parallel,angled,lot,garage_row,dead_end",
     num_agents=8,
     min_agents=1,
     num_parked_cars=20,
@@ -46,7 +46,7 @@ ANYWHERE = EnvConfig(
         park=8.0,
         progress=0.4,
         route=True,
-        reeds_shepp=20.0,
+        reeds_shepp_reach=20.0,
         alignment=0.0,
         closeness=0.0,
         time=2.5,  # dear, against standing where they might turn either way
@@ -54,7 +54,7 @@ ANYWHERE = EnvConfig(
     observation=ContinuousObservation(
         tracked_agents=7,
         tracked_parked_cars=6,
-        share=ShareConfig(steering=True, order=True),
+        share=ShareConfig(steering=True, priority=True),
         own_car=True,
         lines=True,
         route=True,

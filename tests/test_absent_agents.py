@@ -55,7 +55,7 @@ DYNAMIC = dataclasses.replace(
     FIXED,
     goals=GoalConfig(dynamic=True),
     giving_way=GivingWayConfig(scheme="G,G,S"),
-    spawn=SpawnConfig(close_ratio=0.3, crash_ratio=0.3, relocation="random"),
+    spawn=SpawnConfig(close_ratio=0.3, conflict_ratio=0.3, relocation="random"),
 )
 STUDY = EnvConfig(
     num_agents=MOST,
@@ -274,14 +274,14 @@ def test_a_lot_of_all_agents_is_bit_for_bit_one_that_knows_of_no_absent_ones(con
 
 
 def test_no_start_is_on_course_for_a_collision_with_an_absent_agent(monkeypatch):
-    """Targets are recorded in the pose that a stand-in for `crash_pose` returns."""
+    """Targets are recorded in the pose that a stand-in for `course_pose` returns."""
 
     def count_targets(config, layout, around, goal_xy, targets, draws):
         mask = targets.mask.astype(jnp.float32)
         return jnp.stack([mask.sum(), mask[0], mask[2:].sum()]), jnp.bool_(True)
 
-    monkeypatch.setattr(fixed_goals, "crash_pose", count_targets)
-    spawn = SpawnConfig(crash_ratio=1.0, close_ratio=0.0)
+    monkeypatch.setattr(fixed_goals, "course_pose", count_targets)
+    spawn = SpawnConfig(conflict_ratio=1.0, close_ratio=0.0)
     config = dataclasses.replace(FIXED, spawn=spawn)
     env = ParkingEnv(config)
     state, _ = jax.jit(env.reset)(jax.random.key(0), num_present=jnp.int32(3))

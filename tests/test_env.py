@@ -262,7 +262,9 @@ def test_every_setting_that_is_data_can_be_traced(dynamic):
         )
     env = ParkingEnv(config, SlidePhysics())
     data = {p: v for p, v in settings(config).items() if is_data(config, p)}
-    assert {"reward.reeds_shepp", "reward.closeness", "episode.hitbox_scale"} < {*data}
+    assert {"reward.reeds_shepp_reach", "reward.closeness", "episode.hitbox_scale"} < {
+        *data
+    }
 
     def step(values):
         state, _ = env.reset(jax.random.key(0))
@@ -278,7 +280,7 @@ def test_a_traced_reach_of_0_is_no_reach():
     state, _ = reset(jax.random.key(0))
     at_goal = in_goal(env, state, 0)  # where the way to go is 0, too
     pay = jax.jit(
-        lambda r: env.with_values({"reward.reeds_shepp": r}).step(at_goal, HALT)
+        lambda r: env.with_values({"reward.reeds_shepp_reach": r}).step(at_goal, HALT)
     )
     expected = step(at_goal, HALT)[1].reward
     np.testing.assert_allclose(pay(jnp.float32(0.0))[1].reward, expected, atol=1e-6)

@@ -46,7 +46,7 @@ def other_checkout(reference: str) -> Generator[Checkout]:
     """
     folder = Path(reference)
     if folder.is_dir():
-        require_library(folder, reference)
+        worker_of(folder)
         yield Checkout(reference, folder.resolve(), commit_of(folder))
         return
     commit = resolve(reference)
@@ -54,21 +54,24 @@ def other_checkout(reference: str) -> Generator[Checkout]:
         path = Path(temporary) / "checkout"
         try:
             git(ROOT, "worktree", "add", "--quiet", "--detach", str(path), commit)
-            require_library(path, reference)
+            worker_of(path)
             yield Checkout(reference, path, commit_of(path))
         finally:
             with contextlib.suppress(GitError):  # it was never added
                 git(ROOT, "worktree", "remove", "--force", str(path))
 
 
-def require_library(folder: Path, reference: str) -> None:
-    """Refuses a folder that is no checkout of the project.
+def worker_of(folder: Path) -> Path:
+    """The script that measures a checkout, in the package or beside `eval`'s scripts.
 
     Raises:
-        ValueError: it has no `carpark_mj/__init__.py`.
+        ValueError: the folder is no checkout of the project.
     """
-    if not (folder / "carpark_mj" / "__init__.py").is_file():
-        raise ValueError(f"against must hold carpark_mj, but {reference!r} does not")
+    for home in ("carpark_mj", "eval"):
+        worker = folder / home / "benchmarking" / "worker.py"
+        if worker.is_file():
+            return worker
+    raise ValueError(f"against must hold carpark_mj, but {str(folder)!r} does not")
 
 
 def resolve(reference: str) -> str:

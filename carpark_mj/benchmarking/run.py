@@ -9,12 +9,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from carpark_mj.benchmarking.checkouts import Checkout
+from carpark_mj.benchmarking.checkouts import Checkout, worker_of
 from carpark_mj.benchmarking.records import Job, Measurement
 from carpark_mj.benchmarking.report import Row, write_csv
-
-# Where the worker lies in checkouts whose trainers are scripts, not in the package.
-EARLIER = Path("eval", "benchmarking")
 
 
 class WorkerError(Exception):
@@ -69,11 +66,9 @@ def run_job(job: Job, checkout: Checkout) -> Measurement:
         "checkout": str(checkout.path),
         "started": time.time(),
     }
-    module = "carpark_mj.benchmarking.worker"
-    if (checkout.path / EARLIER).is_dir():
-        module = "benchmarking.worker"
-    # -P: no script's folder on the path, which could shadow modules of the checkout.
-    command = [sys.executable, "-P", "-m", module, json.dumps(request)]
+    # -P: not the worker's folder on the path, which could shadow other modules.
+    worker = str(worker_of(checkout.path))
+    command = [sys.executable, "-P", worker, json.dumps(request)]
     done = subprocess.run(
         command,
         env=worker_environment(checkout.path),
@@ -98,9 +93,7 @@ def worker_environment(checkout: Path) -> dict[str, str]:
     """Environment variables: the checkout's code first, no compiled programs kept."""
     environment = dict(os.environ)
     inherited = environment.get("PYTHONPATH", "")
-    own = [checkout]
-    if (checkout / EARLIER).is_dir():
-        own += [checkout / "train", checkout / "eval"]
+    own = checkout, checkout / "train", checkout / "eval"
     paths = [*map(str, own), *([inherited] if inherited else [])]
     environment["PYTHONPATH"] = os.pathsep.join(paths)
     environment["JAX_ENABLE_COMPILATION_CACHE"] = "false"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 USER_ERRORS = (ValueError, OSError, OverflowError, MemoryError)
 MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in memory
-MAX_SECONDS = 3600  # of a recording, or an evaluation's span, both held in memory
+MAX_SECONDS = 3600  # of a recording, or an evaluation's horizon, both held in memory
 OUTPUT_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
 # What installs the packages that commands need beside the library's own.
 EXTRAS = dict.fromkeys(

@@ -34,9 +34,9 @@ class EvaluateConfig:
             `carpark_mj.registry`. Default: that of the run. A run's policy observes in
             it what it was trained to.
         episodes: number of episodes, rounded up to the same number per agent.
-        span: count all episodes that begin within so many seconds in lots that
-            `episodes` fill, however many of an agent, instead of the same number per
-            agent; short ones then weigh more.
+        horizon: simulated time [s] of lots that `episodes` fill; all episodes that
+            begin within it count, however many of an agent, instead of the same number
+            per agent, so that short ones weigh more.
         seed: seed of the held-out lots; training never uses these keys.
         rule: parked rule to evaluate under: tanner, strict, precise, metadrive, or one
             that is registered; default: that of the run.
@@ -65,7 +65,7 @@ class EvaluateConfig:
     policy: str = ""
     environment: str = ""
     episodes: int = 1024
-    span: float | None = None
+    horizon: float | None = None
     seed: int = 0
     rule: str | None = None
     hitbox_scale: float | None = None
@@ -88,8 +88,10 @@ class EvaluateConfig:
                 f"episodes must be at least 1 and at most {MAX_EPISODES}, not "
                 f"{self.episodes}"
             )
-        if self.span is not None and not 0 < self.span <= MAX_SECONDS:
-            raise ValueError(f"span must lie in (0, {MAX_SECONDS}] s, not {self.span}")
+        if self.horizon is not None and not 0 < self.horizon <= MAX_SECONDS:
+            raise ValueError(
+                f"horizon must lie in (0, {MAX_SECONDS}] s, not {self.horizon}"
+            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +121,7 @@ def main(config: EvaluateConfig) -> Evaluation:
     """
     task = prepare(config)
     result = evaluate(
-        task.env, task.policy, config.episodes, config.seed, span=config.span
+        task.env, task.policy, config.episodes, config.seed, horizon=config.horizon
     )
     report(config, task, result)
     return result
@@ -160,7 +162,7 @@ def prepare(config: EvaluateConfig) -> Task:
         config.environment,
         config.stochastic,
         config.seed,
-        config.span,
+        config.horizon,
         config.episodes != EvaluateConfig.episodes,
     )
     own = same and not any(changes) and not _is_kept_checkpoint(config)

@@ -33,6 +33,7 @@ from carpark_mj.config import (
     term_settings,
 )
 from carpark_mj.config.checks import Range
+from carpark_mj.renamed import refuse_flags
 
 Config = TypeVar("Config")
 
@@ -137,6 +138,7 @@ def read_flags(
         except SystemExit:
             if not box.getvalue():
                 raise
+    refuse_flags(default or cls, arguments)
     raise ValueError(_sentence(box.getvalue()))
 
 

@@ -105,7 +105,7 @@ def check(
         vehicle: a preset; by default the car that the lots are drawn for.
     """
     config = layout_config(layout)
-    size = getattr(config, "car", DesignCar()).size
+    size = (config.car or DesignCar()).size
     if vehicle:
         from carpark_mj.vehicle import preset
 

@@ -3,6 +3,8 @@
 Impossible settings raise `ValueError` at construction, in one sentence.
 """
 
+from typing import TYPE_CHECKING
+
 from carpark_mj.config.back_ends import (
     PHYSICS,
     PhysicsChoice,
@@ -48,6 +50,10 @@ from carpark_mj.config.terminations import (
     find_rules,
 )
 from carpark_mj.config.units import WORLD_UNIT
+from carpark_mj.renamed import old_names
+
+if not TYPE_CHECKING:  # for which a module with this has every name
+    __getattr__ = old_names(__name__)
 
 __all__ = [
     "CONTACT_SIM_DT",

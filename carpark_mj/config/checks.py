@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from carpark_mj.renamed import OldNames
+
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
 # JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
 LARGEST_WHOLE = 2**31 - 1
@@ -142,7 +144,7 @@ def require_unset(config: Any, where: str, *names: str) -> None:
             )
 
 
-class CheckedConfig:
+class CheckedConfig(OldNames):
     """Base of configs: every field is of the type that it declares.
 
     A config with checks of its own makes them after `super().__post_init__()`.

@@ -22,18 +22,19 @@ from carpark_mj.config.rewards import RewardConfig
 from carpark_mj.config.sensors import SensorConfig
 from carpark_mj.config.spawning import SpawnConfig
 from carpark_mj.config.terminations import EpisodeConfig
+from carpark_mj.renamed import OldNames
 
 
 @dataclasses.dataclass(frozen=True)
-class EnvConfig:
+class EnvConfig(OldNames):
     """A parking environment.
 
     Attributes:
-        layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `compact` (the same
-            with 2.5 m x 5.0 m bays), a random family as `street`, or any other of
-            `LAYOUTS`, to which studies and other packages add theirs. Or a layout file
-            (.json). A comma-separated list is a mixture. From Python also the config
-            of a family, see `carpark_mj.layouts`.
+        layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `square_compact`
+            (the same with 2.5 m x 5.0 m bays), a random family as `street`, or any
+            other of `LAYOUTS`, to which studies and other packages add theirs. Or a
+            layout file (.json). A comma-separated list is a mixture. From Python also
+            the config of a family, see `carpark_mj.layouts`.
         vehicle: name of one of `carpark_mj.vehicle.VEHICLES`.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,
@@ -142,11 +143,11 @@ class EnvConfig:
             )
         spawn = self.spawn
         if self.goals.drive_out and (
-            spawn.close_ratio or spawn.crash_ratio or spawn.reverse_ratio
+            spawn.close_ratio or spawn.conflict_ratio or spawn.reverse_ratio
         ):
             raise ValueError(
                 "goals.drive_out needs starts at random: spawn.close_ratio, "
-                "crash_ratio and reverse_ratio = 0"
+                "conflict_ratio and reverse_ratio = 0"
             )
         if self.goals.drive_out and (self.num_parked_cars or self.fleet.agents):
             raise ValueError(
@@ -170,10 +171,10 @@ class EnvConfig:
                 "steer: goals.dynamic = False, and a physics other than "
                 f"{physics.back_end}"
             )
-        if self.reward.reeds_shepp and not physics.steers:
+        if self.reward.reeds_shepp_reach and not physics.steers:
             raise ValueError(
-                f"reward.reeds_shepp {self.reward.reeds_shepp} needs cars that steer: "
-                f"a physics other than {physics.back_end}"
+                f"reward.reeds_shepp_reach {self.reward.reeds_shepp_reach} needs cars "
+                f"that steer: a physics other than {physics.back_end}"
             )
         scale = self.episode.hitbox_scale
         if scale != 1.0 and physics.contacts:

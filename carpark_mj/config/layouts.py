@@ -16,9 +16,14 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
     Attributes:
         family: its name in files, the default of each class and never another.
+        car: the `carpark_mj.layouts.DesignCar` that bays and spawn regions have room
+            for; None = one with its defaults.
+        spawn_margin: free ground around spawn regions for larger cars [m].
     """
 
     family: str
+    car: Any = None
+    spawn_margin: float = 0.0
 
     @abc.abstractmethod
     def generate(self, key: Any) -> Any:

@@ -172,14 +172,14 @@ class ShareConfig(CheckedConfig):
         goals: observe the goals of tracked agents: positions of fixed goals, and which
             of the observer's tracked bays a dynamic goal is.
         steering: observe the steering of tracked agents.
-        order: observe which tracked agents come before the own car in the lot's order,
-            so that two agents of the same policy that meet can act differently.
+        priority: observe which tracked agents have priority, those that come first in
+            the lot, so that two agents of one policy that meet can act differently.
     """
 
     speeds: bool = True
     goals: bool = True
     steering: bool = False
-    order: bool = False
+    priority: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

@@ -31,10 +31,10 @@ class RewardConfig(CheckedConfig):
         progress: reward per metre gained towards the goal; negative when moving away.
         route: measure the distances of `progress` and `alignment` along the lanes
             (`carpark_mj.layouts.routes`) instead of straight; fixed goals only.
-        reeds_shepp: distance to the goal within which the way to go becomes the
-            shortest one of a car that steers so far and no farther, gear changes
-            included, nose in or nose out [m]; it is mixed in linearly down to a quarter
-            of this distance. 0 = never.
+        reeds_shepp_reach: distance to the goal [m] within which `progress` measures the
+            shortest Reeds-Shepp path instead, nose in or nose out: that of a car with
+            the own turning circle, gear changes included. It is mixed in linearly down
+            to a quarter of this distance. 0 = never.
         alignment: reward per radian of misalignment with the goal's axis removed,
             fading with the distance to the goal; negative when it grows.
         closeness: penalty per step, times the share of 3 m by which the nearest other
@@ -49,7 +49,7 @@ class RewardConfig(CheckedConfig):
     time: float = data(1.0)
     progress: float = data(0.2)
     route: bool = False
-    reeds_shepp: float = data(0.0)
+    reeds_shepp_reach: float = data(0.0)
     alignment: float = data(0.5)
     closeness: float = data(15.0)
     extra: Extra = dataclasses.field(default_factory=ExtraTerms)

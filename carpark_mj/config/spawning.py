@@ -22,9 +22,10 @@ class SpawnConfig(CheckedConfig):
         close_ratio: share of spawns next to the goal.
         close_distance: longest walk of a close spawn from the point nearest to the goal
             [m].
-        crash_ratio: share of spawns on course for a collision with another agent.
-        crash_distance: on a collision course, shortest distance of the other agent to
-            its goal, and from the meeting point to that goal [m].
+        conflict_ratio: share of spawns in conflict with another agent: on course for a
+            collision with it, or with its goal where goals are dynamic.
+        conflict_distance: on a collision course, shortest distance of the other agent
+            to its goal, and from the meeting point to that goal [m].
         reverse_ratio: share of spawns where a car has got to that drove out of the goal
             bay; a training aid. All remaining spawns are random.
         min_distance: desired distance to other agents' centres [m]; 7.38 m is Tanner's
@@ -45,8 +46,8 @@ class SpawnConfig(CheckedConfig):
 
     close_ratio: float = 0.2
     close_distance: float = 5.625
-    crash_ratio: float = 0.0
-    crash_distance: float = 7.38
+    conflict_ratio: float = 0.0
+    conflict_distance: float = 7.38
     reverse_ratio: float = 0.0
     min_distance: float = 7.38
     num_candidates: int = 16
@@ -57,14 +58,14 @@ class SpawnConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_ratio(self, "close_ratio", "crash_ratio", "reverse_ratio")
-        ratios = (self.close_ratio, self.crash_ratio, self.reverse_ratio)
+        require_ratio(self, "close_ratio", "conflict_ratio", "reverse_ratio")
+        ratios = (self.close_ratio, self.conflict_ratio, self.reverse_ratio)
         if math.fsum(ratios) > 1.0:
             raise ValueError(
-                "close_ratio + crash_ratio + reverse_ratio must be at most 1, not "
+                "close_ratio + conflict_ratio + reverse_ratio must be at most 1, not "
                 f"{' + '.join(map(str, ratios))}"
             )
-        distances = ("close_distance", "crash_distance", "min_distance", "spacing")
+        distances = ("close_distance", "conflict_distance", "min_distance", "spacing")
         require_at_least(self, 0.0, *distances)
         require_whole(self, 1, "num_candidates")
         require_whole(self, 0, "max_redraws")

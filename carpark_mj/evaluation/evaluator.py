@@ -55,7 +55,7 @@ def evaluate(
     num_episodes: int,
     seed: int,
     num_lots: int = 128,
-    span: float | None = None,
+    horizon: float | None = None,
 ) -> Evaluation:
     """Runs at least `num_episodes` whole episodes and summarizes them.
 
@@ -66,13 +66,13 @@ def evaluate(
         seed: of the held-out lots, goals and spawns.
         num_lots: lots run side by side; fewer if the episodes do not fill them, but
             one for each member of a mixture with each number of agents.
-        span: of the lots so filled all episodes that begin within this time [s] count,
+        horizon: all episodes of these lots that begin within this time [s] count,
             however many of an agent; None = the same number for every agent.
 
     Raises:
         ValueError: no episodes, or an environment without respawn, or no time.
     """
-    return Evaluator(env).evaluate(policy, num_episodes, seed, num_lots, span)
+    return Evaluator(env).evaluate(policy, num_episodes, seed, num_lots, horizon)
 
 
 class Evaluator:
@@ -99,7 +99,7 @@ class Evaluator:
         num_episodes: int,
         seed: int,
         num_lots: int = 128,
-        span: float | None = None,
+        horizon: float | None = None,
         values: Mapping[str, float] | None = None,
     ) -> Evaluation:
         """Runs whole episodes as `evaluate` does.
@@ -109,7 +109,7 @@ class Evaluator:
             num_episodes: at least.
             seed: of the lots.
             num_lots: side by side.
-            span: in which episodes begin [s].
+            horizon: within which episodes begin [s].
             values: other values of settings, see `ParkingEnv.with_values`; the same
                 settings in every call.
 
@@ -119,8 +119,8 @@ class Evaluator:
         require_count("num_episodes", num_episodes, 1)
         require_count("num_lots", num_lots, 1)
         require_seed(seed)
-        if span is not None and not (is_finite(span) and span > 0):
-            raise ValueError(f"span must be positive, not {span!r}")
+        if horizon is not None and not (is_finite(horizon) and horizon > 0):
+            raise ValueError(f"horizon must be positive, not {horizon!r}")
         env = self.env
         traced = {path: jnp.float32(value) for path, value in (values or {}).items()}
         shares, counts = member_shares(env.layout_config), env.config.agent_counts
@@ -141,8 +141,8 @@ class Evaluator:
         begun = self._reset(traced, lots, reset_key)
         present = _takes_part(begun[0]).sum(axis=1)
         quota, last = math.ceil(num_episodes / present.sum()), math.inf
-        if span is not None:
-            quota, last = sys.maxsize, span / env.config.sim.ctrl_dt
+        if horizon is not None:
+            quota, last = sys.maxsize, horizon / env.config.sim.ctrl_dt
         kinds = env.fleet.agent_names
         start = Carry(*begun), act_key
         episodes = self._episodes(traced, policy, start, (quota, last))

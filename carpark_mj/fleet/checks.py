@@ -166,7 +166,7 @@ def is_made_for(lot: LayoutConfig, car: VehicleParameters) -> bool:
             if describe_faults(part.layout, (car.length, car.width)):
                 return False
             continue
-        made_for = getattr(part, "car", DesignCar())
+        made_for = part.car or DesignCar()
         if car.length > made_for.length or car.width > made_for.width:
             return False
     return True

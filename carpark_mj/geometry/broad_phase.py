@@ -13,7 +13,7 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-# Pairs above which the bounds pay, measured by `eval/broad_phase.py`.
+# Pairs above which the bounds pay, measured on two CPU cores.
 MANY_PAIRS = 500
 # What float32 may lose of a bound at coordinates of some hundred metres.
 MARGIN = 1e-3  # m

@@ -1,5 +1,7 @@
 """Layouts of lots and the families of generators that make them."""
 
+from typing import TYPE_CHECKING
+
 from carpark_mj.layouts.angled import AngledConfig
 from carpark_mj.layouts.dead_end import DeadEndConfig
 from carpark_mj.layouts.from_file import FromFileConfig
@@ -12,7 +14,7 @@ from carpark_mj.layouts.registry import (
     member_shares,
     mixture,
 )
-from carpark_mj.layouts.square import COMPACT, SQUARE, SquareConfig
+from carpark_mj.layouts.square import SQUARE, SQUARE_COMPACT, SquareConfig
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
 from carpark_mj.layouts.types import (
@@ -26,11 +28,15 @@ from carpark_mj.layouts.types import (
     layout_maxima,
     pad_layout,
 )
+from carpark_mj.renamed import old_names
+
+if not TYPE_CHECKING:  # for which a module with this has every name
+    __getattr__ = old_names(__name__)
 
 __all__ = [
-    "COMPACT",
     "ROWS",
     "SQUARE",
+    "SQUARE_COMPACT",
     "AngledConfig",
     "BayEnd",
     "BayKind",

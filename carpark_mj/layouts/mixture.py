@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.layouts.angled import AngledConfig
-from carpark_mj.layouts.square import COMPACT
+from carpark_mj.layouts.square import SQUARE_COMPACT
 from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
 from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
@@ -29,7 +29,7 @@ class MixtureConfig(LayoutConfig):
     """
 
     members: tuple[LayoutConfig, ...] = (
-        COMPACT,
+        SQUARE_COMPACT,
         StreetConfig(),
         StreetParallelConfig(),
         AngledConfig(),

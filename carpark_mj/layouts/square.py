@@ -3,7 +3,7 @@
 Schematic (c) of Tanner 2022 (arXiv 2206.13338): no lanes, blocks in the corners, outer
 walls. `square` has the paper's proportions, 0.5625 m for a world unit, and the wall
 faces of its colliders: corner blocks 9 x 9 and outer walls at 37.5 world units (its
-drawing has 10 x 10 and 37). `compact` has real German bays.
+drawing has 10 x 10 and 37). `square_compact` has real German bays.
 """
 
 import dataclasses
@@ -123,8 +123,8 @@ class SquareConfig(LayoutConfig):
 
 SQUARE = register_layout("square", SquareConfig())
 # Bays of 2.50 m x 5.00 m: EAR 23 (Germany), the common perpendicular bay.
-COMPACT = register_layout(
-    "compact",
+SQUARE_COMPACT = register_layout(
+    "square_compact",
     SquareConfig(
         bay_width=2.5,
         bay_length=5.0,

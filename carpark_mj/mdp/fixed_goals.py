@@ -15,8 +15,8 @@ from carpark_mj.mdp.bays import marked
 from carpark_mj.mdp.spawning.collision_course import (
     CourseDraws,
     Targets,
+    course_pose,
     course_shapes,
-    crash_pose,
 )
 from carpark_mj.mdp.spawning.draws import draw_uniform, pick
 from carpark_mj.mdp.spawning.driving_out import goal_of_start
@@ -86,17 +86,17 @@ class FixedGoals:
         goal_pose = layout.bay_pose[placing.goal]
         draws, key = self._draw(inputs, placing, agent, key)
         pose = self._pose(inputs, placing, around, draws, key)
-        if not config.crash_ratio:
+        if not config.conflict_ratio:
             return placing.set(agent, pose_w=pose)
         # The goal is given here, so that an attempt draws another target only.
         drives = (placing.goal != NO_BAY) & ~placing.waiting
         targets = Targets(placing.xy, goal_pose[:, :2], drives)
         own_xy = goal_pose[agent, :2]
         tried, good = jax.vmap(
-            lambda draws: crash_pose(config, layout, around, own_xy, targets, draws)
+            lambda draws: course_pose(config, layout, around, own_xy, targets, draws)
         )(draws.course)
-        crash = draw_kind(config, draws.start.kind).crash & good.any()
-        pose = jnp.where(crash, tried[jnp.argmax(good)], pose)
+        conflict = draw_kind(config, draws.start.kind).conflict & good.any()
+        pose = jnp.where(conflict, tried[jnp.argmax(good)], pose)
         return placing.set(agent, pose_w=pose)
 
     def place(
@@ -119,7 +119,7 @@ class FixedGoals:
         around = surroundings(inputs, drawn, agent)
         pose = self._pose(inputs, drawn, around, draws, key)
         drawn = drawn.set(agent, pose_w=pose)
-        if not config.crash_ratio:
+        if not config.conflict_ratio:
             return drawn
 
         has_goal = placing.goal != NO_BAY  # agents that are absent have none
@@ -132,13 +132,15 @@ class FixedGoals:
             goal_xy = layout.bay_pose[drawn.goal, :2]
             targets = Targets(placing.xy, goal_xy, has_goal & ~placing.waiting)
             own_xy = goal_xy[agent]
-            pose, good = crash_pose(config, layout, around, own_xy, targets, course)
+            pose, good = course_pose(config, layout, around, own_xy, targets, course)
             return drawn.set(agent, pose_w=pose), good
 
         tried, good = jax.vmap(attempt)(draws.course_goal, draws.course)
-        crash = draw_kind(config, draws.start.kind).crash & good.any()
+        conflict = draw_kind(config, draws.start.kind).conflict & good.any()
         return jax.tree.map(
-            lambda new, old: jnp.where(crash, new[jnp.argmax(good)], old), tried, drawn
+            lambda new, old: jnp.where(conflict, new[jnp.argmax(good)], old),
+            tried,
+            drawn,
         )
 
     def _pose(

@@ -55,7 +55,7 @@ GOAL_TERMS = {
 }
 
 
-def chosen_progress(config: EnvConfig, transition: Transition) -> jax.Array:
+def dynamic_progress(config: EnvConfig, transition: Transition) -> jax.Array:
     """Progress (num_agents,) when goals change, without a profit from any loop.
 
     Progress is measured towards the goal chosen in the step. Exploring agents get no

@@ -1,7 +1,7 @@
 """Goals: which bay an agent heads for, and how that is decided.
 
 Two ways behind one interface, chosen when an environment is built: `FixedGoals`, drawn
-by the environment for each episode, and `ChosenGoals`, chosen by the agents themselves
+by the environment for each episode, and `DynamicGoals`, chosen by the agents themselves
 at every step.
 """
 
@@ -10,7 +10,7 @@ from typing import Protocol
 import jax
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.mdp.chosen_goals import ChosenGoals
+from carpark_mj.mdp.dynamic_goals import DynamicGoals
 from carpark_mj.mdp.fixed_goals import FixedGoals
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs
 from carpark_mj.types import Events, GoalEvents, State
@@ -82,4 +82,4 @@ class Goals(Protocol):
 
 def make_goals(config: EnvConfig) -> Goals:
     """The way that `GoalConfig.dynamic` names."""
-    return ChosenGoals(config) if config.goals.dynamic else FixedGoals(config)
+    return DynamicGoals(config) if config.goals.dynamic else FixedGoals(config)

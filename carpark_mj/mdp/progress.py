@@ -48,11 +48,11 @@ def mix_in_maneuver(
     goal_pose: jax.Array,
     one_way: jax.Array | None = None,
 ) -> jax.Array:
-    """Ways to go (...) [m] near the goal as a car has to drive them.
+    """Distances to go (...) [m], near the goal those of Reeds-Shepp paths.
 
     Args:
-        reach: `RewardConfig.reeds_shepp`.
-        distance: (...) length of the way, straight or along the lanes [m].
+        reach: `RewardConfig.reeds_shepp_reach`.
+        distance: (...) straight or along the lanes [m].
         car: (...) parameters.
         motion: (...) of the cars.
         goal_pose: (..., 3).

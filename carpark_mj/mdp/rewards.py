@@ -12,7 +12,7 @@ from carpark_mj.config import REWARD_TERMS, EnvConfig, RewardTerm
 from carpark_mj.geometry import norm
 from carpark_mj.layouts.routes import way_to
 from carpark_mj.mdp.clearance import agent_clearance
-from carpark_mj.mdp.goal_rewards import GOAL_TERMS, chosen_progress, goal_weights
+from carpark_mj.mdp.goal_rewards import GOAL_TERMS, dynamic_progress, goal_weights
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.types import Motion, Transition
 
@@ -64,10 +64,10 @@ def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax
     if weights.route:
         goal = transition.goal
         distance = way_to(state.routes, state.layout, motion.xy, goal).length
-    if not _is_off(weights.reeds_shepp):
+    if not _is_off(weights.reeds_shepp_reach):
         car = transition.before.physics.vehicle
         distance = mix_in_maneuver(
-            weights.reeds_shepp, distance, car, motion, target, transition.one_way
+            weights.reeds_shepp_reach, distance, car, motion, target, transition.one_way
         )
     return goal_potential(weights, motion.pose_w, target, distance, transition.one_way)
 
@@ -80,7 +80,7 @@ def _is_off(weight: float) -> bool:
 def _progress(config: EnvConfig, transition: Transition) -> jax.Array:
     """Progress (num_agents,) towards the goals; its weights are in the potential."""
     if transition.goal_events is not None:
-        return chosen_progress(config, transition)
+        return dynamic_progress(config, transition)
     after, before = transition.after.motion, transition.before.motion
     ended = _potential(config, transition, after)
     return ended - _potential(config, transition, before)

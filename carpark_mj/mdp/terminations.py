@@ -64,9 +64,7 @@ def is_parked(
     return parked
 
 
-def detect_events(
-    config: EpisodeConfig, state: State, hitbox_scale: jax.Array | None = None
-) -> Events:
+def detect_events(config: EpisodeConfig, state: State) -> Events:
     """Evaluates whether each agent's episode has ended after a step, and how.
 
     Divergence takes precedence over all other outcomes, then comes a crash, parking and
@@ -77,12 +75,9 @@ def detect_events(
     Args:
         config: rules.
         state: at the end of the step, which its `step` counts.
-        hitbox_scale: () for crashes only, see `find_hits`; it multiplies the config's.
-            None = 1.
     """
     layout, goal, motion = state.layout, state.goal, state.motion
-    aid = 1.0 if hitbox_scale is None else hitbox_scale
-    hits = find_hits(state, config.hitbox_scale * aid)
+    hits = find_hits(state, config.hitbox_scale)
     hit = functools.reduce(jnp.logical_or, hits.values())
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import jax
 import jax.numpy as jnp
 
-FAR = 20.0  # m, about half a `tanner` lot
+FAR = 20.0  # m, about half a `square` lot
 # Where distances are cut off [FAR]: 160 m. By default lots of the families are up to
 # 84 m across (`angled`).
 FARTHEST = 8.0

@@ -81,9 +81,9 @@ def _shared(share: ShareConfig, num_tracked_bays: int) -> list[tuple[Field, Shar
     if share.steering:
         meaning = "its road-wheel angle [its limit], left > 0"
         shared.append((Field("steering", 1, -1.0, 1.0, meaning), _steering))
-    if share.order:
+    if share.priority:
         meaning = "1 if its number in the lot is lower than the own, else 0"
-        shared.append((Field("order", 1, 0.0, 1.0, meaning), _order))
+        shared.append((Field("priority", 1, 0.0, 1.0, meaning), _priority))
     return shared
 
 
@@ -109,7 +109,7 @@ def _steering(sight: Sight, index: jax.Array) -> jax.Array:
     return steering[index][..., None]
 
 
-def _order(sight: Sight, index: jax.Array) -> jax.Array:
+def _priority(sight: Sight, index: jax.Array) -> jax.Array:
     del sight
     before = index < jnp.arange(index.shape[0])[:, None]
     return before[..., None].astype(jnp.float32)

@@ -27,6 +27,7 @@ from carpark_mj.config.obstacles import MOVERS, Mover
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.pretrained import describe_names
+from carpark_mj.renamed import refuse_settings
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
@@ -51,6 +52,7 @@ def from_dict(cls: Any, data: Any) -> Any:
         raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
     hints = typing.get_type_hints(cls)
     names = {field.name for field in dataclasses.fields(cls)}
+    refuse_settings(cls, data)
     unknown = sorted(set(data) - names)
     if unknown:
         raise ValueError(f"{cls.__name__} has no {unknown}")

@@ -2,6 +2,7 @@
 
 carpark_mj benchmark                                   # this checkout
 carpark_mj benchmark --what env --batches 512 4096
+carpark_mj benchmark --what env --layouts lot --num-agents 1 4 16
 carpark_mj benchmark --what ppo --preset tanner-fixed --runs 1 4 16
 carpark_mj benchmark --against main~1 --out benchmark.csv
 carpark_mj benchmark --peer highway-env --batches 1024  # pip install ".[sb3,peers]"
@@ -31,6 +32,7 @@ from carpark_mj.benchmarking.run import WorkerError, measure
 from carpark_mj.cli.common import enable_output_fusion
 from carpark_mj.cli.process import patient_interrupts
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import require_count, require_whole
 
 Cars = Literal["brush", "mjx.step", "contact"]
 
@@ -48,7 +50,7 @@ class BenchmarkConfig:
         batches: numbers of lots simulated in parallel; for `physics`, of cars.
         layouts: names of the layouts of `env`.
         cars: cars of `physics`, by tyres or stepper.
-        num_agents: number of agents in each lot of `env`.
+        num_agents: numbers of agents in each lot of `env`.
         num_parked_cars: number of parked cars in each lot of `env`.
         preset: preset of `ppo`, with the batch as its number of lots; `auto` chooses by
             whether there is a GPU.
@@ -66,9 +68,9 @@ class BenchmarkConfig:
     against: str = ""
     peer: Peer | None = None
     batches: tuple[int, ...] = (128,)
-    layouts: tuple[str, ...] = ("tanner",)
+    layouts: tuple[str, ...] = (str(EnvConfig.layout),)
     cars: tuple[Cars, ...] = get_args(Cars)
-    num_agents: int = EnvConfig.num_agents
+    num_agents: tuple[int, ...] = (EnvConfig.num_agents,)
     num_parked_cars: int = EnvConfig.num_parked_cars
     preset: str = "auto"
     runs: tuple[int, ...] = (1,)
@@ -79,15 +81,11 @@ class BenchmarkConfig:
     out: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "timings", "repeats", "num_agents"):
-            if getattr(self, name) < 1:
-                raise ValueError(
-                    f"{name} must be at least 1, not {getattr(self, name)}"
-                )
-        for name in ("batches", "runs"):
-            if min(getattr(self, name), default=0) < 1:
-                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
-        for name in ("what", "layouts", "cars"):
+        require_whole(self, 1, "steps", "timings", "repeats")
+        for name in ("batches", "runs", "num_agents"):
+            for number in getattr(self, name):
+                require_count(name, number, 1)
+        for name in ("what", "batches", "layouts", "cars", "num_agents", "runs"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must name at least one")
 
@@ -99,7 +97,7 @@ class BenchmarkConfig:
                 what,
                 variant,
                 lots,
-                self.num_agents,
+                agents,
                 self.num_parked_cars,
                 self.steps,
                 self.timings,
@@ -108,6 +106,7 @@ class BenchmarkConfig:
             )
             for what in self.what
             for variant in variants[what]
+            for agents in (self.num_agents if what == "env" else self.num_agents[:1])
             for lots in self.batches
             for runs in (self.runs if what == "ppo" else (1,))
         ]

@@ -32,15 +32,10 @@ class JointEnv(ParkingEnv):
         """Names of the agents, in order."""
         return [f"agent_{k}" for k in range(self.num_agents)]
 
-    def step(
-        self,
-        state: State,
-        action: jax.Array,
-        hitbox_scale: jax.Array | None = None,
-    ) -> tuple[State, TimeStep]:
+    def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         """See `ParkingEnv.step`; `observation` is what agents see at the step's end."""
         waiting = ~state.active
-        state, timestep = super().step(state, action, hitbox_scale)
+        state, timestep = super().step(state, action)
         return state, dataclasses.replace(
             timestep,
             observation=jnp.where(waiting[:, None], 0.0, timestep.observation),

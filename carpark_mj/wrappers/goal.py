@@ -43,7 +43,7 @@ class GoalParking(ParkingEnv):
         """Builds the environment; see `ParkingEnv`.
 
         Raises:
-            ValueError: not one agent that stays where it has finished, a chosen goal,
+            ValueError: not one agent that stays where it has finished, a dynamic goal,
                 observations without a field that reveals the goal, or a reward that
                 does not follow from poses and crashes.
         """
@@ -101,11 +101,9 @@ class GoalParking(ParkingEnv):
         state, seen = super().reset_to_layout(layout, key, num_present, options)
         return state, self._vector(state, seen)
 
-    def step(
-        self, state: State, action: jax.Array, hitbox_scale: jax.Array | None = None
-    ) -> tuple[State, TimeStep]:
+    def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         """See `ParkingEnv.step`."""
-        after, timestep = super().step(state, action, hitbox_scale)
+        after, timestep = super().step(state, action)
         vector = self._vector(after, timestep.observation)
         return after, dataclasses.replace(timestep, observation=vector)
 

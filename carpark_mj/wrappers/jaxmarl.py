@@ -52,7 +52,7 @@ class JaxMarlAgents(MultiAgentEnv):
         spec = env.action_spec
         if spec.choices and not discrete:
             raise ValueError(
-                "the grid and chosen goals have actions that are indices: give "
+                "the grid and dynamic goals have actions that are indices: give "
                 "discrete=True"
             )
         self._table = jnp.asarray(action_table(spec)) if discrete else None

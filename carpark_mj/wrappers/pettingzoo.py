@@ -34,7 +34,7 @@ def parallel_env(
     """A lot with several agents, each with one episode.
 
     Examples:
-        >>> env = carpark_mj.parallel_env(layout="compact", agents=4)
+        >>> env = carpark_mj.parallel_env(layout="square_compact", agents=4)
         >>> observations, infos = env.reset(seed=0)
 
     Args:

@@ -24,7 +24,7 @@ class ParkVecEnv(VecEnv):
     episode also `terminal_observation`. Wrap it in `VecMonitor` for returns.
 
     Examples:
-        >>> vec_env = ParkVecEnv("carpark_mj/Park-v0", 64, layout="compact")
+        >>> vec_env = ParkVecEnv("carpark_mj/Park-v0", 64, layout="square_compact")
         >>> model = PPO("MlpPolicy", VecMonitor(vec_env))
     """
 

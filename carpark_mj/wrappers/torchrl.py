@@ -73,7 +73,7 @@ class TorchRLAgents(EnvBase):
         spec = env.action_spec
         if spec.choices and not discrete:
             raise ValueError(
-                "the grid and chosen goals have actions that are indices: give "
+                "the grid and dynamic goals have actions that are indices: give "
                 "discrete=True"
             )
         self._lots = TorchBatch(env, lots, restart=False)

@@ -31,7 +31,7 @@ def measured(rate, compile_s=10.0):
         jax="0.10.2",
         mujoco="4.0.0",
         what="env",
-        layout="tanner",
+        layout="square",
         agents=2,
         lots=128,
         rate=rate,
@@ -62,7 +62,7 @@ def test_the_table_has_a_line_for_each_checkout_and_one_of_their_ratios():
     assert lines[0] == "2 CPU cores, JAX 0.10.2, MuJoCo 4.0.0"
     assert len({line.count("|") for line in lines[2:]}) == 1
     cells = [[c.strip() for c in line.strip("|").split("|")] for line in lines[4:]]
-    about = ["env", "tanner", "2", "128"]
+    about = ["env", "square", "2", "128"]
     unit = "agent-steps/s"
     assert cells == [
         [*about, "here (1234567)", "11,000", unit, "8.0", "16.0", "1,000.0"],
@@ -110,10 +110,10 @@ def test_checkouts_take_turns_and_an_interrupted_run_keeps_its_rows(
 
 
 def test_each_round_measures_every_variant_in_every_batch():
-    config = benchmark.BenchmarkConfig(batches=(4, 8), layouts=("tanner", "mixture"))
+    config = benchmark.BenchmarkConfig(batches=(4, 8), layouts=("square", "mixture"))
     asked = [(job.what, job.variant, job.lots) for job in config.jobs()]
     variants = [
-        ("env", "tanner"),
+        ("env", "square"),
         ("env", "mixture"),
         ("ppo", "auto"),
         ("physics", "brush"),
@@ -121,6 +121,12 @@ def test_each_round_measures_every_variant_in_every_batch():
         ("physics", "contact"),
     ]
     assert asked == [(*variant, lots) for variant in variants for lots in (4, 8)]
+
+
+def test_only_env_has_several_numbers_of_agents():
+    config = benchmark.BenchmarkConfig(cars=("brush",), num_agents=(1, 4))
+    asked = [(job.what, job.num_agents) for job in config.jobs()]
+    assert asked == [("env", 1), ("env", 4), ("ppo", 1), ("physics", 1)]
 
 
 def test_only_ppo_has_several_runs_side_by_side():
@@ -135,7 +141,8 @@ def test_only_ppo_has_several_runs_side_by_side():
         {"steps": 0},
         {"timings": 0},
         {"repeats": 0},
-        {"num_agents": 0},
+        {"num_agents": (0,)},
+        {"num_agents": ()},
         {"batches": ()},
         {"batches": (8, 0)},
         {"runs": (1, 0)},
@@ -152,7 +159,7 @@ def test_impossible_settings_are_refused(change):
     ("flags", "said"),
     [
         (["--batch", "4"], "Unrecognized options: --batch, 4"),
-        (["--batches", "0"], "batches must be positive, not (0,)"),
+        (["--batches", "0"], "batches must be at least 1, not 0"),
         (["--steps", "many"], "many"),
         (["--against", "no-such-commit"], "not 'no-such-commit'"),
         (["--against=--help"], "not '--help'"),
@@ -230,7 +237,7 @@ def test_a_process_that_fails_is_named_in_one_line(monkeypatch, code, stderr, sa
 
     monkeypatch.setattr(subprocess, "run", failed)
     with pytest.raises(run.WorkerError, match=f"physics brush with 3 lots.*{said}"):
-        run.run_job(JOB, OURS)
+        run.run_job(JOB, checkouts.here())
 
 
 def test_only_the_checkout_that_was_asked_for_is_measured(tmp_path):

@@ -192,13 +192,15 @@ def test_other_missing_modules_are_mistakes_of_ours():
         run_command("any", command)
 
 
-@pytest.mark.parametrize("span", ["1e9", "inf", "nan", "0", "-1"])
-def test_an_evaluation_refuses_spans_that_are_impossible_or_without_end(span, capsys):
+@pytest.mark.parametrize("horizon", ["1e9", "inf", "nan", "0", "-1"])
+def test_an_evaluation_refuses_spans_that_are_impossible_or_without_end(
+    horizon, capsys
+):
     def command():
-        return read_flags(EvaluateConfig, ["--policy", "zero", "--span", span])
+        return read_flags(EvaluateConfig, ["--policy", "zero", "--horizon", horizon])
 
     assert run_command("evaluate", command) == 2
-    said = f"evaluate: span must lie in (0, 3600] s, not {float(span)}\n"
+    said = f"evaluate: horizon must lie in (0, 3600] s, not {float(horizon)}\n"
     assert capsys.readouterr().err == said
 
 
@@ -275,7 +277,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_lots_are_drawn(
 
 @pytest.mark.parametrize("flag", ["--check", "--run"])
 def test_more_lots_than_anybody_can_wait_for_are_refused(flag, capsys):
-    assert layouts.main(["tanner", flag, f"1{'0' * 30}"]) == 2
+    assert layouts.main(["square", flag, f"1{'0' * 30}"]) == 2
     assert f"{flag} takes 0 to 10000000 keys" in capsys.readouterr().err
 
 

@@ -48,7 +48,7 @@ def test_a_number_of_parked_cars_is_that_of_every_lot():
 
 
 @pytest.mark.parametrize(
-    ("layout", "count"), [("tanner", 28), ("garage_row", 20), ("lot", 20)]
+    ("layout", "count"), [("square", 28), ("garage_row", 20), ("lot", 20)]
 )
 def test_an_occupancy_has_as_many_parked_cars_as_it_takes_in_another_layout(
     layout, count

@@ -62,11 +62,19 @@ IMPOSSIBLE = [
     (SpawnConfig, {"num_candidates": 0}, "num_candidates must be .* not 0"),
     (SpawnConfig, {"max_redraws": -1}, "max_redraws must be at least 0, not -1"),
     (SpawnConfig, {"kinds_at_reset": 1}, "kinds_at_reset must be True or False, not 1"),
-    (SpawnConfig, {"crash_ratio": -0.1}, "crash_ratio must lie in .* not -0.1"),
-    (SpawnConfig, {"crash_ratio": 0.9}, r"close_ratio \+ crash_ratio .* 1, not 0.2 \+"),
+    (SpawnConfig, {"conflict_ratio": -0.1}, "conflict_ratio must lie in .* not -0.1"),
+    (
+        SpawnConfig,
+        {"conflict_ratio": 0.9},
+        r"close_ratio \+ conflict_ratio .* 1, not 0.2 \+",
+    ),
     (SpawnConfig, {"reverse_ratio": 0.9}, r"reverse_ratio .* 1, not 0.2 \+ 0.0 \+ 0.9"),
     (SpawnConfig, {"reverse_ratio": -0.1}, "reverse_ratio must lie in .* not -0.1"),
-    (SpawnConfig, {"crash_distance": math.nan}, "crash_distance must be .* not nan"),
+    (
+        SpawnConfig,
+        {"conflict_distance": math.nan},
+        "conflict_distance must be .* not nan",
+    ),
     (SpawnConfig, {"spacing": -0.1}, "spacing must be at least 0.0, not -0.1"),
     (
         SpawnConfig,
@@ -301,7 +309,7 @@ def test_the_tanner_reward_preset_has_the_numbers_of_table_c9():
     # Tanner 2022, table C.9 (PPO): sums over an episode, paid a share each step.
     weights = dataclasses.asdict(REWARDS["tanner"])
     del weights["goals"]  # of dynamic goals, `test_dynamic_goals`
-    del weights["route"], weights["reeds_shepp"]  # how progress is measured
+    del weights["route"], weights["reeds_shepp_reach"]  # how progress is measured
     assert weights == {
         "park": 1.0,
         "crash": 1.0,

@@ -1,4 +1,4 @@
-"""Settings of chosen goals and giving way."""
+"""Settings of dynamic goals and giving way."""
 
 import dataclasses
 import math

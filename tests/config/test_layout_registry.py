@@ -88,10 +88,10 @@ def test_a_config_without_a_generator_cannot_be_made():
 
 def test_the_key_decides_and_a_member_is_a_mixtures_only():
     key = jax.random.key(3)
-    for config in (StreetConfig(), layout_config("compact,street")):
+    for config in (StreetConfig(), layout_config("square_compact,street")):
         once, again = config.generate(key), config.generate(key)
         assert jax.tree.all(jax.tree.map(lambda a, b: (a == b).all(), once, again))
-    street = layout_config("compact,street").generate_member(1, key)
+    street = layout_config("square_compact,street").generate_member(1, key)
     assert int(street.bay_mask.sum()) == int(
         StreetConfig().generate(key).bay_mask.sum()
     )

@@ -2,34 +2,20 @@
 
 import pytest
 
-import broad_phase
-import junction_speed
 import physics_report
 import referee
-import scaling
 import soak
 
 
 @pytest.mark.parametrize(
     ("script", "flags", "said"),
     [
-        (broad_phase, ["--lot", "4"], "Unrecognized options: --lot, 4"),
-        (broad_phase, ["--lots", "0"], "lots must be at least 1, not 0"),
-        (broad_phase, ["--scenes", "sea"], "unknown scenes ['sea']; choose from"),
-        (broad_phase, ["--rays", "-1"], "rays must be at least 0, not -1"),
-        (broad_phase, ["--scenes"], "scenes must name at least one"),
-        (junction_speed, ["--junctions", "0"], "junctions must be at least 1, not 0"),
-        (junction_speed, ["--scenario", "9av"], "unknown scenario '9av'; choose from"),
-        (junction_speed, ["--cars"], "cars must name at least one"),
         (physics_report, ["--preset", "tank"], "Unrecognized options: --preset"),
         (physics_report, ["--presets", "tank"], "unknown vehicle 'tank'; choose from"),
         (physics_report, ["--tyres", "square"], "square"),
         (physics_report, ["--tyres"], "tyres must name at least one"),
         (referee, ["--output", "folder"], "Unrecognized options: --output, folder"),
         (referee, ["--out"], "--out"),
-        (scaling, ["--agents", "0"], "agents must be at least 1, not 0"),
-        (scaling, ["--read", "a.csv"], "names must be as many as the files to read, 1"),
-        (scaling, ["--read", "a.csv", "--names", "a"], "plot must name a picture"),
         (soak, ["--cars", "3"], "Unrecognized options: --cars, 3"),
         (soak, ["--num-cars", "0"], "num_cars must be at least 1, not 0"),
         (soak, ["--sim.sim-dt", "0"], "sim_dt"),

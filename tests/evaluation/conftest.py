@@ -47,7 +47,7 @@ def mixture_env() -> ParkingEnv:
     """A mixture of a square and, half as often, streets."""
     street = StreetConfig(bays_per_side=(3, 4))
     config = EnvConfig(
-        layout=mixture(["compact", street], [2, 1]),
+        layout=mixture(["square_compact", street], [2, 1]),
         num_agents=1,
         num_parked_cars=1,
         episode=EpisodeConfig(max_steps=5),

@@ -70,16 +70,16 @@ def test_one_program_evaluates_environments_that_differ_in_numbers(env, result):
 
 
 def test_a_span_counts_the_episodes_that_begin_within_it(env):
-    policy, span = random_policy(ActionSpec(2)), 8.0  # s, 40 steps
-    result = evaluate(env, policy, num_episodes=8, seed=3, num_lots=4, span=span)
+    policy, horizon = random_policy(ActionSpec(2)), 8.0  # s, 40 steps
+    result = evaluate(env, policy, num_episodes=8, seed=3, num_lots=4, horizon=horizon)
     lengths: dict[tuple, list[float]] = {}
     for row in result.episodes:
         lengths.setdefault((row["lot"], row["agent"]), []).append(row["length"])
     assert len(lengths) == 8
     for steps in lengths.values():
         assert sum(steps[:-1]) < 40 <= sum(steps)
-    with pytest.raises(ValueError, match="span must be positive, not 0"):
-        evaluate(env, policy, num_episodes=8, seed=3, span=0.0)
+    with pytest.raises(ValueError, match="horizon must be positive, not 0"):
+        evaluate(env, policy, num_episodes=8, seed=3, horizon=0.0)
 
 
 def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
@@ -143,7 +143,7 @@ def test_members_of_a_mixture_get_their_shares_of_the_lots(shares, lots, counts)
 @pytest.mark.parametrize("episodes", [1, 40])
 def test_rare_members_of_a_mixture_get_a_lot_with_every_number_of_agents(episodes):
     config = EnvConfig(
-        layout=mixture(["square", "compact", "street"], [47, 2, 1]),
+        layout=mixture(["square", "square_compact", "street"], [47, 2, 1]),
         num_agents=2,
         min_agents=1,
         num_parked_cars=1,
@@ -157,8 +157,8 @@ def test_rare_members_of_a_mixture_get_a_lot_with_every_number_of_agents(episode
 
 def test_families_are_summed_up_apart_and_add_up(mixed):
     of_lot = {row["lot"]: row["family"] for row in mixed.episodes}
-    assert of_lot == dict(enumerate(["compact"] * 4 + ["street"] * 2))
-    assert list(mixed.families) == ["compact", "street"]
+    assert of_lot == dict(enumerate(["square_compact"] * 4 + ["street"] * 2))
+    assert list(mixed.families) == ["square_compact", "street"]
     for name, summary in mixed.families.items():
         rows = [row for row in mixed.episodes if row["family"] == name]
         assert summary["episodes"] == len(rows)
@@ -193,7 +193,7 @@ def crowds():
     """A mixture with one to three agents, and its evaluation."""
     street = StreetConfig(bays_per_side=(3, 4))
     config = EnvConfig(
-        layout=mixture(["compact", street]),
+        layout=mixture(["square_compact", street]),
         num_agents=3,
         min_agents=1,
         num_parked_cars=1,
@@ -210,7 +210,7 @@ def test_every_number_of_agents_gets_the_same_number_of_lots(crowds):
     of_lot = {row["lot"]: row["agents_present"] for row in crowds.episodes}
     family = {row["lot"]: row["family"] for row in crowds.episodes}
     assert of_lot == dict(enumerate([1, 2, 3] * 2))
-    assert family == dict(enumerate(["compact"] * 3 + ["street"] * 3))
+    assert family == dict(enumerate(["square_compact"] * 3 + ["street"] * 3))
     counts = collections.Counter((row["lot"], row["agent"]) for row in crowds.episodes)
     present = {(lot, agent) for lot, n in of_lot.items() for agent in range(int(n))}
     assert counts == dict.fromkeys(present, 5)  # 50 episodes over 12 agents, rounded up
@@ -238,8 +238,8 @@ def test_numbers_of_agents_are_summed_up_apart_and_add_up(crowds, plain):
         ({"num_lots": 0}, "num_lots must be at least 1"),
         ({"num_lots": 2.5}, "num_lots must be a whole number"),
         ({"seed": 0.5}, "seed must be a whole number"),
-        ({"span": float("nan")}, "span must be positive, not nan"),
-        ({"span": "1"}, "span must be positive, not '1'"),
+        ({"horizon": float("nan")}, "horizon must be positive, not nan"),
+        ({"horizon": "1"}, "horizon must be positive, not '1'"),
     ],
 )
 def test_impossible_evaluations_are_refused(env, change, message):

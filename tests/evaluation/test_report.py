@@ -85,7 +85,7 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
     ]
     with files[2].open() as file:
         rows = list(csv.DictReader(file))
-    assert [row["family"] for row in rows] == ["compact", "street", "all"]
+    assert [row["family"] for row in rows] == ["square_compact", "street", "all"]
     assert [int(row["episodes"]) for row in rows] == [4, 2, 6]
     for row in rows:
         rates = [float(row[f"{outcome}_rate"]) for outcome in ENDINGS]
@@ -95,7 +95,7 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
     assert stored["families"]["street"]["episodes"] == 2
     print_groups("family", mixed.families | {"all": mixed.summary})
     printed = capsys.readouterr().out
-    for name in ("compact", "street", "all"):
+    for name in ("square_compact", "street", "all"):
         assert name in printed
 
 
@@ -161,7 +161,7 @@ def test_an_evaluation_is_written_before_it_is_printed(plain, tmp_path, monkeypa
             {"rule": "strict", "layout": "street,my/yard.json"},
             "rule-strict_layout-street,my%2Fyard.json",
         ),
-        ({"episodes": 4096, "span": 100.0}, "episodes-4096_span-100.0"),
+        ({"episodes": 4096, "horizon": 100.0}, "episodes-4096_horizon-100.0"),
         ({"layout": "my-yard.json"}, "layout-my-yard.json"),
     ],
 )

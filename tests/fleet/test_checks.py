@@ -53,7 +53,7 @@ BAD_ENVIRONMENTS = [
     ({"fleet": FleetConfig(parked_cars=("bus",))}, r"unknown vehicle 'bus'"),
     (
         {
-            "layout": "compact",
+            "layout": "square_compact",
             "fleet": FleetConfig(("city", "van")),
             "observation": OWN_CAR,
         },
@@ -226,7 +226,7 @@ def test_a_fleet_that_finds_too_few_goals_is_refused():
     """Two bays that the van can be parked in, and four agents."""
     layout = lot([(0.0, 4.0 * k, 0.0) for k in range(8)])
     size = layout.bay_size.at[2:].set(jnp.array([4.95, 2.5]))
-    layout, square = layout.replace(bay_size=size), layout_config("tanner")
+    layout, square = layout.replace(bay_size=size), layout_config("square")
 
     def check(names, num_agents, rule="strict"):
         config = EnvConfig(
@@ -249,7 +249,7 @@ def test_a_fleet_that_finds_too_few_goals_is_refused():
 def test_the_rule_in_force_decides_which_bays_a_van_can_aim_at():
     fleet = FleetConfig(("van",))
     config = EnvConfig(
-        layout="compact", num_parked_cars=4, fleet=fleet, observation=OWN_CAR
+        layout="square_compact", num_parked_cars=4, fleet=fleet, observation=OWN_CAR
     )
     for rule in ("precise", "tanner"):
         episode = EpisodeConfig(parked_rule=rule)

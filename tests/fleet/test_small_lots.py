@@ -114,7 +114,7 @@ def test_more_agents_than_bays_need_an_occupancy_and_a_least_number(changes, mes
 def test_a_fleet_in_a_fixed_lot_may_have_more_agents_than_bays_too():
     config = dataclasses.replace(
         CONFIG,
-        layout="tanner",
+        layout="square",
         num_agents=40,
         num_parked_cars=28,
         fleet=FleetConfig(("city", "van")),

@@ -11,7 +11,7 @@ from carpark_mj.studies.cederle.junction import JunctionConfig, JunctionEnv
 
 @functools.lru_cache
 def env(**settings):
-    return JunctionEnv(JunctionConfig(**{"restart": False, **settings}))
+    return JunctionEnv(JunctionConfig(**{"respawn": False, **settings}))
 
 
 @functools.lru_cache

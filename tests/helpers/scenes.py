@@ -161,8 +161,10 @@ def mjx_step():
 
 
 def mixed_lots() -> Layout:
-    """Two `tanner` and two `compact` lots as one batch."""
-    layouts = [make_layout(n) for n in ("tanner", "compact", "tanner", "compact")]
+    """Two `square` and two `square_compact` lots as one batch."""
+    layouts = [
+        make_layout(n) for n in ("square", "square_compact", "square", "square_compact")
+    ]
     return jax.tree.map(lambda *rows: jnp.stack(rows), *layouts)
 
 

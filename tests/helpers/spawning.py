@@ -75,5 +75,5 @@ def meets(
     whole = np.linalg.norm(others - ends, axis=-1)
     slack = 5 * tolerance
     allowed = way > config.min_distance - slack
-    allowed &= way < whole - config.crash_distance + slack
+    allowed &= way < whole - config.conflict_distance + slack
     return (near < tolerance) & allowed

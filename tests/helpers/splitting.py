@@ -21,9 +21,9 @@ from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.training.ppo.collect import Rollout
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.ppo.rollout import Rollout
 from carpark_mj.training.ppo.state import AXIS
 
 LENGTH, AGENTS, SIZE = 8, 8, 4

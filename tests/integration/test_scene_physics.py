@@ -22,7 +22,7 @@ from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.vehicle.drive import roll_freely
 
 SIM = SimConfig()
-LAYOUT = make_layout("tanner")
+LAYOUT = make_layout("square")
 AGENTS, PARKED = 7, 16
 LOTS, STEPS = 6, 40  # 8 s
 

@@ -41,7 +41,7 @@ HARD = [
     "dead_end, perpendicular, complex",
     "dead_end, parallel, extreme",
 ]
-PLAIN = ["compact", "street", "street_parallel", "angled", "lot"]
+PLAIN = ["square_compact", "street", "street_parallel", "angled", "lot"]
 PLAIN += ["slots", "slots_diagonal", "slots_parallel"]
 NAMES = HARD + PLAIN + ["angled, back-in", "lot, deck with pillars", "lot, angled"]
 SHOWN = {name: LAYOUTS[name] for name in PLAIN} | VARIANTS
@@ -161,7 +161,7 @@ def test_no_car_spawns_in_a_wall_a_disc_or_a_bay(name):
         assert shapely.intersects(regions, shapely.points(pose[k, :, :2])).all()
 
 
-@pytest.mark.parametrize("name", ["compact", "lot, deck with pillars", HARD[0]])
+@pytest.mark.parametrize("name", ["square_compact", "lot, deck with pillars", HARD[0]])
 def test_the_same_key_gives_the_same_lot_alone_and_in_a_batch(name):
     config, layout = SHOWN[name], lots(name, 3)[2]
     make = jax.jit(lambda key: pad_layout(config.generate(key), maxima()))

@@ -64,20 +64,20 @@ def test_a_file_that_has_changed_is_read_again(tmp_path):
     path = str(written(tmp_path, HAND))
     before = FromFileConfig(path)
     options: Options = {"layout": path, "agents": 1, "parked_cars": 0}
-    mixed, env = mixture([path, "compact"]), shared_env(configure(options))
+    mixed, env = mixture([path, "square_compact"]), shared_env(configure(options))
     assert before == FromFileConfig(path)
     assert make_layout(path).extent.tolist() == [10, 10]
     written(tmp_path, HAND | {"extent": [12, 10]})
     assert make_layout(path).extent.tolist() == [12, 10]
     assert make_layout(before).extent.tolist() == [10, 10]
     assert before != FromFileConfig(path)
-    assert mixed != mixture([path, "compact"])
+    assert mixed != mixture([path, "square_compact"])
     key, after = jax.random.key(0), shared_env(configure(options))
     assert [e.draw_layout(key).extent[0] for e in (env, after)] == [10, 12]
 
 
 @pytest.mark.parametrize(
-    "config", ["tanner", LotConfig(pillar_every=3, num_aisles=(1, 2))]
+    "config", ["square", LotConfig(pillar_every=3, num_aisles=(1, 2))]
 )
 def test_layouts_are_written_and_read_bit_for_bit(config, tmp_path):
     layout = jax.device_get(make_layout(config, jax.random.key(3)))

@@ -9,7 +9,7 @@ import shapely
 from helpers.scenes import moved, polygons
 
 from carpark_mj.layouts import (
-    COMPACT,
+    SQUARE_COMPACT,
     Maxima,
     SquareConfig,
     make_layout,
@@ -18,7 +18,7 @@ from carpark_mj.layouts import (
 from carpark_mj.layouts.checks import describe_faults
 
 WU = 0.5625  # m per world unit of Tanner's scene
-NAMES = ["compact", "square"]
+NAMES = ["square_compact", "square"]
 EXACT = 1e-5  # m; float32 at 25 m resolves 2e-6 m
 
 
@@ -39,7 +39,7 @@ def test_a_square_lot_has_36_bays_4_blocks_and_4_outer_walls(name):
 
 
 def test_tanner_bays_lie_where_his_scene_has_them():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     pose = np.asarray(layout.bay_pose)
     along = [-24, -18, -12, -6, 0, 6, 12, 18, 24]
     # Headings of his table, clockwise from +y, turned into ours: 90 deg - heading.
@@ -58,7 +58,7 @@ def test_tanner_bays_lie_where_his_scene_has_them():
 
 
 def test_tanner_walls_are_his_colliders():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     pose, size = np.asarray(layout.wall_pose), np.asarray(layout.wall_size)
     blocks = size[:, 0] == size[:, 1]
     corners = sorted(map(tuple, np.round(pose[blocks, :2] / WU, 4)))
@@ -70,15 +70,15 @@ def test_tanner_walls_are_his_colliders():
 
 
 def test_the_spawn_region_is_tanners_square_of_42_world_units():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     np.testing.assert_allclose(layout.spawn_size, [[42 * WU, 42 * WU]], atol=EXACT)
     np.testing.assert_array_equal(layout.spawn_pose, [[0, 0, 0]])
 
 
 def test_compact_bays_are_2_50_m_by_5_00_m():
-    layout = make_layout("compact")
+    layout = make_layout("square_compact")
     np.testing.assert_allclose(layout.bay_size, [[5.0, 2.5]] * 36, atol=EXACT)
-    assert COMPACT.bay_width == 2.5
+    assert SQUARE_COMPACT.bay_width == 2.5
     # Rows start where the open square of nine bay widths ends.
     far = np.abs(np.asarray(layout.bay_pose)[:, :2]).max(axis=1)
     np.testing.assert_allclose(far, 9 * 2.5 / 2 + 5.0 / 2, atol=EXACT)
@@ -134,20 +134,20 @@ def furnished(layout, disc=None, lane=None, lane_width=2.0):
 
 
 def test_a_disc_and_a_lane_out_of_the_way_are_sound():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     assert describe_faults(furnished(layout, disc=(15.5, 15.5, 0.2))) == []
     assert describe_faults(furnished(layout, lane=10.0)) == []
 
 
 def test_a_larger_car_needs_more_room():
-    layout = make_layout("compact")
+    layout = make_layout("square_compact")
     assert describe_faults(layout, (4.5, 1.8)) == []
     problems = describe_faults(layout, (5.1, 1.8))
     assert problems[0].startswith("bays are smaller than the car: [0, 1, 2]")
 
 
 def broken(name):
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     bay, wall = layout.bay_pose, layout.wall_size
     faults = {
         "overlapping bays": layout.replace(bay_pose=bay.at[1, 0].add(-1.0)),
@@ -240,11 +240,11 @@ def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
 @pytest.mark.parametrize("rows", [(35, 8, 0, 0, 1), (36, 7, 0, 0, 1), (36, 8, 0, 0, 0)])
 def test_padding_to_fewer_rows_than_there_are_raises(rows):
     with pytest.raises(ValueError, match="cannot be padded to"):
-        pad_layout(make_layout("tanner"), Maxima(*rows))
+        pad_layout(make_layout("square"), Maxima(*rows))
 
 
 def test_an_unknown_layout_raises_and_lists_the_known_ones():
-    known = r"'ring'.*'lot', .* 'tanner', 'tpcap', 'tpcap_1'"
+    known = r"'ring'.*'lot', .* 'tpcap', 'tpcap_1'"
     with pytest.raises(ValueError, match=known):
         make_layout("ring")
 
@@ -279,6 +279,6 @@ def test_square_lots_of_other_sizes_are_well_formed():
 
 
 def test_layout_arrays_are_strongly_typed_float32():
-    for leaf in jax.tree.leaves(make_layout("tanner")):
+    for leaf in jax.tree.leaves(make_layout("square")):
         assert leaf.dtype in (jnp.float32, jnp.int32, jnp.bool_)
         assert not leaf.weak_type

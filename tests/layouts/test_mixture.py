@@ -89,15 +89,15 @@ def test_other_keys_and_other_families_need_no_other_program():
 
 def test_members_are_called_by_their_names_with_their_shares():
     tight = [GarageRowConfig(level=level) for level in ("normal", "complex")]
-    members = ["compact", *tight, SquareConfig(bays_per_side=5)]
+    members = ["square_compact", *tight, SquareConfig(bays_per_side=5)]
     assert member_shares(mixture(members, [1, 1, 2, 4])) == {
-        "compact": 0.125,
+        "square_compact": 0.125,
         "garage_row": 0.125,
         "garage_row 2": 0.25,
         "square": 0.5,
     }
     assert list(member_shares(MixtureConfig())) == [
-        "compact",
+        "square_compact",
         "street",
         "street_parallel",
         "angled",
@@ -124,7 +124,7 @@ def test_agents_and_parked_cars_only_use_the_bays_that_are_there():
 
 
 def test_the_fewest_bays_of_any_member_limit_the_cars():
-    config = mixture(["compact", StreetConfig(bays_per_side=(3, 9))])
+    config = mixture(["square_compact", StreetConfig(bays_per_side=(3, 9))])
     assert config.min_bays == 6
     ParkingEnv(
         EnvConfig(layout=config, num_agents=2, num_parked_cars=4), SlidePhysics()
@@ -134,8 +134,10 @@ def test_the_fewest_bays_of_any_member_limit_the_cars():
 
 
 def test_names_with_commas_between_are_a_mixture():
-    config = EnvConfig(layout="compact,street,street")
-    assert layout_config(config.layout) == mixture(["compact", "street", "street"])
+    config = EnvConfig(layout="square_compact,street,street")
+    assert layout_config(config.layout) == mixture(
+        ["square_compact", "street", "street"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -143,7 +145,7 @@ def test_names_with_commas_between_are_a_mixture():
     [
         "lot",
         GarageRowConfig(level="complex", num_bays=(18, 20)),
-        mixture(["compact", StreetConfig(), GarageRowConfig()], [1, 2, 3]),
+        mixture(["square_compact", StreetConfig(), GarageRowConfig()], [1, 2, 3]),
     ],
 )
 def test_layouts_survive_the_json_of_a_run(layout):
@@ -164,15 +166,15 @@ def test_a_stored_layout_of_an_unknown_family_is_refused():
     [
         (lambda: mixture([]), "members of a mixture must be one config or more"),
         (lambda: mixture(["ring"]), "unknown layout 'ring'"),
-        (lambda: mixture(["compact"], [1, 2]), r"one for each of the 1 members"),
+        (lambda: mixture(["square_compact"], [1, 2]), r"one for each of the 1 members"),
         (
-            lambda: mixture(["compact"], [0.0]),
+            lambda: mixture(["square_compact"], [0.0]),
             r"weights must be positive, not \(0.0,\)",
         ),
         (lambda: MixtureConfig(members=("x",)), "members must be .* LayoutConfig, not"),  # type: ignore
         (lambda: MixtureConfig(members=[StreetConfig()]), "members must be a tuple"),  # type: ignore
         (
-            lambda: mixture(["compact"], ["1"]),
+            lambda: mixture(["square_compact"], ["1"]),
             r"weights must be a tuple, each item a number",
         ),  # type: ignore
         (lambda: EnvConfig(layout="street,ring"), "unknown layout 'ring'; choose from"),

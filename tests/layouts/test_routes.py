@@ -104,7 +104,7 @@ def test_ways_are_as_long_as_a_search_on_a_grid_finds_them(family):
 
 
 def test_a_lot_without_lanes_is_open_ground():
-    layout = make_layout(layout_config("tanner"))
+    layout = make_layout(layout_config("square"))
     routes = make_routes(layout)
     xy = jnp.float32(np.random.default_rng(0).uniform(-15, 15, (36, 2)))
     left = way(routes, layout, xy, jnp.arange(36))

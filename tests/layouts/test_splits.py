@@ -86,18 +86,20 @@ def test_an_environment_s_lots_are_those_of_the_split_asked_for(monkeypatch):
 
 
 def test_a_lot_that_no_key_changes_starts_as_if_there_were_no_splits(monkeypatch):
-    env = ParkingEnv(EnvConfig(layout="compact", num_agents=1), SlidePhysics())
+    env = ParkingEnv(EnvConfig(layout="square_compact", num_agents=1), SlidePhysics())
     key = jax.random.key(8)
     monkeypatch.setattr(env, "reset_to_layout", lambda layout, key, *_: (layout, key))
     for split in ("train", "test"):
         layout, used = env.reset(key, split)
         assert used is key  # unsplit: the draws that follow are those of before
-        np.testing.assert_array_equal(layout.bay_pose, make_layout("compact").bay_pose)
+        np.testing.assert_array_equal(
+            layout.bay_pose, make_layout("square_compact").bay_pose
+        )
 
 
 def test_a_member_of_a_mixture_can_be_asked_for():
     config = EnvConfig(
-        layout=mixture(["compact", STREET]), num_agents=1, num_parked_cars=0
+        layout=mixture(["square_compact", STREET]), num_agents=1, num_parked_cars=0
     )
     env = ParkingEnv(config, SlidePhysics())
     draw = jax.jit(jax.vmap(lambda key, k: env.draw_layout(key, "test", k)))

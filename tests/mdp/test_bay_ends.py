@@ -87,7 +87,7 @@ def test_files_say_which_end_and_are_written_as_they_were_read(layout, tmp_path)
 
 
 def test_a_lot_without_ends_has_no_array_of_them():
-    plain = make_layout("compact")
+    plain = make_layout("square_compact")
     assert plain.bay_end is None
     assert '"end"' not in layout_text(plain)
     assert plain.parked_pose is plain.bay_pose
@@ -109,10 +109,10 @@ def test_groups_and_mixtures_with_and_without_ends_join(layout, path):
     poses = jnp.zeros((2, 3)).at[:, 1].set(jnp.array([20.0, 25.0]))
     groups = [build.bays(poses, BAY), build.bays(poses + 30.0, BAY, end=[1, 2])]
     assert build.assemble((99.0, 99.0), *groups).bay_end.tolist() == [0, 0, 1, 2]
-    plain = make_layout("compact")
+    plain = make_layout("square_compact")
     padded = pad_layout(plain, layout_maxima([plain, layout]))
     assert padded.bay_end.tolist() == [BayEnd.EITHER] * 36
-    both = mixture([str(path), "compact"])
+    both = mixture([str(path), "square_compact"])
     assert make_layout(both, jax.random.key(0)).bay_end.shape == (36,)
 
 

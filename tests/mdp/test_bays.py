@@ -67,7 +67,7 @@ def test_no_bay_marks_nothing_and_padding_is_never_free():
 
 
 def test_shuffled_bays_are_all_bays_in_any_order_with_the_padding_last():
-    layout = pad_layout(make_layout("tanner"), Maxima(40, 8, 0, 0, 1))
+    layout = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
     order = np.asarray(jax.vmap(lambda key: shuffled_bays(layout, key))(keys(3600)))
     assert order.dtype == np.int32
     np.testing.assert_array_equal(np.sort(order[:, :36], axis=1), [range(36)] * 3600)

@@ -106,7 +106,7 @@ def test_discs_are_hit_where_shapely_says_and_only_if_they_count():
 
 
 def test_the_parked_cars_of_a_full_tanner_lot_hit_no_wall_and_not_each_other():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     size = jnp.broadcast_to(jnp.array([4.255, 1.799]), (36, 2))
     motion = cars(layout.bay_pose, size=size)
     assert not any_hit(hits_of(layout, motion)).any()

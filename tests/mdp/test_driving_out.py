@@ -102,7 +102,7 @@ def _check(state):
             "has exits: set goals.drive_out = True",
         ),
         ({"layout": "metadrive,street"}, "has no exits: use metadrive"),
-        ({"layout": "compact"}, "has no exits: use metadrive"),
+        ({"layout": "square_compact"}, "has no exits: use metadrive"),
         ({"layout": "lot"}, "has no exits: use metadrive"),
         ({"goals": GoalConfig(True, drive_out=True)}, "drive_out needs fixed goals"),
         ({"num_parked_cars": 1}, "needs bays without parked cars"),

@@ -72,7 +72,7 @@ def history(layout, num_agents, num_parked_cars, num_steps, seed=0, reach=20.0):
 
 @pytest.mark.parametrize("num_parked_cars", [0, 16, 33])
 def test_a_lot_starts_with_distinct_goals_and_parked_cars_elsewhere(num_parked_cars):
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     goal, bay = jax.vmap(lambda key: start_lot(layout, 3, num_parked_cars, key))(
         jax.random.split(jax.random.key(1), 200)
     )
@@ -83,7 +83,7 @@ def test_a_lot_starts_with_distinct_goals_and_parked_cars_elsewhere(num_parked_c
 
 
 def test_initial_goals_and_parked_cars_are_spread_over_all_bays():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     goal, bay = jax.vmap(lambda key: start_lot(layout, 2, 9, key))(
         jax.random.split(jax.random.key(2), 3600)
     )
@@ -99,7 +99,7 @@ def test_initial_goals_and_parked_cars_are_spread_over_all_bays():
 )
 def test_no_goal_ever_holds_a_parked_car(num_agents, num_parked_cars):
     # Four padding bays, which must never be used.
-    layout = pad_layout(make_layout("tanner"), Maxima(40, 8, 0, 0, 1))
+    layout = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
     start, (goal, bay, _) = history(layout, num_agents, num_parked_cars, 1500)
     mask = np.broadcast_to(layout.bay_mask, (LOTS, 1500, 40))
     check_occupancy(*start, mask[:, 0])
@@ -110,7 +110,7 @@ def test_no_goal_ever_holds_a_parked_car(num_agents, num_parked_cars):
 
 
 def test_every_bay_becomes_every_agents_goal_and_none_stays_taken_for_ever():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     _, (goal, bay, agent) = history(layout, 3, 16, 3000)
     steps = np.arange(3000)
     drawn = np.zeros((LOTS, 3, 36), int)
@@ -125,7 +125,7 @@ def test_every_bay_becomes_every_agents_goal_and_none_stays_taken_for_ever():
 
 @pytest.mark.parametrize("num_agents", [1, 2, 7])
 def test_a_full_lot_keeps_its_invariants(num_agents):
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     _, (goal, bay, _) = history(layout, num_agents, 36 - num_agents, 1500)
     check_occupancy(goal, bay, np.broadcast_to(layout.bay_mask, (LOTS, 1500, 36)))
     # Nevertheless goals change: the car in the new goal swaps with the old one.
@@ -230,7 +230,7 @@ def test_reserved_bays_are_no_goals_and_their_cars_come_back():
 
 @pytest.mark.parametrize("occupancy", [None, (1.0, 1.0)])
 def test_goals_take_reserved_bays_only_when_no_other_is_free(occupancy):
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     kind = jnp.full(36, BayKind.RESERVED).at[jnp.array([4, 20])].set(0)
     layout = layout.replace(bay_kind=kind)
     config = EnvConfig(num_agents=3, num_parked_cars=36, occupancy=occupancy)

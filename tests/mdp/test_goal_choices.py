@@ -12,16 +12,16 @@ from helpers.states import parked_in, state_of
 from helpers.transitions import CHOICES, no_events
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, GoalConfig
-from carpark_mj.mdp.chosen_goals import ChosenGoals, taken_by_others, untracked
+from carpark_mj.mdp.dynamic_goals import DynamicGoals, taken_by_others, untracked
 from carpark_mj.types import NO_BAY
 
 # Five bays in a row, 4 m apart, and agents in front of it.
 ROW = lot([(x, 10.0, math.pi / 2) for x in (0, 4, 8, 12, 16)])
 
 
-def chosen_goals(agents, slots, respawn=True):
+def dynamic_goals(agents, slots, respawn=True):
     """The shipped rules for some agents, and slots of tracked bays."""
-    return ChosenGoals(
+    return DynamicGoals(
         EnvConfig(
             num_agents=agents,
             goals=GoalConfig(dynamic=True, num_tracked_bays=slots),
@@ -44,7 +44,7 @@ def chosen_goals(agents, slots, respawn=True):
     ],
 )
 def test_every_choice_by_hand(goal, choice, expected, name):
-    goals = chosen_goals(1, 3)
+    goals = dynamic_goals(1, 3)
     before = state_of(
         ROW,
         cars([(0.0, 0.0, 0.0)]),
@@ -68,7 +68,7 @@ def random_steps(respawn=True, lots=1500, agents=4, slots=3):
     Returns:
         States before, when goals are chosen, and at the end; events, goal events.
     """
-    goals = chosen_goals(agents, slots, respawn)
+    goals = dynamic_goals(agents, slots, respawn)
 
     def step(key):
         keys = jax.random.split(key, 8)

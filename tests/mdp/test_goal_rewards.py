@@ -19,7 +19,7 @@ from carpark_mj.config import (
     RewardConfig,
 )
 from carpark_mj.layouts import Maxima, pad_layout
-from carpark_mj.mdp.goal_rewards import chosen_progress
+from carpark_mj.mdp.goal_rewards import dynamic_progress
 from carpark_mj.mdp.rewards import reward_terms, term_weights
 from carpark_mj.mdp.tracked_bays import target_bay
 from carpark_mj.observations import ContinuousObservation
@@ -62,7 +62,7 @@ def progress(poses, goals, tracked=(0, 4)):
     poses, goals = [cars([pose]) for pose in poses], [[goal] for goal in goals]
     steps = zip(itertools.pairwise(goals), itertools.pairwise(poses), strict=True)
     return [
-        float(chosen_progress(config, step(config, chosen, tracked, *moved))[0])
+        float(dynamic_progress(config, step(config, chosen, tracked, *moved))[0])
         for chosen, moved in steps
     ]
 
@@ -96,7 +96,7 @@ def test_no_closed_loop_of_motion_and_choices_pays():
     @jax.jit
     def paid(old, new, before, after):
         happened = step(config, (old, new), (0, 2, 4), cars(before), cars(after))
-        return chosen_progress(config, happened)
+        return dynamic_progress(config, happened)
 
     total = np.zeros(loops)
     for k in range(steps):

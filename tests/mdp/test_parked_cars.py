@@ -205,7 +205,7 @@ RULES = {
 
 @pytest.mark.parametrize("rule", RULES)
 def test_every_agent_that_parks_moves_one_car_and_no_tracked_one_without_need(rule):
-    layout, config, agents, num_cars = make_layout("tanner"), RULES[rule], 5, 12
+    layout, config, agents, num_cars = make_layout("square"), RULES[rule], 5, 12
 
     @jax.jit
     @jax.vmap
@@ -253,7 +253,7 @@ def longest_stays(moves, seed=0, ends=4000, lots=8):
 
     Agents stand anywhere and park in random free bays: as if they chose their goals.
     """
-    layout = make_layout("tanner")
+    layout = make_layout("square")
 
     def end(carry, key):
         goal, bay = carry

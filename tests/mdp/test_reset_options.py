@@ -27,7 +27,7 @@ from carpark_mj.studies.tanner.grid_config import FINE
 from carpark_mj.types import NO_BAY
 
 NAN = float("nan")
-SMALL = EnvConfig(layout="compact", num_agents=3, physics="bicycle")
+SMALL = EnvConfig(layout="square_compact", num_agents=3, physics="bicycle")
 POSE = (1.0, -2.0, 2.5)
 FIRST = ResetOptions(
     pose=jnp.array([POSE, (NAN,) * 3, (NAN,) * 3]),
@@ -81,7 +81,7 @@ def test_agents_begin_as_asked_and_the_others_are_drawn(config):
 
 def test_on_the_grid_a_car_has_a_point_a_heading_and_a_level():
     env = ParkingEnv(
-        EnvConfig(layout="tanner", vehicle="tanner", num_agents=1, physics="grid")
+        EnvConfig(layout="square", vehicle="tanner", num_agents=1, physics="grid")
     )
     size, level = FINE.point_size, 4 * FINE.point_size / 0.2
     pose = jnp.array([[8 * size, -16 * size, jnp.pi / 2]])
@@ -115,7 +115,7 @@ def test_parked_cars_and_drawn_starts_keep_clear_of_given_ones(varied):
     if varied:
         config = dataclasses.replace(config, num_parked_cars=36, occupancy=(0.5, 1))
     env = ParkingEnv(config)
-    layout = make_layout("compact")
+    layout = make_layout("square_compact")
     corner = layout.bay_pose[20] + jnp.array([1.2, 0.0, 0.3])  # over two bays
     asked = FIRST.replace(pose=FIRST.pose.at[0].set(corner))
     reset = jax.jit(jax.vmap(lambda key: env.reset(key, options=asked)[0]))
@@ -135,8 +135,10 @@ def test_parked_cars_and_drawn_starts_keep_clear_of_given_ones(varied):
 
 
 def test_parked_cars_without_a_bay_are_absent():
-    env = ParkingEnv(EnvConfig(layout="compact", num_agents=1, num_parked_cars=35))
-    pose = make_layout("compact").bay_pose[:1]
+    env = ParkingEnv(
+        EnvConfig(layout="square_compact", num_agents=1, num_parked_cars=35)
+    )
+    pose = make_layout("square_compact").bay_pose[:1]
     asked = ResetOptions(pose, goal=jnp.array([1]))
     state, _ = jax.jit(env.reset)(jax.random.key(0), options=asked)
     check_starts(env.config, asked, state)
@@ -171,7 +173,7 @@ def test_starts_that_cannot_be_are_refused(small, change, message):
         check_starts(env.config, asked, reset(jax.random.key(0), options=asked)[0])
 
 
-def test_absent_agents_chosen_goals_and_other_types_are_refused(small):
+def test_absent_agents_dynamic_goals_and_other_types_are_refused(small):
     with pytest.raises(TypeError, match="options must be of ResetOptions"):
         small[0].reset(jax.random.key(0), options={"goal": 3})
     chosen = ParkingEnv(dataclasses.replace(SMALL, goals=GoalConfig(dynamic=True)))

@@ -160,7 +160,7 @@ def test_progress_can_count_the_way_along_the_lanes():
 def test_near_the_goal_every_metre_of_a_maneuver_can_pay():
     """Along a circle into the bay, which its straight distance hardly pays for."""
     radius = LIMITED_RADIUS
-    reward = RewardConfig(progress=1.0, alignment=0.0, reeds_shepp=100.0)
+    reward = RewardConfig(progress=1.0, alignment=0.0, reeds_shepp_reach=100.0)
     angle = np.array([0.0, 0.1, 0.2])  # of the rear axle about the turn's centre
     rear = radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=-1)
     ahead = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -172,7 +172,7 @@ def test_near_the_goal_every_metre_of_a_maneuver_can_pay():
 
 def test_far_from_the_goal_the_way_is_straight_and_it_changes_steadily():
     way = RewardConfig(progress=1.0, alignment=0.0)
-    near = dataclasses.replace(way, reeds_shepp=8.0)
+    near = dataclasses.replace(way, reeds_shepp_reach=8.0)
     far = [(-9.0, 0.5, 1.0), (-8.5, 0.5, 1.0)]
     for reward in (way, near):
         got = terms(reward, cars(far[:1]), cars(far[1:]), (0.0, 0.0, 0.0))["progress"]
@@ -185,8 +185,10 @@ def test_far_from_the_goal_the_way_is_straight_and_it_changes_steadily():
 
 
 def test_the_grid_has_no_maneuvers():
-    with pytest.raises(ValueError, match=r"reeds_shepp 8.0 needs cars that steer"):
-        EnvConfig(physics="grid", reward=RewardConfig(reeds_shepp=8.0))
+    with pytest.raises(
+        ValueError, match=r"reeds_shepp_reach 8.0 needs cars that steer"
+    ):
+        EnvConfig(physics="grid", reward=RewardConfig(reeds_shepp_reach=8.0))
 
 
 def test_a_time_out_costs_nothing_by_itself():

@@ -77,7 +77,7 @@ def test_only_usable_bays_are_tracked():
 
 
 def test_tracking_on_random_states_keeps_slots_and_finds_the_nearest():
-    layout, agents, count = make_layout("tanner"), 5, 4
+    layout, agents, count = make_layout("square"), 5, 4
 
     def step(tracked, key):
         place, cars_key = jax.random.split(key)

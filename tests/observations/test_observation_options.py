@@ -1,4 +1,4 @@
-"""Shared goals and speeds, chosen goals, rivals, rings' past and limits of the view."""
+"""Shared goals and speeds, dynamic goals, rivals, rings' past, limits of the view."""
 
 import dataclasses
 import math
@@ -99,26 +99,26 @@ def test_rivals_for_fixed_goals_by_hand():
 
 
 def test_steering_and_order_of_others_by_hand():
-    config = ContinuousObservation(share=ShareConfig(steering=True, order=True))
+    config = ContinuousObservation(share=ShareConfig(steering=True, priority=True))
     motion = dataclasses.replace(THREE, steering=jnp.array([0.1, -0.2, 0.3]))
     named = observed(config, BAYS, motion, [0, 1, 2])
     limit = 0.3 / named["steering"][2]
     # The middle one tracks the others, nearest first.
-    order = [int(named[f"agent_{k}_order"][1, 0]) for k in range(2)]
+    order = [int(named[f"agent_{k}_priority"][1, 0]) for k in range(2)]
     steering = [float(named[f"agent_{k}_steering"][1, 0] * limit[0]) for k in range(2)]
     assert sorted(zip(order, np.round(steering, 5), strict=True)) == [
         (0, 0.3),
         (1, 0.1),
     ]
     for k in range(2):  # nobody comes before the first, all before the last
-        assert named[f"agent_{k}_order"][0] == 0.0
-        assert named[f"agent_{k}_order"][2] == 1.0
+        assert named[f"agent_{k}_priority"][0] == 0.0
+        assert named[f"agent_{k}_priority"][2] == 1.0
     alone = observed(config, BAYS, jax.tree.map(lambda x: x[:1], motion), [0])
-    assert not alone["agent_0_order"].any()
+    assert not alone["agent_0_priority"].any()
     assert not alone["agent_0_steering"].any()
 
 
-def test_chosen_goals_by_hand():
+def test_dynamic_goals_by_hand():
     config = ContinuousObservation(rings=RingConfig(), global_information=True)
     bays = [[2, 0], [1, NONE], [NONE, 2]]
     named = observed(config, BAYS, THREE, [0, 2, NONE], (), bays)
@@ -225,11 +225,11 @@ def test_agents_track_where_their_sensors_see_others():
 
 
 def scene(count=6):
-    """Cars anywhere in a `tanner` lot, and bays they track."""
+    """Cars anywhere in a `square` lot, and bays they track."""
     rng = np.random.default_rng(0)
     low, high = (-15, -15, -3.1), (15, 15, 3.1)
     motion = cars(rng.uniform(low, high, (count, 3)), rng.uniform(-1, 3, count))
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     bays = rng.permutation(36)
     parked = np.asarray(layout.bay_pose)[bays[:10]]
     tracked = np.stack([rng.permutation(bays[10:14])[:2] for _ in range(count)])
@@ -308,7 +308,7 @@ def test_the_way_needs_fixed_goals_and_open_ground(changes):
         assert "\n" not in str(refusal.value)
 
 
-def test_chosen_goals_need_bays_enough():
+def test_dynamic_goals_need_bays_enough():
     chosen = GoalConfig(dynamic=True, num_tracked_bays=21)
     with pytest.raises(ValueError, match=r"num_\w+ must be at most 20 .* not 21"):
         ParkingEnv(EnvConfig(goals=chosen, num_parked_cars=16))

@@ -163,7 +163,7 @@ def test_cars_that_do_not_exist_are_all_zeros():
 
 
 def random_scene(seed=0, count=6):
-    """A `tanner` lot with cars anywhere, and its plan."""
+    """A `square` lot with cars anywhere, and its plan."""
     rng = np.random.default_rng(seed)
     motion = cars(
         rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (count, 3)),
@@ -179,7 +179,7 @@ def random_scene(seed=0, count=6):
 
 @pytest.mark.parametrize("shift", [(3.0, -7.0, 0.0), (0.0, 0.0, 2.0), (9.0, 4.0, -1.2)])
 def test_observations_do_not_change_when_the_whole_lot_is_moved(shift):
-    config, layout = ContinuousObservation(), make_layout("tanner")
+    config, layout = ContinuousObservation(), make_layout("square")
     motion, *plan = random_scene()
     here = observed(config, layout, motion, *plan)
     there = observed(config, moved_lot(layout, shift), moved_cars(motion, shift), *plan)
@@ -189,7 +189,7 @@ def test_observations_do_not_change_when_the_whole_lot_is_moved(shift):
 
 
 def test_observations_do_not_depend_on_the_order_of_the_other_agents():
-    config, layout = ContinuousObservation(), make_layout("tanner")
+    config, layout = ContinuousObservation(), make_layout("square")
     motion, goal, *parked = random_scene()
     order = np.array([0, 4, 2, 5, 1, 3])
     shuffled = jax.tree.map(lambda x: x[order], motion)
@@ -200,7 +200,7 @@ def test_observations_do_not_depend_on_the_order_of_the_other_agents():
 
 
 def test_observations_do_not_depend_on_the_order_of_the_parked_cars():
-    config, layout = ContinuousObservation(), make_layout("tanner")
+    config, layout = ContinuousObservation(), make_layout("square")
     motion, goal, parked_bay, parked_size = random_scene()
     order = np.random.default_rng(1).permutation(16)
     here = observed(config, layout, motion, goal, parked_bay, parked_size)
@@ -213,7 +213,7 @@ def test_observations_do_not_depend_on_the_order_of_the_parked_cars():
 
 def test_tracked_cars_are_the_nearest_and_the_nearest_comes_first():
     config = ContinuousObservation(2, 2)
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     motion, goal, parked_bay, parked_size = random_scene(2)
     named = observed(config, layout, motion, goal, parked_bay, parked_size)
     xy = np.asarray(motion.pose_w[:, :2])
@@ -332,7 +332,7 @@ def test_pushed_cars_are_observed_where_they_stand_and_absent_ones_nowhere():
 def test_indices_are_whole_numbers_within_their_cardinalities():
     config = config_of(IndexObservation(RingConfig((4.0, 9.0), cars=True)))
     motion, goal, parked_bay, parked_size = random_scene()
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     parked_cars = parked_in(layout, parked_bay, parked_size)
     state = state_of(layout, motion, goal, parked_cars=parked_cars)
     seen = np.asarray(observe_jit(config, state))

@@ -117,7 +117,7 @@ EVERYTHING = ContinuousObservation(
     tracked_agents=2,
     tracked_parked_cars=2,
     rings=RingConfig((6.0, 9.0), cars=True),
-    share=ShareConfig(steering=True, order=True),
+    share=ShareConfig(steering=True, priority=True),
     lines=True,
     own_car=True,
     rays=RayConfig(8),

@@ -133,7 +133,11 @@ def test_an_object_of_ones_own_brings_its_traits():
         ({"contacts": True}, {"episode": EpisodeConfig(hitbox_scale=1.5)}, "hitbox"),
         ({"steers": False}, {"spawn": SpawnConfig(reverse_ratio=0.5)}, "reverse_ratio"),
         ({"steers": False}, {"reward": RewardConfig(route=True)}, "route"),
-        ({"steers": False}, {"reward": RewardConfig(reeds_shepp=2.0)}, "reeds_shepp"),
+        (
+            {"steers": False},
+            {"reward": RewardConfig(reeds_shepp_reach=2.0)},
+            "reeds_shepp",
+        ),
         (
             {"randomized": False},
             {"randomization": RandomizationConfig(mass=(0.9, 1.1))},

@@ -115,7 +115,7 @@ def test_in_mjx_the_springs_are_each_cars_own():
 
 
 def test_an_exported_scene_has_springs_if_asked():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     poses = np.array([[0.0, 0.0, 0.0]])
     for sprung, count in ((False, 0), (True, 4)):
         spec = drivable_scene(layout, COMPACT, poses, np.zeros((0, 3)), sprung)

@@ -93,7 +93,7 @@ def test_a_drive_is_written_as_a_video(lot, tmp_path):
         assert shown.n_frames == 2 * lot.traces
 
 
-def test_chosen_goals_are_bays_that_the_driver_tracks():
+def test_dynamic_goals_are_bays_that_the_driver_tracks():
     np.testing.assert_array_equal(pad(np.float32([0.5, -1]), 3), [[0.5, -1, 1]])
 
 

@@ -31,7 +31,9 @@ TINY = dataclasses.replace(
         FIXED,
         num_agents=2,
         num_parked_cars=3,
-        spawn=dataclasses.replace(FIXED.spawn, crash_ratio=0.0),  # quicker to compile
+        spawn=dataclasses.replace(
+            FIXED.spawn, conflict_ratio=0.0
+        ),  # quicker to compile
         episode=dataclasses.replace(FIXED.episode, max_steps=10),
     ),
 )

@@ -217,7 +217,7 @@ def test_nothing_is_written_into_the_package(shipped):
         ({"num_agents": 1}, "runs/tiny/evaluations/num_agents-1"),
         ({"nominal": True}, "runs/tiny"),  # nothing to turn off
         ({"episodes": 8}, "runs/tiny/evaluations/episodes-8"),
-        ({"span": 9.0}, "runs/tiny/evaluations/span-9.0"),
+        ({"horizon": 9.0}, "runs/tiny/evaluations/horizon-9.0"),
         ({"seed": 1}, "runs/tiny/evaluations/seed-1"),
         ({"stochastic": True}, "runs/tiny/evaluations/stochastic-True"),
         ({"stochastic": True, "out": "mine"}, "mine"),
@@ -271,7 +271,11 @@ def test_seeds_that_would_be_those_of_others_are_refused(seed):
 @pytest.mark.parametrize(("agents", "parked"), [(1, 0), (3, 9)])
 def test_a_set_encoder_drives_with_any_number_of_cars(shipped, agents, parked):
     driver = find_driver("tiny")
-    changes = {"num_agents": agents, "num_parked_cars": parked, "layout": "compact"}
+    changes = {
+        "num_agents": agents,
+        "num_parked_cars": parked,
+        "layout": "square_compact",
+    }
     env = ParkingEnv(adapt(driver.env, **changes))
     assert np.isfinite(drive(env, driver.policy(env))).all()
     assert loading.load_policy("tiny", env=env.config).env == env.config
@@ -282,7 +286,7 @@ def test_a_flat_network_drives_with_as_many_cars_only(tmp_path):
     config = dataclasses.replace(TINY, networks=flat)
     save(tmp_path / "flat", config, Learner(config).init())
     driver = find_driver(str(tmp_path / "flat"))
-    env = ParkingEnv(adapt(driver.env, layout="compact"))
+    env = ParkingEnv(adapt(driver.env, layout="square_compact"))
     assert np.isfinite(drive(env, driver.policy(env))).all()
     alone = ParkingEnv(adapt(driver.env, num_parked_cars=1))
     size, other = observation_size(TINY.env), observation_size(alone.config)

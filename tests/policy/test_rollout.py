@@ -14,7 +14,9 @@ STEPS = 4
 
 @pytest.fixture(scope="module")
 def env():
-    return ParkingEnv(EnvConfig(layout="compact", num_parked_cars=2, physics="bicycle"))
+    return ParkingEnv(
+        EnvConfig(layout="square_compact", num_parked_cars=2, physics="bicycle")
+    )
 
 
 def act(state, observation, memory, key):

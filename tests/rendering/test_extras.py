@@ -10,7 +10,7 @@ from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.vehicle import COMPACT
 
-LAYOUT = make_layout("tanner")
+LAYOUT = make_layout("square")
 POSE = np.array([[2.0, 1.0, 0.0], [-6.0, 0.0, 0.0]])
 PARKED = POSE + np.array([3.0, 5.0, 0.0])  # each agent tracks the one on its left
 ON_LINK, ON_RING = np.array([1.5, 2.5]), np.array([0.0, -4.0])

@@ -26,7 +26,7 @@ CARS = [scaled(PRESETS["suv"], 1.05), PRESETS["city"]]
 
 @pytest.fixture(scope="module")
 def stage():
-    return Stage(make_layout("tanner"), COMPACT, 2, 2, KINDS, CARS)
+    return Stage(make_layout("square"), COMPACT, 2, 2, KINDS, CARS)
 
 
 def sizes(*kinds):

@@ -31,7 +31,7 @@ from carpark_mj.scene.materials import agent_colour
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT
 
-LAYOUT = make_layout("tanner")
+LAYOUT = make_layout("square")
 POSE = np.array([[5.0, 3.0, 0.4], [-6.0, -4.0, 2.0]])
 GOAL = np.array([3, 20])
 BAYS = np.asarray(LAYOUT.bay_pose)

@@ -9,7 +9,7 @@ from carpark_mj.types import NO_BAY
 
 
 def test_a_picture_shows_no_goal_of_an_agent_that_explores():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     flags = np.zeros((1, 2), bool)
     recording = Recording(
         layout=layout,

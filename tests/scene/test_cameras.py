@@ -14,7 +14,7 @@ from carpark_mj.scene.cameras import fit_eye, frame_lot
 from carpark_mj.scene.materials import ASPHALT, ZENITH, agent_colour
 from carpark_mj.vehicle import PRESETS
 
-LAYOUT = make_layout("tanner")
+LAYOUT = make_layout("square")
 POSE = np.array([[-6.0, 0.0, 0.0]])
 SEEN = Snapshot(
     seconds=0.0,

@@ -11,7 +11,7 @@ from carpark_mj.vehicle import COMPACT
 AGENTS, PARKED = 3, 4
 
 
-@pytest.fixture(scope="module", params=["tanner", "compact"])
+@pytest.fixture(scope="module", params=["square", "square_compact"])
 def layout(request):
     return make_layout(request.param)
 

@@ -6,7 +6,7 @@ import pytest
 from brax.training.agents.ppo.losses import compute_gae
 
 from carpark_mj.training.ppo.advantages import compute_advantages
-from carpark_mj.training.ppo.rollout import Rollout
+from carpark_mj.training.ppo.collect import Rollout
 
 
 def rollout(reward, terminated, truncated) -> Rollout:

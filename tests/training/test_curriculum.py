@@ -66,16 +66,16 @@ def test_without_a_curriculum_nothing_changes():
 
 
 def test_the_training_s_environment_differs_in_its_starts_only():
-    starts = CurriculumConfig(crash_ratio=0.3, reverse_ratio=0.2)
+    starts = CurriculumConfig(conflict_ratio=0.3, reverse_ratio=0.2)
     config = PPOConfig(curriculum=starts, env=EnvConfig(num_agents=3))
     env = training_env(config)
-    spawn = dataclasses.replace(config.env.spawn, crash_ratio=0.3, reverse_ratio=0.2)
+    spawn = dataclasses.replace(config.env.spawn, conflict_ratio=0.3, reverse_ratio=0.2)
     assert env == dataclasses.replace(config.env, spawn=spawn)
     assert Learner(config).env.env.config == env
     # One of them alone leaves the other as it is in the environment.
     only = dataclasses.replace(starts, reverse_ratio=0.0)
     env = training_env(dataclasses.replace(config, curriculum=only))
-    assert env.spawn == dataclasses.replace(config.env.spawn, crash_ratio=0.3)
+    assert env.spawn == dataclasses.replace(config.env.spawn, conflict_ratio=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_at_a_scale_of_one_the_rewards_are_the_environment_s(unrolls):
         ({"crash_scale": -1.0}, "crash_scale must be at least 0.0, not -1"),
         ({"crash_until": 1.5}, r"crash_until must lie in \[0, 1\], not 1.5"),
         ({"discount_end": 1.0}, r"discount_end must lie in \[0, 1\), not 1.0"),
-        ({"crash_ratio": 2.0}, r"crash_ratio must lie in \[0, 1\], not 2.0"),
+        ({"conflict_ratio": 2.0}, r"conflict_ratio must lie in \[0, 1\], not 2.0"),
         ({"reverse_ratio": -0.1}, r"reverse_ratio must lie in \[0, 1\], not -0.1"),
     ],
 )

@@ -18,11 +18,11 @@ from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.training.ppo import variants
+from carpark_mj.training.ppo.collect import Rollout
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import schedule
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 from carpark_mj.training.ppo.epochs import learn, network_params
-from carpark_mj.training.ppo.rollout import Rollout
 from carpark_mj.training.ppo.state import AXIS
 
 LENGTH, AGENTS, SIZE, PARTS = 6, 12, 3, 4

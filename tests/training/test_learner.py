@@ -24,11 +24,11 @@ from carpark_mj.observations.sets import OWN
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import MIN_STD
 from carpark_mj.training.ppo.advantages import compute_advantages
+from carpark_mj.training.ppo.collect import Rollout
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.ppo.rollout import Rollout
 from carpark_mj.training.ppo.state import AXIS
 
 TINY = dataclasses.replace(

@@ -158,7 +158,7 @@ def test_a_resumed_training_draws_the_same_lots(history):
 
 @pytest.mark.parametrize(
     ("layout", "life", "expected"),
-    [("compact", 16, False), (STREET, 0, False), (STREET, 16, True)],
+    [("square_compact", 16, False), (STREET, 0, False), (STREET, 16, True)],
 )
 def test_lots_that_no_key_changes_or_with_no_end_of_life_stay(layout, life, expected):
     env = dataclasses.replace(CONFIG.env, layout=layout)

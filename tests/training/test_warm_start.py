@@ -146,7 +146,7 @@ WIDER = dataclasses.replace(
     env=dataclasses.replace(
         TINY.env,
         observation=ContinuousObservation(
-            own_car=True, lines=True, share=ShareConfig(steering=True, order=True)
+            own_car=True, lines=True, share=ShareConfig(steering=True, priority=True)
         ),
     ),
 )
@@ -157,7 +157,7 @@ NEW = {
     "own_turning_radius",
     "line_room",
     "agent_0_steering",
-    "agent_0_order",
+    "agent_0_priority",
 }
 
 
@@ -349,7 +349,7 @@ def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
     refused(
         tmp_path,
         ValueError,
-        r"was trained without agent_0_order, .*; only a set encoder",
+        r"was trained without agent_0_priority, .*; only a set encoder",
         warm_start=folder,
         networks=NetworkConfig((16,), (16,), encoder="flat"),
         env=WIDER.env,

@@ -14,11 +14,11 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.sets import OWN
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.training.ppo.collect import Rollout, collect, drop_absent
 from carpark_mj.training.ppo.epochs import network_params, num_learned
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.ppo.rollout import Rollout, collect, drop_absent
 from carpark_mj.training.ppo.state import AXIS, count_steps
 from carpark_mj.wrappers.brax import BraxParking
 

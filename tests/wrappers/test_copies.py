@@ -14,7 +14,7 @@ from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.registration import ENTRY_POINTS
 
 PARK, GOAL, *_ = ENTRY_POINTS
-QUICK = EnvConfig(layout="compact", num_parked_cars=2, physics="bicycle")
+QUICK = EnvConfig(layout="square_compact", num_parked_cars=2, physics="bicycle")
 AHEAD = np.array([0.2, 1.0], np.float32)
 
 

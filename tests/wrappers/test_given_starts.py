@@ -11,7 +11,7 @@ from carpark_mj.studies.cederle.adapters.pettingzoo import junction_parallel_env
 
 PARK, GOAL, SLOTS, MANY = ENTRY_POINTS
 QUICK = EnvConfig(
-    layout="compact",
+    layout="square_compact",
     num_parked_cars=4,
     physics="bicycle",
     episode=EpisodeConfig(max_steps=1),

@@ -211,11 +211,11 @@ def test_no_environment_of_many_is_an_absent_agent():
         {"config": "pandita"},
         {"layout": "slots", "parked_cars": 0, "physics": "bicycle"},
         {
-            "layout": mixture(["tanner", "tpcap"]),
+            "layout": mixture(["square", "tpcap"]),
             "parked_cars": 0,
             "physics": "bicycle",
         },
-        {"layout": "compact", "physics": "bicycle"},
+        {"layout": "square_compact", "physics": "bicycle"},
     ],
 )
 @pytest.mark.parametrize("pedal", [-1.0, 1.0])
@@ -233,12 +233,12 @@ def test_only_what_grows_beyond_the_lot_has_wider_bounds():
 
     fields = make_fields(EnvConfig(num_agents=1))
     names = np.repeat([f.name for f in fields], [f.size for f in fields])
-    lot, street = box(layout="compact"), box(layout="slots", num_parked_cars=4)
+    lot, street = box(layout="square_compact"), box(layout="slots", num_parked_cars=4)
     assert np.isfinite(street.high).all()
     assert {*names[street.high > lot.high]} >= {"goal_position", "goal_distance"}
     same = {"speed", "steering", "goal_heading", "goal_near", "in_bay", "yaw_rate"}
     assert not same & {*names[street.high > lot.high]}
-    noisy = box(layout="compact", sensors=SensorConfig(position_noise=0.1))
+    noisy = box(layout="square_compact", sensors=SensorConfig(position_noise=0.1))
     assert not (same - {"speed", "yaw_rate"}) & {*names[np.isinf(noisy.high)]}
     assert "goal_position" in names[np.isinf(noisy.high)]
 

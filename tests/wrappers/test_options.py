@@ -12,7 +12,7 @@ from carpark_mj.wrappers.options import OPTIONS, configure, shared_env
 def test_every_option_sets_its_field():
     found = configure(
         {
-            "layout": "compact",
+            "layout": "square_compact",
             "agents": 3,
             "parked_cars": 5,
             "rule": "precise",
@@ -21,7 +21,7 @@ def test_every_option_sets_its_field():
         }
     )
     assert found == EnvConfig(
-        layout="compact",
+        layout="square_compact",
         num_agents=3,
         num_parked_cars=5,
         episode=EpisodeConfig(parked_rule="precise"),

@@ -149,7 +149,7 @@ def test_unknown_options_and_values_are_refused_in_one_sentence():
         carpark_mj.parallel_env(render_mode="ansi")
 
 
-def test_chosen_goals_and_the_grid_have_their_own_action_spaces():
+def test_dynamic_goals_and_the_grid_have_their_own_action_spaces():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         chosen = EnvConfig(

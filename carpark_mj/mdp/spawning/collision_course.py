@@ -49,11 +49,11 @@ class CourseDraws(NamedTuple):
 
 def course_shapes(config: SpawnConfig, num_agents: int) -> CourseDraws:
     """Shapes of the numbers of all attempts, for `draw_uniform`."""
-    n = ATTEMPTS if config.crash_ratio else 0
+    n = ATTEMPTS if config.conflict_ratio else 0
     return CourseDraws((n, num_agents), (n, DRAWS), (n, DRAWS))
 
 
-def crash_pose(
+def course_pose(
     config: SpawnConfig,
     layout: Layout,
     around: Surroundings,
@@ -63,11 +63,11 @@ def crash_pose(
 ) -> tuple[jax.Array, jax.Array]:
     """One attempt to start an agent on a collision course.
 
-    The target is uniform among the agents that are `crash_distance` or more from their
-    goals. The two would meet at a point of the target's straight way, uniform between
-    `crash_distance` before its goal and `min_distance` ahead of it. The start lies
-    behind that point, seen from the own goal, as far as the target is from it. The
-    first of `DRAWS` points counts whose start lies in a spawn region, keeps
+    The target is uniform among the agents that are `conflict_distance` or more from
+    their goals. The two would meet at a point of the target's straight path, uniform
+    between `conflict_distance` before its goal and `min_distance` ahead of it. The
+    start lies behind that point, seen from the own goal, as far as the target is from
+    it. The first of `DRAWS` points counts whose start lies in a spawn region, keeps
     `min_distance` to every other agent and touches nothing. The heading is random.
 
     Args:
@@ -83,13 +83,13 @@ def crash_pose(
         otherwise the pose is invalid.
     """
     ways = norm(targets.xy - targets.goal_xy)
-    able = targets.mask & (ways >= config.crash_distance)
+    able = targets.mask & (ways >= config.conflict_distance)
     target = pick(able, draws.target)
     way, end = ways[target], targets.goal_xy[target]
     longest = way - config.min_distance
-    found = able.any() & (longest >= config.crash_distance)
+    found = able.any() & (longest >= config.conflict_distance)
 
-    rest = config.crash_distance + draws.way * (longest - config.crash_distance)
+    rest = config.conflict_distance + draws.way * (longest - config.conflict_distance)
     meeting = end + rest[:, None] * _unit(targets.xy[target] - end)
     start = meeting - (way - rest)[:, None] * _unit(goal_xy - meeting)
 

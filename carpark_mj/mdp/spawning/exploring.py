@@ -99,7 +99,7 @@ def place_exploring(
         drawn = pick(good, draws.order)
         pose = jnp.where(close, poses[drawn], pose)
         bay = jnp.where(close, drawn, bay)
-    return placing.set(around.agent, pose_w=pose, close_bay=bay, conflict=kind.crash)
+    return placing.set(around.agent, pose_w=pose, close_bay=bay, conflict=kind.conflict)
 
 
 def first_goals(

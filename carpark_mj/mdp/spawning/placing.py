@@ -1,6 +1,6 @@
 """Agents that begin an episode are placed one after the other, so that they stay apart.
 
-The loop is the same for fixed and chosen goals; see `carpark_mj.mdp.goals`. A start on
+The loop is the same for fixed and dynamic goals; see `carpark_mj.mdp.goals`. A start on
 top of another car, or of a wall, is not made: where there is no room an agent waits.
 """
 

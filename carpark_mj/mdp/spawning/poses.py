@@ -38,12 +38,12 @@ class SpawnKind(NamedTuple):
 
     Attributes:
         close: close to a goal.
-        crash: on course for a collision, or exploring with another agent's goal.
+        conflict: with another agent, on course for a collision or about a bay.
         reverse: on a way out of the goal's bay.
     """
 
     close: jax.Array
-    crash: jax.Array
+    conflict: jax.Array
     reverse: jax.Array
 
 
@@ -63,10 +63,10 @@ def at_random_after(tries: jax.Array, draws: SpawnDraws) -> SpawnDraws:
 def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
     """How starts (...) are meant to be, of one kind at most; `number` (...) decides."""
     rest = number - config.close_ratio
-    last = rest - config.crash_ratio
+    last = rest - config.conflict_ratio
     return SpawnKind(
         close=number < config.close_ratio,
-        crash=(rest >= 0.0) & (rest < config.crash_ratio),
+        conflict=(rest >= 0.0) & (rest < config.conflict_ratio),
         reverse=(rest >= 0.0) & (last >= 0.0) & (last < config.reverse_ratio),
     )
 

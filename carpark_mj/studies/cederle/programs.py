@@ -23,3 +23,7 @@ STUDY_PROGRAMS.register(
         "carpark_mj.studies.cederle.scene:run", "the junction as MJCF, or in a viewer"
     ),
 )
+STUDY_PROGRAMS.register(
+    "junction_speed",
+    Entry("carpark_mj.studies.cederle.speed:run", "agent steps/s at the junction"),
+)

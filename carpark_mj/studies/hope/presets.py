@@ -16,7 +16,7 @@ HOPE = dataclasses.replace(
     curriculum=dataclasses.replace(
         SQUARE.curriculum,
         crash_scale=2.0,
-        crash_ratio=0.0,
+        conflict_ratio=0.0,
         reverse_ratio=0.5,
         target_rate=0.99,
     ),

@@ -3,7 +3,6 @@
 from carpark_mj.studies.tanner import (
     grid_config,
     indices,
-    layouts,
     observation,
     rewards,
     vehicles,
@@ -16,7 +15,6 @@ __all__ = [
     "environments",
     "grid_config",
     "indices",
-    "layouts",
     "observation",
     "programs",
     "rewards",

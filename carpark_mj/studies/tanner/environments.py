@@ -51,7 +51,7 @@ from carpark_mj.studies.tanner.rewards import TANNER
 
 # Tables C.1 and C.2; 216 table entries: 3 levels of speed, 8 bearings, 9 actions.
 TANNER_QLEARNING = EnvConfig(
-    layout="tanner",
+    layout="square",
     vehicle="tanner",
     num_agents=1,
     num_parked_cars=0,
@@ -94,7 +94,7 @@ TANNER_QLEARNING_RINGS = dataclasses.replace(
 
 # Table C.9: the study's PPO, 7 agents on the fine grid.
 TANNER_FIXED = EnvConfig(
-    layout="tanner",
+    layout="square",
     vehicle="tanner",
     num_agents=7,
     num_parked_cars=16,
@@ -102,8 +102,8 @@ TANNER_FIXED = EnvConfig(
     spawn=SpawnConfig(
         close_ratio=0.2,
         close_distance=10 * WORLD_UNIT,
-        crash_ratio=0.2,
-        crash_distance=13.125 * WORLD_UNIT,
+        conflict_ratio=0.2,
+        conflict_distance=13.125 * WORLD_UNIT,
         min_distance=13.125 * WORLD_UNIT,
         max_redraws=1000,
         spacing=WORLD_UNIT / 16,

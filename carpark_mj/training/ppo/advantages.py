@@ -5,7 +5,7 @@ from typing import Any
 import jax
 from brax.training.agents.ppo.losses import compute_gae
 
-from carpark_mj.training.ppo.rollout import Rollout
+from carpark_mj.training.ppo.collect import Rollout
 
 
 def compute_advantages(

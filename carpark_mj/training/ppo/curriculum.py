@@ -44,8 +44,8 @@ def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
 def training_env(config: PPOConfig) -> EnvConfig:
     """The environment with the starts of the curriculum."""
     spawn, curriculum = config.env.spawn, config.curriculum
-    if curriculum.crash_ratio:
-        spawn = dataclasses.replace(spawn, crash_ratio=curriculum.crash_ratio)
+    if curriculum.conflict_ratio:
+        spawn = dataclasses.replace(spawn, conflict_ratio=curriculum.conflict_ratio)
     if curriculum.reverse_ratio:
         spawn = dataclasses.replace(spawn, reverse_ratio=curriculum.reverse_ratio)
     return dataclasses.replace(config.env, spawn=spawn)

@@ -17,7 +17,7 @@ class CurriculumConfig(CheckedConfig):
         crash_until: progress at which the crash penalty has its full size.
         discount_end: discount factor at the end; 0 = that of the start. From progress
             0.3 to 0.8 the horizon, 1 / (1 - discount), changes linearly.
-        crash_ratio: share of spawns on course for a collision; 0 = as in the
+        conflict_ratio: share of spawns in conflict with another agent; 0 = as in the
             environment.
         reverse_ratio: share of spawns where a car has got to that drove out of the goal
             bay; 0 = as in the environment.
@@ -28,7 +28,7 @@ class CurriculumConfig(CheckedConfig):
     crash_scale: float = 1.0
     crash_until: float = 0.7
     discount_end: float = 0.0
-    crash_ratio: float = 0.0
+    conflict_ratio: float = 0.0
     reverse_ratio: float = 0.0
     target_rate: float = 0.0
 
@@ -36,7 +36,7 @@ class CurriculumConfig(CheckedConfig):
         super().__post_init__()
         require_at_least(self, 0.0, "crash_scale")
         require_ratio(
-            self, "crash_until", "crash_ratio", "reverse_ratio", "target_rate"
+            self, "crash_until", "conflict_ratio", "reverse_ratio", "target_rate"
         )
         if not 0.0 <= self.discount_end < 1.0:
             raise ValueError(

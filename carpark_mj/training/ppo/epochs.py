@@ -13,10 +13,10 @@ from jax.flatten_util import ravel_pytree
 from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.normalizer import update_normalizer
 from carpark_mj.training.ppo.advantages import compute_advantages
+from carpark_mj.training.ppo.collect import Rollout, drop_absent
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import discount, schedule
 from carpark_mj.training.ppo.loss import Minibatch, Weights
-from carpark_mj.training.ppo.rollout import Rollout, drop_absent
 from carpark_mj.training.ppo.state import AXIS, TrainingState
 from carpark_mj.training.ppo.variants import variant
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import LayoutConfig
 from carpark_mj.layouts import member_shares
-from carpark_mj.training.ppo.rollout import Totals
+from carpark_mj.training.ppo.collect import Totals
 
 MEMORY = 1000.0  # episodes of a member over which its rate forgets
 BY_SHORTFALL = 0.5  # part of the probability; the rest keeps all members in training

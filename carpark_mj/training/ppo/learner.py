@@ -22,11 +22,11 @@ from carpark_mj.observations import make_fields
 from carpark_mj.policy.networks import make_networks, make_policy, network_inputs
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.training.memory import num_bytes
+from carpark_mj.training.ppo.collect import Rollout, Totals, collect
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import crash_scale, training_env
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.families import make_families
-from carpark_mj.training.ppo.rollout import Rollout, Totals, collect
 from carpark_mj.training.ppo.state import AXIS, TrainingState, no_steps, state_specs
 from carpark_mj.training.ppo.variants import variant
 from carpark_mj.wrappers.brax import BraxParking

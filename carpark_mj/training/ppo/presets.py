@@ -14,7 +14,7 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 
 # What all policies that drive real cars share; docs/results.md says what was tried.
-_CURRICULUM = CurriculumConfig(crash_scale=3.0, crash_ratio=0.3, discount_end=0.998)
+_CURRICULUM = CurriculumConfig(crash_scale=3.0, conflict_ratio=0.3, discount_end=0.998)
 # Meant to end within a quarter of an hour, evaluation and video included. On two cores
 # learning takes the time: small networks, and two epochs for more steps.
 CPU = PPOConfig(
@@ -43,13 +43,13 @@ SQUARE = PPOConfig(
     ),
 )
 GPU = dataclasses.replace(SQUARE, preset="gpu", minutes=8.0)
-# With chosen goals `crash_ratio` means starts in conflict over a bay: not tried, nor is
+# With dynamic goals conflicts are about bays, not collision courses: not tried, nor is
 # the `min_std` of the others.
 DYNAMIC = dataclasses.replace(
     SQUARE,
     preset="dynamic",
     num_steps=1_000_000_000,
-    curriculum=dataclasses.replace(_CURRICULUM, crash_ratio=0.0),
+    curriculum=dataclasses.replace(_CURRICULUM, conflict_ratio=0.0),
     networks=NetworkConfig((256, 256), (256, 256)),
     env=environment("dynamic"),
 )
@@ -63,7 +63,7 @@ ANYWHERE = dataclasses.replace(
     learning_rate_end=2e-5,
     curriculum=dataclasses.replace(
         _CURRICULUM,
-        crash_ratio=0.2,
+        conflict_ratio=0.2,
         reverse_ratio=0.3,
         target_rate=0.99,
         discount_end=0.997,

@@ -1,4 +1,4 @@
-"""Counts of what becomes of chosen goals, and of giving way."""
+"""Counts of what becomes of dynamic goals, and of giving way."""
 
 import jax.numpy as jnp
 import numpy as np

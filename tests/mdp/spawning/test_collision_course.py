@@ -19,13 +19,13 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.spawning.collision_course import (
     CourseDraws,
     Targets,
+    course_pose,
     course_shapes,
-    crash_pose,
 )
 from carpark_mj.mdp.spawning.draws import draw_uniform
 
-CRASH = SpawnConfig(close_ratio=0.0, crash_ratio=1.0)
-SPACED = dataclasses.replace(CRASH, spacing=WORLD_UNIT / 16)
+COURSE = SpawnConfig(close_ratio=0.0, conflict_ratio=1.0)
+SPACED = dataclasses.replace(COURSE, spacing=WORLD_UNIT / 16)
 AREA = 42 * WORLD_UNIT  # m, side of the study's spawn area
 # Agent 0 starts; 1 and 2 have far to go, 3 has not.
 XY = np.array([[0.0, 0.0], [-9.0, -9.0], [9.0, -9.0], [9.0, 9.0]])
@@ -39,16 +39,22 @@ def try_all(config, layout, around, goal_xy, targets, keys):
 
     def attempt(key):
         draws = draw_uniform(shapes, key)
-        return crash_pose(config, layout, around, goal_xy, targets, draws)
+        return course_pose(config, layout, around, goal_xy, targets, draws)
 
     return jax.vmap(attempt)(keys)
 
 
 def attempts(
-    config=CRASH, layout=None, xy=XY, goal=GOAL, targets=OTHERS, size=None, count=2000
+    config=COURSE,
+    layout=None,
+    xy=XY,
+    goal=GOAL,
+    targets=OTHERS,
+    size=None,
+    count=2000,
 ):
     """Many attempts for agent 0: poses, and which of them succeeded."""
-    layout = layout if layout is not None else make_layout("tanner")
+    layout = layout if layout is not None else make_layout("square")
     keys = jax.random.split(jax.random.key(0), count)
     xy, goal = (jnp.asarray(x, jnp.float32) for x in (xy, goal))
     around = surroundings_of(layout, xy, OTHERS, size)
@@ -60,11 +66,11 @@ def attempts(
 def test_both_straight_ways_reach_the_crash_point_after_equal_distance():
     pose, found = attempts()
     assert found.mean() > 0.3
-    met = meets(CRASH, pose[found], XY, GOAL)
-    # Agent 3 has a way of 4.6 m, less than crash_distance.
+    met = meets(COURSE, pose[found], XY, GOAL)
+    # Agent 3 has a way of 4.6 m, less than conflict_distance.
     assert not met[:, 2].any()
     assert met.any(axis=1).all()
-    assert not meets(CRASH, pose[found] + [0.3, 0.3, 0.0], XY, GOAL).any(axis=1).all()
+    assert not meets(COURSE, pose[found] + [0.3, 0.3, 0.0], XY, GOAL).any(axis=1).all()
 
 
 def test_a_crash_start_is_in_the_spawn_area_and_far_enough_from_others():
@@ -73,7 +79,7 @@ def test_a_crash_start_is_in_the_spawn_area_and_far_enough_from_others():
         pose, found = attempts(layout=layout)
         assert found.any()
         gap = np.linalg.norm(pose[found, None, :2] - XY[1:], axis=-1)
-        assert gap.min() > CRASH.min_distance
+        assert gap.min() > COURSE.min_distance
         return np.abs(pose[found, :2]).max()
 
     # Worked out apart: here starts that keep the distance are 10.80 m to 11.01 m out.
@@ -88,7 +94,7 @@ def test_crash_targets_are_uniform_among_those_far_enough_from_their_goals():
     goal = np.array([[0.0, 18.0], [9.0, 18.0], [-9.0, 18.0], [0.0, 81.0]])
     pose, found = attempts(layout=wide, xy=xy, goal=goal)
     assert found.mean() > 0.9
-    met = meets(CRASH, pose[found], xy, goal)
+    met = meets(COURSE, pose[found], xy, goal)
     assert met.any(axis=1).all()
     assert not met[:, 2].any()
     # Deviation 1.1 %: five of them.
@@ -101,9 +107,9 @@ def test_the_crash_point_is_uniform_between_both_least_distances():
     goal = np.array([[0.0, 60.0], [40.0, 40.0], [90.0, 91.0], [90.0, 96.0]])
     pose, found = attempts(layout=wide, xy=xy, goal=goal)
     assert found.all()
-    assert meets(CRASH, pose, xy, goal)[:, 0].all()
+    assert meets(COURSE, pose, xy, goal)[:, 0].all()
     way, _ = meetings(pose[:, :2], goal[0], xy[1], goal[1])
-    low, high = CRASH.min_distance, 80.0 - CRASH.crash_distance
+    low, high = COURSE.min_distance, 80.0 - COURSE.conflict_distance
     share = (way - low) / (high - low)
     assert share.min() > -1e-4
     assert share.max() < 1 + 1e-4
@@ -131,12 +137,12 @@ def test_without_anybody_far_enough_from_its_goal_the_attempt_fails():
 def test_only_agents_that_drive_are_crash_targets():
     pose, found = attempts(targets=np.array([False, False, True, False]))
     assert found.any()
-    assert meets(CRASH, pose[found], XY, GOAL)[:, 1].all()
+    assert meets(COURSE, pose[found], XY, GOAL)[:, 1].all()
 
 
 def test_crash_starts_are_where_the_car_touches_nothing():
     # A wall fills the left half: of a car of 4 m by 2 m no corner is there.
-    layout = walled(make_layout("tanner"), (-10.0, 0.0, 0.0), (20.0, 60.0))
+    layout = walled(make_layout("square"), (-10.0, 0.0, 0.0), (20.0, 60.0))
     pose, found = attempts(layout=layout, size=(4.0, 2.0))
     assert found.any()
     x, _, yaw = pose[found].T

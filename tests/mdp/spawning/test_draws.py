@@ -13,7 +13,7 @@ LARGEST = np.float32(1 - 2**-23)  # of `jax.random.uniform`
 
 
 def test_numbers_have_the_shapes_asked_for_and_are_uniform_and_independent():
-    shapes = place_shapes(SpawnConfig(crash_ratio=0.5), num_agents=2, num_bays=3)
+    shapes = place_shapes(SpawnConfig(conflict_ratio=0.5), num_agents=2, num_bays=3)
     draws = jax.vmap(lambda key: draw_uniform(shapes, key))(KEYS)
     is_shape = lambda node: type(node) is tuple  # noqa: E731
     wanted = jax.tree.leaves(shapes, is_leaf=is_shape)

@@ -18,10 +18,10 @@ from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surround
 from carpark_mj.types import NO_BAY
 
 HALF = 21 * WORLD_UNIT
-LAYOUT = pad_layout(make_layout("tanner"), Maxima(40, 8, 0, 0, 1))
+LAYOUT = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
 BAYS = 40  # four of them padding
 CLOSE = SpawnConfig(close_ratio=1.0)
-MIXED = SpawnConfig(close_ratio=0.3, crash_ratio=0.2)
+MIXED = SpawnConfig(close_ratio=0.3, conflict_ratio=0.2)
 # Agent 0 starts; 1 heads for bay 3, 2 explores.
 GOAL = jnp.array([NO_BAY, 3, NO_BAY], jnp.int32)
 PARKED = (0, 1, 2, 10, NO_BAY)

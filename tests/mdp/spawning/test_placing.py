@@ -14,8 +14,8 @@ from carpark_mj.config import WORLD_UNIT, EnvConfig, SpawnConfig
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.chosen_goals import ChosenGoals
 from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.mdp.dynamic_goals import DynamicGoals
 from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import (
@@ -30,10 +30,10 @@ from carpark_mj.vehicle import COMPACT, PRESETS
 
 AGENTS, CARS = 7, 16
 AREA = 42 * WORLD_UNIT  # m, side of the study's spawn area
-MIXED = SpawnConfig(close_ratio=0.2, crash_ratio=0.5, close_distance=0.5)
-CRASH = SpawnConfig(close_ratio=0.0, crash_ratio=1.0)
+MIXED = SpawnConfig(close_ratio=0.2, conflict_ratio=0.5, close_distance=0.5)
+CONFLICT = SpawnConfig(close_ratio=0.0, conflict_ratio=1.0)
 FIRST = np.arange(AGENTS) == 0
-LAYOUT = make_layout("tanner")
+LAYOUT = make_layout("square")
 BAY_XY = np.asarray(LAYOUT.bay_pose, np.float64)[:, :2]
 
 
@@ -80,7 +80,7 @@ def on_course(after):
     """Lots in which agent 0 starts on a collision course with somebody."""
     start = after.pose_w.astype(np.float64)
     goal = BAY_XY[after.goal]
-    return meets(CRASH, start[:, 0], start[..., :2], goal).any(axis=1)
+    return meets(CONFLICT, start[:, 0], start[..., :2], goal).any(axis=1)
 
 
 def first_draws(spawn, key):
@@ -170,7 +170,7 @@ def test_a_start_that_is_not_on_course_is_a_new_goal_and_then_a_pose():
 
 def test_at_a_reset_agents_start_on_course_for_those_placed_before_them():
     goal, parked_cars, _ = lots(300)
-    goals, everybody = FixedGoals(config_of(CRASH)), jnp.ones(AGENTS, bool)
+    goals, everybody = FixedGoals(config_of(CONFLICT)), jnp.ones(AGENTS, bool)
     nowhere = jnp.zeros((AGENTS, 3))
 
     def place(goal, parked_cars, key):
@@ -186,7 +186,7 @@ def test_at_a_reset_agents_start_on_course_for_those_placed_before_them():
     met = np.zeros(AGENTS)
     for agent in range(1, AGENTS):
         order = [agent, *range(agent)]
-        courses = meets(CRASH, pose[:, agent], pose[:, order, :2], goal_xy[:, order])
+        courses = meets(CONFLICT, pose[:, agent], pose[:, order, :2], goal_xy[:, order])
         met[agent] = courses.any(axis=1).mean()
     assert met[1] > 0.1  # of a single target; its way is often too short
     assert (met[3:] > 0.35).all()  # and later there is less and less room
@@ -196,7 +196,7 @@ def test_who_chooses_goals_is_placed_exploring_and_nobody_else_is_touched():
     goal, parked_cars, pose = lots(200)
     done = np.isin(np.arange(AGENTS), (1, 4))
     keys = jax.random.split(jax.random.key(2), 200)
-    goals = ChosenGoals(config_of(MIXED))
+    goals = DynamicGoals(config_of(MIXED))
     after = jax.device_get(place_lots(goals, goal, parked_cars, pose, done, keys))
     assert (after.goal[:, done] == NO_BAY).all()
     np.testing.assert_array_equal(after.goal[:, ~done], goal[:, ~done])

@@ -57,7 +57,7 @@ def two_regions():
 
 
 def test_random_spawns_are_uniform_over_the_region():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     side = 42 * 0.5625
     pose = draw(RANDOM, layout)
     assert np.abs(pose[:, :2]).max() <= side / 2
@@ -69,7 +69,7 @@ def test_random_spawns_are_uniform_over_the_region():
 
 def test_spawn_headings_are_uniform():
     for config in (RANDOM, CLOSE):
-        yaw = draw(config, make_layout("tanner"))[:, 2]
+        yaw = draw(config, make_layout("square"))[:, 2]
         assert (np.abs(yaw) <= np.float32(np.pi)).all()
         count = np.histogram(yaw, bins=12, range=(-np.pi, np.pi))[0]
         chi_square = ((count - COUNT / 12) ** 2 / (COUNT / 12)).sum()
@@ -91,14 +91,14 @@ def test_regions_are_drawn_in_proportion_to_their_area_and_padding_never():
 def test_random_spawns_keep_the_distance_to_others_where_there_is_room():
     # They take a third of the region: all 16 candidates fail once in 1e8 draws.
     others = people((-9.0, -9.0), (9.0, 9.0))
-    pose = draw(RANDOM, make_layout("tanner"), others=others)
+    pose = draw(RANDOM, make_layout("square"), others=others)
     gap = np.linalg.norm(pose[:, None, :2] - np.asarray(others[0]), axis=2).min(axis=1)
     assert gap.min() > RANDOM.min_distance
 
 
 def test_agents_that_are_masked_are_not_kept_away_from():
     xy, mask = people((0.0, 0.0), (100.0, 0.0))
-    pose = draw(RANDOM, make_layout("tanner"), others=(xy, mask.at[0].set(False)))
+    pose = draw(RANDOM, make_layout("square"), others=(xy, mask.at[0].set(False)))
     gap = np.linalg.norm(pose[:, :2], axis=1)
     # 18 m^2 pi of 558 m^2 lie within 4.2 m.
     assert (gap < 4.2).mean() == pytest.approx(np.pi * 4.2**2 / 23.625**2, abs=0.03)
@@ -118,7 +118,7 @@ def test_the_farthest_candidate_is_taken_when_none_keeps_the_distance():
 
 def test_a_single_candidate_is_taken_whatever_its_distance():
     config = SpawnConfig(close_ratio=0.0, num_candidates=1)
-    pose = draw(config, make_layout("tanner"), others=people((0.0, 0.0)))
+    pose = draw(config, make_layout("square"), others=people((0.0, 0.0)))
     assert (np.linalg.norm(pose[:, :2], axis=1) < config.min_distance).any()
 
 
@@ -126,7 +126,7 @@ def test_a_single_candidate_is_taken_whatever_its_distance():
 def test_close_spawns_lie_within_close_distance_of_the_point_nearest_the_goal(goal):
     half = 21 * 0.5625
     nearest = np.clip(goal[:2], -half, half)
-    pose = draw(CLOSE, make_layout("tanner"), goal=goal)
+    pose = draw(CLOSE, make_layout("square"), goal=goal)
     assert np.abs(pose[:, :2]).max() <= half
     gap = np.linalg.norm(pose[:, :2] - nearest, axis=1)
     assert gap.max() <= CLOSE.close_distance + 1e-5  # float32
@@ -152,7 +152,7 @@ def test_close_ratio_is_the_share_of_close_spawns():
     goal = (0.0, 18.0, 0.0)
     nearest = np.array([0.0, 21 * 0.5625])
     gap = np.linalg.norm(
-        draw(config, make_layout("tanner"), goal)[:, :2] - nearest, axis=1
+        draw(config, make_layout("square"), goal)[:, :2] - nearest, axis=1
     )
     by_chance = np.pi / 2 / 23.625**2
     # Deviation 0.7 %: five of them.
@@ -161,7 +161,7 @@ def test_close_ratio_is_the_share_of_close_spawns():
 
 
 def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     one = draw(RANDOM, layout, goal=(0.0, 18.0, 0.0))
     other = draw(RANDOM, layout, goal=(18.0, 0.0, 1.0))
     np.testing.assert_array_equal(one, other)
@@ -178,7 +178,7 @@ def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
 
 
 def test_starts_are_of_one_kind_at_most_in_their_ratios():
-    config = SpawnConfig(close_ratio=0.2, crash_ratio=0.5, reverse_ratio=0.25)
+    config = SpawnConfig(close_ratio=0.2, conflict_ratio=0.5, reverse_ratio=0.25)
     numbers = jax.random.uniform(jax.random.key(2), (COUNT,))
     close, crash, reverse = kinds = draw_kind(config, numbers)
     assert sum(kind.astype(int) for kind in kinds).max() == 1
@@ -191,7 +191,7 @@ def test_starts_are_of_one_kind_at_most_in_their_ratios():
 @pytest.mark.parametrize("config", [RANDOM, CLOSE])
 def test_starts_touch_nothing_where_there_is_room(config):
     # A wall fills the left half: of a car of 4 m by 2 m no corner is there.
-    layout = walled(make_layout("tanner"), (-10.0, 0.0, 0.0), (20.0, 60.0))
+    layout = walled(make_layout("square"), (-10.0, 0.0, 0.0), (20.0, 60.0))
 
     def share_touching(size):
         pose = draw(config, layout, goal=(4.0, 18.0, 0.0), size=size)
@@ -238,7 +238,7 @@ FAR = (0.0, 60.0, 0.0)  # a goal far above: walks begin in the middle of the upp
 
 def test_on_a_grid_a_close_spawn_is_a_walk_of_unit_steps_within_the_region():
     side = 21 * WORLD_UNIT
-    pose = draw(SPACED_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
+    pose = draw(SPACED_CLOSE, make_layout("square"), goal=FAR)[:, :2]
     steps = (pose - [0.0, side]) / WORLD_UNIT
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
     assert pose[:, 1].max() <= side + 1e-5
@@ -259,7 +259,7 @@ def test_a_grid_walk_is_the_study_s():
                     break
             end += step
     side = 21 * WORLD_UNIT
-    pose = draw(SPACED_CLOSE, make_layout("tanner"), goal=FAR)[:, :2]
+    pose = draw(SPACED_CLOSE, make_layout("square"), goal=FAR)[:, :2]
     steps = (pose - [0.0, side]) / WORLD_UNIT
     for axis in range(2):
         bins = np.arange(-6.5, 7.5)
@@ -270,7 +270,7 @@ def test_a_grid_walk_is_the_study_s():
     far = np.linalg.norm(ends, axis=1)
     near = np.linalg.norm(steps, axis=1)
     assert near.mean() == pytest.approx(far.mean(), abs=0.1)
-    straight = draw(CLOSE, make_layout("tanner"), goal=FAR)[:, :2] - [0.0, side]
+    straight = draw(CLOSE, make_layout("square"), goal=FAR)[:, :2] - [0.0, side]
     # Without a grid the start is one straight step and lies farther off.
     assert np.linalg.norm(straight, axis=1).mean() > 1.5 * near.mean() * WORLD_UNIT
 

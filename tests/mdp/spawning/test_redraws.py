@@ -21,7 +21,7 @@ from carpark_mj.types import NO_BAY
 # One candidate a round, and others in three corners of the square of 23.6 m.
 ONE = SpawnConfig(close_ratio=0.0, num_candidates=1, min_distance=16.0)
 CORNERS = [(-11.0, -11.0), (11.0, -11.0), (-11.0, 11.0)]
-LAYOUT = make_layout("tanner")
+LAYOUT = make_layout("square")
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -139,18 +139,18 @@ def test_a_lot_of_agents_that_choose_begins_with_starts_of_all_kinds_if_asked():
         return has.mean(), shared.mean()
 
     assert goals(kinds_at_reset=False) == (0.0, 0.0)
-    close, alone = goals(crash_ratio=0.0)
+    close, alone = goals(conflict_ratio=0.0)
     assert 0.15 < close <= 0.27  # half of the close ones, if they track the bay
-    has, shared = goals(crash_ratio=0.5)
+    has, shared = goals(conflict_ratio=0.5)
     # Those in conflict as well, if anybody's goal is among their bays.
     assert has > close + 0.03
     assert shared > alone + 0.06
 
 
 def test_the_study_s_fixed_goals_may_repeat():
-    spawn = dataclasses.replace(TANNER_FIXED.spawn, close_ratio=0.0, crash_ratio=0.0)
+    spawn = dataclasses.replace(TANNER_FIXED.spawn, close_ratio=0.0, conflict_ratio=0.0)
     config = dataclasses.replace(
-        TANNER_FIXED, num_agents=1, num_parked_cars=3, layout="tanner", spawn=spawn
+        TANNER_FIXED, num_agents=1, num_parked_cars=3, layout="square", spawn=spawn
     )
     again = 0
     for may_repeat in (True, False):

@@ -271,7 +271,7 @@ def test_parked_cars_count_where_they_stand_once_the_goal_is_drawn():
 
 
 def test_agents_of_a_lot_that_begins_do_not_overlap():
-    layout = make_layout("compact")
+    layout = make_layout("square_compact")
     goals, compact = FixedGoals(EnvConfig(spawn=REVERSE)), vehicles(["compact"] * 6)
     inputs, waiting = inputs_of(layout, parked_at(), compact), jnp.ones(6, bool)
 

@@ -125,7 +125,7 @@ def test_where_nobody_respawns_who_finds_no_room_is_absent():
 
 
 def test_a_lot_with_room_for_all_knows_of_no_absent_agents():
-    tanner = dataclasses.replace(CROWD, layout="tanner", num_agents=3)
+    tanner = dataclasses.replace(CROWD, layout="square", num_agents=3)
     for config in (tanner, dataclasses.replace(CROWD, num_agents=1)):
         state = jax.eval_shape(ParkingEnv(config).reset, jax.random.key(0))[0]
         assert state.present is state.waited is None
@@ -134,7 +134,7 @@ def test_a_lot_with_room_for_all_knows_of_no_absent_agents():
 @pytest.mark.parametrize("spacing", [0.0, 0.5625])
 def test_room_for_all_is_room_wherever_the_others_stand(spacing):
     """They stand as far apart as they can, and across the car that starts."""
-    layout = make_layout("compact")
+    layout = make_layout("square_compact")
     most = next(n for n in itertools.count(1) if not has_room(layout, SIZE, n, spacing))
     most -= 1
     assert 4 <= most <= 8
@@ -198,7 +198,7 @@ def test_a_start_on_a_car_is_not_made_and_who_has_waited_longest_comes_first():
 def test_starts_after_a_first_try_are_at_random_even_if_all_are_to_be_close():
     """All close starts are blocked by a car beside the goal."""
     spawn = SpawnConfig(close_ratio=1.0, close_distance=0.1, min_distance=0.0)
-    config = dataclasses.replace(CROWD, layout="tanner", num_agents=2, spawn=spawn)
+    config = dataclasses.replace(CROWD, layout="square", num_agents=2, spawn=spawn)
     env = ParkingEnv(config)
 
     def start(key):

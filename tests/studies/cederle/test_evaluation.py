@@ -188,5 +188,5 @@ def test_who_gives_way_is_told_of_missions_whichever_agents_have_them():
 
 def test_policies_are_evaluated_until_all_are_done_from_varied_starts():
     config = evaluation_env(JunctionConfig(max_steps=50, jitter=0.0), 1.5).config
-    assert (config.end, config.restart, config.jitter) == ("all", False, 1.5)
+    assert (config.end, config.respawn, config.jitter) == ("all", False, 1.5)
     assert config.max_steps == MAX_STEPS

@@ -5,6 +5,7 @@ import json
 import pytest
 from helpers.programs import exit_code
 
+from carpark_mj.studies.cederle import speed
 from carpark_mj.studies.cederle.benchmarl.config import BenchMARLConfig
 from carpark_mj.studies.cederle.dqn.config import DQNConfig
 from carpark_mj.studies.cederle.training import program as junction
@@ -110,3 +111,16 @@ def test_evaluations_are_written_and_summed_up(tmp_path):
     assert "mappo, 3av: solved at step 10, not converged" in words
     assert "crashed 25.0%" in words
     assert "west before east 75%" in words
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--junctions", "0"], "junctions must be at least 1, not 0"),
+        (["--scenario", "9av"], "unknown scenario '9av'; choose from"),
+        (["--cars"], "cars must name at least one"),
+    ],
+)
+def test_speed_is_not_measured_of_what_does_not_exist(flags, said, capsys):
+    assert exit_code(speed, flags) == 2
+    assert said in capsys.readouterr().err

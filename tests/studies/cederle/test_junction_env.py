@@ -137,8 +137,8 @@ def test_the_same_actions_give_the_same_steps_in_any_batch():
     assert seen.shape == (3, 3, 17)
 
 
-def test_with_restart_the_next_episode_begins_in_the_same_step():
-    env = junctions.env(restart=True, max_steps=3)
+def test_with_respawn_the_next_episode_begins_in_the_same_step():
+    env = junctions.env(respawn=True, max_steps=3)
     state = junctions.begin(env)
     start = junctions.programs(env)[0](jax.random.key(1))[1]
     for k in range(7):

@@ -10,15 +10,15 @@ from carpark_mj.studies.cederle.junction.roads import CONNECTIONS
 from carpark_mj.studies.cederle.junction.routes import (
     Route,
     heading_at,
-    make_routes,
     point_at,
     project,
     speed_cap,
+    stack_routes,
 )
 
 ROUTES = [Route(*ends) for ends in CONNECTIONS]
 NAMES = ["-".join(ends) for ends in CONNECTIONS]
-ARRAYS = make_routes(ROUTES)
+ARRAYS = stack_routes(ROUTES)
 
 
 N = 50  # points of every call, so that all tests share a program

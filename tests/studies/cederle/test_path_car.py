@@ -8,9 +8,9 @@ import pytest
 from carpark_mj.config import SimConfig
 from carpark_mj.studies.cederle.junction.path_car import BRAKING, PathCars
 from carpark_mj.studies.cederle.junction.roads import CONNECTIONS
-from carpark_mj.studies.cederle.junction.routes import Route, make_routes, project
+from carpark_mj.studies.cederle.junction.routes import Route, project, stack_routes
 
-ROUTES = make_routes([Route(*ends) for ends in CONNECTIONS])
+ROUTES = stack_routes([Route(*ends) for ends in CONNECTIONS])
 CARS = PathCars(SimConfig(ctrl_dt=0.1))
 step = jax.jit(CARS.step)
 

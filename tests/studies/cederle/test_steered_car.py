@@ -14,12 +14,12 @@ from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.studies.cederle.junction.follow import GAIN
 from carpark_mj.studies.cederle.junction.path_car import BRAKING
 from carpark_mj.studies.cederle.junction.roads import CONNECTIONS, SPEED_LIMIT, on_road
-from carpark_mj.studies.cederle.junction.routes import Route, make_routes, project
+from carpark_mj.studies.cederle.junction.routes import Route, project, stack_routes
 from carpark_mj.studies.cederle.junction.steered_car import SteeredCars
 from carpark_mj.vehicle import preset
 
 NAMES = list(CONNECTIONS)
-ROUTES = make_routes([Route(*ends) for ends in NAMES])
+ROUTES = stack_routes([Route(*ends) for ends in NAMES])
 CARS = {
     "bicycle": SteeredCars(BicyclePhysics(SimConfig(ctrl_dt=0.1)), preset("city")),
     "mjx": SteeredCars(MjxPhysics(SimConfig(ctrl_dt=0.1)), preset("city")),

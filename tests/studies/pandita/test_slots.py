@@ -180,7 +180,7 @@ def test_lots_that_cannot_exist_are_refused_in_one_sentence(changes, message):
 def test_a_second_agent_is_refused_for_it_has_no_bay(tmp_path):
     path = tmp_path / "slots.json"
     path.write_text(layout_text(make_layout("slots")))
-    mixed = mixture([SlotsConfig(), "tanner"])
+    mixed = mixture([SlotsConfig(), "square"])
     for layout in ("slots", "slots_parallel", mixed, str(path)):
         one = EnvConfig(layout=layout, num_agents=1, num_parked_cars=11)
         check_room(one, layout_config(layout))

@@ -223,7 +223,7 @@ def at(x, y, degrees=90.0):
 def test_parked_is_within_a_point_of_the_bay_and_wins_over_a_crash(
     x, y, degrees, parked
 ):
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     goal = [bay_of(layout, 24, 32)]
     state = state_of(layout, at(x, y, degrees), goal)
     events = detect_events(TANNER_QLEARNING.episode, state)
@@ -233,7 +233,7 @@ def test_parked_is_within_a_point_of_the_bay_and_wins_over_a_crash(
 
 
 def test_neighbours_in_their_bays_do_not_touch_and_leaning_ones_do():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     parked = parked_in(layout, [bay_of(layout, 0, 32)], BOX.size)
 
     def hits(*place):
@@ -247,7 +247,7 @@ def test_neighbours_in_their_bays_do_not_touch_and_leaning_ones_do():
 
 
 def test_who_would_leave_the_world_hits_a_wall_first():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     edge = [36, 37, 38, -36, -37, -38]
     grid = np.meshgrid(edge, np.arange(-38, 39, 4), (0, 45, 90, 135))
     x, y, degrees = (axis.ravel() for axis in grid)

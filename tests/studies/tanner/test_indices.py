@@ -86,7 +86,7 @@ def test_rings_count_walls_discs_and_cars_by_hand():
 
 
 def test_a_motion_of_the_whole_lot_changes_nothing():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     key = jax.random.key(0)
     xy = jnp.round(jax.random.uniform(key, (200, 2), minval=-26, maxval=26))
     turn = jax.random.randint(key, (200, 1), 0, 8) * (math.pi / 4)
@@ -135,7 +135,7 @@ def test_only_whole_numbers_have_cardinalities():
 
 
 def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     alone = Surroundings(
         pose_w=jnp.zeros((1, 3)),
         others=jnp.zeros(1, bool),

@@ -25,10 +25,10 @@ from carpark_mj.studies.tanner.ml_agents import (
     prepare_steps,
 )
 from carpark_mj.training.ppo.advantages import compute_advantages
+from carpark_mj.training.ppo.collect import Rollout
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.loss import Minibatch, Weights
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.ppo.rollout import Rollout
 from carpark_mj.training.ppo.state import AXIS
 
 SIZE, CHOICES, COUNT = 4, (3, 2), 40

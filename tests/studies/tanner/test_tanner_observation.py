@@ -190,11 +190,11 @@ def test_speeds_and_headings_of_physical_cars_are_not_rounded_but_bearings_are()
 
 @functools.cache
 def scene(count=6):
-    """Cars anywhere in a `tanner` lot, tracked bays, and two parked-car poses each."""
+    """Cars anywhere in a `square` lot, tracked bays, and two parked-car poses each."""
     rng = np.random.default_rng(0)
     low, high = (-15, -15, -3.1), (15, 15, 3.1)
     motion = cars(rng.uniform(low, high, (count, 3)), rng.uniform(-1, 3, count))
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     bays = rng.permutation(36)
     parked = np.asarray(layout.bay_pose)[bays[:10]]
     tracked = np.stack([rng.permutation(bays[10:16])[:2] for _ in range(count)])
@@ -242,7 +242,7 @@ def test_it_agrees_with_the_indices_where_they_overlap():
     xy = rng.uniform(-14, 14, (60, 2))
     yaw = rng.integers(0, 8, (60, 1)) * (math.pi / 4)
     motion = cars(np.concatenate([xy, yaw], 1), level * WORLD_UNIT / CTRL_DT)
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     rings = RingConfig((8.0, 5.0), cap=2, cars=True, history=2)
     history = jnp.array(rng.integers(0, 3, (60, 2, 2)), jnp.int32)
     state = state_of(

@@ -28,11 +28,11 @@ def junction_env(**options: Any) -> JunctionEnv:
         TypeError: unknown option.
         ValueError: impossible value.
     """
-    known = {field.name for field in dataclasses.fields(JunctionConfig)} - {"restart"}
+    known = {field.name for field in dataclasses.fields(JunctionConfig)} - {"respawn"}
     for name in options:
         if name not in known:
             raise TypeError(f"unknown option {name!r}; choose from {sorted(known)}")
-    config = JunctionConfig(**options, restart=False)
+    config = JunctionConfig(**options, respawn=False)
     return _shared_env(config, preset(config.vehicle))
 
 

@@ -18,7 +18,7 @@ class JaxMarlJunction(JaxMarlAgents):
         """Builds the environment.
 
         Args:
-            **options: fields of `JunctionConfig` but `restart`.
+            **options: fields of `JunctionConfig` but `respawn`.
 
         Raises:
             TypeError: unknown option.

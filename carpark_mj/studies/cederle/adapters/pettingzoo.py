@@ -22,7 +22,7 @@ def junction_parallel_env(
     Args:
         render_mode: `rgb_array`, `human` (a window, drawn at every step) or None.
         camera: of `render`; `topdown`, `overview`, `chase:K`, `driver:K`, `split:K`.
-        **options: fields of `JunctionConfig` but `restart`.
+        **options: fields of `JunctionConfig` but `respawn`.
 
     Raises:
         TypeError: unknown option.

@@ -37,7 +37,7 @@ class TorchRLJunction(TorchRLAgents):
             junctions: how many.
             device: must be JAX's; None = that.
             seed: of junction 0, the next has the next; None = unpredictable.
-            **options: fields of `JunctionConfig` but `restart`.
+            **options: fields of `JunctionConfig` but `respawn`.
 
         Raises:
             TypeError: unknown option.

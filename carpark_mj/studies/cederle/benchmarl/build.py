@@ -89,7 +89,7 @@ def make_task(config: BenchMARLConfig) -> ScaledJunctionTask:
     options = {
         field.name: getattr(junction, field.name)
         for field in dataclasses.fields(junction)
-        if field.name != "restart"
+        if field.name != "respawn"
     }
     made = task(name="JUNCTION", config=options)
     made.repeat = config.repeat

@@ -78,7 +78,7 @@ class JunctionConfig(CheckedConfig):
         shuffle: missions are dealt out to the agents at random.
         probe: episodes begin one joint `slow_down` in, as the study's program does.
         jitter: starts vary by up to this way along their lanes [m].
-        restart: whether an episode that ends begins anew in the same step.
+        respawn: whether an episode that ends begins anew in the same step.
         sim: time steps of the cars' physics; its control step is the junction's.
     """
 
@@ -94,7 +94,7 @@ class JunctionConfig(CheckedConfig):
     shuffle: bool = False
     probe: bool = False
     jitter: float = 0.0
-    restart: bool = True
+    respawn: bool = True
     sim: SimConfig = dataclasses.field(default_factory=lambda: SimConfig(ctrl_dt=0.1))
 
     def __post_init__(self) -> None:

@@ -26,7 +26,7 @@ from carpark_mj.studies.cederle.junction import (
 from carpark_mj.studies.cederle.junction.config import JunctionConfig
 from carpark_mj.studies.cederle.junction.path_car import Cars, PathCars
 from carpark_mj.studies.cederle.junction.roads import SPEED_LIMIT
-from carpark_mj.studies.cederle.junction.routes import make_routes, point_at, project
+from carpark_mj.studies.cederle.junction.routes import point_at, project, stack_routes
 from carpark_mj.studies.cederle.junction.steered_car import SteeredCars
 from carpark_mj.studies.cederle.junction.types import State, Task, TimeStep
 from carpark_mj.vehicle import preset
@@ -63,7 +63,7 @@ class JunctionEnv:
         traffic = config.traffic
         missions, humans = traffic.missions, traffic.human_cars
         self.num_agents, self.num_cars = len(missions), len(missions) + len(humans)
-        self._routes = make_routes([car.route for car in (*missions, *humans)])
+        self._routes = stack_routes([car.route for car in (*missions, *humans)])
         self._start = jnp.array([car.start for car in (*missions, *humans)])
         goals = [mission.goal_along for mission in missions]
         self._goal = jnp.array(goals)
@@ -84,7 +84,7 @@ class JunctionEnv:
     @property
     def respawns(self) -> bool:
         """Whether `step` begins the next episode itself."""
-        return self.config.restart
+        return self.config.respawn
 
     @property
     def observation_shape(self) -> tuple[int, ...]:
@@ -197,7 +197,7 @@ class JunctionEnv:
             over=~active.any(),
             final_observation=seen,
         )
-        if config.restart:
+        if config.respawn:
             fresh, first = self.reset(state.key)
             state = where_cars(timestep.over, fresh, state)
             observation = jnp.where(timestep.over, first, seen)

@@ -82,7 +82,7 @@ def evaluation_env(config: JunctionConfig, jitter: float) -> JunctionEnv:
             config,
             jitter=jitter,
             end="all",
-            restart=False,
+            respawn=False,
             max_steps=MAX_STEPS,
         )
     )

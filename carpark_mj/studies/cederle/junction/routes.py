@@ -84,7 +84,7 @@ class Route:
         return min(CURVE_SPEED, float(np.sqrt(MAX_LATERAL * radius)))
 
 
-def make_routes(routes: list[Route]) -> Routes:
+def stack_routes(routes: list[Route]) -> Routes:
     """The arrays (len(routes), ...) of some routes."""
     most = max(len(route.points) for route in routes)
     points, along = [], []

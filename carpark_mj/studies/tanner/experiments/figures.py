@@ -120,7 +120,7 @@ EXPERIMENTS = (
     ),
     Experiment(
         ("5.14",),
-        "number of agents, chosen goals",
+        "number of agents, dynamic goals",
         "tanner-dynamic",
         ("env.num_agents",),
         (*OUTCOMES, "length", "lost_untracked"),
@@ -129,7 +129,7 @@ EXPERIMENTS = (
     ),
     Experiment(
         ("5.15",),
-        "tracked cars and bays, chosen goals",
+        "tracked cars and bays, dynamic goals",
         "tanner-dynamic",
         ("env.observation.tracked_cars", "env.goals.num_tracked_bays"),
         (*OUTCOMES, "lost_untracked", "change_goal"),

@@ -28,7 +28,7 @@ from carpark_mj.observations.tracking import tracks
 from carpark_mj.types import NO_BAY, Events, GoalEvents, State
 
 
-class ChosenGoals:
+class DynamicGoals:
     """Goals behind the `Goals` interface that agents choose at every step."""
 
     def __init__(self, config: EnvConfig) -> None:

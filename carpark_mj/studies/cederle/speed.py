@@ -1,15 +1,10 @@
 """Measures agent steps per second at the road junction, episodes begun anew in between.
 
-python eval/junction_speed.py
-python eval/junction_speed.py --cars mjx --observations image --junctions 1024
+carpark_mj study junction_speed
+carpark_mj study junction_speed --cars mjx --observations image --junctions 1024
 
 Actions are random. Times are of the machine it runs on.
 """
-
-from carpark_mj.cli.process import enter
-
-if __name__ == "__main__":  # before the imports, which take seconds
-    enter("junction_speed", "junction_speed:main")
 
 import dataclasses
 from collections.abc import Sequence
@@ -21,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from carpark_mj.benchmarking.timing import best_time
-from carpark_mj.cli.common import enable_output_fusion, run_command
+from carpark_mj.cli.common import enable_output_fusion
 from carpark_mj.config.checks import require_whole
 from carpark_mj.studies.cederle.junction import JunctionConfig, JunctionEnv
 from carpark_mj.studies.cederle.junction.actions import ACTIONS
@@ -30,7 +25,7 @@ from carpark_mj.studies.cederle.junction.config import CarModel, Encoding
 
 @dataclasses.dataclass(frozen=True)
 class JunctionSpeedConfig:
-    """Settings of `python eval/junction_speed.py`.
+    """Settings of `carpark_mj study junction_speed`.
 
     Attributes:
         scenario: `2av`, `2av-hd`, `3av` or `3av-hd`.
@@ -72,7 +67,7 @@ def speed(env: JunctionEnv, config: JunctionSpeedConfig) -> float:
     return action.size / best_time(lambda: run(state), config.repeats)
 
 
-def run(config: JunctionSpeedConfig) -> None:
+def main(config: JunctionSpeedConfig) -> None:
     """Measures and prints the table."""
     device = jax.devices()[0].device_kind
     title = f"agent steps/s, {config.junctions} junctions {config.scenario} on {device}"
@@ -86,13 +81,9 @@ def run(config: JunctionSpeedConfig) -> None:
     Console().print(table)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Runs the command."""
+    from carpark_mj.cli.flags import read_flags
+
     enable_output_fusion()
-
-    def command() -> object:
-        from carpark_mj.cli.flags import read_flags
-
-        return run(read_flags(JunctionSpeedConfig, arguments, description=__doc__))
-
-    return run_command("junction_speed", command)
+    main(read_flags(JunctionSpeedConfig, arguments, description=__doc__))

@@ -347,7 +347,7 @@ def test_agents_of_a_fleet_track_only_bays_they_fit_in():
         observation=ContinuousObservation(own_car=True),
     )
     env = ParkingEnv(config, SlidePhysics())
-    layout = make_layout("tanner")
+    layout = make_layout("square")
     short = jnp.arange(BAYS) % 3 > 0  # 4.95 m, the van is 4.90 m long, a city car 3.6
     size = layout.bay_size.at[:, 0].set(jnp.where(short, 4.95, layout.bay_size[:, 0]))
     reset = jax.jit(jax.vmap(env.reset_to_layout, (None, 0)))

@@ -1,0 +1,202 @@
+"""Names of earlier versions: what refuses an unknown name says what became of it."""
+
+import importlib.machinery
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from types import ModuleType
+from typing import Any, get_type_hints
+
+# Settings are `CLASS.field`, with their new name in that class; registered parts `KIND
+# NAME`; modules and what is in them dotted names. What has a space is a sentence's end,
+# and "" is gone.
+RENAMED: dict[str, str] = {
+    "EnvConfig.grid": "physics",
+    "CurriculumConfig.crash_ratio": "conflict_ratio",
+    "SpawnConfig.crash_distance": "conflict_distance",
+    "SpawnConfig.crash_ratio": "conflict_ratio",
+    "RewardConfig.approach": "extra.approach",
+    "RewardConfig.smoothness": "extra.smoothness",
+    "RewardConfig.smoothness_by_speed": "extra.smoothness.by_speed",
+    "RewardConfig.reverse": "extra.reverse",
+    "EvaluateConfig.span": "horizon",
+    "JunctionConfig.restart": "respawn",
+    "RewardConfig.reeds_shepp": "reeds_shepp_reach",
+    "ShareConfig.order": "priority",
+    **dict.fromkeys(
+        (
+            "CurriculumConfig.discount_from",
+            "CurriculumConfig.discount_until",
+            "GoalRewards.lost_goal",
+            "GoalRewards.taken_goal",
+            "PPOConfig.checkpoint_updates",
+            "PPOConfig.hitbox_scale",
+            "PPOConfig.hitbox_steps",
+            "RewardConfig.alignment_range",
+            "RewardConfig.closeness_range",
+            "RewardConfig.final_heading",
+            "RewardConfig.final_speed",
+            "RewardConfig.timeout",
+            "RewardConfig.wrong_way",
+            "SimConfig.grade_y",
+        ),
+        "",
+    ),
+    "ContinuousObservation.view": "a setting of the encoding 'tanner'",
+    "ShareConfig.goal_headings": "a setting of the encoding 'tanner'",
+    "LayoutsConfig.held_out": "the function carpark_mj.studies.hope.held_out.write",
+    "SceneConfig.junction": "carpark_mj study junction_scene",
+    "layout compact": "square_compact",
+    "layout tanner": "square",
+    "carpark_mj.cli.suite": "carpark_mj.studies.hope.suite_command",
+    "carpark_mj.config.BayPart": "carpark_mj.studies.tanner.observation.BayPart",
+    "carpark_mj.config.ContinuousObservation": (
+        "carpark_mj.observations.ContinuousObservation"
+    ),
+    "carpark_mj.config.GridConfig": "carpark_mj.studies.tanner.grid_config.GridConfig",
+    "carpark_mj.config.IndexObservation": (
+        "carpark_mj.studies.tanner.indices.IndexObservation"
+    ),
+    "carpark_mj.config.TannerObservation": (
+        "carpark_mj.studies.tanner.observation.TannerObservation"
+    ),
+    "carpark_mj.config.ViewConfig": "carpark_mj.studies.tanner.view.ViewConfig",
+    "carpark_mj.config.grid": "carpark_mj.studies.tanner.grid_config",
+    "carpark_mj.config.register_rule": "carpark_mj.config.PARKED_RULES",
+    "carpark_mj.config.reward_preset": "carpark_mj.config.REWARDS",
+    "carpark_mj.evaluation.moving_car": "carpark_mj.studies.hope.moving_car",
+    "carpark_mj.evaluation.rollout": "carpark_mj.evaluation.evaluator",
+    "carpark_mj.evaluation.suite": "carpark_mj.studies.hope.suite",
+    "carpark_mj.evaluation.suite_cases": "carpark_mj.studies.hope.suite_cases",
+    "carpark_mj.junction": "carpark_mj.studies.cederle.junction",
+    "carpark_mj.layouts.HopeConfig": "carpark_mj.studies.hope.layouts.HopeConfig",
+    "carpark_mj.layouts.MetaDriveConfig": (
+        "carpark_mj.studies.metadrive.layouts.MetaDriveConfig"
+    ),
+    "carpark_mj.layouts.SlotsConfig": "carpark_mj.studies.pandita.layouts.SlotsConfig",
+    "carpark_mj.layouts.TpcapConfig": "carpark_mj.studies.tpcap.layouts.TpcapConfig",
+    "carpark_mj.layouts.generate": "the method generate of a layout's config",
+    "carpark_mj.layouts.held_out": "carpark_mj.studies.hope.held_out",
+    "carpark_mj.layouts.hope": "carpark_mj.studies.hope.layouts",
+    "carpark_mj.layouts.metadrive": "carpark_mj.studies.metadrive.layouts",
+    "carpark_mj.layouts.slots": "carpark_mj.studies.pandita.layouts",
+    "carpark_mj.layouts.tpcap": "carpark_mj.studies.tpcap.files",
+    "carpark_mj.layouts.tpcap_cases": "carpark_mj.studies.tpcap.layouts",
+    "carpark_mj.observations.indices": "carpark_mj.studies.tanner.indices",
+    "carpark_mj.observations.tanner": "carpark_mj.studies.tanner.observation",
+    "carpark_mj.physics.grid": "carpark_mj.studies.tanner.grid",
+    "carpark_mj.physics.highway": "carpark_mj.studies.pandita.highway",
+    "carpark_mj.rendering.junction_stage": "carpark_mj.studies.cederle.rendering.stage",
+    "carpark_mj.rendering.junction_video": "carpark_mj.studies.cederle.rendering.video",
+    "carpark_mj.rendering.rollout": "carpark_mj.rendering.recording",
+    "carpark_mj.wrappers.gymnasium_slots": "carpark_mj.studies.pandita.slots_env",
+    "carpark_mj.wrappers.joint": "carpark_mj.tasks.joint",
+    "carpark_mj.wrappers.slots": "carpark_mj.studies.pandita.task",
+    "carpark_mj.wrappers.junction": "carpark_mj.studies.cederle.adapters.common",
+    **{
+        f"carpark_mj.wrappers.junction_{name}": (
+            f"carpark_mj.studies.cederle.adapters.{name}"
+        )
+        for name in ("benchmarl", "jaxmarl", "pettingzoo", "torchrl")
+    },
+}
+
+
+def _sentence(old: str, new: str) -> str:
+    return f"{old} is now {new}" if new else f"{old} was removed: nothing used it"
+
+
+def refuse_part(kind: str, name: str) -> None:
+    """Refuses the former name of a registered part.
+
+    Raises:
+        ValueError: with its new name.
+    """
+    if (old := f"{kind} {name}") in RENAMED:
+        raise ValueError(_sentence(f"the {kind} {name!r}", repr(RENAMED[old])))
+
+
+def refuse_settings(cls: type, names: Iterable[str], of: str = "") -> None:
+    """Refuses former settings of a dataclass.
+
+    Args:
+        cls: the dataclass; those of its bases count.
+        names: what is given, among them settings that it has.
+        of: what to call them by; empty = the name of the class and a dot.
+
+    Raises:
+        ValueError: with the new name of one.
+    """
+    known = getattr(cls, "__dataclass_fields__", {})
+    for name in names:
+        for base in cls.__mro__ if name not in known else ():
+            if (old := f"{base.__name__}.{name}") in RENAMED:
+                start, new = of or f"{base.__name__}.", RENAMED[old]
+                whole = not new or " " in new
+                raise ValueError(_sentence(start + name, new if whole else start + new))
+
+
+def refuse_flags(config: Any, arguments: Sequence[str]) -> None:
+    """Refuses former flags.
+
+    Args:
+        config: a dataclass whose fields are flags, or its class.
+        arguments: of the command line.
+
+    Raises:
+        ValueError: with the flag's new name.
+    """
+    for word in arguments:
+        if not word.startswith("--"):
+            continue
+        part, path = config, word[2:].partition("=")[0].split(".")
+        for depth, name in enumerate(path):
+            field = name.replace("-", "_")
+            start = "--" + "".join(f"{outer}." for outer in path[:depth])
+            if isinstance(part, type):
+                refuse_settings(part, [field], start)
+                part = get_type_hints(part).get(field)
+            else:
+                refuse_settings(type(part), [field], start)
+                part = getattr(part, field, None)
+
+
+class OldNames:
+    """Base of dataclasses that refuse their former settings by name."""
+
+    def __new__(cls, *_: Any, **settings: Any) -> Any:
+        """Refuses former settings; the rest is as of any class."""
+        refuse_settings(cls, settings)
+        return super().__new__(cls)
+
+
+def old_names(module: str) -> Callable[[str], Any]:
+    """The `__getattr__` of a module that things have moved out of.
+
+    It raises an ImportError even where an attribute is asked for, as an AttributeError
+    would not be shown where it is imported.
+    """
+
+    def getattribute(name: str) -> Any:
+        if (old := f"{module}.{name}") in RENAMED:
+            raise ImportError(_sentence(old, RENAMED[old]), name=module)
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+
+    return getattribute
+
+
+class _OldModules:
+    """The last finder of modules, asked for those that no other has found."""
+
+    def find_spec(
+        self, name: str, path: Any = None, target: ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        del path, target
+        if name in RENAMED:
+            # A ModuleNotFoundError would be lost in `from PACKAGE import MODULE`.
+            raise ImportError(_sentence(name, RENAMED[name]), name=name)
+        return None
+
+
+def name_old_modules() -> None:
+    """Lets imports of modules that have moved say where they are."""
+    sys.meta_path.append(_OldModules())
