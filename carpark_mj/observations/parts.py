@@ -10,7 +10,7 @@ from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import Field
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.types import CarParameters, Motion, State
+from carpark_mj.types import Motion, State, Vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Sight:
         return lot_obstacles(state.layout, self.motion, state.parked_cars, state.movers)
 
     @property
-    def vehicle(self) -> CarParameters:
+    def vehicle(self) -> Vehicle:
         """The agents' cars (num_agents,)."""
         return self.state.physics.vehicle
 
