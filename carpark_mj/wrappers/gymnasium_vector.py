@@ -8,7 +8,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from carpark_mj.config.checks import require_count
-from carpark_mj.wrappers.batch import LotEnv, NumpyBatch, Seeds, require_shape
+from carpark_mj.env import ParkingEnv
+from carpark_mj.wrappers.batch import NumpyBatch, Seeds, require_shape
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, one_agent
 from carpark_mj.wrappers.gymnasium_spaces import (
     action_space,
@@ -74,7 +75,7 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._screen = Screen(shared_env(env.config), camera)
 
-    def _make(self, options: Options) -> LotEnv:
+    def _make(self, options: Options) -> ParkingEnv:
         return shared_env(one_agent(configure(options, ONE_AGENT)))
 
     @property
@@ -169,7 +170,7 @@ class ParkManyVectorEnv(ParkVectorEnv):
     keep their layouts until `reset`.
     """
 
-    def _make(self, options: Options) -> LotEnv:
+    def _make(self, options: Options) -> ParkingEnv:
         config = configure(options)
         if config.min_agents not in (None, config.num_agents):
             raise ValueError(

@@ -10,8 +10,9 @@ from pettingzoo.utils.env_logger import EnvLogger
 
 from carpark_mj.config.checks import require_kind
 from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.tasks.environment import AgentsEnvironment
 from carpark_mj.tasks.joint import JointEnv
-from carpark_mj.wrappers.batch import AgentsEnv, NumpyBatch
+from carpark_mj.wrappers.batch import NumpyBatch
 from carpark_mj.wrappers.options import Options, configure, share
 from carpark_mj.wrappers.reset_options import as_reset_options
 from carpark_mj.wrappers.screen import RENDER_MODES, Screen
@@ -73,7 +74,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
     def __init__(
         self,
-        env: AgentsEnv,
+        env: AgentsEnvironment,
         box: spaces.Box,
         screen: Screen,
         render_mode: str | None,
