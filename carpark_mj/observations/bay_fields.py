@@ -1,4 +1,4 @@
-"""The bays that agents track and choose their goals from, and who else heads for them.
+"""The bays that agents track and choose goals from, and the agents near them.
 
 Lists of bays hold `NO_BAY` where there is none.
 """
@@ -62,7 +62,7 @@ def choice_part(num_tracked_bays: int) -> Part:
     """Which of the tracked bays an agent has chosen."""
 
     def fill(sight: Sight) -> dict[str, jax.Array]:
-        bays = _tracked_bays(sight)
+        bays = sight.tracked_bays
         choice = goal_code(sight.goal[:, None], bays)[:, 0]
         return {"goal_choice": jax.nn.one_hot(choice, num_tracked_bays + 1)}
 
@@ -76,20 +76,14 @@ def bays_part(count: int, global_information: bool) -> Part:
     """The tracked bays, with who is near them if there is global information."""
 
     def fill(sight: Sight) -> dict[str, jax.Array]:
-        layout, motion, bays = sight.layout, sight.motion, _tracked_bays(sight)
+        layout, motion, bays = sight.layout, sight.motion, sight.tracked_bays
         values = _localise_bays(layout, motion, bays)
         if global_information:
-            values |= _rival_values(layout, motion.xy, sight.goal, bays)
+            values |= _rival_values(sight, bays)
         return repeated_values("bay", values)
 
     fields = [*_BAY_FIELDS, *(_RIVAL_FIELDS if global_information else ())]
     return Part(tuple(repeated("bay", count, fields)), fill)
-
-
-def _tracked_bays(sight: Sight) -> jax.Array:
-    bays = sight.state.tracked_bays
-    assert bays is not None
-    return bays
 
 
 def _localise_bays(
@@ -103,7 +97,7 @@ def _localise_bays(
 
 
 def goal_code(goal: jax.Array, bays: jax.Array) -> jax.Array:
-    """What observers may know of goals: a number each.
+    """Goals as numbers that observers know.
 
     Args:
         goal: (num_agents, count) bays; `NO_BAY` = exploring.
@@ -140,14 +134,12 @@ def rivals(
     return jnp.min(gap, axis=-1), jnp.min(jnp.where(wants, gap, jnp.inf), axis=-1)
 
 
-def _rival_values(
-    layout: Layout, agent_xy: jax.Array, goal: jax.Array, bays: jax.Array
-) -> dict[str, jax.Array]:
-    """`_RIVAL_FIELDS` (num_agents, count, k); zeros where there is no bay or claim.
+def _rival_values(sight: Sight, bays: jax.Array) -> dict[str, jax.Array]:
+    """`_RIVAL_FIELDS` (num_observers, count, k) of bays (num_observers, count).
 
-    The arguments are those of `rivals`.
+    Zeros where there is no bay or claim.
     """
-    nearest, claim = rivals(layout, agent_xy, goal, bays)
+    nearest, claim = rivals(sight.layout, sight.agents.xy, sight.state.goal, bays)
     present, claimed = bays != NO_BAY, jnp.isfinite(claim)
     claimed = claimed & present
     claim = far(jnp.where(claimed, claim, 0.0))
@@ -158,12 +150,11 @@ def _rival_values(
 
 
 def _goal_rivals(sight: Sight) -> dict[str, jax.Array]:
-    goal = sight.goal
-    found = _rival_values(sight.layout, sight.motion.xy, goal, goal[:, None])
+    found = _rival_values(sight, sight.goal[:, None])
     return {f"goal_{name}": value[:, 0] for name, value in found.items()}
 
 
-# Who is near a fixed goal.
+# The agents near a fixed goal.
 RIVALS = Part(
     tuple(
         dataclasses.replace(field, name=f"goal_{field.name}", reveals_goal=True)

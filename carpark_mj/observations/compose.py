@@ -26,14 +26,22 @@ def observe(config: EnvConfig, state: State) -> jax.Array:
     Raises:
         ValueError: the encoder's values are not those of its fields.
     """
-    fields, encoder = make_fields(config), config.observation
-    values = encoder.values(config, state)
-    _require_fit(encoder.encoding, fields, values, state.goal.shape[0])
-    ordered = [values[field.name] for field in fields]
-    vector = jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
+    vector = join(config, config.observation.values(config, state), state.goal.shape[0])
     if state.present is None:
         return vector
     return jnp.where(state.present[:, None], vector, 0.0)
+
+
+def join(config: EnvConfig, values: Mapping[str, jax.Array], count: int) -> jax.Array:
+    """The observations (count, observation_size) float32 of values by field.
+
+    Raises:
+        ValueError: the values are not those of the encoder's fields.
+    """
+    fields = make_fields(config)
+    _require_fit(config.observation.encoding, fields, values, count)
+    ordered = [values[field.name] for field in fields]
+    return jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
 
 
 def _require_fit(

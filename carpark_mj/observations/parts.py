@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Self, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +10,11 @@ import jax.numpy as jnp
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import Field
+from carpark_mj.observations.sensors import observed
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.types import Motion, State, Vehicle
+from carpark_mj.types import NO_BAY, Motion, State, Vehicle
+
+Tree = TypeVar("Tree")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,11 +23,26 @@ class Sight:
 
     Attributes:
         state: of the lot.
-        motion: the agents (num_agents,) as their sensors tell; `state.motion` is true.
+        agents: all of them (num_agents,) as their sensors tell; `state.motion` is true.
+        num_observers: how many of them observe, the first; None = all, as in `values`
+            of parts (num_agents, k).
+        number: (num_agents,) numbers that give priority; None = 0, 1, 2...
     """
 
     state: State
-    motion: Motion
+    agents: Motion
+    num_observers: int | None = None
+    number: jax.Array | None = None
+
+    @classmethod
+    def of(cls, state: State) -> Self:
+        """What all agents know."""
+        return cls(state, observed(state))
+
+    @property
+    def motion(self) -> Motion:
+        """The observers, as their sensors tell."""
+        return self._of_observers(self.agents)
 
     @property
     def layout(self) -> Layout:
@@ -32,26 +51,37 @@ class Sight:
 
     @property
     def goal(self) -> jax.Array:
-        """(num_agents,) bays."""
-        return self.state.goal
+        """(num_observers,) bays."""
+        return self._of_observers(self.state.goal)
+
+    @property
+    def tracked_bays(self) -> jax.Array:
+        """(num_observers, num_tracked_bays) of agents that choose their goals."""
+        assert self.state.tracked_bays is not None
+        return self._of_observers(self.state.tracked_bays)
 
     @property
     def obstacles(self) -> tuple[Group, ...]:
         """All there is to hit, agents first and where they are sensed."""
         state = self.state
-        return lot_obstacles(state.layout, self.motion, state.parked_cars, state.movers)
+        return lot_obstacles(state.layout, self.agents, state.parked_cars, state.movers)
 
     @property
     def vehicle(self) -> Vehicle:
-        """The agents' cars (num_agents,)."""
-        return self.state.physics.vehicle
+        """The observers' cars."""
+        return self._of_observers(self.state.physics.vehicle)
 
     def with_goal(self, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        """Values (num_agents, k) that are about the goal: zeros without one."""
+        """Values (num_observers, k) that are about the goal: zeros without one."""
         if self.state.tracked_bays is None:
             return values
-        has_goal = ~self.state.exploring[:, None]
+        has_goal = (self.goal != NO_BAY)[:, None]
         return {name: jnp.where(has_goal, x, 0.0) for name, x in values.items()}
+
+    def _of_observers(self, tree: Tree) -> Tree:
+        if self.num_observers is None:
+            return tree
+        return jax.tree.map(lambda x: x[: self.num_observers], tree)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +90,7 @@ class Part:
 
     Attributes:
         fields: in order.
-        fill: their values (num_agents, field.size) by name.
+        fill: their values (num_observers, field.size) by name.
     """
 
     fields: tuple[Field, ...]

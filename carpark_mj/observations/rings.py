@@ -11,8 +11,6 @@ from carpark_mj.config import RingConfig
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.parts import Part, Sight
-from carpark_mj.observations.sensors import observed
-from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.types import State
 
 
@@ -33,22 +31,21 @@ def rings_part(config: RingConfig) -> Part:
     """The counts in units of the cap."""
 
     def fill(sight: Sight) -> dict[str, jax.Array]:
-        counts = ring_counts(config, sight.state)
+        counts = ring_counts(config, sight)
         return {name: count / config.cap for name, count in counts.items()}
 
     circle = f"the circle about the car [{config.cap}]"
     return Part(tuple(ring_fields(config, 1.0, circle)), fill)
 
 
-def count_rings(config: RingConfig, state: State) -> jax.Array:
-    """Counts (num_agents, rings) int32, up to the cap, where agents think they are.
+def count_rings(config: RingConfig, sight: Sight) -> jax.Array:
+    """Counts (num_observers, rings) int32, up to the cap, about the sensed positions.
 
-    Every object is tested: no cheaper test than this distance could rule one out.
+    There is no broad phase: the distance is the cheapest test.
     """
-    motion = observed(state)
-    there = lot_obstacles(state.layout, motion, state.parked_cars, state.movers)
+    motion = sight.motion
     cars = (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR)
-    seen = [group for group in there if config.cars or group.kind not in cars]
+    seen = [group for group in sight.obstacles if config.cars or group.kind not in cars]
     gaps = [
         jnp.where(group.counts(motion.size.shape[0]), group.gaps(motion.xy), jnp.inf)
         for group in seen
@@ -59,16 +56,16 @@ def count_rings(config: RingConfig, state: State) -> jax.Array:
     return jnp.minimum(count, config.cap)
 
 
-def ring_counts(config: RingConfig, state: State) -> dict[str, jax.Array]:
-    """Counts now and in the past by their fields' names, (num_agents, 1) each.
+def ring_counts(config: RingConfig, sight: Sight) -> dict[str, jax.Array]:
+    """Counts now and in the past by their fields' names, (num_observers, 1) each.
 
-    The past is `state.memory`, see `init_history`.
+    The past is `State.memory`, see `init_history`.
     """
     if not config.diameters:
         return {}
-    counts = count_rings(config, state)
+    counts = count_rings(config, sight)
     if config.history:
-        past = state.memory.reshape(counts.shape[0], -1)
+        past = sight.state.memory.reshape(counts.shape[0], -1)
         counts = jnp.concatenate([counts, past], axis=1)
     return {name: counts[:, k : k + 1] for k, name in enumerate(_names(config))}
 
@@ -88,7 +85,7 @@ def update_history(config: RingConfig, state: State) -> jax.Array | None:
     """The past once the counts of the state belong to it; see `init_history`."""
     if not config.history:
         return None
-    counts = count_rings(config, state).astype(jnp.int32)
+    counts = count_rings(config, Sight.of(state)).astype(jnp.int32)
     return jnp.concatenate([state.memory[:, 1:], counts[:, None]], axis=1)
 
 

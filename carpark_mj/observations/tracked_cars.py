@@ -37,10 +37,12 @@ def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
     shared = _shared(share, num_tracked_bays)
 
     def fill(sight: Sight) -> dict[str, jax.Array]:
-        motion = sight.motion
-        index, present = track_agents(count, motion.pose_w, sight.state.present)
-        pose, size = motion.pose_w[index], motion.size[index]
-        values = localise(motion.pose_w, pose, size, present)
+        agents, present = sight.agents, sight.state.present
+        index, present = track_agents(
+            count, agents.pose_w, present, sight.num_observers
+        )
+        pose, size = agents.pose_w[index], agents.size[index]
+        values = localise(sight.motion.pose_w, pose, size, present)
         for field, find in shared:
             values[field.name] = jnp.where(present[..., None], find(sight, index), 0.0)
         return repeated_values("agent", values)
@@ -89,29 +91,30 @@ def _shared(share: ShareConfig, num_tracked_bays: int) -> list[tuple[Field, Shar
 
 def _speed(sight: Sight, index: jax.Array) -> jax.Array:
     max_speed = sight.vehicle.max_speed
-    return (sight.motion.speed[index] / max_speed[:, None])[..., None]
+    return (sight.agents.speed[index] / max_speed[:, None])[..., None]
 
 
 def _goal_choice(sight: Sight, index: jax.Array) -> jax.Array:
-    bays = sight.state.tracked_bays
-    assert bays is not None
-    return jax.nn.one_hot(goal_code(sight.goal[index], bays), bays.shape[1] + 2)
+    bays = sight.tracked_bays
+    goal = sight.state.goal[index]
+    return jax.nn.one_hot(goal_code(goal, bays), bays.shape[1] + 2)
 
 
 def _goal(sight: Sight, index: jax.Array) -> jax.Array:
-    goal_pose = sight.layout.parked_pose[sight.goal]
+    goal_pose = sight.layout.parked_pose[sight.state.goal]
     local = to_local(sight.motion.pose_w[:, None], goal_pose[index])
     return far(local[..., :2])
 
 
 def _steering(sight: Sight, index: jax.Array) -> jax.Array:
-    steering = sight.motion.steering / sight.vehicle.max_steering
+    steering = sight.agents.steering / sight.state.physics.vehicle.max_steering
     return steering[index][..., None]
 
 
 def _priority(sight: Sight, index: jax.Array) -> jax.Array:
-    del sight
-    before = index < jnp.arange(index.shape[0])[:, None]
+    number, count = sight.number, index.shape[0]
+    own = jnp.arange(count) if number is None else number[:count]
+    before = (index if number is None else number[index]) < own[:, None]
     return before[..., None].astype(jnp.float32)
 
 

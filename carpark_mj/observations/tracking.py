@@ -1,4 +1,4 @@
-"""Who and what an agent tracks: the nearest."""
+"""The cars that an agent tracks: the nearest."""
 
 import jax
 import jax.numpy as jnp
@@ -9,20 +9,24 @@ from carpark_mj.types import ParkedCars, State
 
 
 def track_agents(
-    count: int, own_pose: jax.Array, present: jax.Array | None = None
+    count: int,
+    pose: jax.Array,
+    present: jax.Array | None = None,
+    num_observers: int | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """The nearest other agents.
 
     Args:
         count: how many.
-        own_pose: (num_agents, 3).
+        pose: (num_agents, 3).
         present: (num_agents,) bool, see `State.present`.
+        num_observers: how many of them track, the first; None = all.
 
     Returns:
-        Indices and presence (num_agents, count), see `geometry.nearest`.
+        Indices and presence (num_observers, count), see `geometry.nearest`.
     """
-    xy = own_pose[:, :2]
-    return nearest(xy, xy, other_agents(xy.shape[0], present), count)
+    xy, others = pose[:, :2], other_agents(pose.shape[0], present)
+    return nearest(xy[:num_observers], xy, others[:num_observers], count)
 
 
 def track_parked_cars(

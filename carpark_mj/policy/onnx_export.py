@@ -179,9 +179,13 @@ def largest_difference(
 
     session: Any = onnxruntime.InferenceSession(model.SerializeToString())
     [found] = session.run(None, split_observation(loaded.env, observation))
+    return largest(found, policy_actions(loaded, observation))
+
+
+def policy_actions(loaded: LoadedPolicy, observation: np.ndarray) -> np.ndarray:
+    """Actions (batch, k) of the policy itself; observations (batch, size)."""
     with jax.default_matmul_precision("highest"):  # as onnxruntime, also on GPUs
-        expected = np.asarray(_actions(as_argument(loaded.policy), observation))
-    return _largest(found, expected)
+        return np.asarray(_actions(as_argument(loaded.policy), observation))
 
 
 def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
@@ -194,12 +198,10 @@ def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
     Returns:
         The largest difference of any number of an action; inf if one is not finite.
     """
-    policy = as_argument(loaded.policy)
-    with jax.default_matmul_precision("highest"):
-        found = np.asarray(_actions(policy, observation))
+    found, policy = policy_actions(loaded, observation), as_argument(loaded.policy)
     policy, observation = jax.tree.map(_in_float64, (policy, observation))
     with jax.enable_x64(True):
-        return _largest(found, np.asarray(_actions(policy, observation)))
+        return largest(found, np.asarray(_actions(policy, observation)))
 
 
 @jax.jit
@@ -213,8 +215,8 @@ def _in_float64(leaf: Any) -> Any:
     return np.asarray(leaf, np.float64) if is_float else leaf
 
 
-def _largest(found: np.ndarray, expected: np.ndarray) -> float:
-    """The largest difference; inf if one is not finite."""
+def largest(found: np.ndarray, expected: np.ndarray) -> float:
+    """The largest difference of any number; inf if one is not finite."""
     difference = np.abs(found.astype(np.float64) - expected)
     return float(np.where(np.isfinite(difference), difference, np.inf).max())
 

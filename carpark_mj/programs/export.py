@@ -1,10 +1,13 @@
 """Exports a policy as an ONNX model, or as a checkpoint without training state.
 
 carpark_mj export runs/cpu-0                      # runs/cpu-0/policy.onnx
+carpark_mj export runs/cpu-0 --from-state         # runs/cpu-0/car.onnx, for a car
 carpark_mj export runs/cpu-0 --out policy.npz     # as the pretrained policies are
 
-An ONNX model has an input for every observation field, with the normalisation inside,
-and is written only if onnxruntime computes the policy's actions with it.
+An ONNX model has an input for every observation field, with the normalisation inside.
+With --from-state the observation is inside too: inputs are where the car, the others
+and the walls are. It is written only if onnxruntime computes the policy's actions with
+it.
 """
 
 from collections.abc import Sequence

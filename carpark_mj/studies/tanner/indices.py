@@ -16,6 +16,7 @@ from carpark_mj.config import EnvConfig, RingConfig
 from carpark_mj.config.observations import ENCODERS, ObservationConfig
 from carpark_mj.geometry import to_local
 from carpark_mj.observations.fields import Field
+from carpark_mj.observations.parts import Sight
 from carpark_mj.observations.rings import (
     init_history,
     ring_counts,
@@ -88,7 +89,7 @@ class IndexObservation(ObservationConfig):
             "level": (level + grid.max_reverse)[:, None],
             "bearing": bearing[:, None],
         }
-        return values | ring_counts(self.rings, state)
+        return values | ring_counts(self.rings, Sight.of(state))
 
     @property
     def circles(self) -> tuple[float, ...]:

@@ -37,6 +37,7 @@ from carpark_mj.config.observations import ENCODERS, ObservationConfig, Tracked
 from carpark_mj.geometry import norm, to_local
 from carpark_mj.observations.bay_fields import goal_code, rivals
 from carpark_mj.observations.fields import Field, repeated, repeated_values
+from carpark_mj.observations.parts import Sight
 from carpark_mj.observations.rings import (
     init_history,
     ring_counts,
@@ -181,7 +182,7 @@ class TannerObservation(ObservationConfig):
         else:
             values |= {f"goal_{name}": value[:, 0] for name, value in described.items()}
 
-        counts = ring_counts(self.rings, state)
+        counts = ring_counts(self.rings, Sight.of(state))
         values |= {name: count / (self.rings.cap + 1) for name, count in counts.items()}
         if self.tracked_cars:
             cars = _describe_cars(self, grid, state, level, bays)

@@ -1,0 +1,125 @@
+"""Policies as ONNX models with the observation inside, for a car outside.
+
+The inputs are those of `INPUTS` that the policy reads, the output is the action. The
+observation is the environment's own program, translated by `onnx_program`.
+"""
+
+import dataclasses
+import json
+from typing import Any
+
+import jax
+import numpy as np
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.mdp.actions import action_spec
+from carpark_mj.observations import ContinuousObservation
+from carpark_mj.observations.compose import join
+from carpark_mj.policy.loading import LoadedPolicy
+from carpark_mj.policy.onnx_export import OUTPUT, describe_action
+from carpark_mj.policy.onnx_program import make_graph
+from carpark_mj.policy.outside import sight_of
+from carpark_mj.policy.plain_inputs import INPUTS, PlainInput, Rows
+
+METADATA = "carpark_mj"  # key of the model's metadata, as JSON
+
+
+def require_outside(config: EnvConfig) -> None:
+    """Refuses what a car outside cannot observe.
+
+    Raises:
+        ValueError: one sentence.
+    """
+    encoder = config.observation
+    if not isinstance(encoder, ContinuousObservation):
+        raise ValueError(
+            f"the encoding {encoder.encoding!r} reads all of the lot's state, of which "
+            "a car outside knows only a part: export without --from-state"
+        )
+    if encoder.init_memory(config) is not None:
+        raise ValueError(
+            "the policy observes the past (rings.history), which a model does not "
+            "remember: export without --from-state"
+        )
+
+
+def make_car_model(loaded: LoadedPolicy, rows: Rows) -> Any:
+    """The ONNX model (`onnx.ModelProto`) of a policy and what it observes.
+
+    Raises:
+        ValueError: a car outside cannot observe that.
+    """
+    require_outside(loaded.env)
+    inputs = {x.name: jax.ShapeDtypeStruct(x.shape(rows), x.dtype) for x in INPUTS}
+
+    def act(*arrays: jax.Array) -> dict[str, jax.Array]:
+        given = dict(zip(inputs, arrays, strict=True))
+        return {OUTPUT: decide(loaded, rows, given)[0]}
+
+    model = make_graph(act, inputs)
+    read = inputs_of(model)
+    for value, entry in zip(model.graph.input, read, strict=True):
+        value.doc_string = describe(entry)
+    model.graph.output[0].doc_string = describe_action(action_spec(loaded.env))
+    entry = model.metadata_props.add()
+    entry.key, entry.value = METADATA, json.dumps(_about(loaded, rows, read))
+    return model
+
+
+def decide(
+    loaded: LoadedPolicy, rows: Rows, given: dict[str, jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    """Action and observation of a car that gives all of `INPUTS`."""
+    sight, encoder = sight_of(rows, given), loaded.env.observation
+    assert isinstance(encoder, ContinuousObservation)
+    observation = join(loaded.env, encoder.see(loaded.env, sight), 1)
+    return loaded.policy(observation, jax.random.key(0))[0][0], observation[0]
+
+
+def inputs_of(model: Any) -> list[PlainInput]:
+    """Those of `INPUTS` that a model takes, in order."""
+    names = {value.name for value in model.graph.input}
+    return [entry for entry in INPUTS if entry.name in names]
+
+
+def describe(entry: PlainInput) -> str:
+    """Unit and meaning of an input."""
+    return f"{entry.meaning} [{entry.unit}]" if entry.unit else entry.meaning
+
+
+def _about(loaded: LoadedPolicy, rows: Rows, read: list[PlainInput]) -> dict[str, Any]:
+    """What the metadata tell."""
+    spec = action_spec(loaded.env)
+    return {
+        "inputs": [
+            {**dataclasses.asdict(entry), "dims": entry.shape(rows)} for entry in read
+        ],
+        "output": {
+            "name": OUTPUT,
+            "dims": [spec.size],
+            "meaning": describe_action(spec),
+        },
+        "frame": "world, counter-clockwise yaw from +x",
+        "seconds_per_decision": loaded.env.sim.ctrl_dt,
+    }
+
+
+def make_session(model: Any) -> Any:
+    """Runs a model on one core (`onnxruntime.InferenceSession`)."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(model.SerializeToString(), options)
+
+
+def decisions(session: Any, values: dict[str, np.ndarray]) -> np.ndarray:
+    """Actions (count, size) of a model for inputs (count, *shape) by name."""
+    names = [value.name for value in session.get_inputs()]
+    count = len(values[names[0]])
+    return np.stack(
+        [
+            session.run(None, {n: values[n][k, ...] for n in names})[0]
+            for k in range(count)
+        ]
+    )

@@ -1,0 +1,170 @@
+"""ONNX graphs under construction.
+
+A value may have a smaller shape than it stands for, if it broadcasts to that: operators
+broadcast by themselves.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+OPSET, IR_VERSION = 18, 8  # onnxruntime takes them from 1.14 on
+
+
+class Named(NamedTuple):
+    """A value that depends on inputs."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: Any
+
+
+Value = Named | np.ndarray  # arrays are constants
+
+
+class Graph:
+    """Nodes and constants; both are named by number."""
+
+    def __init__(self) -> None:
+        """Begins an empty one."""
+        self._nodes: list[Any] = []
+        self._constants: dict[tuple[Any, ...], Any] = {}
+        self._joined: dict[str, tuple[int, list[Value]]] = {}
+        self._reshaped: dict[str, Named] = {}  # what it was before
+        self._known: dict[Any, Named] = {}
+
+    def add(self, kind: str, *values: Value, like: Any, **attributes: Any) -> Named:
+        """Adds a node of one output, whose shape and dtype are those of `like`."""
+        from onnx import helper
+
+        inputs = [self._name(value) for value in values]
+        key = (kind, *inputs, *map(str, attributes.items()))
+        if key not in self._known:
+            name = f"v{len(self._nodes)}"
+            self._nodes.append(helper.make_node(kind, inputs, [name], **attributes))
+            self._known[key] = Named(name, tuple(like.shape), np.dtype(like.dtype))
+        return self._known[key]
+
+    def _name(self, value: Value) -> str:
+        from onnx import numpy_helper
+
+        if isinstance(value, Named):
+            return value.name
+        key = (value.dtype.str, value.shape, value.tobytes())
+        if key not in self._constants:
+            name = f"c{len(self._constants)}"
+            self._constants[key] = numpy_helper.from_array(value, name)
+        return self._constants[key].name
+
+    def elementwise(self, kind: str, dtype: Any, *values: Value, **more: Any) -> Named:
+        """Adds an operator that broadcasts its values."""
+        shape = np.broadcast_shapes(*(value.shape for value in values))
+        return self.add(kind, *values, like=jax.ShapeDtypeStruct(shape, dtype), **more)
+
+    def cast(self, value: Value, dtype: Any) -> Value:
+        """The value as another dtype."""
+        from onnx import helper
+
+        if isinstance(value, np.ndarray):
+            return value.astype(dtype)
+        if value.dtype == dtype:
+            return value
+        to = helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
+        return self.elementwise("Cast", dtype, value, to=to)
+
+    def reshape(self, value: Value, shape: Sequence[int]) -> Value:
+        """The same numbers in another shape."""
+        if isinstance(value, np.ndarray):
+            return value.reshape(shape)
+        before = self._reshaped.get(value.name, value)
+        found = self._shaped("Reshape", before, shape)
+        if found is not before:
+            self._reshaped[found.name] = before
+        return found
+
+    def expand(self, value: Value, shape: Sequence[int]) -> Value:
+        """The value in the whole shape that it stands for."""
+        if isinstance(value, np.ndarray):
+            return np.broadcast_to(value, shape)
+        return self._shaped("Expand", value, shape)
+
+    def transpose(self, value: Value, order: Sequence[int]) -> Value:
+        """The axes in another order."""
+        if isinstance(value, np.ndarray):
+            return value.transpose(order)
+        if list(order) == sorted(order):
+            return value
+        shape = [value.shape[axis] for axis in order]
+        like = jax.ShapeDtypeStruct(shape, value.dtype)
+        return self.add("Transpose", value, like=like, perm=list(order))
+
+    def join(self, values: Sequence[Value], axis: int, like: Any) -> Named:
+        """Values one behind the other."""
+        found = self.add("Concat", *values, like=like, axis=axis)
+        self._joined[found.name] = axis, list(values)
+        return found
+
+    def cut(
+        self, value: Value, starts: Sequence[int], ends: Sequence[int], steps: Any
+    ) -> Value:
+        """A part of a value; if it lies in one of those that were joined, of this."""
+        if isinstance(value, np.ndarray):
+            return value[tuple(map(slice, starts, ends, steps))]
+        axis, parts = self._joined.get(value.name, (0, []))
+        begin = 0
+        for part in parts:
+            low, high = starts[axis] - begin, ends[axis] - begin
+            if 0 <= low < high <= part.shape[axis]:
+                starts, ends = (
+                    [*bounds[:axis], at, *bounds[axis + 1 :]]
+                    for bounds, at in ((starts, low), (ends, high))
+                )
+                return self.cut(part, starts, ends, steps)
+            begin += part.shape[axis]
+        shape = [
+            -(-(b - a) // step) for a, b, step in zip(starts, ends, steps, strict=True)
+        ]
+        if tuple(shape) == value.shape:
+            return value
+        axes = [k for k, size in enumerate(value.shape) if size != shape[k]]
+        places = range(len(shape))
+        bounds = (np.array(x, np.int64)[axes] for x in (starts, ends, places, steps))
+        like = jax.ShapeDtypeStruct(shape, value.dtype)
+        return self.add("Slice", value, *bounds, like=like)
+
+    def _shaped(self, kind: str, value: Named, shape: Sequence[int]) -> Named:
+        if value.shape == tuple(shape):
+            return value
+        like = jax.ShapeDtypeStruct(shape, value.dtype)
+        return self.add(kind, value, np.array(shape, np.int64), like=like)
+
+    def model(self, inputs: Sequence[Named], outputs: dict[str, Value]) -> Any:
+        """The model (`onnx.ModelProto`), without what the outputs do not need."""
+        from onnx import helper
+
+        for name, value in outputs.items():
+            node = helper.make_node("Identity", [self._name(value)], [name])
+            self._nodes.append(node)
+        needed, nodes = set(outputs), []
+        for node in reversed(self._nodes):
+            if node.output[0] in needed:
+                needed.update(node.input)
+                nodes.append(node)
+        made = helper.make_graph(
+            nodes[::-1],
+            "carpark_mj",
+            [_describe(x.name, x) for x in inputs if x.name in needed],
+            [_describe(name, value) for name, value in outputs.items()],
+            [x for x in self._constants.values() if x.name in needed],
+        )
+        opset = helper.make_opsetid("", OPSET)
+        return helper.make_model(made, opset_imports=[opset], ir_version=IR_VERSION)
+
+
+def _describe(name: str, value: Any) -> Any:
+    from onnx import helper
+
+    kind = helper.np_dtype_to_tensor_dtype(np.dtype(value.dtype))
+    return helper.make_tensor_value_info(name, kind, value.shape)

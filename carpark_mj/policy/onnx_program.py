@@ -1,0 +1,397 @@
+"""Programs of JAX as ONNX models: a table from primitives to operators.
+
+Shapes are static, loops are written out, and what depends on no input is computed here.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+from jax.interpreters.partial_eval import dce_jaxpr
+
+from carpark_mj.policy.onnx_graph import Graph, Named, Value
+
+LONGEST_LOOP = 16  # iterations
+_CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
+
+
+def make_graph(
+    function: Callable[..., Mapping[str, jax.Array]],
+    inputs: Mapping[str, jax.ShapeDtypeStruct],
+) -> Any:
+    """The ONNX model (`onnx.ModelProto`) of a function.
+
+    Args:
+        function: of arrays; gives the model's outputs by name.
+        inputs: the arrays in order; the model has those that its outputs depend on.
+
+    Raises:
+        NotImplementedError: a primitive that the table does not have.
+    """
+    program, outputs = jax.make_jaxpr(function, return_shape=True)(*inputs.values())
+    jaxpr, read = dce_jaxpr(program.jaxpr, [True] * len(outputs))
+    given = [
+        Named(name, x.shape, np.dtype(x.dtype))
+        for (name, x), is_read in zip(inputs.items(), read, strict=True)
+        if is_read
+    ]
+    graph = Graph()
+    found = _run(graph, ClosedJaxpr(jaxpr, program.consts), given)
+    whole = {
+        name: graph.expand(value, outputs[name].shape)
+        for name, value in zip(sorted(outputs), found, strict=True)
+    }
+    return graph.model(given, whole)
+
+
+def _run(graph: Graph, program: ClosedJaxpr, given: Sequence[Value]) -> list[Value]:
+    """Adds a program; returns its outputs."""
+    jaxpr = program.jaxpr
+    known: dict[Any, Value] = dict(zip(jaxpr.invars, given, strict=True))
+    known |= zip(jaxpr.constvars, map(_constant, program.consts), strict=True)
+
+    def read(variable: Any) -> Value:
+        if isinstance(variable, Literal):
+            shaped: Any = variable.aval
+            return np.asarray(variable.val, shaped.dtype)
+        return known[variable]
+
+    for eqn in jaxpr.eqns:
+        found = _apply(graph, eqn, [read(variable) for variable in eqn.invars])
+        known |= zip(eqn.outvars, found, strict=True)
+    return [read(variable) for variable in jaxpr.outvars]
+
+
+def _apply(graph: Graph, eqn: Any, values: list[Value]) -> Sequence[Value]:
+    """Adds an equation of a program; returns what it computes."""
+    name, params = eqn.primitive.name, eqn.params
+    if name in _CALLS:
+        return _run(graph, params.get("jaxpr", params.get("call_jaxpr")), values)
+    if name == "scan":
+        return _loop(graph, params, values)
+    shapes = [variable.aval for variable in eqn.outvars]
+    if not any(isinstance(value, Named) for value in values):
+        return _compute(eqn, values)
+    if all(0 in shape.shape for shape in shapes):
+        return [np.zeros(shape.shape, shape.dtype) for shape in shapes]
+    if name in _ELEMENTWISE:
+        return [_ELEMENTWISE[name](graph, shapes[0].dtype, *values, **params)]
+    if name == "broadcast_in_dim":
+        return [_broadcast(graph, values[0], **params)]
+    if name not in _SHAPED:
+        raise NotImplementedError(f"the primitive {name!r} has no operator")
+    whole = [
+        graph.expand(value, variable.aval.shape)
+        for value, variable in zip(values, eqn.invars, strict=True)
+    ]
+    if eqn.primitive.multiple_results:
+        return _SHAPED[name](graph, shapes, *whole, **params)
+    return [_SHAPED[name](graph, shapes[0], *whole, **params)]
+
+
+def _compute(eqn: Any, values: list[Any]) -> Sequence[Value]:
+    """What an equation of constants computes."""
+    found = eqn.primitive.bind(*map(jnp.asarray, values), **eqn.params)
+    return list(map(_constant, found if eqn.primitive.multiple_results else [found]))
+
+
+def _constant(value: Any) -> Value:
+    is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
+    return value if is_key else np.asarray(value)
+
+
+def _loop(graph: Graph, params: Any, values: list[Value]) -> list[Value]:
+    """A loop that only carries values on, written out."""
+    length, consts = params["length"], params["num_consts"]
+    if length > LONGEST_LOOP or len(values) > consts + params["num_carry"]:
+        raise NotImplementedError(f"a loop over {length} values has no operator")
+    carry = values[consts:]
+    for _ in range(length):
+        carry = _run(graph, params["jaxpr"], [*values[:consts], *carry])
+    return carry
+
+
+def _broadcast(graph: Graph, value: Value, **params: Any) -> Value:
+    """Axes where operators look for them; none is repeated yet."""
+    rank, shape = len(value.shape), params["shape"]
+    axes = params["broadcast_dimensions"]
+    axes = axes[len(axes) - rank :]  # those in front are of size 1
+    if axes == tuple(range(len(shape) - rank, len(shape))):
+        return value
+    sizes = dict(zip(axes, value.shape, strict=True))
+    return graph.reshape(value, [sizes.get(axis, 1) for axis in range(len(shape))])
+
+
+def _plain(kind: str) -> Callable[..., Value]:
+    def add(graph: Graph, dtype: Any, *values: Value, **params: Any) -> Value:
+        del params
+        return graph.elementwise(kind, dtype, *values)
+
+    return add
+
+
+def _not_equal(graph: Graph, dtype: Any, *values: Value) -> Value:
+    return graph.elementwise("Not", dtype, graph.elementwise("Equal", dtype, *values))
+
+
+def _is_finite(graph: Graph, dtype: Any, value: Value) -> Value:
+    # inf - inf is NaN, and no NaN equals itself
+    rest = graph.elementwise("Sub", value.dtype, value, value)
+    return graph.elementwise("Equal", dtype, rest, rest)
+
+
+def _select(graph: Graph, dtype: Any, which: Value, no: Value, yes: Value) -> Value:
+    if np.dtype(dtype).kind != "b":
+        return graph.elementwise("Where", dtype, which, yes, no)
+    otherwise = graph.elementwise("Not", bool, which)
+    first = graph.elementwise("And", bool, which, yes)
+    second = graph.elementwise("And", bool, otherwise, no)
+    return graph.elementwise("Or", bool, first, second)
+
+
+def _remainder(graph: Graph, dtype: Any, *values: Value) -> Value:
+    return graph.elementwise("Mod", dtype, *values, fmod=1)  # of the dividend's sign
+
+
+def _same(graph: Graph, dtype: Any, value: Value) -> Value:
+    return value
+
+
+def _square(graph: Graph, dtype: Any, value: Value) -> Value:
+    return graph.elementwise("Mul", dtype, value, value)
+
+
+def _power(graph: Graph, dtype: Any, value: Value, y: int) -> Value:
+    if y == 2:
+        return _square(graph, dtype, value)
+    return graph.elementwise("Pow", dtype, value, np.asarray(y, dtype))
+
+
+def _inverse_root(graph: Graph, dtype: Any, value: Value, **params: Any) -> Value:
+    root = graph.elementwise("Sqrt", dtype, value)
+    return graph.elementwise("Reciprocal", dtype, root)
+
+
+def _cast(graph: Graph, dtype: Any, value: Value, **params: Any) -> Value:
+    return graph.cast(value, dtype)
+
+
+def _clamp(graph: Graph, dtype: Any, low: Value, value: Value, high: Value) -> Value:
+    least = graph.elementwise("Max", dtype, value, low)
+    return graph.elementwise("Min", dtype, least, high)
+
+
+# By primitive: of values that broadcast.
+_ELEMENTWISE: dict[str, Callable[..., Value]] = {
+    "abs": _plain("Abs"),
+    "add": _plain("Add"),
+    "and": _plain("And"),
+    "atan": _plain("Atan"),
+    "ceil": _plain("Ceil"),
+    "clamp": _clamp,
+    "convert_element_type": _cast,
+    "cos": _plain("Cos"),
+    "div": _plain("Div"),
+    "eq": _plain("Equal"),
+    "exp": _plain("Exp"),
+    "floor": _plain("Floor"),
+    "ge": _plain("GreaterOrEqual"),
+    "gt": _plain("Greater"),
+    "integer_pow": _power,
+    "is_finite": _is_finite,
+    "le": _plain("LessOrEqual"),
+    "log": _plain("Log"),
+    "logistic": _plain("Sigmoid"),
+    "lt": _plain("Less"),
+    "max": _plain("Max"),
+    "min": _plain("Min"),
+    "mul": _plain("Mul"),
+    "ne": _not_equal,
+    "neg": _plain("Neg"),
+    "not": _plain("Not"),
+    "or": _plain("Or"),
+    "rem": _remainder,
+    "rsqrt": _inverse_root,
+    "select_n": _select,
+    "sign": _plain("Sign"),
+    "sin": _plain("Sin"),
+    "sqrt": _plain("Sqrt"),
+    "square": _square,
+    "stop_gradient": _same,
+    "sub": _plain("Sub"),
+    "tan": _plain("Tan"),
+    "tanh": _plain("Tanh"),
+}
+
+
+def _reshape(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
+    return graph.reshape(value, like.shape)
+
+
+def _transpose(graph: Graph, like: Any, value: Value, permutation: Any) -> Value:
+    return graph.transpose(value, permutation)
+
+
+def _concatenate(graph: Graph, like: Any, *values: Value, dimension: int) -> Value:
+    return graph.join([x for x in values if 0 not in x.shape], dimension, like)
+
+
+def _stack(graph: Graph, like: Any, *values: Value, axis: int) -> Value:
+    shape = [1 if k == axis else size for k, size in enumerate(like.shape)]
+    return graph.join([graph.reshape(value, shape) for value in values], axis, like)
+
+
+def _split(graph: Graph, likes: Any, value: Value, sizes: Any, axis: int) -> Any:
+    del likes
+    ends = np.cumsum(sizes).tolist()
+    starts = [0, *ends[:-1]]
+    return [_part(graph, value, axis, *ends) for ends in zip(starts, ends, strict=True)]
+
+
+def _slice(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
+    del like
+    starts, ends = params["start_indices"], params["limit_indices"]
+    return _cut(graph, value, starts, ends, params["strides"])
+
+
+def _part(graph: Graph, value: Value, axis: int, start: int, end: int) -> Value:
+    """What lies from `start` to `end` along an axis."""
+    starts, ends = [0] * len(value.shape), list(value.shape)
+    starts[axis], ends[axis] = start, end
+    return _cut(graph, value, starts, ends)
+
+
+def _cut(
+    graph: Graph, value: Value, starts: Any, ends: Any, steps: Any = None
+) -> Value:
+    return graph.cut(value, starts, ends, steps or [1] * len(starts))
+
+
+def _pad(graph: Graph, like: Any, value: Value, fill: Value, **params: Any) -> Value:
+    low, high, inside = zip(*params["padding_config"], strict=True)
+    if any(inside):
+        raise NotImplementedError("padding between values has no operator")
+    return graph.add("Pad", value, np.array([*low, *high], np.int64), fill, like=like)
+
+
+def _reduce(kind: str) -> Callable[..., Value]:
+    def add(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
+        axes = np.array(params["axes"], np.int64)
+        if value.dtype != bool:
+            return graph.add(kind, value, axes, like=like, keepdims=0)
+        number = graph.cast(value, np.int32)
+        whole = jax.ShapeDtypeStruct(like.shape, np.int32)
+        found = graph.add(kind, number, axes, like=whole, keepdims=0)
+        return graph.cast(found, bool)
+
+    return add
+
+
+def _index_of(kind: str) -> Callable[..., Value]:
+    def add(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
+        [axis] = params["axes"]
+        whole = jax.ShapeDtypeStruct(like.shape, np.int64)
+        if value.dtype == bool:
+            value = graph.cast(value, np.int32)
+        found = graph.add(kind, value, like=whole, axis=axis, keepdims=0)
+        return graph.cast(found, like.dtype)
+
+    return add
+
+
+def _product(graph: Graph, like: Any, a: Value, b: Value, **params: Any) -> Value:
+    """As a product of matrices: batches, what is free, what is summed over."""
+    (sum_a, sum_b), (batch_a, batch_b) = params["dimension_numbers"]
+
+    def matrices(value: Value, batch: Any, summed: Any, last: bool) -> Value:
+        rest = [k for k in range(len(value.shape)) if k not in (*batch, *summed)]
+        parts = [batch, rest, summed] if last else [batch, summed, rest]
+        sizes = [math.prod(value.shape[k] for k in part) for part in parts]
+        order = [axis for part in parts for axis in part]
+        return graph.reshape(graph.transpose(value, order), sizes)
+
+    left = matrices(a, batch_a, sum_a, last=True)
+    right = matrices(b, batch_b, sum_b, last=False)
+    shape = (left.shape[0], left.shape[1], right.shape[2])
+    if shape[0] == 1:
+        left, right = (graph.reshape(x, x.shape[1:]) for x in (left, right))
+    like_matrix = jax.ShapeDtypeStruct(shape[shape[0] == 1 :], like.dtype)
+    found = graph.add("MatMul", left, right, like=like_matrix)
+    return graph.reshape(found, like.shape)
+
+
+def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> Value:
+    """Rows of a table: axes that are indexed come in front and are joined into one."""
+    numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
+    lead, batch = at.shape[:-1], numbers.operand_batching_dims
+    starts, moving = [0] * len(value.shape), {}
+    for k, axis in enumerate(numbers.start_index_map):
+        index = graph.reshape(_part(graph, at, len(lead), k, k + 1), lead)
+        if isinstance(index, Named) or np.ptp(index):
+            moving[axis] = index
+        else:
+            starts[axis] = min(max(index.flat[0], 0), value.shape[axis] - sizes[axis])
+    front = [*batch, *moving]
+    if any(sizes[axis] != 1 for axis in front):
+        raise NotImplementedError("windows that move have no operator")
+    rest = [axis for axis in range(len(value.shape)) if axis not in front]
+    ends = list(value.shape)
+    for axis in rest:
+        ends[axis] = starts[axis] + sizes[axis]
+    value = graph.transpose(_cut(graph, value, starts, ends), [*front, *rest])
+    counts, whole = value.shape[: len(front)], value.shape[len(front) :]
+    table = graph.reshape(value, [math.prod(counts), *whole])
+    row: Value = np.zeros(lead, np.int32)
+    for axis in numbers.start_indices_batching_dims:
+        row = row * lead[axis] + np.indices(lead, np.int32)[axis]
+    inside: Value = np.asarray(True)
+    for count, index in zip(counts[len(batch) :], moving.values(), strict=True):
+        least, most = np.asarray(0, np.int32), np.asarray(count - 1, np.int32)
+        index = graph.cast(index, np.int32)
+        clipped = _clamp(graph, np.int32, least, index, most)
+        same = graph.elementwise("Equal", bool, clipped, index)
+        inside = graph.elementwise("And", bool, inside, same)
+        row = graph.elementwise("Mul", np.int32, row, np.asarray(count, np.int32))
+        row = graph.elementwise("Add", np.int32, row, clipped)
+    shape = jax.ShapeDtypeStruct((*lead, *whole), value.dtype)
+    found: Value = graph.add("Gather", table, row, like=shape, axis=0)
+    if params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP and moving:
+        inside = graph.reshape(graph.expand(inside, lead), [*lead, *[1] * len(whole)])
+        fill = np.asarray(params["fill_value"], value.dtype)
+        found = _select(graph, value.dtype, inside, fill, found)
+    # The rows' axes come where the result has them, those of the index in order.
+    offset = numbers.offset_dims
+    kept = [size for k, size in enumerate(sizes) if k not in _dropped(numbers)]
+    ahead = [k for k in range(len(like.shape)) if k not in offset]
+    order = np.argsort([*ahead, *offset]).tolist()
+    return graph.transpose(graph.reshape(found, [*lead, *kept]), order)
+
+
+def _dropped(numbers: Any) -> tuple[int, ...]:
+    return (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
+
+
+# By primitive: of values in their whole shapes.
+_SHAPED: dict[str, Callable[..., Any]] = {
+    "argmax": _index_of("ArgMax"),
+    "argmin": _index_of("ArgMin"),
+    "concatenate": _concatenate,
+    "dot_general": _product,
+    "gather": _gather,
+    "pad": _pad,
+    "reduce_and": _reduce("ReduceMin"),
+    "reduce_max": _reduce("ReduceMax"),
+    "reduce_min": _reduce("ReduceMin"),
+    "reduce_or": _reduce("ReduceMax"),
+    "reduce_sum": _reduce("ReduceSum"),
+    "reshape": _reshape,
+    "slice": _slice,
+    "split": _split,
+    "squeeze": _reshape,
+    "stack": _stack,
+    "transpose": _transpose,
+}
