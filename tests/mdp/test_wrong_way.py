@@ -138,7 +138,7 @@ def test_the_way_driven_wrong_starts_anew_with_the_episode(street):
 
 
 def test_a_lot_without_lanes_has_no_metric_and_sees_zeros():
-    env = street_env("tanner")
+    env = street_env("square")
     state, observation = jax.jit(env.reset)(jax.random.key(0))
     assert not has_lanes(state.layout)
     seen = fields_of(observation, env.config)
