@@ -224,6 +224,7 @@ _ELEMENTWISE: dict[str, Callable[..., Value]] = {
     "sub": _plain("Sub"),
     "tan": _plain("Tan"),
     "tanh": _plain("Tanh"),
+    "xor": _plain("Xor"),
 }
 
 
@@ -280,6 +281,12 @@ def _pad(graph: Graph, like: Any, value: Value, fill: Value, **params: Any) -> V
 def _reduce(kind: str) -> Callable[..., Value]:
     def add(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
         axes = np.array(params["axes"], np.int64)
+        pair = [value.shape[axis] for axis in axes] == [2] and value.dtype.kind == "f"
+        if pair and kind != "ReduceSum":
+            # onnxruntime's extremes of two keep NaN, those along an axis drop it.
+            one, other = (_part(graph, value, int(axes[0]), k, k + 1) for k in (0, 1))
+            found = graph.elementwise(kind[-3:], like.dtype, one, other)
+            return graph.reshape(found, like.shape)
         if value.dtype != bool:
             return graph.add(kind, value, axes, like=like, keepdims=0)
         number = graph.cast(value, np.int32)
@@ -333,7 +340,8 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
         if isinstance(index, Named) or np.ptp(index):
             moving[axis] = index
         else:
-            starts[axis] = min(max(index.flat[0], 0), value.shape[axis] - sizes[axis])
+            most = value.shape[axis] - sizes[axis]
+            starts[axis] = min(max(int(index.flat[0]), 0), most)
     front = [*batch, *moving]
     if any(sizes[axis] != 1 for axis in front):
         raise NotImplementedError("windows that move have no operator")
