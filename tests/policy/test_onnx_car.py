@@ -1,4 +1,4 @@
-"""Models with the observation inside: they act as the policy does in the environment."""
+"""Models with the observation inside act as the policy does in the environment."""
 
 import dataclasses
 import json
