@@ -59,10 +59,17 @@ PAGES = [
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
-README, MDP, VEHICLE, RESULTS = (
+README, *_PAGES = (
     (ROOT / name).read_text()
-    for name in ("README.md", "docs/mdp.md", "docs/vehicle.md", "docs/results.md")
+    for name in (
+        "README.md",
+        "docs/mdp.md",
+        "docs/policies.md",
+        "docs/vehicle.md",
+        "docs/results.md",
+    )
 )
+MDP, POLICIES, VEHICLE, RESULTS = _PAGES
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
 # Configs of the commands; those of other scripts in eval are looked up in them.

@@ -56,7 +56,8 @@ def _run(graph: Graph, program: ClosedJaxpr, given: Sequence[Value]) -> list[Val
 
     def read(variable: Any) -> Value:
         if isinstance(variable, Literal):
-            return np.asarray(variable.val, variable.aval.dtype)
+            kind: Any = variable.aval
+            return np.asarray(variable.val, kind.dtype)
         return known[variable]
 
     for eqn in jaxpr.eqns:
