@@ -1,4 +1,4 @@
-"""Episodes of a lot: how they begin, all at once or some while other agents continue.
+"""How episodes begin and end: those of a lot at once, or of some of its agents.
 
 An `Episodes` holds constants only, those of a `ParkingEnv`.
 """
@@ -42,14 +42,14 @@ from carpark_mj.physics.base import Physics, RollingStarts, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
 from carpark_mj.vehicle import Vehicle, VehicleParameters
 
-# Where there may be no room. Agents that respawn try again at every step, the others
-# are absent until the lot is reset.
+# For lots that may be full. Agents that respawn try again at every step; without
+# respawn they are absent until the lot is reset.
 FIRST_TRIES = Patience(16, True)
 STEP_TRIES = Patience(1, True)
 
 
 class StepKeys(NamedTuple):
-    """A key for each thing that is drawn in a step, and the state's next."""
+    """Keys of what is drawn in a step, and the key of the next state."""
 
     next: jax.Array
     vehicles: jax.Array
@@ -81,7 +81,7 @@ class Episodes:
         lot = layout_config(config.layout)
         most = min(lot.min_bays // 2, lot.min_goals)
         self._movers = make_movers(config.movers)
-        # Contacts push parked cars into the spawn regions, and movers come there.
+        # Contacts can push parked cars into spawn regions, and movers can drive there.
         disturbed = config.physics_config.contacts or bool(self._movers)
         self._may_touch = disturbed or not all(
             _starts_are_free(lot, car) for car in fleet.agents
@@ -93,7 +93,7 @@ class Episodes:
             room = has_room(
                 layout, (length, width), config.num_agents, config.spawn.spacing
             )
-        # One agent alone has nobody to wait for.
+        # A single agent never waits.
         self._may_wait = (config.num_agents > 1 or bool(self._movers)) and not room
         self._limits_agents = (
             may_be_fewer and not config.goals.dynamic and config.num_agents > most
@@ -138,7 +138,7 @@ class Episodes:
         goal = start.goal
         if present is not None:
             goal = jnp.where(present, goal, NO_BAY)
-            if not config.goals.dynamic:  # nor an agent for whose car there is no bay
+            if not config.goals.dynamic:  # an agent without a bay for its car is absent
                 present = present & (goal != NO_BAY)
         nowhere = jnp.zeros((num_agents, 3), jnp.float32)
         nowhere = place_absent_agents(nowhere, jnp.zeros(num_agents, bool))
@@ -157,7 +157,7 @@ class Episodes:
             self._goals.place_first, inputs, placing, spawn_key, patience
         )
         goal, waited = placing.goal, None
-        if config.goals.drive_out:  # goals given come before those of drawn starts
+        if config.goals.drive_out:  # given goals override those of drawn starts
             given = given_goals(options, num_agents)
             goal = jnp.where(begun & (given != NO_BAY), given, goal)
         if self._may_wait:
@@ -212,9 +212,9 @@ class Episodes:
         return dataclasses.replace(state, parked_cars=parked_cars)
 
     def begin(self, state: State, events: Events, keys: StepKeys) -> State:
-        """New goals, cars and start poses of agents that are done, or have waited.
+        """New goals, cars and start poses of agents that are done or waiting.
 
-        Those that find no room wait, absent: see `State.waited`.
+        Agents for which there is no free start are absent and wait, `State.waited`.
         """
         config, begun, layout = self._config, events.done, state.layout
         if not config.episode.respawn:
@@ -228,7 +228,7 @@ class Episodes:
         )
         bay, pose_w = state.parked_cars.bay, state.motion.pose_w
         placing = start_placing(state.goal, bay, pose_w, begun, state.waited)
-        # Starts are drawn: where the others stand decides about them, without a slope.
+        # No gradients through starts, which depend on the other cars by comparisons.
         inputs, placing = jax.lax.stop_gradient((inputs, placing))
         placing = place_waiting(
             self._goals.place,
@@ -237,7 +237,7 @@ class Episodes:
             keys.spawn,
             STEP_TRIES if self._may_wait else SURE,
         )
-        if self._fleet.mixed:  # without a bay for the new car, goal and car are kept
+        if self._fleet.mixed:  # an agent without a bay for the new car keeps the old
             fitting = placing.found & ~placing.waiting
             vehicles = where_cars(fitting, vehicles, old)
             kind = where_cars(fitting & begun, kind, state.kind)
@@ -273,7 +273,7 @@ class Episodes:
             state = dataclasses.replace(
                 state,
                 active=active,
-                present=active,  # where agents respawn nobody else stands in the lot
+                present=active,  # with respawn all agents in the lot are active
                 waited=jnp.where(waits, state.waited + 1, 0),
             )
         return self._goals.begin(state, placing, begun, keys.first_goals)
@@ -351,8 +351,8 @@ class Episodes:
 
 
 def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
-    """Whether a car touches nothing wherever it may start in lots of a family."""
-    # Spawn regions have room for the car they are made for; in a square for any turn.
+    """Whether every start of a car in lots of a family is clear of obstacles."""
+    # Spawn regions fit the car they are made for; the margin fits it at any heading.
     reach = math.hypot(car.length, car.width) / 2
     return all(
         is_made_for(part, car) or reach <= part.spawn_margin for part in lot.parts
@@ -360,9 +360,9 @@ def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
 
 
 def _most_agents(layout: Layout) -> jax.Array:
-    """Most agents () int32 of a lot that may have fewer.
+    """The largest number of agents () int32 in a lot whose bays are partly taken.
 
-    One for every two bays, and no more than bays that can be goals.
+    One for every two bays, and at most one for every bay that can be a goal.
     """
     goals = jnp.sum(layout.goal_mask, dtype=jnp.int32)
     half = jnp.sum(layout.bay_mask, dtype=jnp.int32) // 2

@@ -40,15 +40,16 @@ class Registry(Mapping[str, T], Generic[T]):
         3.05
     """
 
-    def __init__(self, kind: str, home: str = "") -> None:
+    def __init__(self, kind: str, *homes: str) -> None:
         """An empty registry.
 
         Args:
             kind: what its parts are, for messages.
-            home: the module that registers the core's own parts.
+            *homes: modules that register the core's own parts; a look-up imports them
+                in this order until one has registered the name.
         """
         self._kind = kind
-        self._home = home
+        self._homes = homes
         self._parts: dict[str, T] = {}
 
     def register(self, name: str, part: T) -> T:
@@ -87,8 +88,10 @@ class Registry(Mapping[str, T], Generic[T]):
         return self._parts[name]
 
     def __contains__(self, name: object) -> bool:
-        if name not in self._parts and self._home:
-            importlib.import_module(self._home)
+        for home in self._homes:
+            if name in self._parts:
+                return True
+            importlib.import_module(home)
         if name not in self._parts:
             load_extensions()
         return name in self._parts
@@ -102,8 +105,8 @@ class Registry(Mapping[str, T], Generic[T]):
         return len(self._parts)
 
     def _load(self) -> None:
-        if self._home:
-            importlib.import_module(self._home)
+        for home in self._homes:
+            importlib.import_module(home)
         load_extensions()
 
 

@@ -67,6 +67,8 @@ RENAMED: dict[str, str] = {
     "carpark_mj.evaluation.suite": "carpark_mj.studies.hope.suite",
     "carpark_mj.evaluation.suite_cases": "carpark_mj.studies.hope.suite_cases",
     "carpark_mj.junction": "carpark_mj.studies.cederle.junction",
+    "carpark_mj.layouts.COMPACT": "carpark_mj.layouts.SQUARE_COMPACT",
+    "carpark_mj.layouts.TANNER": "carpark_mj.layouts.SQUARE",
     "carpark_mj.layouts.HopeConfig": "carpark_mj.studies.hope.layouts.HopeConfig",
     "carpark_mj.layouts.MetaDriveConfig": (
         "carpark_mj.studies.metadrive.layouts.MetaDriveConfig"
@@ -127,8 +129,12 @@ def refuse_settings(cls: type, names: Iterable[str], of: str = "") -> None:
         for base in cls.__mro__ if name not in known else ():
             if (old := f"{base.__name__}.{name}") in RENAMED:
                 start, new = of or f"{base.__name__}.", RENAMED[old]
-                whole = not new or " " in new
-                raise ValueError(_sentence(start + name, new if whole else start + new))
+                former, whole = start + name, not new or " " in new
+                new = new if whole else start + new
+                if of.startswith("--"):  # as the help writes flags
+                    former = former.replace("_", "-")
+                    new = new if whole else new.replace("_", "-")
+                raise ValueError(_sentence(former, new))
 
 
 def refuse_flags(config: Any, arguments: Sequence[str]) -> None:

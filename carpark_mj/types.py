@@ -115,8 +115,7 @@ class ParkedCars:
     """The parked cars of a lot.
 
     Attributes:
-        bay: (num_parked_cars,) int32 where each belongs; `NO_BAY` if it is absent. No
-            two in one bay.
+        bay: (num_parked_cars,) int32, distinct; `NO_BAY` if a car is absent.
         pose_w: (num_parked_cars, 3) where each stands: in its bay, where it has been
             pushed in physics with contacts, or far away if it is absent.
         size: (num_parked_cars, 2) footprints [m].
@@ -210,16 +209,16 @@ class State:
         memory: what agents observe of the past, arrays (num_agents, ...), see
             `ObservationConfig.init_memory`; None if they observe none of it.
         step: (num_agents,) int32 control steps made in the running episodes.
-        active: (num_agents,) bool; False once finished when nobody respawns, and of
-            absent agents.
+        active: (num_agents,) bool; False for absent agents and, without respawn, for
+            agents that have finished.
         stats: of the running episodes.
         sensors: the agents' sensors; None while they observe the true motion.
         key: randomness of this lot.
         present: (num_agents,) bool, the agents that are in the lot; None = always all.
             Absent agents are not active and stand far away.
         waited: (num_agents,) int32 control steps for which an absent agent has waited
-            for room to start; 0 = it does not wait. None where nobody ever does.
-        routes: ways along the lanes to the bays; None where nothing reads them.
+            for a free start; 0 = it does not wait. None where no agent ever does.
+        routes: along the lanes to the bays; None where nothing reads them.
         kind: (num_agents,) int32 which of `Fleet.agents` each drives; None where there
             is one kind.
         movers: obstacles that move by themselves.
@@ -250,7 +249,7 @@ class State:
 
     @property
     def takes_part(self) -> jax.Array:
-        """(num_agents,) bool, the agents that the lot has: present ones and waiting."""
+        """(num_agents,) bool, the agents of the lot: present or waiting."""
         if self.present is None:
             return jnp.ones(self.goal.shape, bool)
         return self.present if self.waited is None else self.present | (self.waited > 0)
@@ -281,7 +280,7 @@ class Events:
 
     @property
     def success(self) -> jax.Array:
-        """(num_agents,) the agent has done what it should: parked."""
+        """(num_agents,) the agent has reached its goal: parked."""
         return self.parked
 
     @property

@@ -52,7 +52,7 @@ class Settings:
         out: folder of the results.
     """
 
-    algorithm: Literal["ippo", "mappo", "maddpg", "iql", "vdn", "qmix"] = "mappo"
+    algorithm: Literal["ippo", "mappo", "maddpg", "iql", "vdn", "qmix"] = "ippo"
     agents: int = 4
     parked_cars: int = 16
     layout: str = "square"

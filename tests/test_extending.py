@@ -31,7 +31,6 @@ from carpark_mj.config.layouts import FAMILIES, LAYOUTS
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import DesignCar, make_layout
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.json_file import read_json
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import make_fields
 from carpark_mj.rendering.stage import Stage
@@ -67,12 +66,6 @@ def registries(monkeypatch):
     restore_after(monkeypatch, ENCODERS, FAMILIES, LAYOUTS, MOVERS, PHYSICS, VEHICLES)
     monkeypatch.setitem(terminations._RULES, "straight", None)
     monkeypatch.delitem(terminations._RULES, "straight")
-
-
-def test_the_layout_file_is_valid(tmp_path):
-    path = tmp_path / "my_lot.json"
-    path.write_text(block("A layout", "json"))
-    assert read_json(path).num_bays == 3
 
 
 def test_the_example_package_is_the_page_s_family():

@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import importlib
 import pickle
+import re
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -65,7 +66,7 @@ SETTINGS = [
 
 def says(new: str) -> str:
     """A pattern of what is said: the new name, or that it is gone."""
-    return (new or "removed").replace(".", r"\.").replace("(", r"\(")
+    return re.escape(new or "removed").replace("_", "[-_]")
 
 
 def exists(name: str) -> bool:

@@ -86,6 +86,13 @@ def test_every_room_has_a_floor():
     assert {part_of(path) for path in FILES} == {*FLOOR, "__init__"}
 
 
+def test_the_picture_of_the_rooms_is_theirs():
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    picture = page.split("```text\n")[1].split("```")[0]
+    lines = [line.split("  ")[0].split(", ") for line in picture.splitlines()]
+    assert [sorted(rooms) for rooms in reversed(lines)] == [*map(sorted, FLOORS)]
+
+
 def test_no_two_test_files_have_the_same_name():
     # Pytest collects only one of them, and not all extras are installed in CI.
     names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]

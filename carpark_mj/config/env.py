@@ -49,12 +49,13 @@ class EnvConfig(OldNames):
         jitter: variation of parked cars' poses in their bays, and of their sizes.
         movers: obstacles that move by themselves, by name, of `MOVERS`; from Python
             also configs.
-        physics: back end, by name. `mjx`: every car is simulated on its own, crashes
-            are found by box tests. `scene`: the whole lot in one C MuJoCo world,
-            crashes are its contacts; slow. `bicycle`: kinematic cars whose tyres never
-            slip. `highway`: highway-env's, which obey at once (Pandita 2022). `grid`,
-            `grid_coarse`, `grid_recorded`: the grid worlds of Tanner 2022, with integer
-            actions. From Python also the config of a back end, a `PhysicsConfig`.
+        physics: back end, by name. `mjx`: every car is an MJX model of its own, stepped
+            as `sim.stepper` says; crashes are found by box tests. `scene`: the whole
+            lot in one C MuJoCo world, crashes are its contacts; slow. `bicycle`:
+            kinematic cars whose tyres never slip. `highway`: highway-env's, without
+            lags (Pandita 2022). `grid`, `grid_coarse`, `grid_recorded`: the grid worlds
+            of Tanner 2022, with integer actions. From Python also the config of a back
+            end, a `PhysicsConfig`.
         sim: time steps and ground.
         goals: whether the environment or the agents choose the goals.
         giving_way: when agents that choose goals should give them up.
@@ -225,7 +226,7 @@ class EnvConfig(OldNames):
 
     @property
     def follows_routes(self) -> bool:
-        """Whether the way along the lanes is rewarded or observed."""
+        """Whether the route along the lanes is rewarded or observed."""
         return self.observation.sees_routes or self.reward.route
 
     @property

@@ -76,7 +76,7 @@ class JitterConfig(CheckedConfig):
 
     @property
     def moves(self) -> bool:
-        """Whether cars stand elsewhere than in the middle of their bays."""
+        """Whether cars stand off the middle of their bays."""
         neat = (0.0, 0.0)
         return not self.along == self.across == self.heading == neat
 

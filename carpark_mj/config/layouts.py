@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.extensions import Registry
 
-_HOME = "carpark_mj.layouts"
+_FAMILIES = (
+    "square",
+    "lot",
+    "street",
+    "angled",
+    "mixture_config",
+    "garage_row",
+    "dead_end",
+    "from_file",
+)
+_HOMES = [f"carpark_mj.layouts.{family}" for family in _FAMILIES]
 
 
 class LayoutConfig(CheckedConfig, abc.ABC):
@@ -63,6 +73,11 @@ class LayoutConfig(CheckedConfig, abc.ABC):
         return (self,)
 
     @property
+    def shares(self) -> "tuple[tuple[LayoutConfig, float], ...]":
+        """The same, mixtures among them whole, each with its share of the lots."""
+        return ((self, 1.0),)
+
+    @property
     def layout(self) -> Any:
         """The only lot, a `carpark_mj.layouts.Layout`, if it is of a file; or None."""
         return None
@@ -78,11 +93,13 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
 
 Config = TypeVar("Config", bound=LayoutConfig)
-LAYOUTS: Registry[LayoutConfig] = Registry("layout", _HOME)
+LAYOUTS: Registry[LayoutConfig] = Registry("layout", *_HOMES)
 # Classes by their `family`, so that configs can be read from files.
-FAMILIES: Registry[type[LayoutConfig]] = Registry("family", _HOME)
+FAMILIES: Registry[type[LayoutConfig]] = Registry("family", *_HOMES)
 # What reads a layout from a file, a `Layout`, by the suffix of the file's name.
-LAYOUT_FORMATS: Registry[Callable[[Path], Any]] = Registry("layout format", _HOME)
+LAYOUT_FORMATS: Registry[Callable[[Path], Any]] = Registry(
+    "layout format", "carpark_mj.layouts.json_file"
+)
 
 
 def register_layout(name: str, config: Config) -> Config:

@@ -104,7 +104,7 @@ class ObservationConfig(CheckedConfig, abc.ABC):
         return False
 
     def tracks_agents(self, state: Any) -> Any:
-        """Whether agents track each other, (num_agents, num_agents); None = nobody."""
+        """Whether agents track each other, (num_agents, num_agents); None = none."""
         del state
 
     def tracks_parked_cars(self, state: Any) -> Any:
@@ -184,7 +184,7 @@ class ShareConfig(CheckedConfig):
 
 @dataclasses.dataclass(frozen=True)
 class RayConfig(CheckedConfig):
-    """Bearings along which the free way is observed; none by default.
+    """Bearings along which the free distance is observed; none by default.
 
     Attributes:
         count: number of rays, evenly spaced about the car from straight ahead; 0 =

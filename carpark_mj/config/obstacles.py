@@ -26,7 +26,7 @@ class ObstacleKind(enum.IntEnum):
 class Mover(CheckedConfig, abc.ABC):
     """Base of what moves in a lot and is no car, a frozen dataclass of settings.
 
-    Agents are to keep clear of it: it does not give way as a body that is pushed does.
+    Agents must avoid it: it is not pushed by contacts.
 
     Attributes:
         mover: its name in `MOVERS`.

@@ -206,7 +206,7 @@ def metrics() -> tuple[Metric, ...]:
 def markdown_table(metrics: tuple[Metric, ...]) -> str:
     """Metrics as a markdown table."""
     lines = [
-        "| metric | unit | meaning | together | Tanner 2022 |",
+        "| metric | unit | meaning | aggregation | Tanner 2022 |",
         "|---|---|---|---|---|",
     ]
     lines += [

@@ -1,4 +1,4 @@
-"""Refuses cars that cannot drive or park in a lot, and more than it has room for."""
+"""Refuses cars that cannot drive or park in a lot, and too many cars."""
 
 import math
 from collections.abc import Sequence
@@ -176,7 +176,7 @@ def _num_goals(config: EnvConfig) -> int:
     """How many agents must have a goal in every lot."""
     if config.goals.dynamic:
         return 0
-    # With an occupancy the bays are shared out: first come, first served.
+    # With an occupancy, bays are assigned in order until none is left.
     return config.num_agents if config.occupancy is None else config.agent_counts.start
 
 

@@ -28,7 +28,7 @@ from carpark_mj.vehicle.parameters import scaled
 
 
 class Start(NamedTuple):
-    """What a lot starts with.
+    """The cars and goals of a lot that begins.
 
     Attributes:
         goal: (num_agents,) int32 goals, `NO_BAY` where agents choose them.
@@ -45,7 +45,7 @@ class Start(NamedTuple):
 
 
 class Fleet:
-    """What the cars of an environment are drawn from; constants only.
+    """The presets that the cars of an environment are drawn from; constants only.
 
     Attributes:
         agent_names: presets of the kinds of cars that agents drive.
@@ -92,8 +92,8 @@ class Fleet:
         Args:
             layout: of the lot.
             key: consumed.
-            present: (num_agents,) bool, the agents that it is to have; None = all.
-            options: what is given and not drawn.
+            present: (num_agents,) bool, agents that are in the lot; None = all.
+            options: starts that are given.
         """
         if self._config.varies:
             return self._start_varied(layout, key, present, options)
@@ -115,8 +115,8 @@ class Fleet:
 
         Args:
             layout: of the lot.
-            order: (bays,) int32 in which bays are dealt out.
-            options: what is given.
+            order: (bays,) int32 in which bays are assigned.
+            options: starts that are given.
         """
         clear = kept_clear(layout, options, self._size)
         order = order[jnp.argsort(clear[order], stable=True)]  # those kept clear last
@@ -233,7 +233,7 @@ class Fleet:
 
 
 def _name(vehicle: VehicleParameters, named: str) -> str:
-    """What a car is called: as its preset, `named` if it is that one."""
+    """The name of a car: its preset's, `named` if it is that one."""
     if vehicle == preset(named):
         return named
     return VEHICLES.name_of(vehicle) or "custom car"

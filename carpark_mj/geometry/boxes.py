@@ -218,7 +218,7 @@ def ray_box_distance(
 
 
 # Along a slab it is infinite, and so are its slopes, though the other slab counts.
-_time = finite_slope(lambda way, speed: way * (1.0 / speed))
+_time = finite_slope(lambda distance, speed: distance * (1.0 / speed))
 
 
 def ray_disc_distance(
@@ -298,7 +298,7 @@ def box_disc_contact_time(
     moving = speed > 0.0
     direction = -velocity / jnp.where(moving, speed, 1.0)[..., None]
     grown = 2.0 * radius[..., None]
-    ways = [
+    distances = [
         ray_box_distance(centre, direction, pose, size + grown * jnp.array(axis))
         for axis in ((1.0, 0.0), (0.0, 1.0))
     ]
@@ -308,8 +308,8 @@ def box_disc_contact_time(
         box_corners(pose, size),
         radius[..., None],
     )
-    way = jnp.minimum(jnp.minimum(*ways), jnp.min(corners, axis=-1))
-    time = jnp.where(moving, way / jnp.where(moving, speed, 1.0), jnp.inf)
+    distance = jnp.minimum(jnp.minimum(*distances), jnp.min(corners, axis=-1))
+    time = jnp.where(moving, distance / jnp.where(moving, speed, 1.0), jnp.inf)
     return jnp.where(box_disc_overlap(pose, size, centre, radius), 0.0, time)
 
 

@@ -69,8 +69,8 @@ class Group:
         return dataclasses.replace(self, pose_w=there.pose_w[:, number], trace_w=None)
 
     @property
-    def strays(self) -> jax.Array:
-        """How far (n,) [m] points of them are at most from where they end."""
+    def excursion(self) -> jax.Array:
+        """Largest distances (n,) [m] of their points from where these end."""
         if self.trace_w is None:
             return jnp.zeros(self.count)
         there = self.traced
@@ -146,13 +146,13 @@ class Merged(NamedTuple):
     Attributes:
         group: all their obstacles, with traces, without velocities and masks.
         counts: (num_agents, n) bool, which of them each agent can hit.
-        strays: (n,) see `Group.strays`.
+        excursion: (n,) see `Group.excursion`.
         kind: (n,) `ObstacleKind`, static.
     """
 
     group: Group
     counts: jax.Array
-    strays: jax.Array
+    excursion: jax.Array
     kind: np.ndarray
 
 
@@ -171,7 +171,7 @@ def merge(groups: Sequence[Group], num_agents: int) -> Merged:
             trace_w=jnp.concatenate([*map(trace, groups)]),
         ),
         counts=jnp.concatenate([group.counts(num_agents) for group in groups], axis=1),
-        strays=jnp.concatenate([group.strays for group in groups]),
+        excursion=jnp.concatenate([group.excursion for group in groups]),
         kind=np.repeat([g.kind for g in groups], [g.count for g in groups]),
     )
 

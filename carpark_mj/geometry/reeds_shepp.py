@@ -1,4 +1,4 @@
-"""Lengths of shortest ways of a car that turns no tighter than a circle, either gear.
+"""Lengths of shortest paths of a car of bounded curvature in both gears.
 
 Words and formulas are those of Reeds and Shepp, *Optimal paths for a car that goes both
 forwards and backwards*, Pacific Journal of Mathematics 145 (1990), section 8. A word is
@@ -14,13 +14,13 @@ from carpark_mj.geometry.se2 import to_local, wrap_angle
 _HALF = jnp.pi / 2
 # A turn of 0 may come out as this much in the other direction: without it a car that
 # has its goal straight ahead would find a word only with turns of 60 degrees and more.
-_ROUNDING = 1e-5  # rad, or radii of straight way
+_ROUNDING = 1e-5  # rad, or radii of a straight line
 
 
 def reeds_shepp_length(
     pose: jax.Array, goal: jax.Array, radius: jax.Array
 ) -> jax.Array:
-    """Length (...) [m] of the shortest way from poses (..., 3) to goals (..., 3).
+    """Length (...) [m] of the shortest path from poses (..., 3) to goals (..., 3).
 
     Args:
         pose: of the rear axle [m, m, rad].

@@ -1,22 +1,18 @@
-"""Layouts of lots and the families of generators that make them."""
+"""Layouts of lots and the families of generators that make them.
 
-from typing import TYPE_CHECKING
+Families are imported when they are used.
+"""
 
-from carpark_mj.layouts.angled import AngledConfig
-from carpark_mj.layouts.dead_end import DeadEndConfig
-from carpark_mj.layouts.from_file import FromFileConfig
-from carpark_mj.layouts.garage_row import GarageRowConfig
-from carpark_mj.layouts.lot import LotConfig
-from carpark_mj.layouts.mixture import MixtureConfig
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from carpark_mj.layouts.registry import (
     layout_config,
     make_layout,
     member_shares,
     mixture,
 )
-from carpark_mj.layouts.square import SQUARE, SQUARE_COMPACT, SquareConfig
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
 from carpark_mj.layouts.types import (
     ROWS,
     BayEnd,
@@ -30,8 +26,36 @@ from carpark_mj.layouts.types import (
 )
 from carpark_mj.renamed import old_names
 
-if not TYPE_CHECKING:  # for which a module with this has every name
-    __getattr__ = old_names(__name__)
+if TYPE_CHECKING:
+    from carpark_mj.layouts.angled import AngledConfig
+    from carpark_mj.layouts.dead_end import DeadEndConfig
+    from carpark_mj.layouts.from_file import FromFileConfig
+    from carpark_mj.layouts.garage_row import GarageRowConfig
+    from carpark_mj.layouts.lot import LotConfig
+    from carpark_mj.layouts.mixture_config import MixtureConfig
+    from carpark_mj.layouts.square import SQUARE, SQUARE_COMPACT, SquareConfig
+    from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
+else:
+    _HOMES = {
+        "AngledConfig": "angled",
+        "DeadEndConfig": "dead_end",
+        "FromFileConfig": "from_file",
+        "GarageRowConfig": "garage_row",
+        "LotConfig": "lot",
+        "MixtureConfig": "mixture_config",
+        "SQUARE": "square",
+        "SQUARE_COMPACT": "square",
+        "SquareConfig": "square",
+        "StreetConfig": "street",
+        "StreetParallelConfig": "street",
+    }
+
+    def __getattr__(name: str) -> Any:
+        if name in _HOMES:
+            home = importlib.import_module(f"{__name__}.{_HOMES[name]}")
+            return getattr(home, name)
+        return old_names(__name__)(name)
+
 
 __all__ = [
     "ROWS",

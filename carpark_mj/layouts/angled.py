@@ -67,7 +67,7 @@ class AngledConfig(LayoutConfig):
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """The roomiest ways into bays, by angle."""
+        """The roomiest entries into bays, by angle."""
         return self.as_lot().entries
 
     def generate(self, key: jax.Array) -> Layout:

@@ -113,7 +113,7 @@ class LotSettings(LayoutConfig):
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """The roomiest ways into bays of standard width, by angle."""
+        """The roomiest entries into bays of standard width, by angle."""
         return self._entries(self.extra_aisle[1], self.bay_width[1])
 
     def _entries(self, extra_aisle: float, bay_width: float) -> tuple[Entry, ...]:

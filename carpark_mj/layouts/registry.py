@@ -1,14 +1,13 @@
-"""Layouts of names, files and configs."""
+"""Layouts by name, file or config."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.config.checks import require_kind
-from carpark_mj.config.layouts import layout_format
-from carpark_mj.layouts.from_file import FromFileConfig
-from carpark_mj.layouts.mixture import MixtureConfig
+from carpark_mj.config.layouts import FAMILIES, layout_format
 from carpark_mj.layouts.types import Layout
 
 
@@ -29,7 +28,8 @@ def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
     if "," in layout:
         return mixture(layout.split(","))
     if layout_format(layout):
-        return FromFileConfig(path=layout)
+        family: Any = FAMILIES["from_file"]
+        return family(path=layout)
     return LAYOUTS[layout]
 
 
@@ -39,15 +39,12 @@ def member_shares(config: LayoutConfig) -> dict[str, float]:
     A config that is no mixture is its own only member. Members have the names that they
     are registered under, or else that of their family; a repeated one gets a number.
     """
-    if not isinstance(config, MixtureConfig):
-        return {_name(config): 1.0}
-    weights = config.weights or (1.0,) * len(config.members)
     shares: dict[str, float] = {}
-    for member, weight in zip(config.members, weights, strict=True):
+    for member, share in config.shares:
         name, number = _name(member), 2
         while name in shares:
             name, number = f"{_name(member)} {number}", number + 1
-        shares[name] = weight / sum(weights)
+        shares[name] = share
     return shares
 
 
@@ -75,7 +72,7 @@ def make_layout(layout: LayoutConfig | str, key: jax.Array | None = None) -> Lay
 
 def mixture(
     members: Sequence[LayoutConfig | str], weights: Sequence[float] = ()
-) -> MixtureConfig:
+) -> LayoutConfig:
     """A mixture of layouts, each a name, a file or a config.
 
     Args:
@@ -88,4 +85,5 @@ def mixture(
     """
     require_kind("members", members, list | tuple)
     configs = tuple(layout_config(member) for member in members)
-    return MixtureConfig(members=configs, weights=tuple(weights))
+    family: Any = FAMILIES["mixture"]
+    return family(members=configs, weights=tuple(weights))

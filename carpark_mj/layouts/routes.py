@@ -1,8 +1,8 @@
-"""Ways along the lanes of a lot: how far it is to a bay around the rows in between.
+"""Routes along the lanes of a lot, around the rows of bays, and their lengths.
 
-A way goes from lane to lane, turning where their centre lines cross, and ends in a
+A route goes from lane to lane, turning where their centre lines cross, and ends in a
 straight line from a lane along which the bay lies. What is parked, and the direction in
-which a lane is driven, do not matter. A lot without lanes is open ground: ways are
+which a lane is driven, do not matter. A lot without lanes is open ground: routes are
 straight lines.
 """
 
@@ -24,12 +24,12 @@ INSIDE = 0.1  # m, a car this close to its nearest lane is in it
 
 @struct.dataclass
 class Routes:
-    """Ways from every lane of a lot to every bay.
+    """Routes from every lane of a lot to every bay.
 
     Attributes:
         crossing: (lanes, lanes, 2) where the centre lines of two lanes cross [m].
-        remaining: (lanes, lanes, bays) way from there to the bay when the second lane
-            is taken [m]; inf where that leads nowhere.
+        remaining: (lanes, lanes, bays) length of the route from there to the bay along
+            the second lane [m]; inf where that leads nowhere.
         turns: (lanes, lanes) bool, whether a car can turn from one into the other.
         beside: (lanes, bays) bool, whether the bay lies along the lane.
     """
@@ -40,12 +40,12 @@ class Routes:
     beside: jax.Array
 
 
-class Way(NamedTuple):
-    """What is left of the way of cars (...).
+class RouteLeft(NamedTuple):
+    """What is left of the routes of cars (...).
 
     Attributes:
         length: (...) [m].
-        next_xy: (..., 2) where the way turns next, the bay's centre at the end [m].
+        next_xy: (..., 2) where the route turns next, the bay's centre at the end [m].
     """
 
     length: jax.Array
@@ -53,7 +53,7 @@ class Way(NamedTuple):
 
 
 def make_routes(layout: Layout) -> Routes:
-    """Finds the shortest ways of one lot (no batch dimension)."""
+    """Finds the shortest routes of one lot (no batch dimension)."""
     pose, size, bays = layout.lane_pose, layout.lane_size, layout.bay_pose
     real = layout.lane_mask & layout.lane_mask[:, None]
     gap = box_distance(pose[:, None], size[:, None], pose, size)
@@ -87,11 +87,13 @@ def make_routes(layout: Layout) -> Routes:
     return Routes(turns, crossing, remaining, beside)
 
 
-def way_to(routes: Routes | None, layout: Layout, xy: jax.Array, bay: jax.Array) -> Way:
-    """What is left of the ways of cars to their bays.
+def route_to(
+    routes: Routes | None, layout: Layout, xy: jax.Array, bay: jax.Array
+) -> RouteLeft:
+    """What is left of the routes of cars to their bays.
 
     Args:
-        routes: of the lot; None = ways are straight lines.
+        routes: of the lot; None = routes are straight lines.
         layout: of the lot.
         xy: (cars, 2) centres of the cars [m].
         bay: (cars,) int32.
@@ -99,7 +101,7 @@ def way_to(routes: Routes | None, layout: Layout, xy: jax.Array, bay: jax.Array)
     goal_xy = layout.bay_pose[bay, :2]
     direct = norm(xy - goal_xy)
     if routes is None or not layout.lane_mask.shape[0]:
-        return Way(direct, goal_xy)
+        return RouteLeft(direct, goal_xy)
     own = _own_lanes(routes, layout, xy)
     remaining = jnp.moveaxis(routes.remaining[:, :, bay], 2, 0)
     length = norm(xy[:, None, None] - routes.crossing) + remaining
@@ -110,7 +112,7 @@ def way_to(routes: Routes | None, layout: Layout, xy: jax.Array, bay: jax.Array)
     arrived = (own & routes.beside[:, bay].T).any(axis=1) | (gap <= INSIDE)
     arrived = arrived | jnp.isinf(around)
     turn_xy = routes.crossing.reshape(-1, 2)[best]
-    return Way(
+    return RouteLeft(
         jnp.where(arrived, direct, around),
         jnp.where(arrived[:, None], goal_xy, turn_xy),
     )
@@ -120,7 +122,7 @@ def _own_lanes(routes: Routes, layout: Layout, xy: jax.Array) -> jax.Array:
     """Lanes (cars, lanes) bool that cars are in: the nearest, and all at a crossing.
 
     A crossing reaches as far as both lanes are wide. Were a car in the first lane alone
-    until it has left it, its way would grow again behind the crossing.
+    until it has left it, its route would grow again behind the crossing.
     """
     gap = lane_distance(layout, xy)
     own = gap <= jnp.min(gap, axis=1, keepdims=True) + INSIDE

@@ -82,7 +82,7 @@ class SquareConfig(LayoutConfig):
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """The roomiest way into a bay."""
+        """The roomiest entry into a bay."""
         return (Entry(self.bays_per_side * self.bay_width, self.bay_width),)
 
     def generate(self, key: jax.Array) -> Layout:

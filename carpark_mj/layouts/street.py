@@ -71,11 +71,11 @@ class StreetConfig(LayoutConfig):
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """The roomiest way into a bay."""
+        """The roomiest entry into a bay."""
         return (self._entry(1),)
 
     def _entry(self, end: int) -> Entry:
-        """The way from the narrowest aisle (end 0) or the widest (1) into a bay."""
+        """The entry from the narrowest aisle (end 0) or the widest (1) into a bay."""
         angle = 0.0 if self.parallel else 90.0
         return Entry(self.aisle_width[end], self.bay_width[end], angle)
 

@@ -27,7 +27,7 @@ from carpark_mj.layouts.turning import Entry
 
 @dataclasses.dataclass(frozen=True)
 class TightConfig(LayoutConfig):
-    """What the families with tight bays share; lengths [m].
+    """Base of the families with tight bays; lengths [m].
 
     Attributes:
         level: how much room there is.
@@ -54,11 +54,11 @@ class TightConfig(LayoutConfig):
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """The roomiest way into a bay."""
+        """The roomiest entry into a bay."""
         return (self._entry(1),)
 
     def _entry(self, end: int) -> Entry:
-        """The way into the tightest (end 0) or roomiest (end 1) bay."""
+        """The entry into the tightest (end 0) or roomiest (end 1) bay."""
         room = self.room
         if self.orientation == "parallel":
             return Entry(room.aisle, standards.PARALLEL_WIDTH[end], angle=0.0)
@@ -87,7 +87,7 @@ def draw_tight_bay(
 def two_way_aisle(
     car: DesignCar, length: jax.Array, y: jax.Array, width: float
 ) -> tuple[Group, Group]:
-    """An undivided aisle along x about x = 0, and spawn regions for both ways."""
+    """An undivided aisle along x about x = 0, and spawn regions for both directions."""
     size = jnp.stack([length, jnp.float32(width)])
     pose = jnp.stack(
         [

@@ -65,7 +65,7 @@ def least_aisle(car: DesignCar, angle: float, bay_width: float, walled: bool) ->
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A way from an aisle into a bay.
+    """An entry from an aisle into a bay.
 
     Attributes:
         aisle: its width [m].

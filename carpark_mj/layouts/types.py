@@ -16,7 +16,7 @@ from carpark_mj.geometry import wrap_angle
 
 
 class BayKind(enum.IntEnum):
-    """Whom a bay is for."""
+    """The use of a bay."""
 
     STANDARD = 0
     ACCESSIBLE = 1

@@ -1,4 +1,4 @@
-"""Bays: who fits into which, and distinct bays drawn for cars."""
+"""Bays: which cars fit into which, and distinct bays drawn for cars."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Clearance: the gap from each agent's footprint to what it could hit."""
+"""Clearance: the gap from each agent's footprint to the nearest obstacle."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ from carpark_mj.geometry import box_distance, norm
 from carpark_mj.geometry.broad_phase import box_gaps, is_crowded, least_near
 from carpark_mj.geometry.gradients import with_gradient
 from carpark_mj.geometry.obstacles import Group, take
-from carpark_mj.mdp.collisions import reaches
+from carpark_mj.mdp.collisions import trace_radius
 from carpark_mj.types import Motion
 
 RANGE = 20.0  # m, largest clearance reported
@@ -68,7 +68,7 @@ def least_by_kind(
 def _clearance(motion: Motion, group: Group) -> jax.Array:
     """Gaps (num_agents,) to the nearest of a group."""
     own, traced = motion.trace_w, group.traced
-    bound = group.gaps(own[:, -1, :2]) - group.strays - reaches(motion)[:, None]
+    bound = group.gaps(own[:, -1, :2]) - group.excursion - trace_radius(motion)[:, None]
 
     def find(index: jax.Array) -> jax.Array:
         own_size = motion.size[:, None, None]

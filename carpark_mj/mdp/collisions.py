@@ -1,4 +1,4 @@
-"""Collisions: what each agent touched during a step.
+"""Collisions: the obstacles that each agent touched during a step.
 
 Physics with contacts reports them; otherwise footprints are tested for overlap at
 every traced instant, of near pairs only where a lot is crowded.
@@ -68,7 +68,7 @@ def _add_hits(hits: _Hits, motion: Motion, groups: Sequence[Group]) -> _Hits:
 
 
 def _group_hits(motion: Motion, group: Group) -> jax.Array:
-    """Who overlapped any of a group at a traced instant; (num_agents,) bool."""
+    """Agents (num_agents,) bool that overlapped any of a group at a traced instant."""
     own, own_size = motion.trace_w[:, None], motion.size[:, None, None]
     overlap = group.traced.overlap(own, own_size)
     counts = group.counts(motion.size.shape[0])
@@ -78,9 +78,9 @@ def _group_hits(motion: Motion, group: Group) -> jax.Array:
 def _near_hits(motion: Motion, them: Merged) -> list[tuple[ObstacleKind, jax.Array]]:
     """As `_group_hits` of many obstacles of one shape, by kind: near ones only."""
     trace, traced = motion.trace_w, them.group.traced
-    bound = them.group.gaps(trace[:, -1, :2]) - them.strays
+    bound = them.group.gaps(trace[:, -1, :2]) - them.excursion
     bound = jnp.where(them.counts, bound, jnp.inf)
-    reach = reaches(motion)
+    reach = trace_radius(motion)
     kinds, column = np.unique(them.kind, return_inverse=True)
 
     def test(hit: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
@@ -95,8 +95,7 @@ def _near_hits(motion: Motion, them: Merged) -> list[tuple[ObstacleKind, jax.Arr
     return [(ObstacleKind(kind), hits[:, k]) for k, kind in enumerate(kinds)]
 
 
-def reaches(motion: Motion) -> jax.Array:
-    """Radii (num_agents,) [m] about where agents end that hold all of their traces."""
-    way = motion.trace_w[..., :2] - motion.trace_w[:, -1:, :2]
-    way = norm(way).max(axis=1)
-    return norm(motion.size) / 2 + way + MARGIN
+def trace_radius(motion: Motion) -> jax.Array:
+    """Radii (num_agents,) [m] of circles about final centres that hold all traces."""
+    offset = motion.trace_w[..., :2] - motion.trace_w[:, -1:, :2]
+    return norm(motion.size) / 2 + norm(offset).max(axis=1) + MARGIN

@@ -1,9 +1,8 @@
 """Goals that agents choose themselves: explore, or head for a bay they track.
 
-A step begins with every agent's choice, made from its last observation; what an agent
-can choose is independent of the others, so the order of choices does not matter. It
-ends with goals that are lost: because another agent has parked there, or, once tracked
-bays are updated, because the bay is no longer among them.
+Every agent chooses at the start of a step. Its options do not depend on the choices of
+the others, so their order does not matter. At the end of the step agents lose goals in
+which another agent has parked, and goals that are no longer among their tracked bays.
 """
 
 import dataclasses
@@ -38,7 +37,7 @@ class DynamicGoals:
     def place_first(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
     ) -> Placing:
-        """Random, unless `SpawnConfig.kinds_at_reset`: nobody has a goal yet."""
+        """A random start, of any kind with `SpawnConfig.kinds_at_reset`; no goal."""
         around = surroundings(inputs, placing, agent)
         around = dataclasses.replace(around, others=~placing.waiting)
         spawn = self._config.spawn

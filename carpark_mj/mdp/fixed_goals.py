@@ -47,7 +47,7 @@ class PlaceDraws(NamedTuple):
         start: for a random or close start.
         course_goal: (attempts, 2, bays) the goals of attempts at a collision course.
         course: for the attempts.
-        reverse: for a start on a way out of the goal's bay.
+        reverse: for a start on a path out of the goal's bay.
     """
 
     goal: Any
@@ -77,7 +77,7 @@ class FixedGoals:
     def place_first(
         self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
     ) -> Placing:
-        """A start of any kind for the given goal; goals may follow from starts."""
+        """A start of any kind for the given goal; with `drive_out` also the goal."""
         config, layout = self._config, inputs.layout
         if self._drive_out:
             return self.place(inputs, placing, agent, key)
@@ -88,7 +88,7 @@ class FixedGoals:
         pose = self._pose(inputs, placing, around, draws, key)
         if not config.conflict_ratio:
             return placing.set(agent, pose_w=pose)
-        # The goal is given here, so that an attempt draws another target only.
+        # The goal is given: attempts differ in their targets only.
         drives = (placing.goal != NO_BAY) & ~placing.waiting
         targets = Targets(placing.xy, goal_pose[:, :2], drives)
         own_xy = goal_pose[agent, :2]
@@ -171,20 +171,20 @@ class FixedGoals:
     ) -> Placing:
         """Draws a new goal for one agent.
 
-        Uniform over `Layout.goal_mask` less the agents' goals, bays with a parked car
-        included; the agent's old one is among them if `GoalConfig.may_repeat`. A parked
-        car there makes way: to the agent's old goal if that is empty and farther than
-        `min_distance` from every other agent, otherwise to a random bay like that. If
-        there is none, the goal is drawn among the bays without parked cars. With no bay
-        to choose the agent keeps its goal; a parked car that has come there when the
-        agent parked makes way, if need be to any free bay, best one it fits.
+        The goal is uniform over `Layout.goal_mask` without the goals of other agents
+        and, unless `GoalConfig.may_repeat`, without the agent's last one. A parked car
+        in it moves to a vacant bay: one that is free, fits the car and is farther than
+        `min_distance` from every other agent; the agent's last goal is preferred, the
+        others are equally likely. Without a vacant bay only bays without parked cars
+        can be the goal. If no bay can be, the agent keeps its goal; a parked car that
+        was relocated there moves to any free bay, one that fits it if possible.
 
         Args:
             inputs: the lot and who fits where.
             placing: before the draw.
             agent: () int32 index.
             scores: (2, bays) uniform numbers in [0, 1): the bay with the largest first
-                becomes the goal, that with the largest second the refuge.
+                becomes the goal, that with the largest second takes its parked car.
         """
         layout, fits = inputs.layout, inputs.fits
         rows = jnp.arange(layout.num_bays)
@@ -197,11 +197,11 @@ class FixedGoals:
 
         others_goal = (is_goal & (rows != old)) | ~layout.bay_mask
         candidate = layout.goal_mask & ~(others_goal if self._may_repeat else is_goal)
-        refuge = ~others_goal & ~has_car & (gap > self._config.min_distance)
-        # A refuge must not be the new goal itself, which has a car, so it never is.
-        can_move = refuge.any()
+        vacant = ~others_goal & ~has_car & (gap > self._config.min_distance)
+        # The new goal is never vacant, as it has a parked car.
+        can_move = vacant.any()
         if fits.parked_cars is not None:
-            able = (fits.parked_cars & refuge).any(axis=1)
+            able = (fits.parked_cars & vacant).any(axis=1)
             can_move = jnp.zeros(layout.num_bays, bool)
             can_move = can_move.at[placing.parked_bay].set(able, mode="drop")
         candidate = candidate & (can_move | ~has_car)
@@ -210,16 +210,16 @@ class FixedGoals:
         found = candidate.any()
         goal = jnp.where(found, pick(candidate, scores[0]), old)
         score = jnp.where(rows == old, 2.0, scores[1])
-        evicted = placing.parked_bay == goal
+        displaced = placing.parked_bay == goal
         free = layout.bay_mask & ~is_goal & ~has_car
         if fits.parked_cars is None:
-            refuge = jnp.where(refuge.any(), refuge, free)
+            vacant = jnp.where(vacant.any(), vacant, free)
         else:
-            suits = (fits.parked_cars & evicted[:, None]).any(axis=0)
+            suits = (fits.parked_cars & displaced[:, None]).any(axis=0)
             last = jnp.where((free & suits).any(), free & suits, free)
-            refuge = jnp.where(found, refuge & suits, last)
-        shelter = pick(refuge, score)
-        parked_bay = jnp.where(evicted, shelter, placing.parked_bay)
+            vacant = jnp.where(found, vacant & suits, last)
+        new_bay = pick(vacant, score)
+        parked_bay = jnp.where(displaced, new_bay, placing.parked_bay)
         placing = dataclasses.replace(placing, parked_bay=parked_bay)
         return placing.set(agent, goal=goal, found=found)
 

@@ -19,13 +19,13 @@ goal (centres, world distance) and also, in the notation of Tanner 2022:
 The study defines G+ by an intersection that would equal L, and calls it disjoint from
 L, which only the set differences `only_untracked_*` are; its published figures come
 from `untracked_same` and `untracked_other`. All are counted side by side. The last row
-tells whether agents that are punished in (L,A) only give way to ones they cannot see
-too, or whether a tracked agent was there as well.
+tells whether agents that are penalized in (L,A) only also give way to agents that they
+do not track.
 
 The *situation* of a step is the one that agents observe when they choose: poses and
-tracked agents at its start. They choose in turn, in the order of their numbers, as in
-the study: each meets the new goals of those before it and the old ones of those after
-it (`goals_in_turn`). Cars move together once all have chosen.
+tracked agents at its start. Agents choose in the order of their numbers, as in the
+study: each sees the new goals of agents before it and the old goals of agents after it
+(`goals_in_turn`). All cars move after the last choice.
 """
 
 import jax
@@ -37,7 +37,7 @@ from carpark_mj.types import NO_BAY, State
 
 
 def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
-    """The goals that agents meet when they choose, each after those of lower number.
+    """The goals of all agents as each agent sees them when it chooses.
 
     Args:
         before: (num_agents,) goals at the start of the step.
@@ -55,7 +55,7 @@ def find_contexts(
 ) -> dict[ContextName, jax.Array]:
     """In which contexts each agent is, see the table above.
 
-    Agents that have finished do not give way, and no agent gives way to them.
+    Agents that have finished are in no context and cause none.
 
     Args:
         before: at the start of the step, goals not chosen yet.

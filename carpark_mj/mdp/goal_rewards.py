@@ -56,7 +56,7 @@ GOAL_TERMS = {
 
 
 def dynamic_progress(config: EnvConfig, transition: Transition) -> jax.Array:
-    """Progress (num_agents,) when goals change, without a profit from any loop.
+    """Progress (num_agents,) when goals change; no cycle of goals is profitable.
 
     Progress is measured towards the goal chosen in the step. Exploring agents get no
     positive progress, but moving away from the nearest tracked bay costs as much as

@@ -1,6 +1,6 @@
 """Goals: which bay an agent heads for, and how that is decided.
 
-Two ways behind one interface, chosen when an environment is built: `FixedGoals`, drawn
+Two kinds behind one interface, chosen when an environment is built: `FixedGoals`, drawn
 by the environment for each episode, and `DynamicGoals`, chosen by the agents themselves
 at every step.
 """
@@ -17,7 +17,7 @@ from carpark_mj.types import Events, GoalEvents, State
 
 
 class Goals(Protocol):
-    """Who decides which bays agents head for."""
+    """How the goals of agents are decided."""
 
     def init_tracked_bays(self) -> jax.Array | None:
         """Tracked bays of a lot in which no agent tracks any yet, see `State`."""
@@ -51,7 +51,7 @@ class Goals(Protocol):
         ...
 
     def target_bay(self, state: State) -> jax.Array:
-        """What each agent heads for, (num_agents,); see `Transition.target_pose`."""
+        """The bay that each agent (num_agents,) heads for, `Transition.target_pose`."""
         ...
 
     def update(
@@ -75,11 +75,11 @@ class Goals(Protocol):
             state: with all agents placed.
             placing: how they were placed.
             begun: (num_agents,) bool, who begins.
-            key: consumed; None = nobody begins with a goal chosen.
+            key: consumed; None = no agent begins with a goal of its own choice.
         """
         ...
 
 
 def make_goals(config: EnvConfig) -> Goals:
-    """The way that `GoalConfig.dynamic` names."""
+    """The goals that `GoalConfig.dynamic` asks for."""
     return DynamicGoals(config) if config.goals.dynamic else FixedGoals(config)

@@ -1,7 +1,7 @@
-"""Parked cars: where they stand in their bays, and which makes room for an agent.
+"""Parked cars: their poses in bays, and which one moves when an agent has parked.
 
-Where an agent has parked a parked car takes its place, so that the number of parked
-cars, and of free bays, stays what it was (Tanner 2022, section 3.2.1).
+An agent that has parked is replaced by a parked car, so that the numbers of parked cars
+and of free bays stay the same (Tanner 2022, section 3.2.1).
 """
 
 import dataclasses
@@ -18,23 +18,23 @@ from carpark_mj.types import NO_BAY, Events, ParkedCars, State
 
 _Relocation = tuple[jax.Array, jax.Array, jax.Array]  # bays, moved, agents waiting
 
-AWAY = 1e4  # m; absent cars stand so far out, one behind the other
+AWAY = 1e4  # m from the lot, where absent cars are placed in a row
 _QUEUE = 20.0  # m between them
 
 
 def stand_in_bay(
     bay_pose: jax.Array, bay_size: jax.Array, size: jax.Array, offset: jax.Array
 ) -> jax.Array:
-    """Poses (..., 3) of cars that stand off the middle of their bays.
+    """Poses (..., 3) of cars with offsets from the middle of their bays.
 
-    A car that fits into its bay stays within the lines: first its heading is cut to
-    what the lines allow, then its place. One that does not fit stands in the middle.
+    A car that fits into its bay stays within the lines: first its heading is clipped,
+    then its position. A car that does not fit is centred.
 
     Args:
         bay_pose: (..., 3).
         bay_size: (..., 2) [m].
         size: (..., 2) footprints of the cars [m].
-        offset: (..., 3) wanted place and heading in the bay's frame [m, m, rad].
+        offset: (..., 3) desired position and heading, bay frame [m, m, rad].
     """
     # Turned by h, a box reaches r cos(h - phi) along and r sin(h + phi) across, with
     # its diagonal r and phi = atan(width / length).
@@ -86,9 +86,9 @@ def _away(count: int) -> jax.Array:
 
 
 def in_bays(layout: Layout, cars: ParkedCars, bay: jax.Array) -> ParkedCars:
-    """The parked cars put into other bays (num_parked_cars,) int32.
+    """The parked cars moved to bays (num_parked_cars,) int32.
 
-    A car that keeps its bay keeps its pose, in which it may have been pushed.
+    A car that keeps its bay keeps its pose, also after it has been pushed.
     """
     moved = dataclasses.replace(cars, bay=bay)
     pose = poses_in_bays(layout, moved)
@@ -101,10 +101,10 @@ def relocate_parked_cars(
 ) -> ParkedCars:
     """Moves a parked car into every bay where an agent has just parked.
 
-    The car farthest from all agents moves, so that no agent sees it move. Or, by
-    `SpawnConfig.relocation`, a random one: of those that no agent tracks, if there are
-    such (`random`), or of all (`any`). No car moves twice in a step. Of cars that
-    differ in size only those move that fit into the bay.
+    `SpawnConfig.relocation` says which: the car farthest from all agents, so that no
+    agent observes the move (`furthest`), a random one that no agent tracks, if there is
+    any (`random`), or a random one (`any`). A car moves at most once in a step, and
+    only into a bay that it fits into.
 
     Args:
         config: the rule, and how many parked cars an agent tracks.

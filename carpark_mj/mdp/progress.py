@@ -1,4 +1,4 @@
-"""Progress of a step: potential, whether it led nearer, and direction of travel."""
+"""Progress of a step: potential, approach to a target, direction of travel."""
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ def goal_potential(
         weights: of distance and misalignment.
         pose_w: (..., 3).
         goal_pose: (..., 3).
-        distance: (...) length of the way to go [m]; None = straight.
+        distance: (...) distance to go [m]; None = straight.
         one_way: (...) bool, see `Transition.one_way`.
     """
     if distance is None:

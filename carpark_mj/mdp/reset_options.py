@@ -1,4 +1,4 @@
-"""Starts that the caller of `reset` gives instead of having them drawn."""
+"""Starts that the caller of `reset` sets; all others are drawn."""
 
 import dataclasses
 import functools
@@ -23,10 +23,10 @@ TOLERANCE = 1e-3  # m, rad or m/s by which a start may differ from what was aske
 
 @struct.dataclass
 class ResetOptions:
-    """How agents begin their first episodes; None, and what is NaN, is drawn.
+    """How agents begin their first episodes; None and NaN are drawn.
 
-    Drawn goals, starts and parked cars keep clear of what is given. A parked car for
-    which no bay is left is absent.
+    Drawn goals, starts and parked cars do not overlap given ones. A parked car without
+    a free bay is absent.
 
     Attributes:
         pose: (num_agents, 3) start poses of the footprints' centres in the world frame

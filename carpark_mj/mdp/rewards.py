@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import REWARD_TERMS, EnvConfig, RewardTerm
 from carpark_mj.geometry import norm
-from carpark_mj.layouts.routes import way_to
+from carpark_mj.layouts.routes import route_to
 from carpark_mj.mdp.clearance import agent_clearance
 from carpark_mj.mdp.goal_rewards import GOAL_TERMS, dynamic_progress, goal_weights
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
@@ -63,7 +63,7 @@ def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax
     distance = norm(motion.xy - target[:, :2])
     if weights.route:
         goal = transition.goal
-        distance = way_to(state.routes, state.layout, motion.xy, goal).length
+        distance = route_to(state.routes, state.layout, motion.xy, goal).length
     if not _is_off(weights.reeds_shepp_reach):
         car = transition.before.physics.vehicle
         distance = mix_in_maneuver(

@@ -1,11 +1,10 @@
-"""The free bays that each agent tracks, and in which slots.
+"""The free bays that each agent tracks, and their slots.
 
-A bay is free if it holds no parked car: bays that are other agents' goals, or that
-someone is driving through, count as well (Tanner 2022). An agent tracks the nearest. A
-bay stays in its slot for as long as it is among them, as in the study's text: "my
-second bay" means the same from step to step, whichever of the two is nearer. With
-`GoalConfig.slots_by_distance` the first slot has the nearest at every step, as in the
-study's program.
+A bay is free if it holds no parked car, even if it is another agent's goal or an agent
+is in it (Tanner 2022). An agent tracks the nearest free bays. A bay keeps its slot for
+as long as it is tracked, as in the study's text, so that the index of a choice means
+the same bay from step to step. With `GoalConfig.slots_by_distance` the bays are sorted
+by distance at every step, as in the study's program.
 """
 
 import dataclasses
@@ -24,7 +23,7 @@ def update_tracked_bays(
 ) -> State:
     """Agents track the free bays nearest to them.
 
-    Agents that have finished keep their goals, and in these bays they stand.
+    Agents that have finished occupy their goals.
 
     Args:
         state: of a lot with dynamic goals.
@@ -49,8 +48,8 @@ def track_bays(
 ) -> jax.Array:
     """Finds the nearest free bays.
 
-    Bays that are still among them keep their slots. The others leave, and newcomers
-    fill the empty slots from the first on, the nearest first.
+    Bays that are still among them keep their slots. New bays take the slots that become
+    empty, the nearest bay the first slot.
 
     Args:
         layout: the lot.

@@ -1,4 +1,4 @@
-"""The bays that agents track and choose their goals from, and who else heads for them.
+"""The bays that agents track and choose goals from, and the agents near them.
 
 Lists of bays hold `NO_BAY` where there is none.
 """
@@ -97,7 +97,7 @@ def _localise_bays(
 
 
 def goal_code(goal: jax.Array, bays: jax.Array) -> jax.Array:
-    """What observers may know of goals: a number each.
+    """Goals as numbers that observers know.
 
     Args:
         goal: (num_agents, count) bays; `NO_BAY` = exploring.
@@ -154,7 +154,7 @@ def _goal_rivals(sight: Sight) -> dict[str, jax.Array]:
     return {f"goal_{name}": value[:, 0] for name, value in found.items()}
 
 
-# Who is near a fixed goal.
+# The agents near a fixed goal.
 RIVALS = Part(
     tuple(
         dataclasses.replace(field, name=f"goal_{field.name}", reveals_goal=True)

@@ -39,9 +39,9 @@ class ContinuousObservation(ObservationConfig):
             drawn from a fleet.
         lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
-        rays: bearings along which the free way is observed.
+        rays: bearings along which the free distance is observed.
         lane: observe the lane the car is in, or the nearest.
-        route: observe the way along the lanes to the goal; fixed goals only.
+        route: observe the route along the lanes to the goal; fixed goals only.
         encoding: name of the encoder; as a flag it chooses another.
     """
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import box_room, norm, rotate, to_local
-from carpark_mj.layouts.routes import way_to
+from carpark_mj.layouts.routes import route_to
 from carpark_mj.observations.fields import (
     CLOSE,
     FAR,
@@ -126,11 +126,11 @@ LINES = Part(
 
 def _route(sight: Sight) -> dict[str, jax.Array]:
     motion = sight.motion
-    way = way_to(sight.state.routes, sight.layout, motion.xy, sight.goal)
-    position = rotate(way.next_xy - motion.xy, -motion.pose_w[..., 2])
+    route = route_to(sight.state.routes, sight.layout, motion.xy, sight.goal)
+    position = rotate(route.next_xy - motion.xy, -motion.pose_w[..., 2])
     return {
         "route_next": far(position),
-        "route_length": far(way.length[..., None]),
+        "route_length": far(route.length[..., None]),
     }
 
 
@@ -141,7 +141,7 @@ ROUTE = Part(
             2,
             -FARTHEST,
             FARTHEST,
-            f"where the way along the lanes turns next, body frame [{FAR:g} m]",
+            f"where the route along the lanes turns next, body frame [{FAR:g} m]",
             metres=FAR,
         ),
         _GoalField(
@@ -149,7 +149,7 @@ ROUTE = Part(
             1,
             0.0,
             FARTHEST,
-            f"way along the lanes to the goal [{FAR:g} m]",
+            f"length of the route to the goal [{FAR:g} m]",
             metres=FAR,
         ),
     ),

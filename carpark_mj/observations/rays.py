@@ -1,4 +1,4 @@
-"""Rays: the free way along bearings about the car, as a laser scanner sees it."""
+"""Rays: the free distance along bearings about the car, as a laser scanner sees it."""
 
 from collections.abc import Sequence
 
@@ -23,17 +23,19 @@ def rays_part(config: RayConfig) -> Part:
     def fill(sight: Sight) -> dict[str, jax.Array]:
         return {RAYS: cast_rays(config, sight.motion, sight.obstacles)}
 
-    meaning = f"free way along bearings from ahead to the left [{config.reach:g} m]"
+    meaning = (
+        f"free distance along bearings from ahead to the left [{config.reach:g} m]"
+    )
     return Part((Field(RAYS, config.count, 0.0, 1.0, meaning),), fill)
 
 
 def cast_rays(
     config: RayConfig, motion: Motion, obstacles: Sequence[Group]
 ) -> jax.Array:
-    """Free way along the bearings (num_agents, count), divided by the reach.
+    """Free distance along the bearings (num_agents, count), divided by the reach.
 
     The rays start at the footprint's centre, the first one straight ahead, the others
-    evenly spaced counter-clockwise in the body frame. The way is measured from where a
+    evenly spaced counter-clockwise in the body frame. It is measured from where a
     ray leaves the car's own outline, so that 0 means touching whatever the bearing,
     to the nearest obstacle; 1 means that nothing is hit within reach. Exact, on boxes
     and discs alike.
@@ -50,25 +52,25 @@ def cast_rays(
     direction = rotate(ahead, own_pose[:, None, 2])[:, None]  # (agents, 1, count, 2)
     origin = own_pose[:, None, None, :2]
     outline = jnp.min(0.5 * own_size[:, None] / jnp.abs(ahead), axis=-1)
-    way = outline + reach  # nothing farther away is seen
+    free = outline + reach  # nothing farther away is seen
     for same in by_shape([group for group in obstacles if group.count]):
         them = merge(same, own_pose.shape[0])
         gap = jnp.where(them.counts, them.group.gaps(own_pose[:, :2]), jnp.inf)
-        way = _shorten(way, gap, them.group, origin, direction)
-    return jnp.clip((way - outline) / reach, 0.0, 1.0)
+        free = _shorten(free, gap, them.group, origin, direction)
+    return jnp.clip((free - outline) / reach, 0.0, 1.0)
 
 
 def _shorten(
-    way: jax.Array,
+    free: jax.Array,
     gap: jax.Array,
     group: Group,
     origin: jax.Array,
     direction: jax.Array,
 ) -> jax.Array:
-    """Ways (num_agents, count) cut where they meet any of n obstacles.
+    """Free distances (num_agents, count) cut where they meet any of n obstacles.
 
     Args:
-        way: so far [m].
+        free: so far [m].
         gap: (num_agents, n) from the agents' centres to the obstacles; inf = no such.
         group: the obstacles.
         origin: (num_agents, 1, 1, 2) where the rays begin [m].
@@ -77,12 +79,12 @@ def _shorten(
     if not is_crowded(*gap.shape):
         found = take(group, None).ray_distance(origin, direction)
         found = jnp.where(jnp.isinf(gap)[..., None], jnp.inf, found)
-        return jnp.minimum(way, jnp.min(found, axis=1, initial=jnp.inf))
+        return jnp.minimum(free, jnp.min(found, axis=1, initial=jnp.inf))
 
-    def visit(way: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
+    def visit(free: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
         found = take(group, index).ray_distance(origin, direction)
         found = jnp.where(valid[..., None], found, jnp.inf)
-        return jnp.minimum(way, jnp.min(found, axis=1))
+        return jnp.minimum(free, jnp.min(found, axis=1))
 
     # An obstacle that begins beyond an agent's longest ray can shorten none of them.
-    return visit_near(gap, lambda way: jnp.max(way, axis=1), visit, way, CHUNK)
+    return visit_near(gap, lambda free: jnp.max(free, axis=1), visit, free, CHUNK)

@@ -39,9 +39,9 @@ def rings_part(config: RingConfig) -> Part:
 
 
 def count_rings(config: RingConfig, sight: Sight) -> jax.Array:
-    """Counts (num_observers, rings) int32, up to the cap, where agents think they are.
+    """Counts (num_observers, rings) int32, up to the cap, about the sensed positions.
 
-    Every object is tested: no cheaper test than this distance could rule one out.
+    There is no broad phase: the distance is the cheapest test.
     """
     motion = sight.motion
     cars = (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR)

@@ -1,7 +1,7 @@
-"""What agents observe of the cars' motion: noisy, and late.
+"""Sensors: the cars' motion as agents observe it, with noise and delay.
 
 Events, rewards and metrics use the true motion. A measurement is made once a control
-step and shared by all who observe the car.
+step and is the same for all observers.
 """
 
 import dataclasses
@@ -61,7 +61,7 @@ def reset(
     respawned: jax.Array,
     key: jax.Array,
 ) -> Sensors | None:
-    """The sensors with new ones, without a past, for agents that have respawned.
+    """The sensors, reset without history for agents that have respawned.
 
     Args:
         config: errors.

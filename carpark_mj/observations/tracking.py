@@ -1,4 +1,4 @@
-"""Who and what an agent tracks: the nearest."""
+"""The cars that an agent tracks: the nearest."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""What there is to hit in a lot, in one list."""
+"""All obstacles of a lot in one list."""
 
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import rotate

@@ -1,4 +1,4 @@
-"""Movers: how the obstacles that move by themselves begin and go on with a lot."""
+"""Movers, obstacles that move by themselves: their start and their steps."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -102,12 +102,12 @@ def _groups(mover: Mover, state: Any) -> tuple[Group, ...]:
 
 
 def _strong(tree: Any) -> Any:
-    """Arrays of a type of their own, as what a loop carries must be."""
+    """Arrays without weak types, as the carry of a loop requires."""
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), tree)
 
 
 def _require_same(mover: Mover, what: str, before: Any, after: Any) -> None:
-    """Refuses arrays of other shapes or types, which no loop could carry."""
+    """Refuses arrays of other shapes or types, which the carry of a loop excludes."""
     old, new = (
         (jax.tree.structure(tree), [f"{x.dtype}{list(x.shape)}" for x in leaves])
         for tree, leaves in ((tree, jax.tree.leaves(tree)) for tree in (before, after))
@@ -120,15 +120,15 @@ def _require_same(mover: Mover, what: str, before: Any, after: Any) -> None:
 
 
 def _trace(before: Group, after: Group, num_traces: int) -> Group:
-    """Obstacles (n,) with their poses during a step: from one straight to the other.
+    """Obstacles (n,) with their poses during a step, interpolated linearly.
 
-    Those that were not there before have not come from anywhere.
+    Those that were absent before stand still.
     """
-    way = after.pose_w - before.pose_w
+    moved = after.pose_w - before.pose_w
     if type(after) is Boxes:
-        way = way.at[:, 2].set(wrap_angle(way[:, 2]))
+        moved = moved.at[:, 2].set(wrap_angle(moved[:, 2]))
     if before.mask is not None:
-        way = jnp.where(before.mask[:, None], way, 0.0)
-    share = jnp.arange(num_traces - 1, -1, -1, dtype=way.dtype) / num_traces
-    trace_w = after.pose_w[:, None] - share[:, None] * way[:, None]
+        moved = jnp.where(before.mask[:, None], moved, 0.0)
+    share = jnp.arange(num_traces - 1, -1, -1, dtype=moved.dtype) / num_traces
+    trace_w = after.pose_w[:, None] - share[:, None] * moved[:, None]
     return dataclasses.replace(after, trace_w=trace_w)

@@ -61,7 +61,7 @@ class Physics(Protocol[S]):
         ...
 
     def set_parked_poses(self, state: S, parked_pose: jax.Array) -> S:
-        """Sets where the parked cars stand: at the start, and when one is relocated.
+        """Sets the poses of parked cars, at the start and when one is relocated.
 
         Args:
             state: current state.
@@ -71,11 +71,11 @@ class Physics(Protocol[S]):
         ...
 
     def parked_poses(self, state: S, intended: jax.Array) -> jax.Array:
-        """Where the parked cars stand now.
+        """The current poses of parked cars.
 
         Args:
             state: current state.
-            intended: (..., num_parked_cars, 3) poses where they were set.
+            intended: (..., num_parked_cars, 3) poses that were set.
 
         Returns:
             (..., num_parked_cars, 3) poses of their footprints' centres [m, m, rad]:
@@ -84,7 +84,7 @@ class Physics(Protocol[S]):
         ...
 
     def read(self, state: S) -> Motion:
-        """What the task may know of the state."""
+        """The motion of the cars, all that the task reads."""
         ...
 
 
@@ -120,12 +120,12 @@ class FactoredPhysics(abc.ABC, Generic[S]):
         return where_cars(mask, self.init(pose_w, vehicle), state)
 
     def set_parked_poses(self, state: S, parked_pose: jax.Array) -> S:
-        """Returns the state: parked cars have no part in it."""
+        """Returns the state, which has no parked cars."""
         del parked_pose
         return state
 
     def parked_poses(self, state: S, intended: jax.Array) -> jax.Array:
-        """Returns the intended poses: nothing pushes a parked car."""
+        """Returns the intended poses: parked cars cannot be pushed."""
         del state
         return intended
 
@@ -150,12 +150,12 @@ Cars = TypeVar("Cars", bound=_Flagged)
 def contain_non_finite(
     moved: Any, stepped: Cars, at_rest: Cars, valid: jax.Array | bool = True
 ) -> Cars:
-    """Replaces cars with a non-finite number, so that they harm no other.
+    """Replaces cars with a non-finite number, so that they affect no other.
 
     Args:
         moved: tree of arrays (..., *) that the step computed.
         stepped: cars (...) after the step, `finite` all true.
-        at_rest: cars (...) where they stood before it, `finite` all false.
+        at_rest: cars (...) at their poses before it, `finite` all false.
         valid: (...) bool, cars that need not be replaced for another reason.
     """
     lead = stepped.finite.ndim
@@ -197,7 +197,7 @@ def run_substeps(
 
 
 def require_plain_ground(sim: SimConfig, name: str) -> None:
-    """Checks that nothing is configured that a kinematic back end cannot model.
+    """Refuses what a kinematic back end cannot model.
 
     Raises:
         ValueError: a slope, a slippery surface or contact tyres.

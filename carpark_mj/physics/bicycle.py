@@ -82,8 +82,8 @@ def advance(
     slip = slip_angle(steering)
     turned = speed * jnp.sin(slip) / (wheelbase / 2) * dt
     course = pose_w[..., 2] + slip + turned / 2
-    way = jnp.stack([jnp.cos(course), jnp.sin(course)], axis=-1)
-    xy = pose_w[..., :2] + (speed * dt)[..., None] * way
+    direction = jnp.stack([jnp.cos(course), jnp.sin(course)], axis=-1)
+    xy = pose_w[..., :2] + (speed * dt)[..., None] * direction
     return jnp.concatenate([xy, wrap_angle(pose_w[..., 2] + turned)[..., None]], -1)
 
 
@@ -151,7 +151,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
             return function(state, controls)
 
     def read(self, state: BicycleState) -> Motion:
-        """What the task may know; see `Physics.read`."""
+        """The motion of the cars; see `Physics.read`."""
         slip = slip_angle(state.actuators.steering + state.vehicle.steering_offset)
         # The rear axle follows the middle between the axles along the car's axis.
         rear = state.speed * jnp.cos(slip)

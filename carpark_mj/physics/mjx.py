@@ -155,9 +155,10 @@ class MjxPhysics(FactoredPhysics[CarState]):
 
 
 def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarState:
-    """Cars (...) after a step; those that diverged are put back, at rest.
+    """Cars (...) after a step; diverged ones are reset to rest before it.
 
-    These have a non-finite number, or lie on their side, where no model of tyres holds.
+    A car has diverged if a number of its state is not finite, or if it lies on its
+    side, where no tyre model holds.
 
     Args:
         before: the cars before the step.

@@ -1,4 +1,4 @@
-"""The car's substep by `mjx.step`, for any model; judge of the unrolled step."""
+"""The car's substep by `mjx.step`, for any model: the reference of the unrolled one."""
 
 import contextlib
 import io

@@ -1,7 +1,7 @@
 """Agents that drive on planned paths; they replan when they are stuck.
 
 They know the true state of the lot: parked cars, walls and discs when they plan, the
-others' places when they drive. An agent stops for another one that stands on its way,
+positions of other agents while they drive. An agent stops for another one on its path,
 and after a while plans around it. Everything here is NumPy, on the host.
 """
 

@@ -15,7 +15,7 @@ CELL = 0.2  # m, spacing of the grid
 
 
 class Solids(NamedTuple):
-    """What cars can hit.
+    """Obstacles that do not move.
 
     Attributes:
         pose: (n, 3) centre poses of boxes.
@@ -60,7 +60,7 @@ class _Near(NamedTuple):
 
 
 class FreeSpace:
-    """Where a rectangle can stand in a lot.
+    """The poses of a rectangle in a lot that are free of collisions.
 
     Attributes:
         extent: half widths (2,) of the lot about the origin [m].
@@ -108,7 +108,7 @@ class FreeSpace:
         return gaps
 
     def _obstacles(self, column: int, row: int) -> _Near | None:
-        """What a rectangle centred in a cell may touch; None if it surely does."""
+        """Obstacles near a rectangle centred in a cell; None if it overlaps any."""
         if self._distance is None:
             return _Near(self._boxes, self._discs)
         # Any point of a cell is so near to the cell's middle.

@@ -23,7 +23,7 @@ SHIFT_TIME = 0.7  # s that a change of gear takes besides the turning of the whe
 
 
 class PlannerCar(NamedTuple):
-    """What a planner must know of a car; SI units.
+    """Parameters of a car that the planner uses; SI units.
 
     Attributes:
         length: [m].
@@ -55,7 +55,7 @@ class PlannerCar(NamedTuple):
 
 
 def car_of(params: VehicleParameters) -> PlannerCar:
-    """A vehicle as the planner knows it."""
+    """The planner's parameters of a vehicle."""
     return PlannerCar(
         params.length,
         params.width,
@@ -79,14 +79,14 @@ class Segment(NamedTuple):
 
     Attributes:
         pose: (n, 3) of the rear axle, yaw continuous.
-        way: 1 forwards, -1 backwards.
+        gear: 1 forwards, -1 backwards.
         distance: (n,) driven since its beginning [m].
         steering: (n,) bicycle angle [rad].
         speed: (n,) highest absolute speed [m/s]; 0 at the end.
     """
 
     pose: np.ndarray
-    way: int
+    gear: int
     distance: np.ndarray
     steering: np.ndarray
     speed: np.ndarray
@@ -98,12 +98,12 @@ class Segment(NamedTuple):
 
 
 class PlannedPath(NamedTuple):
-    """The way of a car to its goal.
+    """A path of a car to its goal.
 
     Attributes:
         segments: at least one.
-        duration: about how long it takes [s]: at the segments' speeds, and with wheels
-            that are turned while the car stands.
+        duration: estimated driving time [s]: at the segments' speeds, and with steering
+            while the car stands.
     """
 
     segments: tuple[Segment, ...]
@@ -135,18 +135,18 @@ def make_path(pose: np.ndarray, car: PlannerCar) -> PlannedPath | None:
         return None
     yaw = np.unwrap(pose[:, 2])
     middle = (yaw[1:] + yaw[:-1]) / 2
-    ways = np.sign(step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle))
-    cuts = np.flatnonzero(np.diff(ways)) + 1
+    gears = np.sign(step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle))
+    cuts = np.flatnonzero(np.diff(gears)) + 1
     bounds = [0, *cuts.tolist(), len(step)]
     pose = np.column_stack([pose[:, :2], yaw])
     segments: list[Segment] = []
     for first, last in itertools.pairwise(bounds):
-        points, way = pose[first : last + 1], int(ways[first])
+        points, gear = pose[first : last + 1], int(gears[first])
         if np.hypot(*np.diff(points[:, :2], axis=0).T).sum() < SHORTEST:
             continue
-        if segments and segments[-1].way == way:  # what lay between was left out
+        if segments and segments[-1].gear == gear:  # what lay between was left out
             points = np.concatenate([segments.pop().pose, points])
-        segments.append(_segment(points, way, car))
+        segments.append(_segment(points, gear, car))
     return PlannedPath(tuple(segments), _duration(segments, car)) if segments else None
 
 
@@ -163,10 +163,10 @@ def _duration(segments: list[Segment], car: PlannerCar) -> float:
     return driving + turning + SHIFT_TIME * (len(segments) - 1)
 
 
-def _segment(pose: np.ndarray, way: int, car: PlannerCar) -> Segment:
+def _segment(pose: np.ndarray, gear: int, car: PlannerCar) -> Segment:
     gaps = np.hypot(*np.diff(pose[:, :2], axis=0).T)
     distance = np.concatenate([[0.0], np.cumsum(gaps)])
-    curvature = way * np.diff(pose[:, 2]) / np.maximum(gaps, STEP * 1e-3)
+    curvature = gear * np.diff(pose[:, 2]) / np.maximum(gaps, STEP * 1e-3)
     curvature = np.append(curvature, curvature[-1])
     steering = np.arctan(car.wheelbase * curvature)
     steering = np.clip(steering, -car.max_steering, car.max_steering)
@@ -178,7 +178,7 @@ def _segment(pose: np.ndarray, way: int, car: PlannerCar) -> Segment:
     for point in range(len(speed) - 2, -1, -1):
         room = 2 * BRAKING * (distance[point + 1] - distance[point])
         speed[point] = min(speed[point], math.sqrt(speed[point + 1] ** 2 + room))
-    return Segment(pose, way, distance, steering, speed)
+    return Segment(pose, gear, distance, steering, speed)
 
 
 def _average(distance: np.ndarray, value: np.ndarray) -> np.ndarray:

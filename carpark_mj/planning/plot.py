@@ -16,7 +16,7 @@ from carpark_mj.planning.paths import PlannedPath, PlannerCar
 COLUMNS = 4
 CELL = (4.4, 2.6)  # inches
 AROUND = 5.0  # m shown beyond start, goal and path
-WAYS = {1: "tab:blue", -1: "tab:red"}
+GEARS = {1: "tab:blue", -1: "tab:red"}
 
 
 def plot_paths(
@@ -49,8 +49,8 @@ def plot_paths(
             outline = np.asarray(
                 box_corners(jnp.asarray(centre[-1]), jnp.asarray(size))
             )
-            axis.fill(*outline.T, fill=False, ec=WAYS[segment.way], lw=0.6)
-            axis.plot(*segment.pose[:, :2].T, color=WAYS[segment.way], lw=1.2)
+            axis.fill(*outline.T, fill=False, ec=GEARS[segment.gear], lw=0.6)
+            axis.plot(*segment.pose[:, :2].T, color=GEARS[segment.gear], lw=1.2)
         low, high = _view(layout, path)
         axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=80))

@@ -24,26 +24,26 @@ class Planner:
     """Drives all agents of some lots; remembers their paths from step to step.
 
     Attributes:
-        agents: by number of lot and agent, as far as they have driven.
-        decisions: how many actions they have chosen.
-        seconds: of the processor that these took, searches included [s].
+        agents: their paths and progress, by number of lot and agent.
+        decisions: number of actions computed.
+        seconds: CPU time of these, searches included [s].
     """
 
     def __init__(
         self, ctrl_dt: float, seed: int = 0, config: SearchConfig | None = None
     ) -> None:
-        """A planner that has seen no lot yet.
+        """A planner without any paths.
 
         Args:
             ctrl_dt: control period [s].
-            seed: see `restart`.
+            seed: see `reset`.
             config: how to search; the defaults if None.
         """
         self._dt, self._config = ctrl_dt, config or SearchConfig()
-        self.restart(seed)
+        self.reset(seed)
 
-    def restart(self, seed: int, first_lot: int = 0) -> None:
-        """Forgets all paths and counts anew, for other lots.
+    def reset(self, seed: int, first_lot: int = 0) -> None:
+        """Removes all paths and resets the counters, for other lots.
 
         Args:
             seed: of the searches, another one for each lot and agent.

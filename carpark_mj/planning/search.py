@@ -51,17 +51,17 @@ class SearchConfig:
 
     @property
     def most_searches(self) -> int:
-        """Of paths at a clearance."""
+        """Largest number of searches at a clearance."""
         return self.paths + self.more_paths
 
 
 class Search(NamedTuple):
-    """What came of a search.
+    """The result of a search.
 
     Attributes:
         path: None if none was found.
-        seconds: of the processor that it took [s].
-        clearance: that was kept [m]; NaN without a path.
+        seconds: CPU time [s].
+        clearance: distance kept from obstacles [m]; NaN without a path.
     """
 
     path: PlannedPath | None
@@ -94,14 +94,14 @@ def search(
     """
     config, begun = config or SearchConfig(), time.thread_time()
     seeds = np.random.SeedSequence(seed).generate_state(config.most_searches).tolist()
-    ways = _ways(goal)
+    poses = _poses_in_bay(goal)
     for clearance in config.clearances:
         size = car.length + 2 * clearance, car.width + 2 * clearance
         space = FreeSpace(solids, size, extent)
         if not (space.is_free(*start) and space.is_free(*np.atleast_2d(goal)[0])):
             continue
         here = car.rear_axle(start)
-        tasks = [_Task(here, car.rear_axle(goals)) for goals in (ways, ways[::-1])]
+        tasks = [_Task(here, car.rear_axle(goals)) for goals in (poses, poses[::-1])]
         best: PlannedPath | None = None
         for number in range(config.most_searches):
             path = _connect(tasks[number % 2], space, car, config, seeds[number])
@@ -115,10 +115,10 @@ def search(
     return Search(None, time.thread_time() - begun, math.nan)
 
 
-def _ways(goal: np.ndarray) -> np.ndarray:
-    """Ways round in a bay (n, 3), the same two whichever is given as the goal."""
+def _poses_in_bay(goal: np.ndarray) -> np.ndarray:
+    """Poses in a bay (n, 3), nose in and nose out, in the same order for both."""
     if goal.ndim == 2:
-        return np.array([[*way[:2], _wrap(way[2])] for way in goal])
+        return np.array([[*pose[:2], _wrap(pose[2])] for pose in goal])
     return np.array(
         sorted([*goal[:2], _wrap(goal[2] + turn)] for turn in (0.0, math.pi))
     )

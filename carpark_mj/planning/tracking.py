@@ -32,11 +32,11 @@ PULLING_AWAY = 0.3  # m/s^2, more than the tyres' rolling resistance
 
 
 class Progress(NamedTuple):
-    """How far a car has got.
+    """Progress of a car along its path.
 
     Attributes:
-        segment: number of the segment that it drives; their number once it has arrived.
-        point: of that segment, the nearest.
+        segment: index of the current segment; the number of segments at the end.
+        point: index of its nearest point.
     """
 
     segment: int = 0
@@ -58,12 +58,12 @@ class Driven(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What to do in a control step, and how far the car has got.
+    """The action of a control step, and the progress.
 
     Attributes:
         steer: in [-1, 1].
         pedal: in [-1, 1].
-        progress: to be handed in again at the next step.
+        progress: input of the next step.
         error: distance from the path [m].
     """
 
@@ -92,12 +92,12 @@ def track(
         return track(path, after, car, driven, dt)
     wrong = abs(steering - driven.steering)
     wheels_off = wrong > (WHEELS_SET if stands else WHEELS_OFF)
-    if wheels_off or driven.speed * segment.way < -STANDING:
+    if wheels_off or driven.speed * segment.gear < -STANDING:
         pedal = brake(driven.speed, car, dt)
     else:
         limit = float(np.interp(along, segment.distance, segment.speed))
         speed = abs(driven.speed)
-        pedal = segment.way * _pedal(speed, limit, left, car, dt)
+        pedal = segment.gear * _pedal(speed, limit, left, car, dt)
     return Command(steering / car.max_steering, pedal, Progress(number, point), error)
 
 
@@ -110,17 +110,17 @@ def _nearest(segment: Segment, point: int, pose: np.ndarray) -> int:
 def _steer(
     segment: Segment, point: int, car: PlannerCar, driven: Driven, dt: float
 ) -> tuple[float, float, float]:
-    """How far along the segment a car is, its distance from it, and its steering."""
+    """Distance driven along the segment, distance from it, and steering."""
     x, y, yaw = segment.pose[point]
     dx, dy = driven.pose[0] - x, driven.pose[1] - y
     cos, sin = math.cos(yaw), math.sin(yaw)
-    along = float(segment.distance[point]) + segment.way * (cos * dx + sin * dy)
+    along = float(segment.distance[point]) + segment.gear * (cos * dx + sin * dy)
     offset = cos * dy - sin * dx
     turn = math.remainder(driven.pose[2] - yaw, 2 * math.pi)
     # The wheels arrive at the end of the step, when the car is farther.
     there = along + abs(driven.speed) * dt
     steering = float(np.interp(there, segment.distance, segment.steering))
-    change = -offset / REACH**2 - 2 * segment.way * turn / REACH
+    change = -offset / REACH**2 - 2 * segment.gear * turn / REACH
     steering = math.atan(math.tan(steering) + car.wheelbase * change)
     lock = car.max_steering
     return along, math.hypot(dx, dy), min(max(steering, -lock), lock)
@@ -129,10 +129,10 @@ def _steer(
 def _pedal(
     speed: float, limit: float, left: float, car: PlannerCar, dt: float
 ) -> float:
-    """The pedal along the way, for a car that is not faster than it should be at most.
+    """The pedal along the path, for a car that is not faster than it should be at most.
 
     Args:
-        speed: of the car along its way [m/s].
+        speed: of the car along its path [m/s].
         limit: speed allowed here [m/s].
         left: of the segment [m].
         car: that drives.
@@ -140,11 +140,11 @@ def _pedal(
     """
     target = limit
     if speed < CREEP:
-        speeds, ways = hold_distances()
-        if left - float(np.interp(speed, speeds, ways)) < NEAR / 2:
+        speeds, distances = hold_distances()
+        if left - float(np.interp(speed, speeds, distances)) < NEAR / 2:
             return 0.0
         # The speed from which the hold, begun after this step, ends at the segment's.
-        exact = float(np.interp(left, (speed + speeds) / 2 * dt + ways, speeds))
+        exact = float(np.interp(left, (speed + speeds) / 2 * dt + distances, speeds))
         target = min(max(limit, CREEP), exact)
     change = (target - speed) / dt
     least = PULLING_AWAY / car.max_acceleration if speed < CREEP else DRIVING
@@ -155,7 +155,7 @@ def _pedal(
 
 def brake(speed: float, car: PlannerCar, dt: float) -> float:
     """The pedal that stops a car of a signed speed, in several steps if need be."""
-    change = abs(speed) - SWITCH_SPEED  # below it the pedal would drive the other way
+    change = abs(speed) - SWITCH_SPEED  # below it the pedal would shift gears
     if change <= 0.0:
         return 0.0
     pedal = change / dt / car.max_deceleration
@@ -164,7 +164,7 @@ def brake(speed: float, car: PlannerCar, dt: float) -> float:
 
 @functools.cache
 def hold_distances() -> tuple[np.ndarray, np.ndarray]:
-    """How far a car rolls once its pedal is released, by its speed.
+    """Stopping distances of a car whose pedal is released, by its speed.
 
     Returns:
         Speeds (n,) up to `CREEP` [m/s], and the distances (n,) in which the holding
@@ -180,5 +180,5 @@ def hold_distances() -> tuple[np.ndarray, np.ndarray]:
 
     speeds = jnp.linspace(0.0, CREEP - 1e-6, 31)  # at `CREEP` the car would coast
     rest = speeds, jnp.zeros_like(speeds)
-    _, ways = jax.jit(lambda rest: jax.lax.scan(substep, rest, length=200))(rest)
-    return np.asarray(speeds, float), np.asarray(ways.sum(0), float)
+    _, distances = jax.jit(lambda rest: jax.lax.scan(substep, rest, length=200))(rest)
+    return np.asarray(speeds, float), np.asarray(distances.sum(0), float)

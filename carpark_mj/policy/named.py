@@ -9,7 +9,7 @@ from carpark_mj.policy.baselines import random_policy, zero_policy
 
 # What makes the policy for an environment; `ValueError` if it cannot drive there.
 POLICIES: Registry[Callable[[ParkingEnv], AnyPolicy]] = Registry(
-    "policy", home="carpark_mj.planning.named"
+    "policy", "carpark_mj.planning.named"
 )
 
 POLICIES.register("zero", lambda env: zero_policy(env.action_spec))

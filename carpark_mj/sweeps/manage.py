@@ -11,9 +11,9 @@ from carpark_mj.sweeps.executor import Cluster, make_executor, run_works
 from carpark_mj.sweeps.groups import groups
 from carpark_mj.sweeps.outcomes import (
     Outcome,
-    forget_outcome,
     open_sweep,
     read_outcome,
+    remove_outcome,
     write_outcome,
     write_table,
 )
@@ -75,7 +75,7 @@ def run_sweep(
     say(f"{folder}: {len(runs)} runs, {done} of them done")
     write_table(folder, runs)
     for run in left:
-        forget_outcome(folder, run)
+        remove_outcome(folder, run)
     works = [
         Work(
             folder.resolve(),

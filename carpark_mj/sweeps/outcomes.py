@@ -79,8 +79,8 @@ def read_outcome(sweep: Path, run: Run) -> Outcome:
         return Outcome("waiting")
 
 
-def forget_outcome(sweep: Path, run: Run) -> None:
-    """Forgets how the last attempt ended, before the next."""
+def remove_outcome(sweep: Path, run: Run) -> None:
+    """Removes how the last attempt ended, before the next."""
     _path(sweep, run).unlink(missing_ok=True)
 
 

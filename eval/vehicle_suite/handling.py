@@ -223,6 +223,4 @@ def lateral_limit(
         late = track.late(track.lateral_acceleration, STEADY) / grip
         formula = f"0.93 to 1.0 mu g, mean of the last {STEADY:g} s, sliding"
         study.row(what, formula, "mu g", late, 0.965, 0.035)
-    angle = np.convolve(track.steering, smooth, "valid")
-    study.curve("lateral_limit", "measured", np.degrees(angle), mean)
     return study

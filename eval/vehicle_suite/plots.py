@@ -8,12 +8,6 @@ from vehicle_suite.table import Curve
 
 # Name: title, x axis, y axis, and whether both are logarithmic.
 FIGURES = {
-    "turning_radius": (
-        "Turning radius over L / tan(delta): measured (o), formula (--)",
-        "bicycle angle [deg]",
-        "deviation [%]",
-        False,
-    ),
     "understeer": (
         "Understeer at 20 m/s (ISO 4138): measured (o), brush (--), linear (:)",
         "lateral acceleration [g]",
@@ -24,12 +18,6 @@ FIGURES = {
         "Step steer (ISO 7401): measured (-), linear single track (--)",
         "time from half the step [s]",
         "yaw rate / steady yaw rate",
-        False,
-    ),
-    "lateral_limit": (
-        "Lateral limit: coasting from 15 m/s, steering winding on",
-        "bicycle angle [deg]",
-        "lateral acceleration [mu g]",
         False,
     ),
     "stops": (

@@ -56,7 +56,6 @@ def turning(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> 
     formula = "R = L / tan(delta)"
     if bed.tyres == "brush":
         formula += " + slip and scrub of the two-track car"
-    points: dict[float, list[tuple[float, float, float]]] = {v: [] for v in speeds}
     for (speed, lock), track in zip(cases, tracks, strict=True):
         radius = circle_radius(track.position[track.at(7.0) :])
         expected = expected_turn(bed, params, lock, track.late(track.speed, STEADY))
@@ -70,17 +69,9 @@ def turning(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> 
             expected.radius,
             relative(expected.radius, share),
         )
-        plain = formulas.turning_radius(params, lock)
-        points[speed].append(
-            (angle, 100 * (radius / plain - 1), 100 * (expected.radius / plain - 1))
-        )
         if lock == params.max_steering and speed == 1.0:
             _kerb_circle(study, track)
             _drag(study, bed, track, expected)
-    for speed, rows in points.items():
-        angles, measured, theory = np.transpose(rows)
-        study.curve("turning_radius", f"{speed:g} m/s", angles, measured, "o")
-        study.curve("turning_radius", f"{speed:g} m/s", angles, theory, "--")
     return study
 
 

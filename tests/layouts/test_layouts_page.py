@@ -1,11 +1,19 @@
-"""docs/layouts.md names every layout as it is, and its example runs."""
+"""docs/layouts.md names every layout; what docs/own_lot.md shows works."""
 
 import re
 from pathlib import Path
 
 from carpark_mj.config import LAYOUTS
+from carpark_mj.layouts.json_file import _SCHEMA, read_json
 
-PAGE = (Path(__file__).parents[2] / "docs" / "layouts.md").read_text()
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "layouts.md").read_text()
+GUIDE = (DOCS / "own_lot.md").read_text()
+
+
+def blocks(language):
+    """The blocks of code of the guide in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", GUIDE, re.M | re.S)
 
 
 def test_the_table_of_layouts_is_that_of_the_code():
@@ -22,10 +30,27 @@ def test_the_table_of_layouts_is_that_of_the_code():
     }
 
 
-def test_the_example_of_the_page_runs():
-    [snippet] = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
+def test_the_layout_file_is_valid(tmp_path):
+    path = tmp_path / "my_lot.json"
+    [text] = blocks("json")
+    path.write_text(text)
+    assert read_json(path).num_bays == 3
+
+
+def test_the_schema_of_the_guide_is_that_of_the_reader():
+    table = GUIDE.split("<!-- schema -->\n")[1].split("<!-- end of schema -->")[0]
+    rows = [row.split("|")[1:3] for row in table.splitlines()[2:]]
+    assert {
+        name.strip(" `"): re.findall(r"`(\w+)`", fields) for name, fields in rows
+    } == {name: list(fields) for name, fields in _SCHEMA.items()}
+
+
+def test_the_examples_of_the_guide_run():
+    families, car = blocks("python")
     names = {}
-    exec(snippet, names)
+    exec(families, names)
     configs = [names[name] for name in ("back_in", "deck", "often_deck")]
     assert names["env"].layout_config == configs[2]
     assert configs[2].members[:2] == (configs[0], configs[1])
+    exec(car, names)
+    assert names["env"].vehicle.mass == 1500.0

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from carpark_mj.layouts import build, layout_config, make_layout
 from carpark_mj.layouts.lanes import lane_distance
-from carpark_mj.layouts.routes import make_routes, way_to
+from carpark_mj.layouts.routes import make_routes, route_to
 
 STEP = 0.25  # m
 COMPASS = np.stack(
@@ -25,7 +25,7 @@ def lot(request):
     return layout, jax.jit(make_routes)(layout)
 
 
-way = jax.jit(way_to)
+way = jax.jit(route_to)
 
 
 def _points_in_lanes(layout, count):
@@ -49,7 +49,7 @@ def test_downhill_from_anywhere_in_the_lanes_leads_into_the_bay(lot):
     def descend(xy):
         def step(xy, _):
             tried = xy[:, None] + STEP * jnp.float32(COMPASS)
-            ways = jax.vmap(lambda xy: way_to(routes, layout, xy, bay), 1, 1)(tried)
+            ways = jax.vmap(lambda xy: route_to(routes, layout, xy, bay), 1, 1)(tried)
             best = jnp.argmin(ways.length, axis=1)
             moved = jnp.take_along_axis(tried, best[:, None, None], axis=1)[:, 0]
             return moved, ways.length.min(axis=1)

@@ -37,10 +37,10 @@ from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.reverse import parked_right, reverse_shapes, ways_out
+from carpark_mj.mdp.spawning.reverse import parked_right, paths_out, reverse_shapes
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.planning.search import _ways
+from carpark_mj.planning.search import _poses_in_bay
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.wrappers.goal import _desired
 
@@ -161,8 +161,8 @@ def test_the_goal_of_park_goal_is_the_end_that_may_go_in(layout):
 
 def test_the_planner_has_one_way_round_where_there_is_one():
     goal = np.array([1.0, 2.0, 0.5])
-    assert _ways(goal).shape == (2, 3)
-    np.testing.assert_array_equal(_ways(goal[None]), goal[None])
+    assert _poses_in_bay(goal).shape == (2, 3)
+    np.testing.assert_array_equal(_poses_in_bay(goal[None]), goal[None])
 
 
 def test_reverse_starts_drive_out_of_where_the_car_must_park():
@@ -171,8 +171,8 @@ def test_reverse_starts_drive_out_of_where_the_car_must_park():
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     for end, facing in ((BayEnd.NOSE_FIRST, {-1.0}), (BayEnd.TAIL_FIRST, {1.0})):
         right = parked_right(draws, jnp.int32(end))
-        ways = ways_out(car, jnp.int32(0), jnp.zeros(3), right)
-        assert set(np.round(np.cos(ways[:, 0, 2]), 5)) == facing
+        paths = paths_out(car, jnp.int32(0), jnp.zeros(3), right)
+        assert set(np.round(np.cos(paths[:, 0, 2]), 5)) == facing
     np.testing.assert_array_equal(
         parked_right(draws, jnp.int32(BayEnd.EITHER)).nose_out, draws.nose_out
     )

@@ -1,4 +1,4 @@
-"""Rays: exact free ways along bearings, with shapely as the judge."""
+"""Rays: exact free distances along bearings, with shapely as the judge."""
 
 import functools
 import math

@@ -28,7 +28,7 @@ def test_a_path_is_cut_where_the_gear_changes():
     there = line(3.0)
     back = there[-1] + line(1.0, way=-1)[1:]
     path = make_path(np.concatenate([there, back]), CAR)
-    assert [segment.way for segment in path.segments] == [1, -1]
+    assert [segment.gear for segment in path.segments] == [1, -1]
     assert [segment.length for segment in path.segments] == pytest.approx([3.0, 1.0])
     assert path.length == pytest.approx(4.0)
     assert path.shifts == 1
@@ -52,7 +52,7 @@ def test_a_tiny_move_to_and_fro_is_left_out():
     there = line(2.0)
     jolt = there[-1] + line(0.02, way=-1)[1:]
     path = make_path(np.concatenate([there, jolt, jolt[-1] + line(2.0)[1:]]), CAR)
-    assert [segment.way for segment in path.segments] == [1]
+    assert [segment.gear for segment in path.segments] == [1]
     assert path.length == pytest.approx(4.0, abs=0.05)
 
 
@@ -62,7 +62,7 @@ def test_on_an_arc_the_wheels_follow_from_radius_and_wheelbase(way, side):
     pose = arc(1.0, side)
     path = make_path(pose if way == 1 else pose[::-1], CAR)
     [segment] = path.segments
-    assert segment.way == way
+    assert segment.gear == way
     expected = side * math.atan(CAR.wheelbase / RADIUS)
     np.testing.assert_allclose(segment.steering, expected, atol=1e-3)
 

@@ -55,7 +55,7 @@ def test_a_part_of_a_batch_is_searched_as_in_the_batch():
     policy, whole = planner_policy(env, 1, config)
     jax.block_until_ready(jax.jit(policy.act)(state))
     policy, part = planner_policy(env, config=config)
-    part.restart(1, first_lot=1)
+    part.reset(1, first_lot=1)
     second = jax.tree.map(lambda x: x[1:], state)
     jax.block_until_ready(jax.jit(policy.act)(second))
     [expected], [found] = whole.searches(1, 0), part.searches(0, 0)
@@ -89,7 +89,7 @@ def test_no_two_agents_lots_or_plans_are_searched_with_the_same_numbers(monkeypa
     config, seeds, plans = SearchConfig(clearances=(0.02,)), 2, 2
     planner = Planner(0.2, config=config)
     for seed in range(seeds):
-        planner.restart(seed)
+        planner.reset(seed)
         for _ in range(plans * PATIENCE):
             planner.act(seen)
     assert len(drawn) == seeds * lots * agents * plans * config.paths
@@ -103,7 +103,7 @@ def test_an_agent_stops_for_another_one_and_plans_around_it():
     # Somebody stands on the first metres of the path, past the car's outline.
     segment = found.path.segments[0]
     there = CAR.centre(segment.pose[np.searchsorted(segment.distance, 2.0)])
-    reach = segment.way * (CAR.length / 2 + 0.5)
+    reach = segment.gear * (CAR.length / 2 + 0.5)
     there = there + reach * np.array([np.cos(there[2]), np.sin(there[2]), 0.0])
     others = there[None], np.array([[0.5, 0.5]])
     for _ in range(PATIENCE - 2):

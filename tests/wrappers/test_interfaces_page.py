@@ -10,7 +10,7 @@ from carpark_mj.wrappers.options import OPTIONS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "interfaces.md").read_text()
 SNIPPETS = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
-OPTIONAL = ("torch", "stable_baselines3")
+OPTIONAL = ("torch",)
 
 
 @pytest.mark.parametrize("snippet", SNIPPETS)

@@ -1,4 +1,4 @@
-"""What is measured of an episode; `docs/metrics.md` defines every metric."""
+"""Metrics of episodes; `docs/metrics.md` defines every metric."""
 
 from carpark_mj.mdp.metrics.episode import episode_metrics, init_stats, update_stats
 

@@ -55,6 +55,6 @@ def _bound(motion: Motion, gap: jax.Array, relative: jax.Array) -> jax.Array:
         gap: (num_agents, n) from their centres to the others' outlines [m].
         relative: (num_agents, n or 1, 2) velocities towards them [m/s].
     """
-    way = gap - norm(motion.size)[:, None] / 2 - MARGIN
-    time = way / norm(relative)  # inf if they keep their distance
-    return jnp.where(way > 0.0, time, 0.0)
+    free = gap - norm(motion.size)[:, None] / 2 - MARGIN
+    time = free / norm(relative)  # inf if they keep their distance
+    return jnp.where(free > 0.0, time, 0.0)

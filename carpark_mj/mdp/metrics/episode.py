@@ -103,7 +103,7 @@ def episode_metrics(
 
 
 def _path(before: Motion, after: Motion) -> jax.Array:
-    """Length (num_agents,) [m] of the way driven in a step, along the trace."""
+    """Length (num_agents,) [m] driven in a step, along the trace."""
     points = jnp.concatenate(
         [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
     )

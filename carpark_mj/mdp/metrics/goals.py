@@ -25,14 +25,16 @@ def count_goals(events: GoalEvents, transition: Transition) -> dict[str, jax.Arr
     `met_<context>` is 1 in the context, `gave_way_<context>` if the agent also chose
     another goal or to explore; losing a goal does not count as giving way.
     """
-    let_go = events.change_goal | events.stop_goal
+    gave_up = events.change_goal | events.stop_goal
     counts = {
         "explored_steps": events.exploring,
         "towards_bay_steps": events.exploring & is_nearer_to_any(transition),
         **{name: getattr(events, name) for name in CHANGES},
     }
     met = {f"met_{name}": events.contexts[name] for name in CONTEXTS}
-    gave_way = {f"gave_way_{name}": events.contexts[name] & let_go for name in CONTEXTS}
+    gave_way = {
+        f"gave_way_{name}": events.contexts[name] & gave_up for name in CONTEXTS
+    }
     return counts | met | gave_way
 
 

@@ -38,12 +38,12 @@ class CourseDraws(NamedTuple):
 
     Attributes:
         target: (num_agents,) which agent.
-        way: (DRAWS,) where the two would meet.
+        meeting: (DRAWS,) where the two would meet.
         heading: (DRAWS,) see `draw_heading`.
     """
 
     target: Any
-    way: Any
+    meeting: Any
     heading: Any
 
 
@@ -75,23 +75,25 @@ def course_pose(
         layout: the lot.
         around: what to keep away from.
         goal_xy: (2,) centre of the agent's goal [m].
-        targets: whom to collide with.
+        targets: agents to collide with.
         draws: random numbers.
 
     Returns:
         (3,) pose of the footprint's centre, and () bool whether the attempt succeeded;
         otherwise the pose is invalid.
     """
-    ways = norm(targets.xy - targets.goal_xy)
-    able = targets.mask & (ways >= config.conflict_distance)
+    distances = norm(targets.xy - targets.goal_xy)
+    able = targets.mask & (distances >= config.conflict_distance)
     target = pick(able, draws.target)
-    way, end = ways[target], targets.goal_xy[target]
-    longest = way - config.min_distance
+    distance, end = distances[target], targets.goal_xy[target]
+    longest = distance - config.min_distance
     found = able.any() & (longest >= config.conflict_distance)
 
-    rest = config.conflict_distance + draws.way * (longest - config.conflict_distance)
+    rest = config.conflict_distance + draws.meeting * (
+        longest - config.conflict_distance
+    )
     meeting = end + rest[:, None] * _unit(targets.xy[target] - end)
-    start = meeting - (way - rest)[:, None] * _unit(goal_xy - meeting)
+    start = meeting - (distance - rest)[:, None] * _unit(goal_xy - meeting)
 
     start, region, inside = _into_region(config, layout, start)
     yaw = draw_heading(layout, region, draws.heading)

@@ -1,7 +1,7 @@
-"""Agents that begin an episode are placed one after the other, so that they stay apart.
+"""Places agents that begin an episode, one after the other, so that they stay apart.
 
-The loop is the same for fixed and dynamic goals; see `carpark_mj.mdp.goals`. A start on
-top of another car, or of a wall, is not made: where there is no room an agent waits.
+The loop is the same for fixed and dynamic goals; see `carpark_mj.mdp.goals`. A start
+that overlaps an obstacle is rejected: an agent without a free start waits.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ class SpawnInputs:
             None if spawn regions have room for them all.
         old_size: (num_agents, 2) footprints of the cars they drove before [m]; None as
             for `size`.
-        fits: who fits into which bay.
+        fits: which cars fit into which bays.
         cars: (num_agents,) parameters of the cars drawn for agents that begin; None =
             only the centres of cars are known.
         movers: where they are.
@@ -61,12 +61,12 @@ class Placing:
             else `NO_BAY`.
         conflict: (num_agents,) bool, an exploring agent is to take another agent's goal
             if it can.
-        found: (num_agents,) bool, the agent drives the car drawn for it; without a bay
-            that this fits into it keeps its goal and its car.
-        waited: (num_agents,) int32, see `State.waited`; who has waited longest is
-            placed first.
-        tries: (num_agents,) int32 starts drawn that were not free; after the first
-            they are at random.
+        found: (num_agents,) bool, the agent gets the car drawn for it; if that fits
+            into no bay the agent keeps its goal and its car.
+        waited: (num_agents,) int32, see `State.waited`; the agent that has waited
+            longest is placed first.
+        tries: (num_agents,) int32 starts that were rejected; after the first rejection
+            starts are random.
     """
 
     goal: jax.Array
@@ -97,7 +97,7 @@ class Placing:
 
 @struct.dataclass
 class Surroundings:
-    """What a start pose of one agent keeps away from.
+    """The obstacles of one agent's start pose.
 
     Attributes:
         pose_w: (num_agents, 3) the agents.
@@ -107,8 +107,8 @@ class Surroundings:
         agent: () int32 which agent it is.
         size: (2,) footprint of the agent's car [m]; None if it fits wherever it can
             spawn.
-        obstacles: all but the agents, which must not be touched.
-        movers: those of them to keep away from as from agents.
+        obstacles: all obstacles but the agents; starts do not overlap them.
+        movers: those of them that `min_distance` applies to, as to agents.
     """
 
     pose_w: jax.Array
@@ -145,7 +145,7 @@ class Surroundings:
         return least
 
     def free(self, pose: jax.Array) -> jax.Array:
-        """(n,) bool, whether the car at poses (n, 3) would overlap nothing at all."""
+        """(n,) bool, whether the car at poses (n, 3) would overlap no obstacle."""
         if self.outlines is None:
             return (self.distance(pose[:, :2]) > 0.0) & ~self.touches(pose)
         own = self.outlines[self.agent]
@@ -153,13 +153,13 @@ class Surroundings:
         return ~(meets & self.others).any(axis=-1) & ~self.touches(pose)
 
     def touches(self, pose: jax.Array) -> jax.Array:
-        """(n,) bool, whether the car at poses (n, 3) would touch what does not move."""
+        """(n,) bool, whether the car at poses (n, 3) would overlap any but agents."""
         if self.size is None:
             return jnp.zeros(pose.shape[:1], bool)
         return self.blocks(pose, self.size)
 
     def blocks(self, pose: jax.Array, size: jax.Array) -> jax.Array:
-        """(n,) bool, whether a box (2,) [m] at poses (n, 3) overlaps any of that."""
+        """(n,) bool, whether a box (2,) [m] at poses (n, 3) overlaps `obstacles`."""
         hits = [
             (group.overlap(pose[:, None], size) & group.counts(1)).any(axis=1)
             for group in self.obstacles
@@ -170,7 +170,7 @@ class Surroundings:
 def surroundings(
     inputs: SpawnInputs, placing: Placing, agent: jax.Array
 ) -> Surroundings:
-    """What the start pose of an agent () keeps away from: all the others.
+    """The obstacles of an agent's () start pose, all other agents included.
 
     Args:
         inputs: the lot.
@@ -180,7 +180,7 @@ def surroundings(
     size, outlines, parked = None, None, inputs.parked_cars
     if inputs.cars is not None:
         outlines = inputs.cars.size
-        if inputs.old_size is not None:  # whichever they drive
+        if inputs.old_size is not None:  # the larger of the old and the new car
             outlines = jnp.maximum(outlines, inputs.old_size)
     if inputs.size is not None and inputs.old_size is not None:
         found = placing.found[agent]
@@ -224,19 +224,19 @@ Place = Callable[[SpawnInputs, Placing, jax.Array, jax.Array], Placing]
 
 
 class Patience(NamedTuple):
-    """How often a start is drawn until it is free.
+    """How many starts are drawn until one is free.
 
     Attributes:
-        tries: at most.
-        gives_up: whether an agent whose tries are used up is still waiting then;
-            otherwise its last start counts, which then is the lot's fault.
+        tries: the maximum.
+        gives_up: whether an agent goes on waiting after the last try; otherwise it
+            takes the last start, free or not.
     """
 
     tries: int
     gives_up: bool
 
 
-# In a lot with room for all (`mdp.spawning.room`) a try of one pose in four is free.
+# In a lot with room for all (`mdp.spawning.room`) a quarter of all starts is free.
 SURE = Patience(1000, False)
 
 
@@ -249,17 +249,17 @@ def place_waiting(
 ) -> Placing:
     """Places the waiting agents; the others continue their episodes.
 
-    A start that is not free is not made, and what was drawn with it is forgotten.
+    A start that is not free is rejected, with the goal and the car drawn for it.
 
     Args:
         place: `Goals.place`, or `Goals.place_first` for a lot that begins.
         inputs: the lot.
         placing: before.
         key: consumed.
-        patience: with starts that are not free.
+        patience: how many starts are drawn.
 
     Returns:
-        The agents, of whom only those are waiting that have found no room.
+        The agents; those without a free start are still waiting.
     """
     num_agents = placing.goal.shape[0]
     keys = jax.random.split(key, 2 * num_agents)
@@ -281,5 +281,5 @@ def place_waiting(
         placing = jax.tree.map(lambda x, y: jnp.where(made, x, y), placed, placing)
         return placing.set(agent, tries=tries + 1)
 
-    # A loop over waiting agents only: in most steps no episode ends.
+    # The loop visits waiting agents only: in most steps no episode ends.
     return jax.lax.while_loop(lambda placing: due(placing).any(), one, placing)

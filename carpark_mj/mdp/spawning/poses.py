@@ -1,6 +1,6 @@
 """Where an agent starts: at random in the spawn regions, or close to its goal.
 
-Other ways to start are in `collision_course` and `reverse`.
+Other starts are in `collision_course` and `reverse`.
 """
 
 from typing import Any, NamedTuple
@@ -39,7 +39,7 @@ class SpawnKind(NamedTuple):
     Attributes:
         close: close to a goal.
         conflict: with another agent, on course for a collision or about a bay.
-        reverse: on a way out of the goal's bay.
+        reverse: on a path out of the goal's bay.
     """
 
     close: jax.Array
@@ -281,9 +281,9 @@ def _walk(
         index, number = draw
         ends = point[:, None] + steps
         within = jnp.all(jnp.abs(ends) <= edge, axis=-1)
-        way = jax.vmap(pick_weighted)(within.astype(number.dtype), number)
+        direction = jax.vmap(pick_weighted)(within.astype(number.dtype), number)
         moves = (index < length) & within.any(axis=-1)
-        end = jnp.take_along_axis(ends, way[:, None, None], axis=1)[:, 0]
+        end = jnp.take_along_axis(ends, direction[:, None, None], axis=1)[:, 0]
         return jnp.where(moves[:, None], end, point), None
 
     first = jnp.broadcast_to(

@@ -1,7 +1,7 @@
-"""Reverse starts: where a car has got to that drove out of the agent's goal bay.
+"""Reverse starts: on a path that leads out of the agent's goal bay.
 
-The way is a few arcs of a kinematic bicycle from the bay, clear of everything that does
-not move. Driven back it ends in the bay, so every such episode can be solved.
+The path is a few arcs of a kinematic bicycle that touch nothing that stands still.
+Driven back it ends in the bay, so every such episode can be solved.
 """
 
 from typing import Any, NamedTuple
@@ -16,12 +16,12 @@ from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, Surroundings
 from carpark_mj.types import CarParameters
 
-CANDIDATES = 8  # ways per start, of which the longest counts
+CANDIDATES = 8  # paths per start, of which the longest counts
 ARCS = 3
-LONGEST = 10.0  # m of way
-SPACING = 0.25  # m between the points of a way, each tested
+LONGEST = 10.0  # m of path
+SPACING = 0.25  # m between the points of a path, each tested
 POINTS = round(LONGEST / SPACING) + 1
-MARGIN = 0.05  # m kept to walls, discs and parked cars along the way
+MARGIN = 0.05  # m kept to walls, discs and parked cars along the path
 # From the middle of the bay to the start [m]: farther than the rules `tanner` (0.8 m)
 # and `precise` (0.2 m) allow; what `strict` allows, a box within the lines, is tested.
 NEAREST = 1.0
@@ -31,14 +31,14 @@ ROOM = 2.0
 
 
 class ReverseDraws(NamedTuple):
-    """Uniform numbers in [0, 1) for one start, with n ways.
+    """Uniform numbers in [0, 1) for one start, with n paths.
 
     Attributes:
         nose_out: (n,) which way round the car stands in the bay.
-        share: (n, ARCS) shares of the arcs in a way.
+        share: (n, ARCS) shares of the arcs in a path.
         curvature: (n, ARCS) of the arcs, up to the car's sharpest to either side.
         direction: (n, ARCS) whether it is driven forwards.
-        point: (POINTS,) which point of the way.
+        point: (POINTS,) which point of the path.
     """
 
     nose_out: Any
@@ -61,9 +61,9 @@ def reverse_pose(
     agent: jax.Array,
     draws: ReverseDraws,
 ) -> tuple[jax.Array, jax.Array]:
-    """Draws a start on a way out of the goal's bay for one agent.
+    """Draws a start on a path out of the goal's bay for one agent.
 
-    Every way ends before it touches anything, and the longest is taken. The start is
+    Every path ends before it touches anything, and the longest is taken. The start is
     uniform among those of its points that no rule calls parked and that leave `ROOM` to
     the other agents.
 
@@ -84,32 +84,32 @@ def reverse_pose(
     size = inputs.cars.size[agent]
     if layout.bay_end is not None:
         draws = parked_right(draws, layout.bay_end[goal])
-    ways = ways_out(inputs.cars, agent, bay_pose, draws)
+    paths = paths_out(inputs.cars, agent, bay_pose, draws)
 
-    blocked = around.blocks(ways.reshape(-1, 3), size + 2 * MARGIN)
-    outside = jnp.abs(ways[..., :2]) > layout.extent  # not every lot has walls around
-    stop = blocked.reshape(ways.shape[:2]) | outside[..., 0] | outside[..., 1]
+    blocked = around.blocks(paths.reshape(-1, 3), size + 2 * MARGIN)
+    outside = jnp.abs(paths[..., :2]) > layout.extent  # not every lot has walls around
+    stop = blocked.reshape(paths.shape[:2]) | outside[..., 0] | outside[..., 1]
     count = jnp.where(stop.any(axis=1), jnp.argmax(stop, axis=1), POINTS)
     longest = jnp.argmax(count)
-    way = ways[longest]
+    path = paths[longest]
 
     clear = jnp.arange(POINTS) < count[longest]
-    out = norm(way[:, :2] - bay_pose[:2]) >= NEAREST
-    out = out & ~box_inside(way, size, bay_pose, bay_size)
-    alone = around.room(way) > ROOM
+    out = norm(path[:, :2] - bay_pose[:2]) >= NEAREST
+    out = out & ~box_inside(path, size, bay_pose, bay_size)
+    alone = around.room(path) > ROOM
     # Without a bay for the new car the old one is kept, whose size may be another.
     good = clear & out & alone & placing.found[agent]
-    return way[pick(good, draws.point)], good.any()
+    return path[pick(good, draws.point)], good.any()
 
 
 def parked_right(draws: ReverseDraws, end: jax.Array) -> ReverseDraws:
-    """Draws of ways out of a bay, all from a car whose `BayEnd` () is the right one."""
+    """Draws of paths on which the car has the right `BayEnd` () in the bay."""
     nose_out = jnp.where(end == BayEnd.NOSE_FIRST, 0.0, draws.nose_out)
     nose_out = jnp.where(end == BayEnd.TAIL_FIRST, 1.0, nose_out)
     return draws._replace(nose_out=nose_out)
 
 
-def ways_out(
+def paths_out(
     cars: CarParameters, agent: jax.Array, bay_pose: jax.Array, draws: ReverseDraws
 ) -> jax.Array:
     """Ways out of a bay, as points `SPACING` apart.
@@ -121,7 +121,7 @@ def ways_out(
         cars: parameters (num_agents,).
         agent: () int32 index of the car that drives.
         bay_pose: (3,) where it stands at first, one way round or the other.
-        draws: random numbers of n ways.
+        draws: random numbers of n paths.
 
     Returns:
         (n, POINTS, 3) poses of the footprint's centre.

@@ -1,4 +1,4 @@
-"""Whether a lot has room for all starts, wherever the other agents stand."""
+"""Whether every agent finds a free start, wherever the others are."""
 
 import math
 
@@ -13,10 +13,10 @@ FREE = 0.25  # least share of a region's points that are free at any heading
 def has_room(
     layout: Layout, size: tuple[float, float], num_agents: int, spacing: float
 ) -> bool:
-    """Whether a car of the last agent always finds a start in the largest spawn region.
+    """Whether the last agent always finds a free start in the largest spawn region.
 
-    Another car takes the points of a region away at which boxes would overlap: their
-    Minkowski sum. That of two l x w boxes turned by t against each other has the area
+    Another car occupies the centres at which boxes would overlap it: their Minkowski
+    sum. That of two l x w boxes turned by t against each other has the area
     2 l w + (l^2 + w^2) sin t + 2 l w cos t, and the perimeter 4 (l + w).
 
     Args:

@@ -131,7 +131,7 @@ class CaseEvaluator:
         """One episode in each case, side by side.
 
         Args:
-            policy: acting function; a planner must have been restarted.
+            policy: acting function; a planner must have been reset.
             cases: where to park, with a moving car if the environment has one.
             seed: of what is random in a policy.
 

@@ -204,7 +204,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
         for seed in config.seeds:
             for part in cases:
                 if planner is not None:
-                    planner.restart(seed, first)
+                    planner.reset(seed, first)
                 rows, driven = evaluator.drive(policy, part, seed)
                 if planner is not None:
                     plans = _plans(planner, len(rows))

@@ -13,7 +13,7 @@ from carpark_mj.registry import environment
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 
-# What all policies that drive real cars share; docs/results.md says what was tried.
+# What all policies that drive real cars share; docs/ablations.md says what was tried.
 _CURRICULUM = CurriculumConfig(crash_scale=3.0, conflict_ratio=0.3, discount_end=0.998)
 # Meant to end within a quarter of an hour, evaluation and video included. On two cores
 # learning takes the time: small networks, and two epochs for more steps.

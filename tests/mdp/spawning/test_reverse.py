@@ -43,8 +43,8 @@ from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 
 REVERSE = SpawnConfig(close_ratio=0.0, reverse_ratio=1.0)
 FAMILIES = (
-    "tanner",
-    "compact",
+    "square",
+    "square_compact",
     "street",
     "street_parallel",
     "angled",

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.studies.cederle.junction.config import RewardRules
-from carpark_mj.studies.cederle.junction.rewards import pay_way, reward
+from carpark_mj.studies.cederle.junction.rewards import pay_progress, reward
 from carpark_mj.studies.cederle.junction.types import Events
 
 NAMES = tuple(Events.__dataclass_fields__)
@@ -18,7 +18,7 @@ def events(*of_agents):
 
 
 def test_way_is_paid_in_pieces_of_more_than_half_a_metre():
-    paid, unpaid = pay_way(jnp.array([0.3, 0.5, 0.6, 1.5]))
+    paid, unpaid = pay_progress(jnp.array([0.3, 0.5, 0.6, 1.5]))
     np.testing.assert_allclose(paid, [0, 0, 0.6, 1.5])
     np.testing.assert_allclose(unpaid, [0.3, 0.5, 0, 0])
 

@@ -166,8 +166,8 @@ class JunctionEnv:
         state = self._move(before, actions.parse(self.action_spec, action))
         events = terminations.detect_events(state, config.max_steps)
         unpaid = before.unpaid + (state.along - before.along)[:n]
-        way, unpaid = rewards.pay_way(jnp.where(before.active, unpaid, 0.0))
-        reward = rewards.reward(config.rewards, way, events)
+        progress, unpaid = rewards.pay_progress(jnp.where(before.active, unpaid, 0.0))
+        reward = rewards.reward(config.rewards, progress, events)
         done = events.terminal | events.timed_out | events.diverged
         if config.end == "any":
             done = jnp.broadcast_to(done.any(), done.shape)

@@ -40,7 +40,7 @@ def steer(routes: Routes, motion: Motion, vehicle: Vehicle) -> jax.Array:
     return jnp.clip(angle / vehicle.max_steering, -1.0, 1.0)
 
 
-def press(
+def control_speed(
     speed: jax.Array,
     target_speed: jax.Array,
     integral: jax.Array,

@@ -1,6 +1,6 @@
-"""Rewards: the way made along the route, and events.
+"""Rewards: progress along the route, and events.
 
-A metre of the way earns 1, paid when more than 0.5 m have come together since the last
+A metre of progress earns 1, paid once more than 0.5 m have added up since the last
 payment. Leaving the road or the route, driving on the shoulder or the wrong way, or a
 crash costs 10 (once in a step), the goal earns 10.
 """
@@ -11,26 +11,26 @@ import jax.numpy as jnp
 from carpark_mj.studies.cederle.junction.config import RewardRules
 from carpark_mj.studies.cederle.junction.types import Events
 
-LEAST_WAY = 0.5  # m
+LEAST_PROGRESS = 0.5  # m
 EVENT = 10.0
 
 
-def pay_way(unpaid: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """What the ways (num_agents,) [m] since the last payments earn.
+def pay_progress(unpaid: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """What progress (num_agents,) [m] since the last payments earns.
 
     Returns:
-        Rewards, and the ways that stay unpaid.
+        Rewards, and the progress that stays unpaid.
     """
-    due = unpaid > LEAST_WAY
+    due = unpaid > LEAST_PROGRESS
     return jnp.where(due, unpaid, 0.0), jnp.where(due, 0.0, unpaid)
 
 
-def reward(rules: RewardRules, way: jax.Array, events: Events) -> jax.Array:
+def reward(rules: RewardRules, progress: jax.Array, events: Events) -> jax.Array:
     """Rewards (num_agents,) of a step.
 
     Args:
         rules: which reading of the study.
-        way: (num_agents,) rewards for the way.
+        progress: (num_agents,) rewards for progress.
         events: of the step.
     """
     failed = events.off_road | events.on_shoulder | events.wrong_way
@@ -38,9 +38,9 @@ def reward(rules: RewardRules, way: jax.Array, events: Events) -> jax.Array:
     cost = jnp.where(failed, -EVENT, 0.0)
     gain = jnp.where(events.arrived, EVENT, 0.0)
     if rules.events == "added":
-        earned = way + cost + gain
+        earned = progress + cost + gain
     else:  # the goal comes last of the events
-        earned = jnp.where(failed, cost, jnp.where(events.arrived, gain, way))
+        earned = jnp.where(failed, cost, jnp.where(events.arrived, gain, progress))
     if rules.joint:
         earned = jnp.broadcast_to(earned.sum(), earned.shape)
     return earned

@@ -109,7 +109,7 @@ class SteeredCars:
         dt, speed = self._physics.sim.ctrl_dt, motion.speed
         along = project(routes, motion.xy)[0]
         cap = speed_cap(routes, along + speed * dt, CURVE_BRAKING)
-        pedal, integral = follow.press(
+        pedal, integral = follow.control_speed(
             speed, jnp.minimum(target_speed, cap), state.integral, vehicle, dt
         )
         controls = jnp.stack([follow.steer(routes, motion, vehicle), pedal], axis=-1)

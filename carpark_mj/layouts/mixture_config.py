@@ -55,6 +55,13 @@ class MixtureConfig(LayoutConfig):
         return sum((member.parts for member in self.members), ())
 
     @property
+    def shares(self) -> tuple[tuple[LayoutConfig, float], ...]:
+        """The members, each with its share of the lots."""
+        weights = self.weights or (1.0,) * len(self.members)
+        shares = [weight / sum(weights) for weight in weights]
+        return tuple(zip(self.members, shares, strict=True))
+
+    @property
     def is_enclosed(self) -> bool:
         """Whether walls keep cars within all of its lots."""
         return all(member.is_enclosed for member in self.members)

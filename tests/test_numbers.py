@@ -1,0 +1,114 @@
+"""Numbers of README, results and the study's page are those of the recorded files."""
+
+import csv
+import re
+from pathlib import Path
+from statistics import fmean
+
+import pytest
+
+from carpark_mj.policy import checkpoints
+from carpark_mj.policy.pretrained import FOLDER, find_policy, pretrained_names
+
+ROOT = Path(__file__).parents[1]
+README, RESULTS, STUDY = (
+    (ROOT / name).read_text()
+    for name in ("README.md", "docs/results.md", "docs/study.md")
+)
+RATE = r"[\d.]+ % \([\d.]+ … [\d.]+\)"
+# Figures of Tanner 2022 with three or more runs a setting: the columns of a setting.
+FIGURES = {
+    "5.5": ("agents", ["env.num_agents"]),
+    "5.6": ("parked cars, one agent", ["env.num_parked_cars"]),
+    "5.7": ("parked cars", ["env.num_parked_cars"]),
+    "5.8": ("tracked cars", ["env.observation.tracked_cars"]),
+    "5.14": ("agents that choose goals", ["env.num_agents"]),
+}
+
+
+def section(page, name):
+    """What stands between two markers."""
+    return page.split(f"<!-- {name} -->\n")[1].split(f"\n<!-- end of {name} -->")[0]
+
+
+def means(figure, columns, source, metric):
+    """Mean of a metric in per cent by setting, as the page writes them."""
+    with (ROOT / f"docs/study/figure-{figure}.csv").open(newline="") as file:
+        runs = [run for run in csv.DictReader(file) if run["source"] == source]
+    settings = sorted({tuple(int(run[c]) for c in columns) for run in runs})
+    groups = [
+        [run for run in runs if tuple(int(run[c]) for c in columns) == setting]
+        for setting in settings
+    ]
+    return settings, [
+        f"{100 * fmean(float(run[metric]) for run in group):.1f}" for group in groups
+    ]
+
+
+def study_table():
+    """The table of the study's page, from the recorded runs."""
+    lines = [
+        "| figure | varied | | published [%] | ours [%] |",
+        "|---|---|---|---|---|",
+    ]
+    for figure, (name, columns) in FIGURES.items():
+        for metric in ("parked", "crashed"):
+            settings, theirs = means(figure, columns, "Tanner 2022", metric)
+            same, ours = means(figure, columns, "ours", metric)
+            assert settings == same
+            values = ", ".join(str(value) for (value,) in settings)
+            lines.append(
+                f"| {figure} | {name}: {values} | {metric} | {', '.join(theirs)} "
+                f"| {', '.join(ours)} |"
+            )
+    return "\n".join(lines)
+
+
+def test_the_study_s_table_is_that_of_its_recorded_runs():
+    expected = study_table()
+    assert section(STUDY, "figures") == expected, f"paste this:\n{expected}"
+
+
+def card_rates(name):
+    """Rates with intervals on the card of a pretrained policy, by command."""
+    rows = re.findall(
+        r"^\| (`.*) \| [\d,]+ \| (.*) \|$", (FOLDER / f"{name}.md").read_text(), re.M
+    )
+    assert rows
+    return {command: re.findall(RATE, rates) for command, rates in rows}
+
+
+@pytest.mark.parametrize("name", ["dynamic", "anywhere"])
+def test_results_have_the_rates_of_the_cards(name):
+    """Parked and crashed of every row of the card that the page has."""
+    rows = [line for line in RESULTS.splitlines() if line.startswith(f"| `{name}`")]
+    known = [rates[:2] for rates in card_rates(name).values()]
+    assert rows
+    for row in rows:
+        assert re.findall(RATE, row)[:2] in known, row
+
+
+@pytest.mark.parametrize("name", pretrained_names())
+def test_results_say_how_many_steps_a_shipped_policy_was_trained(name):
+    steps = checkpoints.read_header(find_policy(name))["env_steps"]
+    said = f"{steps / 1e6:,.0f} M"
+    assert said in RESULTS or f"{steps:,}" in RESULTS, said
+
+
+def rates(text):
+    """Numbers before a per-cent sign, and those of a range before it."""
+    return {
+        number
+        for found in re.findall(r"((?:[\d.]+ … )?[\d.]+) %", text)
+        for number in found.split(" … ")
+    }
+
+
+def test_rates_and_speeds_of_the_readme_are_those_of_the_results():
+    known = rates(RESULTS) | rates(re.sub(r"\([^)]*\)", "", RESULTS))
+    table = section(README, "policies table")
+    assert rates(table)
+    assert rates(table) <= known
+    speeds = re.findall(r"\d+(?:,\d{3})+", section(README, "speed table"))
+    assert speeds
+    assert [speed for speed in speeds if speed not in RESULTS] == []
