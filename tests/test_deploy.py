@@ -30,7 +30,7 @@ DRIVES = """
 import json, sys
 sys.path.insert(0, sys.argv[1])
 from drive import park
-print(json.dumps([park(sys.argv[2], scene) for scene in sys.argv[3:]]))
+print(json.dumps([park(scene, sys.argv[2]) for scene in sys.argv[3:]]))
 assert not {"jax", "carpark_mj"} & sys.modules.keys()
 """
 

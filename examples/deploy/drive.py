@@ -2,7 +2,7 @@
 
 carpark_mj export square --from-state --out car.onnx
 carpark_mj scene --num-agents 1 --out scene.xml
-python examples/deploy/drive.py car.onnx scene.xml
+python examples/deploy/drive.py scene.xml car.onnx
 """
 
 import json
@@ -16,7 +16,7 @@ MAX_SPEED = 3.0  # m/s, forwards; the guide at the top of the scene has it
 FULL, HOLD = 0.3, 0.2  # brake of a full pedal, and of a car that is to stand
 
 
-def park(model_file: str, scene_file: str, seconds: float = 60.0) -> dict[str, float]:
+def park(scene_file: str, model_file: str, seconds: float = 60.0) -> dict[str, float]:
     """Drives to the nearest free bay; returns how the car stands there."""
     session = onnxruntime.InferenceSession(model_file)
     about = json.loads(session.get_modelmeta().custom_metadata_map["carpark_mj"])
