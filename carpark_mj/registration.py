@@ -19,11 +19,11 @@ ENTRY_POINTS: dict[str, tuple[str, str]] = {
     ),
     "carpark_mj/ParkGoal-v0": (
         f"{_ROOM}.gymnasium_goal:ParkGoalEnv",
-        f"{_ROOM}.gymnasium_vector:ParkGoalVectorEnv",
+        f"{_ROOM}.gymnasium_goal:ParkGoalVectorEnv",
     ),
     "carpark_mj/Slots-v0": (
-        f"{_ROOM}.gymnasium_slots:SlotsEnv",
-        f"{_ROOM}.gymnasium_slots:SlotsVectorEnv",
+        "carpark_mj.studies.pandita.slots_env:SlotsEnv",
+        "carpark_mj.studies.pandita.slots_env:SlotsVectorEnv",
     ),
     "carpark_mj/ParkMany-v0": (
         "carpark_mj.registration:refuse_single",

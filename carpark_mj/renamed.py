@@ -61,6 +61,7 @@ RENAMED: dict[str, str] = {
     ),
     "carpark_mj.config.ViewConfig": "carpark_mj.studies.tanner.view.ViewConfig",
     "carpark_mj.config.grid": "carpark_mj.studies.tanner.grid_config",
+    "carpark_mj.config.register_rule": "carpark_mj.config.PARKED_RULES",
     "carpark_mj.config.reward_preset": "carpark_mj.config.REWARDS",
     "carpark_mj.evaluation.moving_car": "carpark_mj.studies.hope.moving_car",
     "carpark_mj.evaluation.rollout": "carpark_mj.evaluation.evaluator",
@@ -89,6 +90,9 @@ RENAMED: dict[str, str] = {
     "carpark_mj.rendering.junction_stage": "carpark_mj.studies.cederle.rendering.stage",
     "carpark_mj.rendering.junction_video": "carpark_mj.studies.cederle.rendering.video",
     "carpark_mj.rendering.rollout": "carpark_mj.rendering.recording",
+    "carpark_mj.wrappers.gymnasium_slots": "carpark_mj.studies.pandita.slots_env",
+    "carpark_mj.wrappers.joint": "carpark_mj.tasks.joint",
+    "carpark_mj.wrappers.slots": "carpark_mj.studies.pandita.task",
     "carpark_mj.wrappers.junction": "carpark_mj.studies.cederle.adapters.common",
     **{
         f"carpark_mj.wrappers.junction_{name}": (

@@ -18,6 +18,8 @@ from carpark_mj.layouts.types import Layout
 
 if TYPE_CHECKING:  # it loads MuJoCo, which the task does without
     from carpark_mj.vehicle.vehicle import Vehicle
+else:
+    Vehicle = Any
 
 # Index of no bay, whatever the layout: as a goal the agent is exploring, as the bay of
 # a parked car the car is absent, in a list of tracked bays the slot is empty. Reading
@@ -66,46 +68,11 @@ class Motion:
         return self.pose_w[..., :2]
 
 
-class CarParameters(Protocol):
-    """Parameters of cars (...) that the task reads; see `carpark_mj.vehicle.Vehicle`.
-
-    Attributes:
-        size: (..., 2) length and width of the footprint [m].
-        wheelbase: (...) [m].
-        centre_offset: (...) footprint's centre ahead of the rear axle [m].
-        max_speed: (...) forwards [m/s].
-        max_reverse_speed: (...) [m/s], positive.
-        max_steering: (...) road-wheel angle of the bicycle model [rad].
-        steering_rate: (...) [rad/s].
-    """
-
-    @property
-    def size(self) -> jax.Array: ...  # noqa: D102
-
-    @property
-    def wheelbase(self) -> jax.Array: ...  # noqa: D102
-
-    @property
-    def centre_offset(self) -> jax.Array: ...  # noqa: D102
-
-    @property
-    def max_speed(self) -> jax.Array: ...  # noqa: D102
-
-    @property
-    def max_reverse_speed(self) -> jax.Array: ...  # noqa: D102
-
-    @property
-    def max_steering(self) -> jax.Array: ...  # noqa: D102
-
-    @property
-    def steering_rate(self) -> jax.Array: ...  # noqa: D102
-
-
 class PhysicsState(Protocol):
     """State of a physics back end, a pytree of which the task reads the parameters."""
 
     @property
-    def vehicle(self) -> "Vehicle":
+    def vehicle(self) -> Vehicle:
         """Parameters of the agents' cars (..., num_agents)."""
         ...
 

@@ -30,7 +30,7 @@ from carpark_mj.config.checks import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
-from carpark_mj.wrappers.joint import joint_env
+from carpark_mj.tasks.joint import JointEnv
 from carpark_mj.wrappers.torch_batch import TorchBatch
 
 
@@ -208,7 +208,7 @@ def update(
 @torch.no_grad()
 def evaluate(agent: Agent, config: EnvConfig, seed: int) -> tuple[float, int]:
     """The rate of parking of the mean action, one episode of each agent of 512 lots."""
-    lots = TorchBatch(joint_env(config), 512, restart=False)
+    lots = TorchBatch(JointEnv(config), 512, restart=False)
     observation, parked = lots.reset(seed), 0
     for _ in range(config.episode.max_steps):
         step = lots.step(agent.mean(observation))

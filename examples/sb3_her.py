@@ -3,7 +3,7 @@
 pip install ".[sb3]" && python examples/sb3_her.py
 
 It writes a learning curve and prints the rates of whole episodes on other seeds;
-success is that of highway-env's parking, see `carpark_mj.wrappers.goal.PoseReward`.
+success is that of highway-env's parking, see `carpark_mj.tasks.goal_pose`.
 """
 
 import dataclasses

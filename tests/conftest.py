@@ -1,12 +1,15 @@
 """Shared by all tests: JAX on the CPU, its compilation cache, and the one car most
 of them drive."""
 
-import atexit
+import contextlib
 import gc
+import hashlib
+import importlib.metadata
 import os
+import platform
 import shutil
-import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 os.environ["JAX_PLATFORMS"] = "cpu"
 # Most of the time goes into compiling programs that run once. A third of it is enough:
@@ -19,11 +22,27 @@ quick = (
 os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}".strip()
 os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = "0"
 gc.set_threshold(200_000, 20, 50)  # tracing makes many objects, few of them garbage
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    # Of this session only, and of all its processes: the same programs come again.
-    cache = tempfile.mkdtemp(prefix="carpark_mj_tests_")
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = cache
-    atexit.register(shutil.rmtree, cache, ignore_errors=True)
+MAX_KEPT = 2e9  # bytes of compiled programs; a run leaves some 0.4e9
+
+
+def kept_programs() -> Path:
+    """Folder of compiled programs, for all runs with this JAX on such a processor."""
+    processor = platform.processor()
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        processor = next(line for line in lines if line.startswith("flags"))
+    code = importlib.metadata.version("jaxlib") + platform.machine() + processor
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    digest = hashlib.sha256(code.encode()).hexdigest()[:12]
+    return home / "carpark_mj" / "tests" / digest
+
+
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # the workers inherit it
+    kept = kept_programs()
+    if sum(file.stat().st_size for file in kept.glob("*")) > MAX_KEPT:
+        shutil.rmtree(kept, ignore_errors=True)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(kept)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
 from carpark_mj.rendering.gl import choose_gl
 

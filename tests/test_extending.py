@@ -24,8 +24,6 @@ from carpark_mj.config import (
     MetricsConfig,
     ParkedRule,
     RewardConfig,
-    register_rule,
-    terminations,
 )
 from carpark_mj.config.layouts import FAMILIES, LAYOUTS
 from carpark_mj.env import ParkingEnv
@@ -64,8 +62,7 @@ def run(name):
 def registries(monkeypatch):
     """What examples register is gone after each test."""
     restore_after(monkeypatch, ENCODERS, FAMILIES, LAYOUTS, MOVERS, PHYSICS, VEHICLES)
-    monkeypatch.setitem(terminations._RULES, "straight", None)
-    monkeypatch.delitem(terminations._RULES, "straight")
+    restore_after(monkeypatch, PARKED_RULES)
 
 
 def test_the_example_package_is_the_page_s_family():
@@ -233,6 +230,6 @@ def test_a_registered_name_stays_what_it_is():
     run("A parked rule")
     for name in ("straight", "strict"):
         with pytest.raises(ValueError, match=name):
-            register_rule(name, ParkedRule(speed=1.0))
+            PARKED_RULES.register(name, ParkedRule(speed=1.0))
     with pytest.raises(TypeError):
         PARKED_RULES["strict"] = ParkedRule(speed=1.0)

@@ -95,20 +95,47 @@ def test_results_say_how_many_steps_a_shipped_policy_was_trained(name):
     assert said in RESULTS or f"{steps:,}" in RESULTS, said
 
 
-def rates(text):
-    """Numbers before a per-cent sign, and those of a range before it."""
-    return {
-        number
-        for found in re.findall(r"((?:[\d.]+ … )?[\d.]+) %", text)
-        for number in found.split(" … ")
-    }
+def numbers(cell):
+    """Rates of a cell, intervals left out; the ends of a range."""
+    text = re.sub(r"\(.*?\)", "", cell)
+    return {rate for rate in re.findall(r"[\d.]+(?= %| …)", text)}
 
 
-def test_rates_and_speeds_of_the_readme_are_those_of_the_results():
-    known = rates(RESULTS) | rates(re.sub(r"\([^)]*\)", "", RESULTS))
-    table = section(README, "policies table")
-    assert rates(table)
-    assert rates(table) <= known
-    speeds = re.findall(r"\d+(?:,\d{3})+", section(README, "speed table"))
-    assert speeds
-    assert [speed for speed in speeds if speed not in RESULTS] == []
+def rates_by_policy(page, parked, first=""):
+    """Parked and crashed rates of tables, by policy.
+
+    Args:
+        page: text with rows whose first cell names a policy, or is empty for the last.
+        parked: column of the parked rates; the next has the crashed ones.
+        first: policy of rows that come before any name.
+    """
+    found, name = {}, first
+    for row in re.findall(r"^\|(.*)\|$", page, re.MULTILINE):
+        cells = row.split("|")
+        if len(cells) <= parked + 1 or "%" not in cells[parked]:
+            continue
+        name = (re.findall(r"`(\w+)`", cells[0]) or [name])[0]
+        pair = found.setdefault(name, (set(), set()))
+        pair[0].update(numbers(cells[parked]))
+        pair[1].update(numbers(cells[parked + 1]))
+    return found
+
+
+def test_rates_of_the_readme_are_those_of_the_results():
+    said = rates_by_policy(section(README, "policies table"), 3)
+    parts = RESULTS.split("\n## ")
+    [cpu] = [part for part in parts if part.startswith("What does the first command")]
+    [gpu] = [part for part in parts if part.startswith("What do the GPU presets")]
+    known = rates_by_policy(gpu, 4) | rates_by_policy(cpu, 3, first="cpu")
+    assert {*said} == {"cpu", *pretrained_names()}
+    for name, (parked, crashed) in said.items():
+        assert min(len(parked), len(crashed)) > 0, name
+        assert parked <= known[name][0], name
+        assert crashed <= known[name][1], name
+
+
+def test_speeds_of_the_readme_are_those_of_the_results():
+    known = set(re.findall(r"\d+(?:,\d{3})+", section(RESULTS, "speeds")))
+    said = set(re.findall(r"\d+(?:,\d{3})+", section(README, "speed table")))
+    assert said
+    assert said <= known

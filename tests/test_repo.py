@@ -26,6 +26,7 @@ FLOORS = (
     ("fleet",),
     ("episodes",),
     ("env",),
+    ("tasks",),
     ("registry", "registration", "policy"),
     ("planning",),
     ("evaluation",),

@@ -10,7 +10,7 @@ import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.config import MetricsConfig, require_rule
+from carpark_mj.config import MetricsConfig, find_rules
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import Evaluation, evaluate
 from carpark_mj.evaluation.keys import require_seed
@@ -82,7 +82,7 @@ class EvaluateConfig:
     def __post_init__(self) -> None:
         require_seed(self.seed)
         if self.rule is not None:
-            require_rule(self.rule)
+            find_rules(self.rule)
         if not 1 <= self.episodes <= MAX_EPISODES:
             raise ValueError(
                 f"episodes must be at least 1 and at most {MAX_EPISODES}, not "

@@ -47,8 +47,7 @@ from carpark_mj.config.terminations import (
     PARKED_RULES,
     EpisodeConfig,
     ParkedRule,
-    register_rule,
-    require_rule,
+    find_rules,
 )
 from carpark_mj.config.units import WORLD_UNIT
 from carpark_mj.renamed import old_names
@@ -100,14 +99,13 @@ __all__ = [
     "Surface",
     "TyresName",
     "data",
+    "find_rules",
     "insert",
     "is_data",
     "physics_config",
     "register_layout",
     "register_metric",
-    "register_rule",
     "require_layout",
-    "require_rule",
     "setting",
     "term_settings",
 ]

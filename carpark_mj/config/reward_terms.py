@@ -55,7 +55,9 @@ class RewardTerm(CheckedConfig):
 
 
 # Terms beyond those of `carpark_mj.mdp.rewards`, for `RewardConfig.extra`.
-REWARD_TERMS: Registry[RewardTerm] = Registry("reward term")
+REWARD_TERMS: Registry[RewardTerm] = Registry(
+    "reward term", "carpark_mj.tasks.goal_pose"
+)
 
 
 def term_settings(name: str) -> dict[str, float | None]:

@@ -74,5 +74,5 @@ class RewardConfig(CheckedConfig):
         }
 
 
-REWARDS: Registry[RewardConfig] = Registry("reward")
+REWARDS: Registry[RewardConfig] = Registry("reward", "carpark_mj.tasks.goal_pose")
 REWARDS.register("shaped", RewardConfig())

@@ -2,20 +2,18 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 from typing import Any
 
 from carpark_mj.config.checks import (
     CheckedConfig,
     require_at_least,
-    require_kind,
-    require_name,
     require_positive,
     require_whole,
 )
 from carpark_mj.config.insertion import data
 from carpark_mj.config.units import WORLD_UNIT
+from carpark_mj.extensions import Registry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,9 +29,10 @@ class ParkedRule(CheckedConfig):
         heading: largest angle to the bay's axis, either way round [rad].
         speed: highest speed [m/s].
         test: what else must hold: a function of the cars' `Motion` (...), the poses
-            (..., 3) and sizes (..., 2) [m] of their goals that returns (...) bool, in
-            JAX.
+            (..., 3), sizes (..., 2) [m] and ends (...), None = either, of their goals
+            that returns (...) bool, in JAX.
         before_crash: an agent that parks in a step cannot crash in it.
+        before_timeout: an agent that parks in its last step is not timed out.
         slack: smallest margin of a bay's length and width over those of a fleet's car
             for the bay to be its goal [m]; ending within the lines takes some room to
             steer.
@@ -47,6 +46,7 @@ class ParkedRule(CheckedConfig):
     speed: float | None = None
     test: Callable[..., Any] | None = None
     before_crash: bool = False
+    before_timeout: bool = True
     slack: float = 0.0
 
     def __post_init__(self) -> None:
@@ -62,48 +62,32 @@ class ParkedRule(CheckedConfig):
             )
 
 
-_RULES = {
-    # The reference implementation of Tanner 2022.
-    "tanner": ParkedRule(offset=1.001 * WORLD_UNIT, before_crash=True),
-    "strict": ParkedRule(
-        inside_lines=True, heading=math.radians(5.0), speed=0.2, slack=0.1
-    ),
-    # ParkBench's 0.2 m and 3 degrees.
-    "precise": ParkedRule(distance=0.2, heading=math.radians(3.0), speed=0.05),
-    # MetaDrive's arrival: 5 m about the end of the last lane.
-    "metadrive": ParkedRule(from_end=5.0),
-}
-PARKED_RULES: Mapping[str, ParkedRule] = MappingProxyType(_RULES)
+PARKED_RULES: Registry[ParkedRule] = Registry(
+    "parked rule", "carpark_mj.tasks.goal_pose"
+)
+# The reference implementation of Tanner 2022.
+PARKED_RULES.register(
+    "tanner", ParkedRule(offset=1.001 * WORLD_UNIT, before_crash=True)
+)
+PARKED_RULES.register(
+    "strict",
+    ParkedRule(inside_lines=True, heading=math.radians(5.0), speed=0.2, slack=0.1),
+)
+# ParkBench's 0.2 m and 3 degrees.
+PARKED_RULES.register(
+    "precise", ParkedRule(distance=0.2, heading=math.radians(3.0), speed=0.05)
+)
+# MetaDrive's arrival: 5 m about the end of the last lane.
+PARKED_RULES.register("metadrive", ParkedRule(from_end=5.0))
 
 
-def register_rule(name: str, rule: ParkedRule) -> None:
-    """Gives a parked rule a name, for `EpisodeConfig.parked_rule` and `--rule`.
-
-    A name means the same for as long as the process lives: compiled steps have it in
-    them.
-
-    Args:
-        name: letters, digits, `_` and `-`.
-        rule: the rule.
+def find_rules(names: str) -> tuple[ParkedRule, ...]:
+    """The parked rules of a comma-separated list.
 
     Raises:
-        ValueError: the name is taken, or no such name.
-        TypeError: no `ParkedRule`.
+        ValueError: an unknown name.
     """
-    require_kind("rule", rule, ParkedRule)
-    require_kind("name", name, str)
-    if not name.replace("-", "_").isidentifier():
-        raise ValueError(
-            f"the name of a rule must be of letters, digits, _ and -, not {name!r}"
-        )
-    if name in _RULES:
-        raise ValueError(f"the parked rule {name!r} is registered already")
-    _RULES[name] = rule
-
-
-def require_rule(name: str) -> None:
-    """Refuses what is not the name of a parked rule."""
-    require_name("parked_rule", name, PARKED_RULES)
+    return tuple(PARKED_RULES[name] for name in names.split(","))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,8 +95,8 @@ class EpisodeConfig(CheckedConfig):
     """When an agent's episode ends.
 
     Attributes:
-        parked_rule: what "parked" means, by name, see
-            `carpark_mj.config.PARKED_RULES` and `register_rule`.
+        parked_rule: what "parked" means, one of `carpark_mj.config.PARKED_RULES`; of
+            several, separated by commas, any.
         max_steps: control steps until an episode is truncated (timeout).
         hitbox_scale: factor on the cars' lengths and widths in collision tests, in
             evaluations too. Those of walls and discs are not scaled.
@@ -130,6 +114,11 @@ class EpisodeConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_rule(self.parked_rule)
+        find_rules(self.parked_rule)  # refuses unknown names
         require_whole(self, 1, "max_steps")
         require_positive(self, "hitbox_scale")
+
+    @property
+    def slack(self) -> float:
+        """The largest of the parked rules [m]."""
+        return max(rule.slack for rule in find_rules(self.parked_rule))

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import PARKED_RULES, EnvConfig, LayoutConfig
+from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.config.checks import Range
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.geometry import box_disc_overlap, boxes_overlap, to_world
@@ -130,7 +130,7 @@ def check_cars(
     bays = [np.asarray(x.bay_size)[np.asarray(x.bay_mask)] for x in lots]
     if fleet.mixed:
         rule = config.episode.parked_rule
-        slack = PARKED_RULES[rule].slack
+        slack = config.episode.slack
         counts = [
             _count_bays("fleet.agents", name, _size(params), slack, bays)
             for name, params in zip(fleet.agent_names, fleet.agents, strict=True)

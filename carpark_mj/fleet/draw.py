@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import PARKED_RULES, EnvConfig
+from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.bays import Wanted, draw_bays, fits, shuffled_bays
 from carpark_mj.mdp.parked_cars import poses_in_bays
@@ -215,7 +215,7 @@ class Fleet:
         """Bays (kinds, bays) bool that can be goals of each kind of car."""
         if not self.mixed:  # any bay is a goal for the one kind of car
             return layout.goal_mask[None]
-        slack = PARKED_RULES[self._config.episode.parked_rule].slack
+        slack = self._config.episode.slack
         return fits(layout.bay_size, self._kinds.size, slack) & layout.goal_mask
 
     def _num_parked_cars(self, layout: Layout, key: jax.Array) -> jax.Array:

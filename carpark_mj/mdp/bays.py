@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import PARKED_RULES, EnvConfig
+from carpark_mj.config import EnvConfig
 from carpark_mj.layouts.types import Layout
 from carpark_mj.types import NO_BAY
 
@@ -120,6 +120,6 @@ def bay_fits(
         return BayFits()
     agents = None
     if config.fleet.agents:
-        slack = PARKED_RULES[config.episode.parked_rule].slack
+        slack = config.episode.slack
         agents = fits(layout.bay_size, agent_size, slack)
     return BayFits(agents, fits(layout.bay_size, parked_size))

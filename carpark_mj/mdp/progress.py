@@ -5,8 +5,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, RewardConfig
 from carpark_mj.geometry import heading_error, move_forward, norm, reeds_shepp_length
-from carpark_mj.types import CarParameters as Car
-from carpark_mj.types import Motion
+from carpark_mj.types import Motion, Vehicle
 
 NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of Tanner's finer grid: rounding
 ALIGNMENT_RANGE = 4.0  # m, at which the alignment reward has faded to 1/e
@@ -43,7 +42,7 @@ def goal_potential(
 def mix_in_maneuver(
     reach: float,
     distance: jax.Array,
-    car: Car,
+    car: Vehicle,
     motion: Motion,
     goal_pose: jax.Array,
     one_way: jax.Array | None = None,

@@ -60,17 +60,17 @@ def is_parked(
         speed = norm(motion.velocity_b)
         parked = parked & (speed < limits.speed)
     if limits.test is not None:
-        parked = parked & limits.test(motion, bay_pose, bay_size)
+        parked = parked & limits.test(motion, bay_pose, bay_size, bay_end)
     return parked
 
 
 def detect_events(config: EpisodeConfig, state: State) -> Events:
     """Evaluates whether each agent's episode has ended after a step, and how.
 
-    Divergence takes precedence over all other outcomes. Under `tanner` an agent that
-    parks cannot crash in the same step (the study's order of checks); under the other
-    rules a touch anywhere in the step is a crash. Parking requires a goal, and of two
-    agents in a bay that is the goal of both only the first parks.
+    Divergence takes precedence over all other outcomes, then comes a crash, parking and
+    a timeout, unless the parked rule says otherwise (`ParkedRule.before_crash`,
+    `before_timeout`). Parking requires a goal, and of two agents in a bay that is the
+    goal of both only the first parks.
 
     Args:
         config: rules.
@@ -83,17 +83,23 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
     alive = state.active & motion.finite
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
     bay_end = None if layout.bay_end is None else layout.bay_end[goal]
-    in_bay = is_parked(config.parked_rule, motion, bay_pose, bay_size, bay_end)
+    holds = {
+        name: is_parked(name, motion, bay_pose, bay_size, bay_end)
+        for name in config.parked_rule.split(",")
+    }
+    in_bay = functools.reduce(jnp.logical_or, holds.values())
     in_bay = in_bay & alive & (goal != NO_BAY)
     shared = jnp.tril(goal[:, None] == goal, k=-1)
     in_bay = in_bay & ~(shared & in_bay).any(axis=1)
-    if PARKED_RULES[config.parked_rule].before_crash:
-        parked = in_bay
-        crashed = alive & hit & ~parked
-    else:
-        crashed = alive & hit
-        parked = in_bay & ~crashed
-    timed_out = alive & ~parked & ~crashed & (state.step >= config.max_steps)
+    late = state.step >= config.max_steps
+    parked = jnp.zeros_like(in_bay)
+    for name, held in holds.items():
+        rule = PARKED_RULES[name]
+        held = held if rule.before_crash else held & ~hit
+        held = held if rule.before_timeout else held & ~late
+        parked = parked | (in_bay & held)
+    crashed = alive & hit & ~parked
+    timed_out = alive & late & ~parked & ~crashed
     return Events(
         parked=parked,
         crashed=crashed,

@@ -12,7 +12,7 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sensors import observed
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.types import NO_BAY, CarParameters, Motion, State
+from carpark_mj.types import NO_BAY, Motion, State, Vehicle
 
 Tree = TypeVar("Tree")
 
@@ -67,7 +67,7 @@ class Sight:
         return lot_obstacles(state.layout, self.agents, state.parked_cars, state.movers)
 
     @property
-    def vehicle(self) -> CarParameters:
+    def vehicle(self) -> Vehicle:
         """The observers' cars."""
         return self._of_observers(self.state.physics.vehicle)
 

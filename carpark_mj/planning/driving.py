@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from carpark_mj.planning.obstacles import FreeSpace, Solids
-from carpark_mj.planning.paths import PlannedPath, PlannerCar
+from carpark_mj.planning.paths import PlannedPath, centre, rear_axle
 from carpark_mj.planning.search import Search, SearchConfig, search
 from carpark_mj.planning.tracking import (
     STANDING,
@@ -22,6 +22,7 @@ from carpark_mj.planning.tracking import (
     brake,
     track,
 )
+from carpark_mj.vehicle import VehicleParameters
 
 LOOK_AHEAD = 2.5  # m of the path that must be free of other agents
 GAP = 0.3  # m kept from them
@@ -50,7 +51,7 @@ class Sight(NamedTuple):
     speed: float
     steering: float
     goal: np.ndarray
-    car: PlannerCar
+    car: VehicleParameters
     solids: Solids
     others: tuple[np.ndarray, np.ndarray]
     extent: np.ndarray
@@ -107,7 +108,7 @@ class Agent:
     def _follow(self, sight: Sight) -> Command | None:
         if self._path is None:
             return None
-        driven = Driven(sight.car.rear_axle(sight.pose), sight.speed, sight.steering)
+        driven = Driven(rear_axle(sight.car, sight.pose), sight.speed, sight.steering)
         return track(self._path, self._progress, sight.car, driven, self._dt)
 
     def _is_blocked(self, sight: Sight) -> bool:
@@ -126,4 +127,4 @@ class Agent:
         nothing = Solids(pose[near], size[near], np.zeros((0, 2)), np.zeros(0))
         wide = sight.car.length + 2 * GAP, sight.car.width + 2 * GAP
         here = FreeSpace(nothing, wide, sight.extent, grid=False)
-        return not all(here.is_free(*place) for place in sight.car.centre(points))
+        return not all(here.is_free(*place) for place in centre(sight.car, points))

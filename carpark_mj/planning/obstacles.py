@@ -108,7 +108,7 @@ class FreeSpace:
         return gaps
 
     def _obstacles(self, column: int, row: int) -> _Near | None:
-        """Obstacles near a rectangle centred in a cell; None if it overlaps any."""
+        """Obstacles that a rectangle centred in a cell may touch; None if it must."""
         if self._distance is None:
             return _Near(self._boxes, self._discs)
         # Any point of a cell is so near to the cell's middle.

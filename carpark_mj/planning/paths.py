@@ -22,50 +22,14 @@ BRAKING = 0.5  # m/s^2, by which a car slows down
 SHIFT_TIME = 0.7  # s that a change of gear takes besides the turning of the wheels
 
 
-class PlannerCar(NamedTuple):
-    """Parameters of a car that the planner uses; SI units.
-
-    Attributes:
-        length: [m].
-        width: [m].
-        wheelbase: [m].
-        centre_offset: rear axle to the footprint's centre [m].
-        max_steering: [rad].
-        steering_rate: [rad/s].
-        max_acceleration: [m/s^2].
-        max_deceleration: [m/s^2].
-    """
-
-    length: float
-    width: float
-    wheelbase: float
-    centre_offset: float
-    max_steering: float
-    steering_rate: float
-    max_acceleration: float
-    max_deceleration: float
-
-    def centre(self, pose: np.ndarray) -> np.ndarray:
-        """Poses (..., 3) of the footprint's centre for those of the rear axle."""
-        return _ahead(pose, self.centre_offset)
-
-    def rear_axle(self, pose: np.ndarray) -> np.ndarray:
-        """Poses (..., 3) of the rear axle for those of the footprint's centre."""
-        return _ahead(pose, -self.centre_offset)
+def centre(car: VehicleParameters, pose: np.ndarray) -> np.ndarray:
+    """Poses (..., 3) of the footprint's centre for those of the rear axle."""
+    return _ahead(pose, car.centre_offset)
 
 
-def car_of(params: VehicleParameters) -> PlannerCar:
-    """The planner's parameters of a vehicle."""
-    return PlannerCar(
-        params.length,
-        params.width,
-        params.wheelbase,
-        params.length / 2 - params.rear_overhang,
-        params.max_steering,
-        params.steering_rate,
-        params.max_acceleration,
-        params.max_deceleration,
-    )
+def rear_axle(car: VehicleParameters, pose: np.ndarray) -> np.ndarray:
+    """Poses (..., 3) of the rear axle for those of the footprint's centre."""
+    return _ahead(pose, -car.centre_offset)
 
 
 def _ahead(pose: np.ndarray, distance: float) -> np.ndarray:
@@ -120,7 +84,7 @@ class PlannedPath(NamedTuple):
         return len(self.segments) - 1
 
 
-def make_path(pose: np.ndarray, car: PlannerCar) -> PlannedPath | None:
+def make_path(pose: np.ndarray, car: VehicleParameters) -> PlannedPath | None:
     """Cuts points (n, 3) of the rear axle at changes of gear; None without a segment.
 
     Args:
@@ -150,7 +114,7 @@ def make_path(pose: np.ndarray, car: PlannerCar) -> PlannedPath | None:
     return PlannedPath(tuple(segments), _duration(segments, car)) if segments else None
 
 
-def _duration(segments: list[Segment], car: PlannerCar) -> float:
+def _duration(segments: list[Segment], car: VehicleParameters) -> float:
     # Where the wheels turn far a car all but stands: the speeds of segments are for
     # slow changes. Of 92 drives in extreme cases that took 46 s on average it is off by
     # 2.9 s (root mean square).
@@ -163,7 +127,7 @@ def _duration(segments: list[Segment], car: PlannerCar) -> float:
     return driving + turning + SHIFT_TIME * (len(segments) - 1)
 
 
-def _segment(pose: np.ndarray, gear: int, car: PlannerCar) -> Segment:
+def _segment(pose: np.ndarray, gear: int, car: VehicleParameters) -> Segment:
     gaps = np.hypot(*np.diff(pose[:, :2], axis=0).T)
     distance = np.concatenate([[0.0], np.cumsum(gaps)])
     curvature = gear * np.diff(pose[:, 2]) / np.maximum(gaps, STEP * 1e-3)

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from carpark_mj.files import write_atomically
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts import Layout
-from carpark_mj.planning.paths import PlannedPath, PlannerCar
+from carpark_mj.planning.paths import PlannedPath, centre
+from carpark_mj.vehicle import VehicleParameters
 
 COLUMNS = 4
 CELL = (4.4, 2.6)  # inches
@@ -20,7 +21,9 @@ GEARS = {1: "tab:blue", -1: "tab:red"}
 
 
 def plot_paths(
-    file: Path, cases: list[tuple[str, Layout, PlannedPath | None]], car: PlannerCar
+    file: Path,
+    cases: list[tuple[str, Layout, PlannedPath | None]],
+    car: VehicleParameters,
 ) -> None:
     """Draws cases: walls grey, the goal green, paths blue forwards and red backwards.
 
@@ -45,9 +48,9 @@ def plot_paths(
         _fill(axis, layout.bay_pose[:1], layout.bay_size[:1], "tab:green", 0.4)
         _fill(axis, layout.spawn_pose[:1], size[None], "tab:blue", 0.3)
         for segment in path.segments if path is not None else ():
-            centre = car.centre(segment.pose)
+            driven = centre(car, segment.pose)
             outline = np.asarray(
-                box_corners(jnp.asarray(centre[-1]), jnp.asarray(size))
+                box_corners(jnp.asarray(driven[-1]), jnp.asarray(size))
             )
             axis.fill(*outline.T, fill=False, ec=GEARS[segment.gear], lw=0.6)
             axis.plot(*segment.pose[:, :2].T, color=GEARS[segment.gear], lw=1.2)

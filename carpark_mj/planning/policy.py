@@ -14,7 +14,6 @@ from carpark_mj.geometry.obstacles import Boxes, Group, by_shape
 from carpark_mj.obstacles.lot import lot_obstacles
 from carpark_mj.planning.driving import Agent, Sight
 from carpark_mj.planning.obstacles import Solids
-from carpark_mj.planning.paths import PlannerCar
 from carpark_mj.planning.search import Search, SearchConfig, require_ompl
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.types import State
@@ -60,12 +59,12 @@ class Planner:
 
     def act(self, seen: dict[str, Any]) -> np.ndarray:
         """Actions (lots, agents, 2) for what `_look` gives of lots."""
-        seen = {name: np.asarray(array) for name, array in seen.items()}
+        seen = jax.tree.map(np.asarray, seen)
         begun = time.thread_time()
         lots, agents = seen["active"].shape
         action = np.zeros((lots, agents, 2), np.float32)
         for lot in range(lots):
-            solids = _solids({name: array[lot] for name, array in seen.items()})
+            solids = _solids(seen, lot)
             for agent in np.flatnonzero(seen["active"][lot]):
                 sight = _sight(seen, lot, int(agent), solids)
                 action[lot, agent] = self._agent(lot, int(agent)).act(sight)
@@ -113,9 +112,9 @@ def _callback(act: Callable[[dict[str, Any]], np.ndarray]) -> Any:
     return on_host
 
 
-def _look(state: State) -> dict[str, jax.Array]:
+def _look(state: State) -> dict[str, Any]:
     """What the planner reads of lots (...)."""
-    layout, vehicle = state.layout, state.physics.vehicle
+    layout = state.layout
     one_way = layout.one_way
     if one_way is None:
         one_way = jnp.zeros(layout.bay_mask.shape, bool)
@@ -125,7 +124,6 @@ def _look(state: State) -> dict[str, jax.Array]:
     boxes, discs = by_shape(lot_obstacles(layout, None, state.parked_cars))
     lead = state.goal.shape[:-1]
     nothing = Boxes(jnp.zeros((*lead, 0, 3)), jnp.zeros((*lead, 0, 2)))
-    parameters = [getattr(vehicle, name) for name in PlannerCar._fields[2:]]
     return {
         "active": state.active,
         "begins": state.step == 0,
@@ -135,7 +133,7 @@ def _look(state: State) -> dict[str, jax.Array]:
         "size": state.motion.size,
         "goal": goal,
         "one_way": jnp.take_along_axis(one_way, state.goal, axis=-1, mode="clip"),
-        "car": jnp.concatenate([vehicle.size, jnp.stack(parameters, axis=-1)], axis=-1),
+        "car": state.physics.vehicle,
         **_joined("box", boxes),
         **_joined("disc", discs),
         **_joined("mover", [nothing, *map(_outlines, state.movers.groups)]),
@@ -165,17 +163,17 @@ def _outlines(group: Group) -> Boxes:
     return Boxes(pose, jnp.stack([2 * group.size] * 2, axis=-1), mask=group.mask)
 
 
-def _solids(lot: dict[str, np.ndarray]) -> Solids:
-    boxes, discs = lot["box_mask"], lot["disc_mask"]
+def _solids(seen: dict[str, Any], lot: int) -> Solids:
+    boxes, discs = seen["box_mask"][lot], seen["disc_mask"][lot]
     return Solids(
-        lot["box_pose"][boxes].astype(float),
-        lot["box_size"][boxes].astype(float),
-        lot["disc_pose"][discs].astype(float),
-        lot["disc_size"][discs].astype(float),
+        seen["box_pose"][lot][boxes].astype(float),
+        seen["box_size"][lot][boxes].astype(float),
+        seen["disc_pose"][lot][discs].astype(float),
+        seen["disc_size"][lot][discs].astype(float),
     )
 
 
-def _sight(seen: dict[str, np.ndarray], lot: int, agent: int, solids: Solids) -> Sight:
+def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
     pose = seen["pose"][lot].astype(float)
     others = np.arange(len(pose)) != agent
     moving = seen["mover_mask"][lot]
@@ -189,7 +187,8 @@ def _sight(seen: dict[str, np.ndarray], lot: int, agent: int, solids: Solids) ->
         speed=float(seen["speed"][lot, agent]),
         steering=float(seen["steering"][lot, agent]),
         goal=goal[None] if seen["one_way"][lot, agent] else goal,
-        car=PlannerCar(*seen["car"][lot, agent].astype(float).tolist()),
+        # The arrays of a lot's cars have the names of the parameters of one.
+        car=jax.tree.map(lambda x: x[lot, agent].astype(float), seen["car"]),
         solids=solids,
         others=(other_pose.astype(float), other_size.astype(float)),
         extent=seen["extent"][lot].astype(float),

@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carpark_mj.planning.obstacles import FreeSpace, Solids
-from carpark_mj.planning.paths import STEP, PlannedPath, PlannerCar, make_path
+from carpark_mj.planning.paths import STEP, PlannedPath, centre, make_path, rear_axle
+from carpark_mj.vehicle import VehicleParameters
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +74,7 @@ def search(
     start: np.ndarray,
     goal: np.ndarray,
     solids: Solids,
-    car: PlannerCar,
+    car: VehicleParameters,
     extent: np.ndarray,
     seed: int | Sequence[int] = 0,
     config: SearchConfig | None = None,
@@ -100,8 +101,8 @@ def search(
         space = FreeSpace(solids, size, extent)
         if not (space.is_free(*start) and space.is_free(*np.atleast_2d(goal)[0])):
             continue
-        here = car.rear_axle(start)
-        tasks = [_Task(here, car.rear_axle(goals)) for goals in (poses, poses[::-1])]
+        here = rear_axle(car, start)
+        tasks = [_Task(here, rear_axle(car, goals)) for goals in (poses, poses[::-1])]
         best: PlannedPath | None = None
         for number in range(config.most_searches):
             path = _connect(tasks[number % 2], space, car, config, seeds[number])
@@ -173,7 +174,11 @@ class _Counter:
 
 
 def _connect(
-    task: _Task, space: FreeSpace, car: PlannerCar, config: SearchConfig, seed: int
+    task: _Task,
+    space: FreeSpace,
+    car: VehicleParameters,
+    config: SearchConfig,
+    seed: int,
 ) -> PlannedPath | None:
     """One search and its path, shortened; None if it was given up."""
     base, geometric, util = _ompl()
@@ -217,7 +222,7 @@ def _connect(
     short = _points(curves, setup.getSolutionPath().getStates())
     # OMPL hands a shortened path out that touches obstacles, with a warning.
     for points in (short, whole):
-        if all(space.is_free(*place) for place in car.centre(points)):
+        if all(space.is_free(*place) for place in centre(car, points)):
             return make_path(points, car)
     return None
 

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.planning.paths import CREEP, PlannedPath, PlannerCar, Segment
-from carpark_mj.vehicle import COMPACT, make_vehicle
+from carpark_mj.planning.paths import CREEP, PlannedPath, Segment
+from carpark_mj.vehicle import COMPACT, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.drive import SWITCH_SPEED, close_hold, hold_braking
 
 REACH = 0.8  # m, l
@@ -74,7 +74,11 @@ class Command(NamedTuple):
 
 
 def track(
-    path: PlannedPath, progress: Progress, car: PlannerCar, driven: Driven, dt: float
+    path: PlannedPath,
+    progress: Progress,
+    car: VehicleParameters,
+    driven: Driven,
+    dt: float,
 ) -> Command:
     """The action of a control step of `dt` [s]."""
     number, point = progress
@@ -108,7 +112,7 @@ def _nearest(segment: Segment, point: int, pose: np.ndarray) -> int:
 
 
 def _steer(
-    segment: Segment, point: int, car: PlannerCar, driven: Driven, dt: float
+    segment: Segment, point: int, car: VehicleParameters, driven: Driven, dt: float
 ) -> tuple[float, float, float]:
     """Distance driven along the segment, distance from it, and steering."""
     x, y, yaw = segment.pose[point]
@@ -127,7 +131,7 @@ def _steer(
 
 
 def _pedal(
-    speed: float, limit: float, left: float, car: PlannerCar, dt: float
+    speed: float, limit: float, left: float, car: VehicleParameters, dt: float
 ) -> float:
     """The pedal along the path, for a car that is not faster than it should be at most.
 
@@ -153,7 +157,7 @@ def _pedal(
     return min(max(change / car.max_acceleration, least, DRIVING), 1.0)
 
 
-def brake(speed: float, car: PlannerCar, dt: float) -> float:
+def brake(speed: float, car: VehicleParameters, dt: float) -> float:
     """The pedal that stops a car of a signed speed, in several steps if need be."""
     change = abs(speed) - SWITCH_SPEED  # below it the pedal would shift gears
     if change <= 0.0:

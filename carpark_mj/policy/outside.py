@@ -25,7 +25,7 @@ from carpark_mj.types import NO_BAY, Motion, ParkedCars, State
 
 
 class _Car(NamedTuple):
-    """What observations read of `CarParameters` (cars,)."""
+    """What observations read of `Vehicle` (cars,)."""
 
     size: jax.Array
     wheelbase: jax.Array

@@ -1,23 +1,16 @@
 """Rolls policies out: control steps of one lot, or of many side by side."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 
 from carpark_mj.policy.acting import AnyPolicy, choose_actions
+from carpark_mj.tasks.environment import Environment
 from carpark_mj.types import State, TimeStep
 
 # `(state, observation, memory, key) -> (action, memory)` of all agents.
 Act = Callable[[State, jax.Array, Any, jax.Array], tuple[jax.Array, Any]]
-
-
-class Steps(Protocol):
-    """What a roll-out asks of an environment."""
-
-    def step(self, state: Any, action: jax.Array) -> tuple[Any, Any]:
-        """Advances one lot: the next state, and what agents get from the step."""
-        ...
 
 
 class Carry(NamedTuple):
@@ -62,7 +55,7 @@ def acts(policy: AnyPolicy) -> Act:
 
 
 def control_step(
-    env: Steps, act: Act, carry: Carry, key: jax.Array
+    env: Environment, act: Act, carry: Carry, key: jax.Array
 ) -> tuple[Carry, Step]:
     """Makes one control step.
 
@@ -74,15 +67,14 @@ def control_step(
     """
     state, observation, memory = carry
     action, memory = act(state, observation, memory, key)
-    is_batch = observation.ndim > 2
-    step = jax.vmap(env.step) if is_batch else env.step
+    step = jax.vmap(env.step) if state.active.ndim > 1 else env.step
     after, timestep = step(state, action)
     made = Step(state, observation, action, after, timestep)
     return Carry(after, timestep.observation, memory), made
 
 
 def roll_out(
-    env: Steps,
+    env: Environment,
     act: Act,
     carry: Carry,
     keys: jax.Array,

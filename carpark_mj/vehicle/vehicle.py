@@ -121,6 +121,16 @@ class Vehicle:
     body_ipos: jax.Array
     body_pos: jax.Array
 
+    @property
+    def length(self) -> jax.Array:
+        """(...) of the footprint [m]."""
+        return self.size[..., 0]
+
+    @property
+    def width(self) -> jax.Array:
+        """(...) of the footprint [m]."""
+        return self.size[..., 1]
+
 
 def make_vehicle(params: VehicleParameters) -> Vehicle:
     """Turns a parameter set into the arrays of one car (no batch dimension)."""

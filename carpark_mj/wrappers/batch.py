@@ -8,20 +8,19 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_count
-from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.mdp.reset_options import ResetOptions, check_starts
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
+from carpark_mj.tasks.environment import Environment
 from carpark_mj.types import State, TimeStep
 
 # Lots that are restarted together: the share of a batch that ends in a step of long
@@ -30,47 +29,6 @@ _GROUP = 1 / 32
 
 # Of the first lot, each further one has the next; or of each lot. None = drawn.
 Seeds = int | Sequence[int | None] | None
-
-
-@runtime_checkable
-class BatchEnv(Protocol):
-    """What a batch needs of an environment.
-
-    States have a `key` and tell who is `active`, time steps have the fields of
-    `TimeStep` that learners read.
-    """
-
-    @property
-    def num_agents(self) -> int: ...  # noqa: D102
-
-    @property
-    def action_spec(self) -> ActionSpec: ...  # noqa: D102
-
-    @property
-    def respawns(self) -> bool: ...  # noqa: D102
-
-    def reset(self, key: jax.Array, /) -> tuple[Any, jax.Array]: ...  # noqa: D102
-
-    def step(  # noqa: D102
-        self, state: Any, action: jax.Array, /
-    ) -> tuple[Any, Any]: ...
-
-
-class AgentsEnv(BatchEnv, Protocol):
-    """An environment whose agents have names, and wait when they have finished."""
-
-    @property
-    def agents(self) -> list[str]: ...  # noqa: D102
-
-
-class LotEnv(BatchEnv, Protocol):
-    """A `ParkingEnv`, or a task around one."""
-
-    @property
-    def config(self) -> EnvConfig: ...  # noqa: D102
-
-    @property
-    def observation_size(self) -> int: ...  # noqa: D102
 
 
 class Batch:
@@ -85,7 +43,7 @@ class Batch:
         num_lots: lots in the batch.
     """
 
-    def __init__(self, env: BatchEnv, num_lots: int, restart: bool = True) -> None:
+    def __init__(self, env: Environment, num_lots: int, restart: bool = True) -> None:
         """Takes an environment; it is compiled by the first calls.
 
         Args:
@@ -97,7 +55,7 @@ class Batch:
             ValueError: `num_lots` is no whole number of at least 1.
             TypeError: the environment is something else.
         """
-        if not isinstance(env, BatchEnv):  # pyright: ignore[reportUnnecessaryIsInstance]
+        if not isinstance(env, Environment):  # pyright: ignore[reportUnnecessaryIsInstance]
             kind = type(env).__name__
             raise TypeError(f"env must be an environment, as a ParkingEnv, not {kind}")
         require_count("num_lots", num_lots, 1)
@@ -282,7 +240,7 @@ class _Programs(NamedTuple):
 
 
 @functools.lru_cache(maxsize=32)
-def _programs(env: BatchEnv, restart: bool) -> _Programs:
+def _programs(env: Environment, restart: bool) -> _Programs:
     restart = restart and not env.respawns
 
     def step(state: State, action: jax.Array) -> tuple[State, TimeStep]:
@@ -314,7 +272,7 @@ def _programs(env: BatchEnv, restart: bool) -> _Programs:
 
 
 def _restart(
-    env: BatchEnv, state: State, observation: jax.Array, due: jax.Array
+    env: Environment, state: State, observation: jax.Array, due: jax.Array
 ) -> tuple[State, jax.Array]:
     """Begins lots anew that are due (num_lots,), some at a time, the rest are kept."""
     num_lots = due.shape[0]

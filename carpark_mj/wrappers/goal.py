@@ -1,11 +1,6 @@
-"""Parking with poses as goals, so that goals can be relabelled (HER).
-
-Features, reward and success follow highway-env's parking (`parking_env.py`, 1.12):
-poses are six numbers, the reward is a weighted p-norm of their difference.
-"""
+"""Goals as poses that can be relabelled (HER): observations in three parts."""
 
 import dataclasses
-import math
 from typing import Any
 
 import jax
@@ -13,82 +8,30 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import (
-    CheckedConfig,
-    require_at_least,
-    require_kind,
-    require_positive,
-)
 from carpark_mj.env import ParkingEnv
-from carpark_mj.geometry import rotate
-from carpark_mj.layouts import BayEnd
-from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.layouts import Layout
 from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.fields import Field
-from carpark_mj.types import Events, Motion, State, TimeStep
-
-POSITION = 100.0  # m, scale of x and y
-SPEED = 5.0  # m/s, scale of velocities
-
-FEATURES = (
-    Field(
-        "position",
-        2,
-        -4.0,
-        4.0,
-        f"centre, world frame [{POSITION:g} m]",
-        metres=POSITION,
-    ),
-    Field("velocity", 2, -4.0, 4.0, f"world frame [{SPEED:g} m/s]", speed=SPEED),
-    Field("heading", 2, -1.0, 1.0, "cos and sin, world frame"),
+from carpark_mj.physics.base import Physics
+from carpark_mj.tasks.goal_pose import (
+    FEATURES,
+    NUM_FEATURES,
+    car_features,
+    goal_features,
+    pose_norm,
 )
-NUM_FEATURES = sum(field.size for field in FEATURES)
+from carpark_mj.types import State, TimeStep
 
 
-@dataclasses.dataclass(frozen=True)
-class PoseReward(CheckedConfig):
-    """Pays for being near a pose: - (weights · |achieved - desired|) ^ power.
+class GoalParking(ParkingEnv):
+    """One agent whose observation ends with its own features and those of its goal.
 
-    Attributes:
-        weights: of the features x, y, vx, vy, cos and sin of the heading.
-        power: p of the p-norm.
-        crash: penalty for crashing, once.
-        threshold: the goal is reached where the norm is below it, and nothing crashed.
-    """
-
-    weights: tuple[float, ...] = (1.0, 0.3, 0.0, 0.0, 0.02, 0.02)
-    power: float = 0.5
-    crash: float = 5.0
-    threshold: float = 0.12
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        good = len(self.weights) == NUM_FEATURES
-        if not (good and all(0.0 <= x < math.inf for x in self.weights)):
-            raise ValueError(
-                f"weights must be {NUM_FEATURES} numbers of at least 0, not "
-                f"{self.weights}"
-            )
-        require_positive(self, "power", "threshold")
-        require_at_least(self, 0.0, "crash")
-
-    def norm(self, achieved: Any, desired: Any) -> Any:
-        """Weighted p-norm (...) of the difference of features (..., 6), as given."""
-        weights = np.array(self.weights, np.float32)
-        return (abs(achieved - desired) @ weights) ** self.power
-
-
-class GoalParking:
-    """One agent, a `ParkingEnv`, and a goal pose.
-
-    An agent's observation is a vector of three parts, see `split`: what it observes but
-    for its own goal, its own features, and those of its goal: nose in, at rest.
+    It is a vector of three parts, see `split`: what it observes but for its own goal,
+    and `FEATURES` of its car and of its goal, free of noise.
 
     Attributes:
-        parking: the environment around which this is built.
-        pose_reward: reward, and when the goal is reached. So is it where the agent has
-            parked by `EpisodeConfig.parked_rule`.
         fields: of the first part.
         goal_fields: of the second and the third part.
     """
@@ -96,17 +39,16 @@ class GoalParking:
     fields: tuple[Field, ...]
     goal_fields = FEATURES
 
-    def __init__(self, parking: ParkingEnv, pose_reward: PoseReward) -> None:
-        """Wraps an environment.
+    def __init__(self, config: EnvConfig, physics: Physics | None = None) -> None:
+        """Builds the environment; see `ParkingEnv`.
 
         Raises:
             ValueError: not one agent that stays where it has finished, a dynamic goal,
-                or observations without a field that reveals the goal.
-            TypeError: an argument of another type.
+                observations without a field that reveals the goal, or a reward that
+                does not follow from poses and crashes.
         """
-        require_kind("parking", parking, ParkingEnv)
-        require_kind("pose_reward", pose_reward, PoseReward)
-        config = parking.config
+        super().__init__(config, physics)
+        config = self.config
         if config.num_agents != 1 or config.episode.respawn or config.goals.dynamic:
             raise ValueError(
                 "goal poses need num_agents = 1, episode.respawn = False and "
@@ -119,119 +61,53 @@ class GoalParking:
                 f"(Field.reveals_goal): the encoding {config.observation.encoding!r} "
                 "has none"
             )
-        self.parking, self.pose_reward = parking, pose_reward
+        paid = {name for name, weight in term_weights(config).items() if weight}
+        if "pose" not in paid or paid - {"pose", "crash"}:
+            raise ValueError(
+                "goal poses need a reward of the terms pose and crash alone, which can "
+                f"be computed for other goals, not of {sorted(paid)}"
+            )
         self.fields = tuple(field for field in fields if not field.reveals_goal)
         keep = [not field.reveals_goal for field in fields]
         self._kept = np.flatnonzero(np.repeat(keep, [field.size for field in fields]))
 
     @property
-    def config(self) -> EnvConfig:
-        """Of `parking`."""
-        return self.parking.config
-
-    @property
-    def num_agents(self) -> int:
-        """One."""
-        return 1
-
-    @property
     def observation_size(self) -> int:
         """Length of the vector."""
-        return self._own_size + 2 * NUM_FEATURES
-
-    @property
-    def respawns(self) -> bool:
-        """Of `parking`."""
-        return self.parking.respawns
-
-    @property
-    def action_spec(self) -> ActionSpec:
-        """Of `parking`."""
-        return self.parking.action_spec
+        return len(self._kept) + 2 * NUM_FEATURES
 
     def split(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """The parts of vectors (..., observation_size) by Gymnasium's names."""
-        parts = np.split(vector, [self._own_size, -NUM_FEATURES], axis=-1)
+        parts = np.split(vector, [len(self._kept), -NUM_FEATURES], axis=-1)
         names = "observation", "achieved_goal", "desired_goal"
         return dict(zip(names, parts, strict=True))
 
-    def reset(
-        self, key: jax.Array, options: ResetOptions | None = None
+    def rewards(
+        self, achieved: np.ndarray, desired: np.ndarray, crashed: np.ndarray
+    ) -> np.ndarray:
+        """Rewards (...) of features (..., 6) at a step's end; `crashed` (...) bool."""
+        reward = self.config.reward
+        norm = pose_norm(achieved, desired, **reward.parameters("pose"))
+        return -reward.extra["pose"] * norm - reward.crash * crashed
+
+    def reset_to_layout(
+        self,
+        layout: Layout,
+        key: jax.Array,
+        num_present: jax.Array | None = None,
+        options: ResetOptions | None = None,
     ) -> tuple[State, jax.Array]:
-        """Starts a lot; see `ParkingEnv.reset`."""
-        state, observation = self.parking.reset(key, options=options)
-        return state, self._vector(state, observation)
+        """See `ParkingEnv.reset_to_layout`."""
+        state, seen = super().reset_to_layout(layout, key, num_present, options)
+        return state, self._vector(state, seen)
 
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
-        """Advances the lot; see `ParkingEnv.step`. `parked` includes goals reached."""
-        after, timestep = self.parking.step(state, action)
-        norm = self.pose_reward.norm(pose_features(timestep.motion), _desired(after))
-        near = norm < self.pose_reward.threshold
-        events = self.update_events(state.active, after.step, timestep.events, near)
-        return dataclasses.replace(after, active=state.active & ~events.done), (
-            dataclasses.replace(
-                timestep,
-                observation=self._vector(after, timestep.observation),
-                reward=-norm - self.pose_reward.crash * events.crashed,
-                terminated=events.parked | events.crashed,
-                truncated=events.timed_out | events.diverged,
-                events=events,
-            )
-        )
-
-    def update_events(
-        self, active: jax.Array, step: jax.Array, events: Events, near: jax.Array
-    ) -> Events:
-        """How episodes stand after a step; all (1,).
-
-        Args:
-            active: before the step.
-            step: number of steps made.
-            events: by `EpisodeConfig`.
-            near: whether the norm is below the threshold.
-        """
-        del step
-        reached = active & near & ~events.crashed
-        return dataclasses.replace(
-            events,
-            parked=events.parked | reached,
-            timed_out=events.timed_out & ~reached,
-            diverged=events.diverged & ~reached,
-        )
-
-    def own_part(self, state: State, observation: jax.Array) -> jax.Array:
-        """The first part (1, n), of what the agent observes."""
-        del state
-        return observation[:, self._kept]
-
-    @property
-    def _own_size(self) -> int:
-        return sum(field.size for field in self.fields)
+        """See `ParkingEnv.step`."""
+        after, timestep = super().step(state, action)
+        vector = self._vector(after, timestep.observation)
+        return after, dataclasses.replace(timestep, observation=vector)
 
     def _vector(self, state: State, observation: jax.Array) -> jax.Array:
-        own = self.own_part(state, observation)
-        parts = own, pose_features(state.motion), _desired(state)
+        own: Any = observation[:, self._kept]
+        parts = own, car_features(state.motion), goal_features(state)
         return jnp.concatenate(parts, axis=-1)
-
-
-def pose_features(motion: Motion) -> jax.Array:
-    """`FEATURES` (..., 6) of cars (...)."""
-    yaw = motion.pose_w[..., 2]
-    velocity_w = rotate(motion.velocity_b, yaw)
-    heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
-    parts = motion.xy / POSITION, velocity_w / SPEED, heading
-    return jnp.concatenate(parts, axis=-1)
-
-
-def _desired(state: State) -> jax.Array:
-    """Features (1, 6) of the goal: in its middle, at rest, nose in if it may be."""
-    layout = state.layout
-    x, y, yaw = jnp.moveaxis(layout.bay_pose[state.goal], -1, 0)
-    zero = jnp.zeros_like(x)
-    # A bay's heading is that of a car that has backed in.
-    cos, sin = -jnp.cos(yaw), -jnp.sin(yaw)
-    if layout.bay_end is not None:
-        tail_first = layout.bay_end[state.goal] == BayEnd.TAIL_FIRST
-        cos, sin = jnp.where(tail_first, -cos, cos), jnp.where(tail_first, -sin, sin)
-    features = [x / POSITION, y / POSITION, zero, zero, cos, sin]
-    return jnp.stack(features, axis=-1)

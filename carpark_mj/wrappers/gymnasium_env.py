@@ -8,7 +8,8 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.wrappers.batch import LotEnv, NumpyBatch, require_shape
+from carpark_mj.env import ParkingEnv
+from carpark_mj.wrappers.batch import NumpyBatch, require_shape
 from carpark_mj.wrappers.gymnasium_spaces import (
     action_space,
     observation_space,
@@ -67,7 +68,7 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
         self._screen = Screen(shared_env(env.config), camera)
         self._running = False
 
-    def _make(self, options: Options) -> LotEnv:
+    def _make(self, options: Options) -> ParkingEnv:
         return shared_env(one_agent(configure(options, ONE_AGENT)))
 
     def reset(

@@ -1,35 +1,47 @@
-"""One agent and a goal pose as a Gymnasium environment: `carpark_mj/ParkGoal-v0`."""
+"""One agent and a goal pose for Gymnasium: `carpark_mj/ParkGoal-v0`."""
 
-import functools
+import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar, Unpack
+from typing import Any
 
 import numpy as np
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_kind
-from carpark_mj.env import ParkingEnv
-from carpark_mj.wrappers.batch import LotEnv
-from carpark_mj.wrappers.goal import GoalParking, PoseReward
+from carpark_mj.wrappers.batch import NumpyBatch
+from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv, one_agent
-from carpark_mj.wrappers.options import Options, configure, shared_env
+from carpark_mj.wrappers.gymnasium_vector import ParkVectorEnv
+from carpark_mj.wrappers.options import Options, configure, share
 
-# The terms of `RewardConfig` are not paid here.
-GOAL_OPTIONS = tuple(name for name in ONE_AGENT if name != "reward")
 Info = Mapping[str, Any]
-GoalEnv = TypeVar("GoalEnv", bound=GoalParking)
 
 
-class PoseRewardMixin:
+def goal_config(options: Options) -> EnvConfig:
+    """The configuration of one agent that options ask for.
+
+    Unless they say otherwise the reward is `pose`, and the goal pose ends an episode as
+    well as the parked rule.
+
+    Raises:
+        TypeError: an unknown option.
+        ValueError: an impossible one.
+    """
+    config = one_agent(configure({"reward": "pose", **options}, ONE_AGENT))
+    if "rule" in options:
+        return config
+    rule = f"{config.episode.parked_rule},pose"
+    episode = dataclasses.replace(config.episode, parked_rule=rule)
+    return dataclasses.replace(config, episode=episode)
+
+
+class _Goals:
     """The reward as a function of goals, as learners that relabel goals call it."""
 
-    default_reward = PoseReward()
-    pose_reward: PoseReward
+    _batch: NumpyBatch
+    _config = staticmethod(goal_config)
 
-    def _take(self, pose_reward: PoseReward | None) -> None:
-        """Sets the reward; None = the default."""
-        require_kind("pose_reward", pose_reward, PoseReward | None)
-        self.pose_reward = pose_reward or self.default_reward
+    def _make(self, options: Options) -> GoalParking:
+        return share(GoalParking, self._config(options))
 
     def compute_reward(
         self,
@@ -49,42 +61,20 @@ class PoseRewardMixin:
         crashed = np.array([row.get("crashed", False) for row in rows], np.float32)
         if isinstance(info, Mapping):
             crashed = crashed[0]
-        norm = self.pose_reward.norm(achieved_goal, desired_goal)
-        return -norm - self.pose_reward.crash * crashed
+        return self._batch.env.rewards(achieved_goal, desired_goal, crashed)
 
 
-class ParkGoalEnv(PoseRewardMixin, ParkEnv):
+class ParkGoalEnv(_Goals, ParkEnv):
     """One agent drives to a pose; as `ParkEnv`, but for these.
 
     - observation: a dictionary of `observation` (what the agent observes but for its
       goal), `achieved_goal` and `desired_goal` (6,): x, y, vx, vy, cos and sin of the
-      heading in the world frame, see `carpark_mj.wrappers.goal`.
-    - reward: `compute_reward(achieved_goal, desired_goal, info)`, see `PoseReward`.
+      heading in the world frame, see `carpark_mj.tasks.goal_pose`.
+    - reward: `compute_reward(achieved_goal, desired_goal, info)`, by default that of
+      `carpark_mj.config.REWARDS["pose"]`.
     - end: terminated when the goal is reached, parked or crashed.
     - info: `is_success` (reached or parked) and `crashed`.
     """
-
-    def __init__(
-        self,
-        render_mode: str | None = None,
-        camera: str = "topdown",
-        pose_reward: PoseReward | None = None,
-        **options: Unpack[Options],
-    ) -> None:
-        """As of `ParkEnv`.
-
-        Args:
-            render_mode: None, `human` or `rgb_array`.
-            camera: see `ParkEnv`.
-            pose_reward: reward, and when the goal is reached.
-            **options: see `Options`, without `agents` and `reward`.
-        """
-        self._take(pose_reward)
-        super().__init__(render_mode, camera, **options)
-
-    def _make(self, options: Options) -> LotEnv:
-        config = one_agent(configure(options, GOAL_OPTIONS))
-        return shared_goal_env(config, self.pose_reward)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """See `ParkEnv.step`; the reward is exactly that of `compute_reward`."""
@@ -94,14 +84,5 @@ class ParkGoalEnv(PoseRewardMixin, ParkEnv):
         return seen, reward, terminated, truncated, info
 
 
-def shared_goal_env(config: EnvConfig, pose_reward: PoseReward) -> GoalParking:
-    """The environment of a configuration, made and compiled only once."""
-    return share_goals(GoalParking, shared_env(config), pose_reward)
-
-
-@functools.lru_cache(maxsize=32)
-def share_goals(
-    kind: type[GoalEnv], parking: ParkingEnv, pose_reward: PoseReward
-) -> GoalEnv:
-    """A task of one kind around an environment, the same for the same arguments."""
-    return kind(parking, pose_reward)
+class ParkGoalVectorEnv(_Goals, ParkVectorEnv):
+    """`carpark_mj/ParkGoal-v0` many times; see `ParkVectorEnv` and `ParkGoalEnv`."""

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.wrappers import spaces as agent_spaces
-from carpark_mj.wrappers.batch import LotEnv
 from carpark_mj.wrappers.goal import GoalParking
 
 
@@ -26,7 +26,7 @@ def action_space(spec: ActionSpec) -> spaces.Space[Any]:
     return agent_spaces.action_space(spec)
 
 
-def observation_space(env: LotEnv) -> spaces.Space[Any]:
+def observation_space(env: ParkingEnv) -> spaces.Space[Any]:
     """What the agent observes; of a goal environment a dictionary."""
     box = partial(agent_spaces.observation_space, env.config)
     if isinstance(env, GoalParking):
@@ -37,6 +37,6 @@ def observation_space(env: LotEnv) -> spaces.Space[Any]:
     return box()
 
 
-def split_observation(env: LotEnv, vector: np.ndarray) -> Any:
+def split_observation(env: ParkingEnv, vector: np.ndarray) -> Any:
     """Observations (...) of `observation_space` from the vectors (..., size) of it."""
     return env.split(vector) if isinstance(env, GoalParking) else vector

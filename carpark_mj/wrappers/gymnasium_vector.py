@@ -8,14 +8,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from carpark_mj.config.checks import require_count
-from carpark_mj.wrappers.batch import LotEnv, NumpyBatch, Seeds, require_shape
-from carpark_mj.wrappers.goal import PoseReward
+from carpark_mj.env import ParkingEnv
+from carpark_mj.wrappers.batch import NumpyBatch, Seeds, require_shape
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, one_agent
-from carpark_mj.wrappers.gymnasium_goal import (
-    GOAL_OPTIONS,
-    PoseRewardMixin,
-    shared_goal_env,
-)
 from carpark_mj.wrappers.gymnasium_spaces import (
     action_space,
     observation_space,
@@ -80,7 +75,7 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._screen = Screen(shared_env(env.config), camera)
 
-    def _make(self, options: Options) -> LotEnv:
+    def _make(self, options: Options) -> ParkingEnv:
         return shared_env(one_agent(configure(options, ONE_AGENT)))
 
     @property
@@ -167,26 +162,6 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return final
 
 
-class ParkGoalVectorEnv(PoseRewardMixin, ParkVectorEnv):
-    """`carpark_mj/ParkGoal-v0` many times; see `ParkVectorEnv` and `ParkGoalEnv`."""
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        render_mode: str | None = None,
-        camera: str = "topdown",
-        pose_reward: PoseReward | None = None,
-        **options: Unpack[Options],
-    ) -> None:
-        """As of `ParkVectorEnv` and `ParkGoalEnv`."""
-        self._take(pose_reward)
-        super().__init__(num_envs, render_mode, camera, **options)
-
-    def _make(self, options: Options) -> LotEnv:
-        config = one_agent(configure(options, GOAL_OPTIONS))
-        return shared_goal_env(config, self.pose_reward)
-
-
 class ParkManyVectorEnv(ParkVectorEnv):
     """`carpark_mj/ParkMany-v0`: every environment is an agent, several share a lot.
 
@@ -195,7 +170,7 @@ class ParkManyVectorEnv(ParkVectorEnv):
     keep their layouts until `reset`.
     """
 
-    def _make(self, options: Options) -> LotEnv:
+    def _make(self, options: Options) -> ParkingEnv:
         config = configure(options)
         if config.min_agents not in (None, config.num_agents):
             raise ValueError(

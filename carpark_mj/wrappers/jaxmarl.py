@@ -13,11 +13,11 @@ from gymnasium import spaces
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box, Discrete
 
+from carpark_mj.tasks.environment import AgentsEnvironment
+from carpark_mj.tasks.joint import JointEnv
 from carpark_mj.types import ENDINGS
 from carpark_mj.wrappers.action_table import action_table
-from carpark_mj.wrappers.batch import AgentsEnv
-from carpark_mj.wrappers.joint import joint_env
-from carpark_mj.wrappers.options import Options, configure
+from carpark_mj.wrappers.options import Options, configure, share
 from carpark_mj.wrappers.spaces import observation_space
 
 Arrays = dict[str, jax.Array]
@@ -35,7 +35,9 @@ class JaxMarlAgents(MultiAgentEnv):
 
     outcomes = ENDINGS
 
-    def __init__(self, env: AgentsEnv, box: spaces.Box, *, discrete: bool) -> None:
+    def __init__(
+        self, env: AgentsEnvironment, box: spaces.Box, *, discrete: bool
+    ) -> None:
         """Wraps an environment.
 
         Args:
@@ -132,5 +134,5 @@ class JaxMarlParking(JaxMarlAgents):
             ValueError: impossible value, or continuous actions with parts that are not.
         """
         config = configure(options)
-        env, box = joint_env(config), observation_space(config)
+        env, box = share(JointEnv, config), observation_space(config)
         super().__init__(env, box, discrete=discrete)

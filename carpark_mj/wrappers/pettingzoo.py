@@ -10,9 +10,10 @@ from pettingzoo.utils.env_logger import EnvLogger
 
 from carpark_mj.config.checks import require_kind
 from carpark_mj.mdp.reset_options import ResetOptions
-from carpark_mj.wrappers.batch import AgentsEnv, NumpyBatch
-from carpark_mj.wrappers.joint import joint_env
-from carpark_mj.wrappers.options import Options, configure
+from carpark_mj.tasks.environment import AgentsEnvironment
+from carpark_mj.tasks.joint import JointEnv
+from carpark_mj.wrappers.batch import NumpyBatch
+from carpark_mj.wrappers.options import Options, configure, share
 from carpark_mj.wrappers.reset_options import as_reset_options
 from carpark_mj.wrappers.screen import RENDER_MODES, Screen
 from carpark_mj.wrappers.spaces import action_space, flat_action, observation_space
@@ -47,7 +48,7 @@ def parallel_env(
         ValueError: impossible value.
     """
     config = configure(options)
-    env = joint_env(config)
+    env = share(JointEnv, config)
     fps = 1 / config.sim.ctrl_dt
     screen = Screen(env, camera)
     return AgentsParallelEnv(env, observation_space(config), screen, render_mode, fps)
@@ -73,7 +74,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
     def __init__(
         self,
-        env: AgentsEnv,
+        env: AgentsEnvironment,
         box: spaces.Box,
         screen: Screen,
         render_mode: str | None,

@@ -7,7 +7,8 @@ import jax
 import torch
 
 from carpark_mj.mdp.reset_options import ResetOptions
-from carpark_mj.wrappers.batch import Batch, BatchEnv, Seeds, Step
+from carpark_mj.tasks.environment import Environment
+from carpark_mj.wrappers.batch import Batch, Seeds, Step
 
 
 class TorchBatch:
@@ -21,7 +22,7 @@ class TorchBatch:
         device: of all tensors, that on which JAX computes.
     """
 
-    def __init__(self, env: BatchEnv, num_lots: int, restart: bool = True) -> None:
+    def __init__(self, env: Environment, num_lots: int, restart: bool = True) -> None:
         """As of `Batch`."""
         self.batch = Batch(env, num_lots, restart)
         self.device = torch.from_dlpack(jax.numpy.zeros(1)).device

@@ -12,10 +12,10 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.tasks.environment import AgentsEnvironment
+from carpark_mj.tasks.joint import JointEnv
 from carpark_mj.wrappers.action_table import action_table
-from carpark_mj.wrappers.batch import AgentsEnv
-from carpark_mj.wrappers.joint import joint_env
-from carpark_mj.wrappers.options import Options, configure
+from carpark_mj.wrappers.options import Options, configure, share
 from carpark_mj.wrappers.screen import Screen
 from carpark_mj.wrappers.spaces import observation_space
 from carpark_mj.wrappers.torch_batch import TorchBatch
@@ -48,7 +48,7 @@ class TorchRLAgents(EnvBase):
 
     def __init__(
         self,
-        env: AgentsEnv,
+        env: AgentsEnvironment,
         box: Box,
         screen: Screen,
         lots: int,
@@ -229,6 +229,6 @@ class TorchRLParking(TorchRLAgents):
                 actions with parts that are not.
         """
         config = configure(options)
-        env, box = joint_env(config), observation_space(config)
+        env, box = share(JointEnv, config), observation_space(config)
         super().__init__(env, box, Screen(env), lots, device=device, discrete=discrete)
         self._seed = seed

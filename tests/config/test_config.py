@@ -83,7 +83,7 @@ IMPOSSIBLE = [
     ),
     (RewardConfig, {"time": -1.0}, "time must be at least 0.0, not -1.0"),
     (RewardConfig, {"crash": math.inf}, "crash must be at least 0.0, not inf"),
-    (EpisodeConfig, {"parked_rule": "lax"}, "unknown parked_rule 'lax'"),
+    (EpisodeConfig, {"parked_rule": "lax"}, "unknown parked rule 'lax'"),
     (ParkedRule, {}, "a parked rule must have a limit"),
     (ParkedRule, {"speed": 0.0}, "speed must be positive, not 0.0"),
     (ParkedRule, {"speed": 0.1, "slack": -0.1}, "slack must be at least 0.0, not -0.1"),
@@ -228,7 +228,7 @@ def test_a_full_lot_is_allowed():
     [
         (lambda: EnvConfig(layout="x"), [*LAYOUTS]),
         (lambda: EpisodeConfig(parked_rule="x"), sorted(PARKED_RULES)),
-        (lambda: REWARDS["x"], ["shaped", "tanner"]),
+        (lambda: REWARDS["x"], ["pandita", "pose", "shaped", "tanner"]),
     ],
 )
 def test_unknown_names_are_answered_with_the_known_ones(make, known):

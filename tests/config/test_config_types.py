@@ -17,7 +17,6 @@ from carpark_mj.studies.tanner.observation import TannerObservation
 from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
-from carpark_mj.wrappers.goal import PoseReward
 
 
 def config_classes(cls, found):
@@ -31,7 +30,7 @@ def config_classes(cls, found):
 
 
 CLASSES = config_classes(EnvConfig, {TannerObservation, IndexObservation})
-CLASSES |= {PoseReward, JunctionConfig, RasterConfig, RewardRules, ParkedRule}
+CLASSES |= {JunctionConfig, RasterConfig, RewardRules, ParkedRule}
 CLASSES |= {*FAMILIES.values()} - {FromFileConfig}
 CLASSES |= {NetworkConfig, CurriculumConfig, PPOConfig, QLearningConfig, SACConfig}
 JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))

@@ -5,12 +5,12 @@ import math
 import numpy as np
 
 from carpark_mj.planning.obstacles import Solids
-from carpark_mj.planning.paths import PlannerCar
 from carpark_mj.planning.tracking import Driven, Progress, track
 from carpark_mj.studies.hope.held_out import load_held_out
+from carpark_mj.vehicle import preset
 
 # TPCAP's car.
-CAR = PlannerCar(4.689, 1.942, 2.8, 4.689 / 2 - 0.929, 0.75, 0.5, 1.0, 4.0)
+CAR = preset("tpcap")
 
 
 def case(level, number):

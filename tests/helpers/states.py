@@ -13,7 +13,7 @@ from carpark_mj.types import NO_BAY, EpisodeStats, Motion, ParkedCars, State
 
 @struct.dataclass
 class HandCar:
-    """Parameters of cars (num_agents,); see `carpark_mj.types.CarParameters`."""
+    """What the task reads of `carpark_mj.vehicle.Vehicle`, (num_agents,)."""
 
     size: jax.Array
     wheelbase: jax.Array

@@ -42,7 +42,7 @@ def _bays(layout, count):
 def test_downhill_from_anywhere_in_the_lanes_leads_into_the_bay(lot):
     """No local minimum: of small steps in 16 directions the best one is shorter."""
     layout, routes = lot
-    xy = _points_in_lanes(layout, 256)
+    xy = _points_in_lanes(layout, 64)
     bay = _bays(layout, len(xy))
 
     @jax.jit

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.observing import observed
+from helpers.rules import LIMITS
 from helpers.scenes import cars
 from helpers.sliding import SlidePhysics
 from helpers.states import hand_cars, parked_in, state_of
 
 from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.config import (
-    PARKED_RULES,
     GoalConfig,
     RayConfig,
     RewardConfig,
@@ -41,8 +41,8 @@ from carpark_mj.mdp.spawning.reverse import parked_right, paths_out, reverse_sha
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.planning.search import _poses_in_bay
+from carpark_mj.tasks.goal_pose import goal_features
 from carpark_mj.vehicle import COMPACT, make_vehicle
-from carpark_mj.wrappers.goal import _desired
 
 ENDS = ("either", "nose_first", "tail_first")
 PLACES = [(0.0, 0.0), (0.0, 3.0), (0.0, 6.0)]
@@ -116,7 +116,7 @@ def test_groups_and_mixtures_with_and_without_ends_join(layout, path):
     assert make_layout(both, jax.random.key(0)).bay_end.shape == (36,)
 
 
-@pytest.mark.parametrize("rule", PARKED_RULES)
+@pytest.mark.parametrize("rule", LIMITS)
 @pytest.mark.parametrize("yaw", [IN, OUT])
 def test_no_rule_holds_the_wrong_way_round(layout, rule, yaw):
     sizes = jnp.broadcast_to(BAY, (3, 2))
@@ -156,7 +156,7 @@ def test_parked_cars_stand_as_they_must(layout):
 
 def test_the_goal_of_park_goal_is_the_end_that_may_go_in(layout):
     state = state_of(layout, standing(OUT), jnp.arange(3))
-    np.testing.assert_allclose(_desired(state)[:, 4], [-1, -1, 1], atol=1e-6)
+    np.testing.assert_allclose(goal_features(state)[:, 4], [-1, -1, 1], atol=1e-6)
 
 
 def test_the_planner_has_one_way_round_where_there_is_one():

@@ -7,10 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.crowds import crossing, random_lots
+from helpers.registering import restore_after
+from helpers.rules import LIMITS
 from helpers.scenes import cars, lot, moved, moved_cars
 from helpers.states import parked_at, parked_in, state_of
 
-from carpark_mj.config import PARKED_RULES, EpisodeConfig
+from carpark_mj.config import PARKED_RULES, EpisodeConfig, ParkedRule
 from carpark_mj.mdp.terminations import detect_events, is_parked
 from carpark_mj.types import NO_BAY
 
@@ -106,7 +108,7 @@ def test_sliding_sideways_counts_as_speed(rule):
 
 
 def test_every_rule_is_probed():
-    assert CASES.keys() == PARKED_RULES.keys()
+    assert CASES.keys() == LIMITS.keys()
 
 
 FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
@@ -162,6 +164,21 @@ def test_of_two_agents_in_the_goal_of_both_the_first_parks():
     motion = cars([AWAY, IN_BAY_0, IN_BAY_0])
     events = detected(motion, rule="tanner", goal=[0, 0, 0])
     assert flags(events) == ["drives on", "parked", "crashed"]
+
+
+@pytest.mark.parametrize(
+    ("rule", "outcome"), [("strict", "drives on"), ("precise,tanner", "parked")]
+)
+def test_of_several_rules_one_is_enough(rule, outcome):
+    assert flags(detected(cars([IN_BAY_0], speed=1.0), rule)) == [outcome]
+
+
+@pytest.mark.parametrize(("step", "outcome"), [(9, "parked"), (10, "timed_out")])
+def test_a_rule_may_put_the_timeout_first(monkeypatch, step, outcome):
+    restore_after(monkeypatch, PARKED_RULES)
+    PARKED_RULES.register("early", ParkedRule(speed=1.0, before_timeout=False))
+    assert flags(detected(cars([IN_BAY_0]), "early", step)) == [outcome]
+    assert flags(detected(cars([IN_BAY_0]), "early,strict", step)) == ["parked"]
 
 
 def test_both_agents_of_a_collision_crash():

@@ -16,7 +16,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import Field, make_fields, observe
 from carpark_mj.observations.tracking import tracks, tracks_parked_cars
 from carpark_mj.policy.runs import from_dict
-from carpark_mj.wrappers.goal import GoalParking, PoseReward
+from carpark_mj.wrappers.goal import GoalParking
+from carpark_mj.wrappers.gymnasium_goal import goal_config
 
 LOT = lot([(0.0, 0.0, 0.0)])
 
@@ -91,12 +92,11 @@ def test_what_an_encoder_does_not_say_is_no():
 
 
 def test_goals_are_relabelled_only_where_a_field_says_what_reveals_them():
-    still = dataclasses.replace(EnvConfig().episode, respawn=False)
-    config = EnvConfig(
-        num_agents=1, num_parked_cars=0, episode=still, observation=Speedometer()
+    config = dataclasses.replace(
+        goal_config({"parked_cars": 0}), observation=Speedometer()
     )
     with pytest.raises(ValueError, match=r"reveals the goal .*'speedometer'"):
-        GoalParking(ParkingEnv(config, SlidePhysics()), PoseReward())
+        GoalParking(config, SlidePhysics())
 
 
 def test_an_encoder_is_read_back_by_its_name(speedometer):

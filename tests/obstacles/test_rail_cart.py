@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.packages import PACKAGES, train
+from helpers.packages import PACKAGES
 from helpers.sliding import SlidePhysics, placed
 from helpers.states import any_hit
 
@@ -18,7 +18,6 @@ from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.obstacles.movers import trace_still
 from carpark_mj.policy.baselines import zero_policy
-from carpark_mj.policy.loading import load_policy
 from carpark_mj.rendering.recording import record, recording_stage
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.snapshot import snapshot
@@ -163,9 +162,3 @@ def test_pictures_show_it_where_it_is(cart):
     where = model.body("mover0").pos[:2]
     np.testing.assert_allclose(where, box.pose_w[0, :2], atol=1e-5)
     np.testing.assert_allclose(model.geom("mover0").size[:2], [1.5, 1.0])
-
-
-def test_a_policy_trains_with_it_by_its_name(cart, tmp_path):
-    flags = ("--env.movers", "rail_cart", "--env.physics", "bicycle")
-    folder = train(*flags, extensions=("rail_cart",), runs=tmp_path)
-    assert load_policy(str(folder)).env.movers == ("rail_cart",)

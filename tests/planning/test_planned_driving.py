@@ -9,11 +9,13 @@ from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.planning import search as search_module
 from carpark_mj.planning.driving import MAX_PLANS, PATIENCE, Agent, Sight
+from carpark_mj.planning.paths import centre
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.planning.search import SearchConfig
 from carpark_mj.registry import environment
 from carpark_mj.studies.hope.suite import CaseEvaluator, suite_env
 from carpark_mj.studies.hope.suite_cases import pick_cases
+from carpark_mj.vehicle import make_vehicle
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 2))
 
@@ -38,7 +40,7 @@ def test_the_physical_car_parks_on_its_path(level, count):
     for lot, row in enumerate(rows):
         [found] = planner.searches(lot, 0)
         # It counts the way of the car's middle, which swings out.
-        poses = [CAR.centre(segment.pose)[:, :2] for segment in found.path.segments]
+        poses = [centre(CAR, segment.pose)[:, :2] for segment in found.path.segments]
         planned = sum(np.hypot(*np.diff(pose, axis=0).T).sum() for pose in poses)
         assert row["path"] == pytest.approx(planned, rel=0.1)
     assert planner.decisions == sum(row["length"] for row in rows)
@@ -71,9 +73,10 @@ def test_no_two_agents_lots_or_plans_are_searched_with_the_same_numbers(monkeypa
         return np.broadcast_to(np.asarray(value), (*counts, *np.shape(value)))
 
     of_agents = {"active": True, "begins": False, "speed": 0.0, "steering": 0.0}
-    of_agents |= {"goal": (0.0, 5.0, 0.0), "one_way": False, "car": CAR}
+    of_agents |= {"goal": (0.0, 5.0, 0.0), "one_way": False}
     of_agents |= {"size": (CAR.length, CAR.width)}
     seen = {name: each(value, lots, agents) for name, value in of_agents.items()}
+    seen["car"] = jax.tree.map(lambda x: each(x, lots, agents), make_vehicle(CAR))
     seen |= {
         name: np.zeros((lots, 0, size))
         for kind in ("box", "mover")
@@ -102,7 +105,7 @@ def test_an_agent_stops_for_another_one_and_plans_around_it():
     [found] = agent.searches
     # Somebody stands on the first metres of the path, past the car's outline.
     segment = found.path.segments[0]
-    there = CAR.centre(segment.pose[np.searchsorted(segment.distance, 2.0)])
+    there = centre(CAR, segment.pose[np.searchsorted(segment.distance, 2.0)])
     reach = segment.gear * (CAR.length / 2 + 0.5)
     there = there + reach * np.array([np.cos(there[2]), np.sin(there[2]), 0.0])
     others = there[None], np.array([[0.5, 0.5]])

@@ -11,7 +11,14 @@ from helpers.scenes import polygons
 
 from carpark_mj.planning import search as module
 from carpark_mj.planning.obstacles import FreeSpace, Solids
-from carpark_mj.planning.paths import SHORTEST, STEP, PlannedPath, make_path
+from carpark_mj.planning.paths import (
+    SHORTEST,
+    STEP,
+    PlannedPath,
+    centre,
+    make_path,
+    rear_axle,
+)
 from carpark_mj.planning.search import SearchConfig, require_ompl, search
 
 CASES = [("normal", 0), ("normal", 1), ("complex", 0), ("complex", 1), ("extreme", 0)]
@@ -28,7 +35,7 @@ def planned(request):
 def test_a_planned_path_keeps_its_clearance_from_everything(planned):
     (_, _, solids, _), found = planned
     pose = np.concatenate([segment.pose for segment in found.path.segments])
-    cars = polygons(CAR.centre(pose), (CAR.length, CAR.width))
+    cars = polygons(centre(CAR, pose), (CAR.length, CAR.width))
     solid = shapely.union_all(polygons(solids.pose, solids.size))
     # Tested every 5 cm by the search, every 2 cm by its last check.
     assert shapely.distance(cars, solid).min() >= found.clearance - 0.01
@@ -53,8 +60,8 @@ def test_a_planned_path_leads_from_the_start_into_the_bay(planned):
     (start, goal, _, _), found = planned
     first = found.path.segments[0].pose[0]
     last = found.path.segments[-1].pose[-1]
-    np.testing.assert_allclose(CAR.centre(first)[:2], start[:2], atol=0.05)
-    np.testing.assert_allclose(CAR.centre(last)[:2], goal[:2], atol=0.05)
+    np.testing.assert_allclose(centre(CAR, first)[:2], start[:2], atol=0.05)
+    np.testing.assert_allclose(centre(CAR, last)[:2], goal[:2], atol=0.05)
     assert abs(math.sin(last[2] - goal[2])) < 0.02  # nose in or nose out
 
 
@@ -66,7 +73,7 @@ def test_a_car_with_the_pedals_rules_follows_the_path_and_stands_in_the_bay(plan
     last = found.path.segments[-1].pose[-1]
     assert math.dist(poses[-1, :2], last[:2]) < 0.05
     assert abs(math.remainder(poses[-1, 2] - last[2], 2 * math.pi)) < 0.05
-    cars = polygons(CAR.centre(poses[::5]), (CAR.length, CAR.width))
+    cars = polygons(centre(CAR, poses[::5]), (CAR.length, CAR.width))
     solid = shapely.union_all(polygons(solids.pose, solids.size))
     assert not shapely.intersects(cars, solid).any()
     # It has stood still at every change of gear.
@@ -101,7 +108,7 @@ def test_the_quicker_way_round_is_driven_in_a_bay_and_in_its_opposite(yaw):
     pytest.importorskip("ompl")
     goal = np.array([1.0, -2.0, yaw])
     start = goal - 8.0 * np.array([math.cos(yaw), math.sin(yaw), 0.0])
-    ahead = np.linspace(CAR.rear_axle(start), CAR.rear_axle(goal), round(8.0 / STEP))
+    ahead = np.linspace(rear_axle(CAR, start), rear_axle(CAR, goal), round(8.0 / STEP))
     solids = Solids(np.zeros((0, 3)), np.zeros((0, 2)), *NOTHING)
     for turn in (0.0, math.pi, -math.pi):
         bay = goal + np.array([0.0, 0.0, turn])

@@ -1,6 +1,5 @@
 """The pages of the Gymnasium environments: tables of the code, snippets that run."""
 
-import dataclasses
 import inspect
 import re
 from pathlib import Path
@@ -14,10 +13,11 @@ from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.studies.pandita.environments import PANDITA
+from carpark_mj.studies.pandita.slots_env import SLOTS_OPTIONS, SlotsEnv
+from carpark_mj.tasks.goal_pose import POSE
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv
-from carpark_mj.wrappers.gymnasium_goal import GOAL_OPTIONS, ParkGoalEnv
-from carpark_mj.wrappers.gymnasium_slots import SLOTS_OPTIONS, SlotsEnv
+from carpark_mj.wrappers.gymnasium_goal import ParkGoalEnv, goal_config
 from carpark_mj.wrappers.gymnasium_vector import ParkManyVectorEnv
 from carpark_mj.wrappers.options import OPTIONS
 
@@ -32,7 +32,7 @@ TEXTS = {name: (FOLDER / f"{page}.md").read_text() for name, page in PAGES.items
 # The class whose arguments a page lists, and which of the options it takes.
 MADE_BY = {
     "carpark_mj/Park-v0": (ParkEnv, ONE_AGENT),
-    "carpark_mj/ParkGoal-v0": (ParkGoalEnv, GOAL_OPTIONS),
+    "carpark_mj/ParkGoal-v0": (ParkGoalEnv, ONE_AGENT),
     "carpark_mj/Slots-v0": (SlotsEnv, SLOTS_OPTIONS),
     "carpark_mj/ParkMany-v0": (ParkManyVectorEnv, OPTIONS),
 }
@@ -45,6 +45,7 @@ DEFAULTS = {
     "reward": next(name for name, set_ in REWARDS.items() if set_ == CONFIG.reward),
     "physics": CONFIG.physics,
 }
+RULE = goal_config({}).episode.parked_rule
 SLOTS = {
     "config": "pandita",
     "layout": PANDITA.layout,
@@ -112,10 +113,12 @@ def goal(name, env):
     return markdown_table(GoalParking.goal_fields) + "\n"
 
 
-def pose_reward(name, env):
-    parts = dataclasses.asdict(env.pose_reward).items()
-    rows = [(f"`{part}`", f"`{default}`") for part, default in parts]
-    return table(("part of `pose_reward`", "default"), rows)
+def pose(name, env):
+    reward = env._batch.env.config.reward
+    terms = {"crash": reward.crash, **reward.extra}
+    terms |= {f"pose.{part}": value for part, value in POSE.parameters.items()}
+    rows = [(f"`{part}`", f"{value:g}") for part, value in terms.items()]
+    return table(("part of the reward", "default"), rows)
 
 
 @pytest.mark.parametrize(
@@ -126,8 +129,8 @@ def pose_reward(name, env):
         *[(name, "observation", observation) for name in PAGES],
         ("carpark_mj/Park-v0", "rewards", rewards),
         ("carpark_mj/ParkGoal-v0", "goal", goal),
-        ("carpark_mj/ParkGoal-v0", "pose reward", pose_reward),
-        ("carpark_mj/Slots-v0", "pose reward", pose_reward),
+        ("carpark_mj/ParkGoal-v0", "rewards", pose),
+        ("carpark_mj/Slots-v0", "rewards", pose),
     ],
 )
 def test_a_table_of_an_environment_is_the_generated_one(name, marker, expected):
@@ -146,6 +149,8 @@ def test_a_page_lists_all_arguments_with_their_defaults(name):
         if argument not in ("options", "num_envs")
     }
     defaults = SLOTS if kind is SlotsEnv else DEFAULTS
+    if kind is ParkGoalEnv:
+        defaults = {**DEFAULTS, "reward": "pose", "rule": RULE}
     expected = own | {option: repr(defaults.get(option)) for option in options}
     if kind is not SlotsEnv:
         expected["config"] = "EnvConfig()"

@@ -167,11 +167,10 @@ def test_actions_on_the_grid_are_integers(action):
     ("name", "options", "error", "message"),
     [
         (PARK, {"agents": 2}, TypeError, "unknown option 'agents'"),
-        (GOAL, {"reward": "shaped"}, TypeError, "unknown option 'reward'"),
+        (GOAL, {"reward": "shaped"}, ValueError, "of the terms pose and crash alone"),
         (PARK, {"render_mode": "ansi"}, ValueError, "unknown render_mode 'ansi'"),
         (PARK, {"camera": 3}, ValueError, "unknown camera 3; choose topdown"),
         (MANY, {"camera": "chase:2", "agents": 2}, ValueError, "K from 0 to 1"),
-        (GOAL, {"pose_reward": "x"}, TypeError, "PoseReward or None, not 'x'"),
         (PARK, {"config": "dynamic"}, ValueError, "goals.dynamic must be False"),
         (MANY, {"agents": 3}, ValueError, "multiple of the number of agents, 3, not 4"),
         (MANY, {"config": "anywhere"}, ValueError, "min_agents must be None"),

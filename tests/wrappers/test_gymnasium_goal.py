@@ -9,25 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import EnvConfig, EpisodeConfig
-from carpark_mj.env import ParkingEnv
+from carpark_mj.config import REWARDS, EpisodeConfig
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
-from carpark_mj.wrappers.goal import GoalParking, PoseReward
+from carpark_mj.tasks.goal_pose import pose_norm
+from carpark_mj.wrappers.goal import GoalParking
+from carpark_mj.wrappers.gymnasium_goal import goal_config
 
 GOAL = "carpark_mj/ParkGoal-v0"
-ONE = EnvConfig(num_agents=1, episode=EpisodeConfig(respawn=False))
+ONE = goal_config({})
 
 
 @pytest.fixture(scope="module")
 def goal():
-    return GoalParking(ParkingEnv(ONE), PoseReward())
-
-
-def test_arguments_of_another_type_are_refused(goal):
-    for parking, reward in ((ONE, PoseReward()), (goal.parking, "x")):
-        with pytest.raises(TypeError, match=r"must be of (ParkingEnv|PoseReward), not"):
-            GoalParking(parking, reward)
+    return GoalParking(ONE)
 
 
 def moved(env, state, pose):
@@ -38,12 +33,11 @@ def moved(env, state, pose):
 def test_the_reward_is_the_weighted_norm_of_highway_env():
     # Worked by hand: 0.64 m along x is 0.0064, whose root is 0.08; 1 rad askew besides
     # adds 0.02 (1 - cos 1 + sin 1).
-    norm = PoseReward().norm
     at = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
     off = np.array([0.0064, 0.0, 3.0, 3.0, 1.0, 0.0])
     askew = np.array([0.0064, 0.0, 0.0, 0.0, math.cos(1), math.sin(1)])
     turned = math.sqrt(0.0064 + 0.02 * (1 - math.cos(1) + math.sin(1)))
-    found = norm(np.stack([at, off, askew]), at)
+    found = pose_norm(np.stack([at, off, askew]), at)
     np.testing.assert_allclose(found, [0.0, 0.08, turned], rtol=1e-5)
 
 
@@ -104,19 +98,12 @@ def test_nothing_else_that_is_observed_tells_the_goal():
     everything = ContinuousObservation(
         lines=True, route=True, global_information=True, own_car=True
     )
-    config = EnvConfig(
-        num_agents=1,
-        num_parked_cars=2,
-        layout="lot",
-        physics="bicycle",
-        observation=everything,
-        episode=EpisodeConfig(respawn=False),
+    config = dataclasses.replace(
+        ONE, num_parked_cars=2, layout="lot", physics="bicycle", observation=everything
     )
     observed = {field.name for field in make_fields(config)}
     assert observed >= {"line_room", "route_next", "goal_claim"}
-    test_the_goal_is_seen_in_the_desired_goal_alone(
-        GoalParking(ParkingEnv(config), PoseReward())
-    )
+    test_the_goal_is_seen_in_the_desired_goal_alone(GoalParking(config))
 
 
 def test_a_car_nose_in_in_the_middle_of_its_goal_has_reached_it(goal):
@@ -124,47 +111,59 @@ def test_a_car_nose_in_in_the_middle_of_its_goal_has_reached_it(goal):
     step = jax.jit(goal.step)
     bay = np.asarray(state.layout.bay_pose[state.goal[0]])
     nose_in = bay + np.array([0.0, 0.0, math.pi])
-    after, timestep = step(moved(goal.parking, state, nose_in), jnp.zeros((1, 2)))
+    after, timestep = step(moved(goal, state, nose_in), jnp.zeros((1, 2)))
     seen = goal.split(np.asarray(timestep.observation))
     np.testing.assert_allclose(seen["achieved_goal"], seen["desired_goal"], atol=1e-3)
     assert timestep.terminated.all()
     assert timestep.reward[0] == pytest.approx(0.0, abs=0.03)
     assert not after.active.any()
     # Backed in it is parked, though not in the goal pose.
-    _, timestep = step(moved(goal.parking, state, bay), jnp.zeros((1, 2)))
+    _, timestep = step(moved(goal, state, bay), jnp.zeros((1, 2)))
     assert timestep.terminated.all()
     assert timestep.reward[0] == pytest.approx(-math.sqrt(0.04), abs=0.01)
     # In the middle of the lot it is neither.
     centre = [0.0, 0.0, bay[2]]
-    _, timestep = step(moved(goal.parking, state, centre), jnp.zeros((1, 2)))
+    _, timestep = step(moved(goal, state, centre), jnp.zeros((1, 2)))
     assert not timestep.terminated.any()
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"weights": (1.0, 1.0)}, "6 numbers of at least 0"),
-        ({"weights": (1.0, 1.0, -1.0, 0.0, 0.0, 0.0)}, "6 numbers of at least 0"),
-        ({"weights": (math.nan, 1.0, 0.0, 0.0, 0.0, 0.0)}, "6 numbers of at least 0"),
-        ({"power": 0.0}, "power must be positive"),
-        ({"threshold": -1.0}, "threshold must be positive"),
-        ({"crash": -1.0}, "crash must be at least 0"),
+        ({"num_agents": 2}, "num_agents = 1"),
+        ({"episode": EpisodeConfig()}, "episode.respawn = False"),
+        ({"reward": REWARDS["shaped"]}, r"pose and crash alone, .* 'park', 'progress'"),
+        (
+            {"reward": dataclasses.replace(REWARDS["pose"], extra={"pose": 0.0})},
+            r"pose and crash alone, .*\['crash'\]",
+        ),
     ],
 )
-def test_impossible_rewards_are_refused(changes, message):
+def test_what_cannot_be_relabelled_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
-        PoseReward(**changes)
-
-
-def test_goal_poses_are_for_one_agent_that_stays():
-    with pytest.raises(ValueError, match="num_agents = 1"):
-        GoalParking(ParkingEnv(EnvConfig(num_agents=1)), PoseReward())
+        GoalParking(dataclasses.replace(ONE, **changes))
 
 
 def test_any_encoder_may_say_what_reveals_the_goal():
     task = dataclasses.replace(
-        TANNER_QLEARNING, episode=EpisodeConfig("tanner", respawn=False)
+        TANNER_QLEARNING, episode=ONE.episode, reward=REWARDS["pose"]
     )
-    parking = GoalParking(ParkingEnv(task), PoseReward())
     assert {field.name for field in make_fields(task)} == {"level", "bearing"}
-    assert [field.name for field in parking.fields] == ["level"]
+    assert [field.name for field in GoalParking(task).fields] == ["level"]
+
+
+def test_the_weights_of_the_reward_may_be_others():
+    extra = {"pose": 2.0, "pose.x": 0.5, "pose.heading": 0.1, "pose.power": 1.0}
+    reward = dataclasses.replace(REWARDS["pose"], crash=3.0, extra=extra)
+    env = GoalParking(
+        dataclasses.replace(ONE, reward=reward, physics="bicycle", num_parked_cars=2)
+    )
+    goals = np.zeros(6), np.array([2.0, 1.0, 9.0, 9.0, 0.5, -0.5])
+    paid = -2.0 * (0.5 * 2.0 + 0.3 * 1.0 + 0.1 * 1.0)
+    crashed = np.array([False, True])
+    np.testing.assert_allclose(env.rewards(*goals, crashed), [paid, paid - 3.0])
+    state, _ = env.reset(jax.random.key(0))
+    _, timestep = jax.jit(env.step)(state, jnp.ones((1, 2)))
+    parts = env.split(np.asarray(timestep.observation))
+    paid = env.rewards(parts["achieved_goal"], parts["desired_goal"], np.zeros(1))
+    np.testing.assert_allclose(timestep.reward, paid, rtol=1e-6)

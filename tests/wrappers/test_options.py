@@ -42,7 +42,7 @@ def test_options_change_a_config_or_a_named_environment():
     [
         ({"agent": 2}, TypeError, "unknown option 'agent'; choose from .*'agents'"),
         ({"layout": "mars"}, ValueError, "unknown layout 'mars'; choose from"),
-        ({"rule": "near"}, ValueError, "unknown parked_rule 'near'; choose from"),
+        ({"rule": "near"}, ValueError, "unknown parked rule 'near'; choose from"),
         ({"reward": "none"}, ValueError, "unknown reward 'none'; choose from"),
         ({"physics": "box2d"}, ValueError, "unknown physics 'box2d'; choose from"),
         ({"agents": 0}, ValueError, "num_agents must be at least 1, not 0"),

@@ -19,7 +19,7 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
 from carpark_mj.obstacles.lot import lot_obstacles
-from carpark_mj.types import NO_BAY, CarParameters, ParkedCars
+from carpark_mj.types import NO_BAY, ParkedCars, Vehicle
 
 
 @struct.dataclass
@@ -44,7 +44,7 @@ class SpawnInputs:
     size: jax.Array | None
     old_size: jax.Array | None
     fits: BayFits
-    cars: CarParameters | None = None
+    cars: Vehicle | None = None
     movers: Movers = NO_MOVERS
 
 

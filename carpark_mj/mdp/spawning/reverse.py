@@ -14,7 +14,7 @@ from carpark_mj.geometry import box_inside, norm, wrap_angle
 from carpark_mj.layouts.types import BayEnd
 from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, Surroundings
-from carpark_mj.types import CarParameters
+from carpark_mj.types import Vehicle
 
 CANDIDATES = 8  # paths per start, of which the longest counts
 ARCS = 3
@@ -110,7 +110,7 @@ def parked_right(draws: ReverseDraws, end: jax.Array) -> ReverseDraws:
 
 
 def paths_out(
-    cars: CarParameters, agent: jax.Array, bay_pose: jax.Array, draws: ReverseDraws
+    cars: Vehicle, agent: jax.Array, bay_pose: jax.Array, draws: ReverseDraws
 ) -> jax.Array:
     """Ways out of a bay, as points `SPACING` apart.
 

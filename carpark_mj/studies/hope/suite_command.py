@@ -10,14 +10,14 @@ import jax
 import tyro
 
 from carpark_mj.cli.driver import find_driver
-from carpark_mj.config import EnvConfig, require_rule
+from carpark_mj.config import EnvConfig, find_rules
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable
 from carpark_mj.layouts import Layout
-from carpark_mj.planning.paths import PlannedPath, car_of
+from carpark_mj.planning.paths import PlannedPath
 from carpark_mj.planning.plot import plot_paths
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.policy.acting import AnyPolicy
@@ -99,7 +99,7 @@ class SuiteConfig:
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
             )
-        require_rule(self.rule)
+        find_rules(self.rule)
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
         for level in self.levels:
@@ -158,7 +158,7 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     pictures: list[Path] = []
     if drawn:
         pictures.append(folder / "paths.png")
-        plot_paths(pictures[0], drawn, car_of(preset(VEHICLE)))
+        plot_paths(pictures[0], drawn, preset(VEHICLE))
     # The planner first: others are compared with its paths.
     names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
     rows = [row for name in names for row in table_rows(name, episodes)]

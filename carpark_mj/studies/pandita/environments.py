@@ -9,9 +9,10 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.registry import ENVIRONMENTS
+from carpark_mj.studies.pandita.task import REWARD, PanditaObservation
 
 # Pandita 2022: highway-env's car in a lot where all other slots are taken; 150 steps at
-# 5 Hz. With goal poses, reward and ends of `carpark_mj.wrappers.slots`.
+# 5 Hz.
 PANDITA = EnvConfig(
     layout="slots",
     vehicle="highway",
@@ -20,7 +21,9 @@ PANDITA = EnvConfig(
     physics="highway",
     sim=SimConfig(sim_dt=1 / 15, trace_dt=1 / 15),
     spawn=SpawnConfig(close_ratio=0.0),
-    episode=EpisodeConfig(max_steps=150),
+    episode=EpisodeConfig(parked_rule="pandita", max_steps=150),
+    reward=REWARD,
+    observation=PanditaObservation(),
 )
 # The same for real cars.
 SLOTS = dataclasses.replace(PANDITA, vehicle="compact", physics="mjx", sim=SimConfig())

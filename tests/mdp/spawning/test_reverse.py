@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
+from helpers.rules import LIMITS
 from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at, parked_in
 
-from carpark_mj.config import PARKED_RULES, EnvConfig, GoalConfig, SpawnConfig
+from carpark_mj.config import EnvConfig, GoalConfig, SpawnConfig
 from carpark_mj.layouts import (
     layout_config,
     layout_maxima,
@@ -180,7 +181,7 @@ def test_a_start_is_free_and_the_way_back_ends_parked_in_the_bay(name):
     back = retrace(start, draws, bay_pose, fleet)
     there = cars(back[:, -1], size=size)
     # Who is 5 m from a bay's end, where starts are, has arrived as MetaDrive has it.
-    rules = [name for name, limits in PARKED_RULES.items() if limits.from_end is None]
+    rules = [name for name, limits in LIMITS.items() if limits.from_end is None]
     parks = {rule: is_parked(rule, there, bay_pose, bay_size) for rule in rules}
     standing = cars(start, size=size)
     for rule, good in parks.items():

@@ -225,7 +225,7 @@ def test_the_best_table_drives_in_evaluation(run, tmp_path):
 
 def test_what_cannot_be_is_refused_in_a_sentence(run, capsys, tmp_path):
     folder, _ = run
-    with pytest.raises(ValueError, match="for grid_coarse physics cannot drive on mjx"):
+    with pytest.raises(ValueError, match="needs grid physics, not mjx"):
         evaluate.main(evaluate.EvaluateConfig(run=str(folder), physics="mjx"))
     with pytest.raises(ValueError, match=r"gamma must lie in \[0, 1\], not 1.5"):
         QLearningConfig(gamma=1.5)

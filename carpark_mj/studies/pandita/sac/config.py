@@ -17,8 +17,8 @@ from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
 from carpark_mj.studies.pandita.layouts import SlotsConfig
 from carpark_mj.studies.pandita.sac.phases import Phase, mixture, read_phase
+from carpark_mj.studies.pandita.slots_env import slots_config
 from carpark_mj.training.run_folder import RunConfig
-from carpark_mj.wrappers.gymnasium_slots import slots_config
 
 SACPreset = Literal["slots", "study", "pandita"]
 Replay = Literal["her", "plain", "none"]

@@ -10,9 +10,11 @@ import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.policy.rollout import Carry, Step, roll_out
 from carpark_mj.studies.pandita.sac.config import SACConfig
-from carpark_mj.wrappers.gymnasium_slots import shared_slots_env
-from carpark_mj.wrappers.slots import PANDITA_REWARD, SlotsGoalParking
+from carpark_mj.types import State
+from carpark_mj.wrappers.goal import GoalParking
+from carpark_mj.wrappers.options import share
 
 OUTCOMES = ("success", "crashed", "timed_out")
 # Weights and observations to a distribution of actions.
@@ -36,7 +38,7 @@ def choose_action(
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
 def _episodes(
-    env: SlotsGoalParking,
+    env: GoalParking,
     actor: Actor,
     sampled: bool | jax.Array,
     params: Any,
@@ -44,26 +46,25 @@ def _episodes(
 ) -> dict[str, jax.Array]:
     """One episode for each key: how it ended, its steps and mean speed [m/s]."""
 
+    def act(state: State, vector: jax.Array, memory: Any, key: jax.Array) -> Any:
+        return choose_action(actor, sampled, params, vector, key), memory
+
+    def report(step: Step) -> dict[str, jax.Array]:
+        events, active = step.timestep.events, step.before.active[0]
+        speed = jnp.abs(step.timestep.motion.velocity_b[0, 0])
+        return {
+            "success": events.success[0],
+            "crashed": events.crashed[0],
+            "timed_out": events.timed_out[0],
+            "steps": active,
+            "distance": jnp.where(active, speed, 0.0),
+        }
+
     def episode(key: jax.Array) -> dict[str, jax.Array]:
         reset_key, act_key = jax.random.split(key)
-        state, vector = env.reset(reset_key)
-
-        def step(carry: Any, key: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
-            state, vector = carry
-            action = choose_action(actor, sampled, params, vector, key)
-            after, timestep = env.step(state, action)
-            events, active = timestep.events, state.active[0]
-            speed = jnp.abs(timestep.motion.velocity_b[0, 0])
-            return (after, timestep.observation), {
-                "success": events.parked[0] & ~events.crashed[0],
-                "crashed": events.crashed[0],
-                "timed_out": events.timed_out[0],
-                "steps": active,
-                "distance": jnp.where(active, speed, 0.0),
-            }
-
+        start = Carry(*env.reset(reset_key))
         keys = jax.random.split(act_key, env.config.episode.max_steps)
-        _, steps = jax.lax.scan(step, (state, vector), keys)
+        _, steps = roll_out(env, act, start, keys, report)
         return {name: x.sum(axis=0) for name, x in steps.items()}
 
     return jax.vmap(episode)(keys)
@@ -84,7 +85,7 @@ def deploy(
         kind: of lot.
         sampled: draw actions instead of taking the likeliest.
     """
-    env = shared_slots_env(config.env_of(config.layout(kind)), PANDITA_REWARD)
+    env = share(GoalParking, config.env_of(config.layout(kind)))
     keys = jax.random.split(evaluation_key(config.seed), config.eval_episodes)
     ends = _episodes(env, actor, sampled, params, keys)
     found = {name: np.asarray(x, float) for name, x in jax.device_get(ends).items()}

@@ -4,12 +4,11 @@ import dataclasses
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import jax
 import numpy as np
 
-from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import Recording, record, recording_stage
@@ -18,22 +17,12 @@ from carpark_mj.rendering.snapshot import num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.studies.pandita.sac.deploy import choose_action
 from carpark_mj.studies.pandita.sac.train import Training
-from carpark_mj.types import State
-from carpark_mj.wrappers.gymnasium_slots import shared_slots_env
-from carpark_mj.wrappers.slots import PANDITA_REWARD, SlotsGoalParking
+from carpark_mj.wrappers.goal import GoalParking
+from carpark_mj.wrappers.options import share
 
 FPS = 10.0
 SIZE = (960, 540)
 STILL = 1.0  # s for which the end of an episode is shown
-
-
-class _Episode(SlotsGoalParking):
-    """One episode as `record` drives it."""
-
-    def reset(self, key: jax.Array, options: Any = None) -> tuple[State, jax.Array]:
-        """As of `SlotsGoalParking`; lots have no splits, which `record` gives here."""
-        del options
-        return super().reset(key)
 
 
 def write_drives(training: Training, path: Path) -> Path:
@@ -54,9 +43,8 @@ def write_drives(training: Training, path: Path) -> Path:
 
     def pictures() -> Iterator[np.ndarray]:
         for kind in config.kinds:
-            env_config = config.env_of(config.layout(kind))
-            env = shared_slots_env(env_config, PANDITA_REWARD)
-            yield from _draw(env.parking, act, seconds, config.seed)
+            env = share(GoalParking, config.env_of(config.layout(kind)))
+            yield from _draw(env, act, seconds, config.seed)
 
     frames = pictures()
     first = next(frames)
@@ -65,13 +53,12 @@ def write_drives(training: Training, path: Path) -> Path:
 
 
 def _draw(
-    parking: ParkingEnv, act: Policy, seconds: float, seed: int
+    env: GoalParking, act: Policy, seconds: float, seed: int
 ) -> Iterator[np.ndarray]:
     """Frames of an episode, till `STILL` after its end."""
-    episode = cast(ParkingEnv, _Episode(parking))
-    num_steps = max(1, round(seconds / parking.config.sim.ctrl_dt))
-    recording = _until_still(record(episode, act, num_steps, seed))
-    renderer = LotRenderer(recording_stage(parking, recording), "topdown", SIZE)
+    num_steps = max(1, round(seconds / env.config.sim.ctrl_dt))
+    recording = _until_still(record(env, act, num_steps, seed))
+    renderer = LotRenderer(recording_stage(env, recording), "topdown", SIZE)
     try:
         stride = frame_stride(recording, FPS)
         for index in range(stride - 1, num_frames(recording), stride):

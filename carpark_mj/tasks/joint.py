@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.types import State, TimeStep
-from carpark_mj.wrappers.options import share
 
 
 class JointEnv(ParkingEnv):
@@ -42,8 +41,3 @@ class JointEnv(ParkingEnv):
             observation=jnp.where(waiting[:, None], 0.0, timestep.observation),
             terminated=timestep.terminated | waiting,
         )
-
-
-def joint_env(config: EnvConfig) -> JointEnv:
-    """The environment of a configuration, made and compiled only once."""
-    return share(JointEnv, config)

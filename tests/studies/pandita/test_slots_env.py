@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.registry import environment
 from carpark_mj.studies.pandita.layouts import SlotsConfig
-from carpark_mj.wrappers.gymnasium_slots import slots_config
-from carpark_mj.wrappers.slots import PANDITA_REWARD, SlotsGoalParking
+from carpark_mj.studies.pandita.slots_env import slots_config
 
 SLOTS = "carpark_mj/Slots-v0"
 WAIT = jnp.zeros((1, 2))
@@ -21,7 +21,7 @@ WAIT = jnp.zeros((1, 2))
 
 @pytest.fixture(scope="module")
 def task():
-    return SlotsGoalParking(ParkingEnv(slots_config({})))
+    return ParkingEnv(slots_config({}))
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def start(task):
 
 def standing(task, state, *pose, steps=0):
     """The car stands at a pose (x, y, heading) after so many steps."""
-    physics = task.parking.physics
+    physics = task.physics
     made = physics.init(jnp.array([pose], jnp.float32), state.physics.vehicle)
     made = state.replace(physics=made, motion=physics.read(made))
     return made.replace(step=jnp.full(1, steps, jnp.int32))
@@ -113,7 +113,7 @@ def test_the_goal_is_reached_within_the_specified_distances(
     assert bool(timestep.terminated[0]) == bool(timestep.events.parked[0]) == near
     assert not timestep.truncated.any()
     assert bool(after.active[0]) != near
-    assert (float(timestep.reward[0]) > -PANDITA_REWARD.threshold) == near
+    assert (float(timestep.reward[0]) > -0.08) == near
 
 
 def test_a_crash_comes_before_the_timeout_and_that_before_the_goal(task, step, start):
@@ -144,14 +144,15 @@ def test_a_crash_comes_before_the_timeout_and_that_before_the_goal(task, step, s
     }
 
 
-def test_being_parked_by_the_rule_ends_nothing(task, step, start):
-    backed_in = standing(task, start, -6.0, 14.0, -math.pi / 2, steps=10)
-    _, inner = jax.jit(task.parking.step)(backed_in, WAIT)
-    assert inner.events.parked.all()
-    after, timestep = step(backed_in, WAIT)
+def test_standing_strictly_parked_tail_in_ends_nothing(task, step, start):
+    backed_in = -6.0, 14.0, -math.pi / 2
+    after, timestep = step(standing(task, start, *backed_in, steps=10), WAIT)
+    layout, goal = start.layout, start.goal
+    bay = layout.bay_pose[goal], layout.bay_size[goal]
+    assert is_parked("strict", timestep.motion, *bay).all()
     assert not timestep.events.done.any()
     assert after.active.all()
-    _, timestep = step(standing(task, start, -6, 14, -math.pi / 2, steps=149), WAIT)
+    _, timestep = step(standing(task, start, *backed_in, steps=149), WAIT)
     assert timestep.events.timed_out.all()
 
 
@@ -171,10 +172,11 @@ def test_an_episode_has_150_steps_of_a_fifth_of_a_second():
 def test_real_cars_have_the_same_task():
     config = slots_config({"config": "slots", "layout": "slots_parallel"})
     assert (config.physics, config.vehicle) == ("mjx", "compact")
-    task, his = (SlotsGoalParking(ParkingEnv(c)) for c in (config, slots_config({})))
+    task, his = ParkingEnv(config), ParkingEnv(slots_config({}))
     state, seen = jax.eval_shape(task.reset, jax.random.key(0))
     _, timestep = jax.eval_shape(task.step, state, WAIT)
     assert seen.shape == timestep.observation.shape == (1, his.observation_size)
+    assert his.observation_size == 12
     same = dataclasses.replace(
         environment("pandita"), vehicle="compact", physics="mjx", sim=config.sim
     )
