@@ -157,10 +157,6 @@ def _remainder(graph: Graph, dtype: Any, *values: Value) -> Value:
     return graph.elementwise("Mod", dtype, *values, fmod=1)  # of the dividend's sign
 
 
-def _same(graph: Graph, dtype: Any, value: Value) -> Value:
-    return value
-
-
 def _square(graph: Graph, dtype: Any, value: Value) -> Value:
     return graph.elementwise("Mul", dtype, value, value)
 
@@ -221,7 +217,7 @@ _ELEMENTWISE: dict[str, Callable[..., Value]] = {
     "sin": _plain("Sin"),
     "sqrt": _plain("Sqrt"),
     "square": _square,
-    "stop_gradient": _same,
+    "stop_gradient": lambda graph, dtype, value: value,
     "sub": _plain("Sub"),
     "tan": _plain("Tan"),
     "tanh": _plain("Tanh"),
@@ -373,14 +369,11 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
         found = _select(graph, value.dtype, inside, fill, found)
     # The rows' axes come where the result has them, those of the index in order.
     offset = numbers.offset_dims
-    kept = [size for k, size in enumerate(sizes) if k not in _dropped(numbers)]
+    dropped = (*numbers.collapsed_slice_dims, *batch)
+    kept = [size for k, size in enumerate(sizes) if k not in dropped]
     ahead = [k for k in range(len(like.shape)) if k not in offset]
     order = np.argsort([*ahead, *offset]).tolist()
     return graph.transpose(graph.reshape(found, [*lead, *kept]), order)
-
-
-def _dropped(numbers: Any) -> tuple[int, ...]:
-    return (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
 
 
 # By primitive: of values in their whole shapes.
