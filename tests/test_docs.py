@@ -31,6 +31,7 @@ from carpark_mj.config import (
 )
 from carpark_mj.mdp.rewards import TERMS, goal_weights
 from carpark_mj.observations import make_fields, markdown_table, observation_size
+from carpark_mj.policy.plain_inputs import markdown_inputs
 from carpark_mj.programs.benchmark import BenchmarkConfig
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.studies.cederle.experiments.program import JunctionStudyConfig
@@ -58,9 +59,9 @@ PAGES = [
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
-README, MDP, VEHICLE = (
+README, MDP, POLICIES, VEHICLE = (
     (ROOT / name).read_text()
-    for name in ("README.md", "docs/mdp.md", "docs/vehicle.md")
+    for name in ("README.md", "docs/mdp.md", "docs/policies.md", "docs/vehicle.md")
 )
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
@@ -149,6 +150,7 @@ COMMAND_LINES = sorted({c for page in PAGES for c in commands(page.read_text())}
             "tanner observation table",
             lambda: markdown_table(make_fields(TANNER_FIXED)),
         ),
+        (POLICIES, "inputs of a car", markdown_inputs),
         (VEHICLE, "physics table", lambda: excerpt(REPORT)),
     ],
 )

@@ -100,7 +100,7 @@ def _about(loaded: LoadedPolicy, rows: Rows, read: list[PlainInput]) -> dict[str
             "meaning": describe_action(spec),
         },
         "frame": "world, counter-clockwise yaw from +x",
-        "seconds_per_decision": loaded.env.sim.ctrl_dt,
+        "decision_time": loaded.env.sim.ctrl_dt,
     }
 
 

@@ -56,8 +56,8 @@ def _run(graph: Graph, program: ClosedJaxpr, given: Sequence[Value]) -> list[Val
 
     def read(variable: Any) -> Value:
         if isinstance(variable, Literal):
-            shaped: Any = variable.aval
-            return np.asarray(variable.val, shaped.dtype)
+            kind: Any = variable.aval
+            return np.asarray(variable.val, kind.dtype)
         return known[variable]
 
     for eqn in jaxpr.eqns:
@@ -157,10 +157,6 @@ def _remainder(graph: Graph, dtype: Any, *values: Value) -> Value:
     return graph.elementwise("Mod", dtype, *values, fmod=1)  # of the dividend's sign
 
 
-def _same(graph: Graph, dtype: Any, value: Value) -> Value:
-    return value
-
-
 def _square(graph: Graph, dtype: Any, value: Value) -> Value:
     return graph.elementwise("Mul", dtype, value, value)
 
@@ -221,10 +217,11 @@ _ELEMENTWISE: dict[str, Callable[..., Value]] = {
     "sin": _plain("Sin"),
     "sqrt": _plain("Sqrt"),
     "square": _square,
-    "stop_gradient": _same,
+    "stop_gradient": lambda graph, dtype, value: value,
     "sub": _plain("Sub"),
     "tan": _plain("Tan"),
     "tanh": _plain("Tanh"),
+    "xor": _plain("Xor"),
 }
 
 
@@ -281,6 +278,12 @@ def _pad(graph: Graph, like: Any, value: Value, fill: Value, **params: Any) -> V
 def _reduce(kind: str) -> Callable[..., Value]:
     def add(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
         axes = np.array(params["axes"], np.int64)
+        pair = [value.shape[axis] for axis in axes] == [2] and value.dtype.kind == "f"
+        if pair and kind != "ReduceSum":
+            # onnxruntime's extremes of two keep NaN, those along an axis drop it.
+            one, other = (_part(graph, value, int(axes[0]), k, k + 1) for k in (0, 1))
+            found = graph.elementwise(kind[-3:], like.dtype, one, other)
+            return graph.reshape(found, like.shape)
         if value.dtype != bool:
             return graph.add(kind, value, axes, like=like, keepdims=0)
         number = graph.cast(value, np.int32)
@@ -334,7 +337,8 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
         if isinstance(index, Named) or np.ptp(index):
             moving[axis] = index
         else:
-            starts[axis] = min(max(index.flat[0], 0), value.shape[axis] - sizes[axis])
+            most = value.shape[axis] - sizes[axis]
+            starts[axis] = min(max(int(index.flat[0]), 0), most)
     front = [*batch, *moving]
     if any(sizes[axis] != 1 for axis in front):
         raise NotImplementedError("windows that move have no operator")
@@ -365,14 +369,11 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
         found = _select(graph, value.dtype, inside, fill, found)
     # The rows' axes come where the result has them, those of the index in order.
     offset = numbers.offset_dims
-    kept = [size for k, size in enumerate(sizes) if k not in _dropped(numbers)]
+    dropped = (*numbers.collapsed_slice_dims, *batch)
+    kept = [size for k, size in enumerate(sizes) if k not in dropped]
     ahead = [k for k in range(len(like.shape)) if k not in offset]
     order = np.argsort([*ahead, *offset]).tolist()
     return graph.transpose(graph.reshape(found, [*lead, *kept]), order)
-
-
-def _dropped(numbers: Any) -> tuple[int, ...]:
-    return (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
 
 
 # By primitive: of values in their whole shapes.

@@ -123,3 +123,14 @@ def rows_of(state: State) -> Rows:
         bays=0 if state.tracked_bays is None else state.tracked_bays.shape[1],
         bay_ends=layout.bay_end is not None,
     )
+
+
+def markdown_inputs() -> str:
+    """`INPUTS` as a markdown table."""
+    rows = ["| input | shape | unit | |", "|---|---|---|---|"]
+    for entry in INPUTS:
+        shape = ", ".join(map(str, entry.dims))
+        shape = f"({shape},)" if len(entry.dims) == 1 else f"({shape})"
+        unit = entry.unit or entry.dtype
+        rows.append(f"| `{entry.name}` | {shape} | {unit} | {entry.meaning} |")
+    return "\n".join(rows)
