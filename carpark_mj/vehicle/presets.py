@@ -17,7 +17,9 @@ defaults, on which published policies were trained.
 
 from types import MappingProxyType
 
+from carpark_mj.config.vehicles import is_name
 from carpark_mj.extensions import Registry
+from carpark_mj.vehicle.file import read_vehicle
 from carpark_mj.vehicle.parameters import (
     TyreParameters,
     VehicleParameters,
@@ -36,12 +38,12 @@ def register_vehicle(name: str, params: VehicleParameters) -> VehicleParameters:
 
 
 def preset(name: str) -> VehicleParameters:
-    """Looks a vehicle up by name.
+    """Looks a vehicle up by name, or reads it from a file (`carpark_mj.vehicle.file`).
 
     Raises:
-        ValueError: unknown name; the message lists the known ones.
+        ValueError: unknown name, the message lists the known ones; or a bad file.
     """
-    return VEHICLES[name]
+    return VEHICLES[name] if is_name(name) else read_vehicle(name)[1]
 
 
 # Fiat 500 (2007), front-driven.
