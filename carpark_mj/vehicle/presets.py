@@ -24,6 +24,8 @@ from carpark_mj.vehicle.parameters import (
     TyreParameters,
     VehicleParameters,
 )
+from carpark_mj.vehicle.sheet import car_of_sheet
+from carpark_mj.vehicle.sheets import SHEETS
 
 VEHICLES: Registry[VehicleParameters] = Registry("vehicle")
 
@@ -195,7 +197,8 @@ VAN = VehicleParameters(
     tyre=TyreParameters(vertical_stiffness=38_000.0, vertical_damping=2900.0),  # [est]
 )
 
-# The cars that are drawn and measured; studies and other packages register more.
+# The cars that have looks of their own and that estimates are fitted to; those of data
+# sheets, studies and other packages are registered, too.
 PRESETS = MappingProxyType(
     {
         "city": CITY,
@@ -208,3 +211,5 @@ PRESETS = MappingProxyType(
 )
 for name, params in PRESETS.items():
     register_vehicle(name, params)
+for name, quantities in SHEETS.items():
+    register_vehicle(name, car_of_sheet(quantities).params)

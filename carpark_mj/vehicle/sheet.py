@@ -1,20 +1,22 @@
 """A car from the quantities of a data sheet; what the sheet leaves out is estimated.
 
 A quantity is a parameter of `VehicleParameters`, in its unit, or what data sheets give
-in its place (`SHEET`). Estimates are fits to `presets.PRESETS`: from a preset's outline,
-wheelbase, mass, drive and wheel, sizes and inertias come within 15 % of the preset's, wheels,
-engine and springs within 35 %.
+in its place (`SHEET`). Estimates are fits to `presets.PRESETS`: from outline,
+wheelbase, mass, drive and wheel they give a preset's other sizes and its inertias
+within 15 %, its wheels' masses, springs, torque and power within 35 %.
 """
 
 import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from carpark_mj.config.checks import is_finite
+from carpark_mj.config.checks import is_finite, require_within
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import (
+    PLAUSIBLE,
     TyreParameters,
     VehicleParameters,
     kerb_to_kerb,
@@ -129,6 +131,9 @@ def _checked(given: dict[str, Any]) -> dict[str, Any]:
             given[name] = _number(name, value, name in _MAY_BE_ZERO)
         elif not isinstance(value, str):
             raise ValueError(f"{name} must be text ({SHEET[name]}), not {value!r}")
+    for (least, most, unit), names in PLAUSIBLE.items():
+        there = [name for name in names if name in given]
+        require_within(SimpleNamespace(**given), least, most, unit, *there)
     if not given["wheelbase"] < given["length"]:
         raise ValueError(
             f"wheelbase must be less than the length {given['length']:g} m, not "
