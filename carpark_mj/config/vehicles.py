@@ -2,7 +2,9 @@
 
 from carpark_mj.extensions import Entry
 
-_READ = Entry("carpark_mj.vehicle.file:read_as_text")
+# Name and parameters of a car that is no name of a registered one.
+READ = Entry("carpark_mj.vehicle.file:read_vehicle")
+_TEXT = Entry("carpark_mj.vehicle.file:read_as_text")
 
 
 def is_name(vehicle: str) -> bool:
@@ -16,4 +18,4 @@ def with_parameters(vehicle: str) -> str:
     Raises:
         ValueError: no such file, or a fault in it.
     """
-    return vehicle if is_name(vehicle) else _READ.load()(vehicle)
+    return vehicle if is_name(vehicle) else _TEXT.load()(vehicle)

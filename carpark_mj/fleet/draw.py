@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.vehicles import is_name
+from carpark_mj.config.vehicles import READ, is_name
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.bays import Wanted, draw_bays, fits, shuffled_bays
 from carpark_mj.mdp.parked_cars import poses_in_bays
@@ -25,7 +25,6 @@ from carpark_mj.vehicle import (
     make_vehicle,
     preset,
 )
-from carpark_mj.vehicle.file import read_vehicle
 from carpark_mj.vehicle.parameters import scaled
 
 
@@ -243,7 +242,7 @@ def _name(vehicle: VehicleParameters, named: str) -> str:
 
 def _known_as(vehicle: str) -> str:
     """The name of a car that a config names or describes."""
-    return vehicle if is_name(vehicle) else read_vehicle(vehicle)[0]
+    return vehicle if is_name(vehicle) else READ.load()(vehicle)[0]
 
 
 def _in_bays(layout: Layout, cars: ParkedCars) -> ParkedCars:

@@ -17,17 +17,14 @@ defaults, on which published policies were trained.
 
 from types import MappingProxyType
 
-from carpark_mj.config.vehicles import is_name
+from carpark_mj.config.vehicles import READ, is_name
 from carpark_mj.extensions import Registry
-from carpark_mj.vehicle.file import read_vehicle
 from carpark_mj.vehicle.parameters import (
     TyreParameters,
     VehicleParameters,
 )
-from carpark_mj.vehicle.sheet import car_of_sheet
-from carpark_mj.vehicle.sheets import SHEETS
 
-VEHICLES: Registry[VehicleParameters] = Registry("vehicle")
+VEHICLES: Registry[VehicleParameters] = Registry("vehicle", "carpark_mj.vehicle.sheets")
 
 
 def register_vehicle(name: str, params: VehicleParameters) -> VehicleParameters:
@@ -45,7 +42,7 @@ def preset(name: str) -> VehicleParameters:
     Raises:
         ValueError: unknown name, the message lists the known ones; or a bad file.
     """
-    return VEHICLES[name] if is_name(name) else read_vehicle(name)[1]
+    return VEHICLES[name] if is_name(name) else READ.load()(name)[1]
 
 
 # Fiat 500 (2007), front-driven.
@@ -211,5 +208,3 @@ PRESETS = MappingProxyType(
 )
 for name, params in PRESETS.items():
     register_vehicle(name, params)
-for name, quantities in SHEETS.items():
-    register_vehicle(name, car_of_sheet(quantities).params)

@@ -241,8 +241,9 @@ def _drive(given: dict[str, Any]) -> None:
 
 
 def _circle(values: Mapping[str, float], steering: float) -> float:
-    size = (values[name] for name in ("wheelbase", "track_width", "tyre_width"))
-    return kerb_to_kerb(*size, steering)
+    return kerb_to_kerb(
+        values["wheelbase"], values["track_width"], values["tyre_width"], steering
+    )
 
 
 def _steering(

@@ -10,6 +10,9 @@ looked up. Masses include a driver.
 from types import MappingProxyType
 from typing import Any
 
+from carpark_mj.vehicle.presets import register_vehicle
+from carpark_mj.vehicle.sheet import car_of_sheet
+
 SHEETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
         # VW ID.3, 58 kWh.
@@ -60,16 +63,16 @@ SHEETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
             "drive": "rear",  # [press]
             "max_power": 110e3,  # [est]
         },
-        # VW Crafter (2017), medium wheelbase, high roof.
+        # VW Crafter (2017), medium wheelbase, standard roof.
         "minibus": {
             "length": 5.986,  # [est]
             "width": 2.04,  # [est]
-            "height": 2.59,  # [est]
+            "height": 2.355,  # [est]
             "wheelbase": 3.64,  # [est]
             "front_overhang": 0.996,  # [est]
             "mass": 2700.0,  # [est] with seats and a driver
             "front_axle_load": 1490.0,  # [est] 55 %
-            "cg_height": 0.9,  # [est]
+            "cg_height": 0.85,  # [est]
             "tyre_size": "205/75 R16 C",  # [est]
             "track_width": 1.75,  # [est]
             "turning_circle": 13.6,  # [est]
@@ -94,3 +97,5 @@ SHEETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
         },
     }
 )
+for name, quantities in SHEETS.items():
+    register_vehicle(name, car_of_sheet(quantities).params)
