@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from helpers.cars import ROAD_CARS
 from helpers.rules import LIMITS
 from PIL import Image, ImageSequence
 
@@ -22,6 +23,7 @@ from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig, complete
+from carpark_mj.cli.vehicles import VehiclesConfig
 from carpark_mj.config import (
     REWARDS,
     ContextName,
@@ -50,7 +52,6 @@ from carpark_mj.training.ppo.arguments import read_runs
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
 from carpark_mj.training.settings import named
-from carpark_mj.vehicle import PRESETS
 from vehicle_suite.table import excerpt
 
 ROOT = Path(__file__).parents[1]
@@ -82,6 +83,7 @@ COMMANDS = {
     "eval/suite.py": SuiteConfig,
     "-m carpark_mj.scene": SceneConfig,
     "-m carpark_mj.layouts": LayoutsConfig,
+    "-m carpark_mj.vehicles": VehiclesConfig,
     "-m carpark_mj.play": PlayConfig,
 }
 
@@ -111,7 +113,10 @@ SCRIPTS = {
     "study junction": "train/junction.py",
     "study slots": "train/slots_study.py",
     "study tanner": "train/study.py",
-    **{f"{name}": f"-m carpark_mj.{name}" for name in ("scene", "play", "layouts")},
+    **{
+        f"{name}": f"-m carpark_mj.{name}"
+        for name in ("scene", "play", "layouts", "vehicles")
+    },
     **{
         f"{name}": f"eval/{name}.py"
         for name in ("evaluate", "render", "suite", "analysis", "benchmark")
@@ -228,7 +233,8 @@ def test_contexts_environments_and_layouts_are_all_named():
 
 def test_the_vehicle_presets_are_those_of_the_code():
     drive = {1.0: "front", 0.0: "rear", 0.5: "all"}
-    found = [[row[0], *row[2:]] for row in cells(VEHICLE, "presets")]
+    tables = [*cells(VEHICLE, "presets"), *cells(VEHICLE, "sheets")]
+    found = [[row[0], *row[2:]] for row in tables]
     assert found == [
         [
             name,
@@ -238,7 +244,7 @@ def test_the_vehicle_presets_are_those_of_the_code():
             f"{car.mass:g}",
             f"{car.turning_circle:g}",
         ]
-        for name, car in PRESETS.items()
+        for name, car in ROAD_CARS.items()
     ]
 
 
