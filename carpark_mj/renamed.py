@@ -104,7 +104,10 @@ RENAMED: dict[str, str] = {
         f"carpark_mj.{old}": f"carpark_mj.{new}"
         for old, new in {
             "config.sensors": "config.observations",
+            "config.units": "config.terminations",
+            "geometry.nearest": "geometry.se2",
             "layouts.lanes": "layouts.routes",
+            "mdp.chosen_goals": "mdp.dynamic_goals",
             "mdp.goal_rewards": "mdp.rewards",
             "mdp.metrics.collision_time": "mdp.metrics.safety",
             "mdp.metrics.driving": "mdp.metrics.tallies",
