@@ -105,7 +105,6 @@ RENAMED: dict[str, str] = {
         for old, new in {
             "config.sensors": "config.observations",
             "config.units": "config.terminations",
-            "geometry.nearest": "geometry.se2",
             "layouts.lanes": "layouts.routes",
             "mdp.chosen_goals": "mdp.dynamic_goals",
             "mdp.goal_rewards": "mdp.rewards",
