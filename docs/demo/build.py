@@ -205,7 +205,8 @@ def vendor(out: Path) -> None:
     for name in ("mujoco", "onnxruntime"):  # their npm packages have no licence files
         for file in metadata.files(name) or ():
             if file.name.startswith(("LICENSE", "ThirdPartyNotices")):
-                shutil.copy(str(file.locate()), out / name)
+                target = out / name / f"{file.stem}.txt"  # a .md would be a page
+                shutil.copy(str(file.locate()), target)
 
 
 if __name__ == "__main__":

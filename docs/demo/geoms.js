@@ -6,10 +6,8 @@ const LOOKS = {
   paint: { metalness: 0.35, roughness: 0.32 },
   glass: { metalness: 0.6, roughness: 0.08 },
   metal: { metalness: 0.85, roughness: 0.35 },
-  rubber: { roughness: 0.95 },
   lamp: { roughness: 0.3 },
-  "": { roughness: 0.9 },
-};
+}; // all else is dull
 const [SPHERE, CYLINDER, BOX, MESH] = [2, 5, 6, 7]; // mjtGeom
 const FLAT = 0.02; // m, lower geoms cast no shadow
 
@@ -62,7 +60,9 @@ export class Geoms {
     if (!(type in SHAPES) && type !== MESH) return; // the ground is drawn by the view
     const shape = type === MESH ? meshGeometry(meshes[mesh]) : SHAPES[type]();
     const seeThrough = rgba[3] < 1 ? { transparent: true, opacity: rgba[3], depthWrite: false } : {};
-    const look = new THREE.MeshStandardMaterial({ ...LOOKS[material] ?? LOOKS[""], ...seeThrough });
+    const look = material in LOOKS
+      ? new THREE.MeshStandardMaterial({ ...LOOKS[material], ...seeThrough })
+      : new THREE.MeshLambertMaterial(seeThrough);
     const instanced = new THREE.InstancedMesh(shape, look, members.length);
     instanced.frustumCulled = false;
     instanced.castShadow = rgba[3] === 1 && (type === MESH ? material !== "" : Math.min(...scaleOf({ type, size })) > FLAT);

@@ -6,6 +6,7 @@ import { Geoms } from "./geoms.js";
 
 export const CAMERAS = ["overview", "follow", "plan"];
 const SKY = 0xb9cbd8;
+const COARSE = 0.6; // pixels for each of the screen's points on slow machines
 const MARK = 0.014; // m, height of a bay's mark above the ground
 
 THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
@@ -91,7 +92,7 @@ export class View {
     this.you.visible = kind !== "follow";
     if (!this.lot || kind === "follow") return;
     const [x, y] = this.lot.extent;
-    const turned = x > y !== this.camera.aspect > 1; // its long side along the screen's
+    const turned = x !== y && x > y !== this.camera.aspect > 1; // its long side along the screen's
     const [across, up] = turned ? [y, x] : [x, y];
     const half = Math.tan((this.camera.fov * Math.PI) / 360);
     const margin = this.camera.aspect > 1 ? 1.06 : 1.25; // of an upright screen the buttons take more
@@ -120,10 +121,12 @@ export class View {
     this.camera.lookAt(x + 2.5 * c, y + 2.5 * s, 0.5);
   }
 
-  // Draws less, for slow machines: first fewer pixels, then no shadows.
+  // Draws less, for slow machines: first no finer than the screen's points, then without
+  // shadows, then coarser.
   simplify() {
     if (this.renderer.getPixelRatio() > 1) this.renderer.setPixelRatio(1);
-    else this.sun.castShadow = false;
+    else if (this.sun.castShadow) this.sun.castShadow = false;
+    else this.renderer.setPixelRatio(COARSE);
   }
 
   resize(width, height) {
@@ -155,7 +158,7 @@ function ground() {
   map.colorSpace = THREE.SRGBColorSpace;
   map.anisotropy = 8;
   const plane = new THREE.Mesh(new THREE.PlaneGeometry(800, 800),
-    new THREE.MeshStandardMaterial({ map, roughness: 0.95 }));
+    new THREE.MeshLambertMaterial({ map }));
   plane.receiveShadow = true;
   return plane;
 }
