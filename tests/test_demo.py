@@ -2,6 +2,7 @@
 
 import functools
 import http.server
+import importlib.util
 import json
 import shutil
 import subprocess
@@ -31,11 +32,10 @@ WAIT = 240_000  # ms, for machines that draw and simulate slowly
 
 @pytest.fixture(scope="module")
 def build():
-    sys.path.insert(0, str(DEMO))
-    import build
-
-    sys.path.remove(str(DEMO))
-    return build
+    spec = importlib.util.spec_from_file_location("demo_build", DEMO / "build.py")
+    sys.modules[spec.name] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def page():
             ".mjs": "text/javascript",
         }
 
-        def log_message(self, *_):
+        def log_message(self, format, *args):
             pass
 
     servers = []
@@ -90,7 +90,7 @@ def page():
 
 @pytest.fixture(scope="module")
 def driven(build, page, tmp_path_factory):
-    """The built page, in which a simulated minute is over."""
+    """The built page, in which half of the cars have parked, or a minute is over."""
     folder = tmp_path_factory.mktemp("site") / "demo"
     ignored = shutil.ignore_patterns("built", "__pycache__")
     shutil.copytree(DEMO, folder, ignore=ignored)
@@ -103,7 +103,12 @@ def driven(build, page, tmp_path_factory):
     build.export(folder / "built", [LOT])
     page = page(folder, "speed=9")
     page.built = folder / "built"
-    page.wait_for_function(f"demo.report?.time >= {MINUTE}", timeout=WAIT)
+    page.wait_for_function(
+        "demo.report && (new Set(demo.events.map((event) => event.car)).size >= "
+        f"demo.lot.start.length / 2 || demo.report.time >= {MINUTE})",
+        timeout=WAIT,
+        polling=200,
+    )
     return page
 
 
@@ -168,8 +173,10 @@ def test_the_first_decisions_are_those_of_python(build, driven):
 
 
 def test_a_visitor_takes_the_wheel_and_gives_it_back(driven):
+    driven.keyboard.press("KeyR")
     driven.keyboard.down("ArrowUp")
-    driven.wait_for_function("demo.report.manual", timeout=WAIT)
+    forwards = "demo.report.manual && demo.report.cars[0].speed > 0.5"
+    driven.wait_for_function(forwards, timeout=WAIT)
     driven.keyboard.up("ArrowUp")
     driven.keyboard.press("KeyP")
     driven.wait_for_function("!demo.report.manual", timeout=WAIT)

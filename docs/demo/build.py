@@ -89,11 +89,12 @@ def begin(lot: Lot) -> tuple[ParkingEnv, State, np.ndarray]:
     reset = jax.jit(jax.vmap(lambda key: env.reset_to_layout(layout, key)[0]))
     states = reset(jax.numpy.stack(keys))
     state = jax.tree.map(lambda x: x[0], states)
-    starts = np.asarray(states.motion.pose_w[1:]).reshape(-1, 3)
-    size = np.asarray(state.motion.size[0]) + MARGIN
+    starts = states.motion.pose_w[1:].reshape(-1, 3)
+    size = state.motion.size[0] + MARGIN
     parked = state.parked_cars
     near = boxes_overlap(starts[:, None], size, parked.pose_w, parked.size)
-    return env, state, starts[~np.asarray(near & parked.present).any(axis=1)]
+    clear = ~(near & parked.present).any(axis=1)
+    return env, state, np.asarray(starts)[np.asarray(clear)]
 
 
 def lot_config(lot: Lot) -> EnvConfig:
@@ -119,11 +120,8 @@ def describe(lot: Lot, rows: Rows, read: Iterable[str]) -> tuple[dict[str, Any],
     env, state, starts = begin(lot)
     layout, car = state.layout, env.vehicle
     bays = np.flatnonzero(np.asarray(layout.bay_mask))
-    size = np.asarray(layout.bay_size)[bays]
-    slack = env.config.episode.slack
-    usable = np.asarray(layout.goal_mask)[bays] & np.asarray(
-        fits(size, np.array([car.length, car.width]), slack)
-    )
+    own = state.motion.size[0]
+    usable = layout.goal_mask & fits(layout.bay_size, own, env.config.episode.slack)
     known = {name: value[0] for name, value in plain_values(rows, state).items()}
     moving = ("pose", "speed", "yaw_rate", "steering", "goal", "other")
     constant = {n: known[n] for n in read if not n.startswith(moving)}
@@ -135,8 +133,8 @@ def describe(lot: Lot, rows: Rows, read: Iterable[str]) -> tuple[dict[str, Any],
         "title": lot.title,
         "inputs": constant,
         "bay_pose": np.asarray(layout.bay_pose)[bays],
-        "bay_size": size,
-        "bay_usable": usable,
+        "bay_size": np.asarray(layout.bay_size)[bays],
+        "bay_usable": np.asarray(usable)[bays],
         "start": motion,
         "goal": np.searchsorted(bays, state.goal),
         "starts": starts,

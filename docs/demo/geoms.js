@@ -22,9 +22,7 @@ function meshGeometry({ vertices, faces }) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(vertices, 3));
   geometry.setIndex(new THREE.BufferAttribute(faces, 1));
-  const flat = geometry.toNonIndexed();
-  flat.computeVertexNormals();
-  return flat;
+  return geometry; // without normals: its faces are flat
 }
 
 function scaleOf({ type, size: [x, y, z] }) {
@@ -59,10 +57,11 @@ export class Geoms {
     const [{ type, mesh, material, rgba, size }] = members;
     if (!(type in SHAPES) && type !== MESH) return; // the ground is drawn by the view
     const shape = type === MESH ? meshGeometry(meshes[mesh]) : SHAPES[type]();
-    const seeThrough = rgba[3] < 1 ? { transparent: true, opacity: rgba[3], depthWrite: false } : {};
+    const common = { flatShading: type === MESH };
+    if (rgba[3] < 1) Object.assign(common, { transparent: true, opacity: rgba[3], depthWrite: false });
     const look = material in LOOKS
-      ? new THREE.MeshStandardMaterial({ ...LOOKS[material], ...seeThrough })
-      : new THREE.MeshLambertMaterial(seeThrough);
+      ? new THREE.MeshStandardMaterial({ ...LOOKS[material], ...common })
+      : new THREE.MeshLambertMaterial(common);
     const instanced = new THREE.InstancedMesh(shape, look, members.length);
     instanced.frustumCulled = false;
     instanced.castShadow = rgba[3] === 1 && (type === MESH ? material !== "" : Math.min(...scaleOf({ type, size })) > FLAT);

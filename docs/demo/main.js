@@ -10,7 +10,7 @@ const options = new URLSearchParams(location.search);
 const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
 const view = new View(get("canvas"));
 // What the page knows, for its test too.
-const demo = (globalThis.demo = { report: null, look: null, events: [], fps: 0, first: null });
+const demo = (globalThis.demo = { worker, view, report: null, look: null, events: [], fps: 0, first: null });
 let [manual, shown, toastEnds] = [false, 0, 0];
 
 function setManual(on) {
@@ -35,11 +35,12 @@ get("camera").onclick = nextCamera;
 get("again").onclick = again;
 get("driver").onclick = () => setManual(!manual);
 get("lot").onchange = ({ target }) => load(target.value);
+document.addEventListener("click", ({ target }) => target.matches("button") && target.blur()); // keys drive
 document.addEventListener("visibilitychange", () => worker.postMessage({ paused: document.hidden }));
 
 function load(name) {
   get("lot").value = name;
-  get("lot").blur(); // keys drive
+  get("lot").blur();
   get("status").textContent = "Loading …";
   worker.postMessage({ speed: Number(options.get("speed") ?? 1), manual, load: name });
 }
@@ -52,7 +53,7 @@ function toast(text) {
 
 function tell({ kind, car, seconds }) {
   if (car === 0 && manual && kind === "parked") toast(`Parked in ${seconds.toFixed(0)} s`);
-  if (car === 0 && kind === "bumped") toast("Bump! The others begin again.");
+  if (car === 0 && kind === "bumped") toast("Bump!");
 }
 
 worker.onmessage = ({ data }) => {

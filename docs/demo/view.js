@@ -95,7 +95,7 @@ export class View {
     const turned = x !== y && x > y !== this.camera.aspect > 1; // its long side along the screen's
     const [across, up] = turned ? [y, x] : [x, y];
     const half = Math.tan((this.camera.fov * Math.PI) / 360);
-    const margin = this.camera.aspect > 1 ? 1.06 : 1.25; // of an upright screen the buttons take more
+    const margin = this.camera.aspect > 1 ? 1.12 : 1.25; // of an upright screen the buttons take more
     const far = margin * Math.max(up, across / this.camera.aspect) / half;
     const [back, height] = kind === "plan" ? [0.01, far] : [0.6 * far, 0.86 * far];
     this.camera.position.set(turned ? back : 0, turned ? 0 : -back, height);

@@ -7,10 +7,11 @@ import { Physics } from "./physics.js";
 import { TICK, Traffic } from "./traffic.js";
 
 const SLICE = 40; // ms of simulation between reports at most
+const LAG = 0.1; // s behind real time that it catches up with
 ort.env.wasm.numThreads = 1; // more need headers that a plain web server does not send
 
 let [mujoco, session, about, traffic, moving] = [];
-let [run, speed, paused] = [0, 1, false];
+let [run, speed, paused, manual] = [0, 1, false, false];
 
 async function prepare() {
   const policy = new URL("./built/policy.onnx", import.meta.url).href;
@@ -37,6 +38,7 @@ async function load(name) {
   const old = traffic;
   const physics = new Physics(mujoco, xml, lot);
   traffic = new Traffic(physics, about, lot, makeInputs(about, lot), decide);
+  traffic.manual = manual;
   setTimeout(() => old?.physics.delete(), 1000); // once its last tick is over
   moving = physics.moving();
   postMessage({ look: physics.look(), lot, name });
@@ -53,7 +55,7 @@ async function loop(own, traffic) {
       await traffic.tick();
       due -= TICK;
     }
-    due = Math.min(due, 2 * TICK); // a slow machine simulates slower than real time
+    due = Math.min(due, LAG); // a slow machine simulates slower than real time
     if (own === run) report(traffic);
     await new Promise((resolve) => setTimeout(resolve, 4));
   }
@@ -67,16 +69,18 @@ function report({ physics, cars, time, counts, cost, events, first, manual }) {
   events.length = 0;
 }
 
-onmessage = async ({ data }) => {
+onmessage = ({ data }) => {
   if ("speed" in data) speed = data.speed;
   if ("paused" in data) paused = data.paused;
-  if ("load" in data) await ready.then(() => load(data.load)).catch(fail);
-  if (!traffic) return;
-  if ("manual" in data) traffic.manual = data.manual;
-  if ("action" in data && traffic.manual) traffic.cars[0].action = data.action;
-  if (data.again) traffic.again(traffic.cars[0], true);
+  if ("manual" in data) manual = data.manual;
+  if ("load" in data) load(data.load).catch(fail); // once the page knows the lots
+  else if (traffic) {
+    const [car] = traffic.cars;
+    if ("manual" in data) Object.assign(traffic, { manual }), (car.begun = traffic.time);
+    if ("action" in data && manual) car.action = data.action;
+    if (data.again) traffic.again(car, true);
+  }
 };
 
 const fail = (error) => postMessage({ error: String(error?.message ?? error) });
-const ready = prepare();
-ready.then(() => postMessage({ lots: Object.entries(about.lots).map(([name, { title }]) => [name, title]) }), fail);
+prepare().then(() => postMessage({ lots: Object.entries(about.lots).map(([name, { title }]) => [name, title]) }), fail);
