@@ -24,7 +24,11 @@ from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.training.memory import num_bytes
 from carpark_mj.training.ppo.collect import Rollout, Totals, collect
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import crash_scale, training_env
+from carpark_mj.training.ppo.curriculum import (
+    crash_scale,
+    neighbour_share,
+    training_env,
+)
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.families import make_families
 from carpark_mj.training.ppo.state import AXIS, TrainingState, no_steps, state_specs
@@ -271,9 +275,10 @@ class Learner:
             self.networks, state.normalizer, state.policy, deterministic=False
         )
         progress = self.config.progress(state.update, state.seconds)
-        scales = {"crash": crash_scale(self.config.curriculum, progress)}
-        length = self.config.unroll_length
-        return collect(self.env, state.env, actor, key, length, scales)
+        curriculum, length = self.config.curriculum, self.config.unroll_length
+        scales = {"crash": crash_scale(curriculum, progress)}
+        share = neighbour_share(curriculum, progress)
+        return collect(self.env, state.env, actor, key, length, scales, share)
 
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array
