@@ -76,7 +76,7 @@ class Learner:
         self.env = BraxParking(ParkingEnv(training_env(config)))
         self.renews_lots = config.lot_life > 0 and self.env.env.layout_config.is_random
         lots, target = self.env.env.layout_config, config.curriculum.target_rate
-        self.families = make_families(target, lots)
+        self.families = make_families(target, lots, config.env.agent_counts)
         fields, action = make_fields(config.env), self.env.env.action_spec
         self.inputs = network_inputs(config.networks, fields)
         self.networks = make_networks(config.networks, fields, action)
@@ -216,8 +216,7 @@ class Learner:
         )
         rates = state.family_rates
         if self.families.target:
-            member = env_state.info["member"]
-            rates = self.families.update(rates, member, totals, AXIS)
+            rates = self.families.update(rates, env_state.info, totals, AXIS)
         if self.renews_lots:
             key, renew_key = jax.random.split(key)
             renew_key = jax.random.fold_in(renew_key, local)

@@ -63,8 +63,24 @@ def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
     found: list[TrainingState] = []
     for path in _checkpoints_of_one_step(folders):
         read_header(path, PPOConfig)
+        _require_pairs(path, learner)
         found.append(TrainingState(**checkpoints.load(path, template)))
     return learner.place(learner.join(found))
+
+
+def _require_pairs(path: Path, learner: Learner) -> None:
+    """Refuses a run whose lots were drawn by member alone where numbers vary, too.
+
+    Raises:
+        CheckpointError: it is of an older version.
+    """
+    families = learner.families
+    drawn = any("num_present" in name for name in checkpoints.names(path))
+    if families.target and len(families.counts) > 1 and not drawn:
+        raise CheckpointError(
+            f"{path} is of a version that drew lots by family and not by number of "
+            "agents: it cannot go on, but another run can begin with it as warm_start"
+        )
 
 
 def _checkpoints_of_one_step(folders: Sequence[Path]) -> list[Path]:
