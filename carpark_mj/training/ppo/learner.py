@@ -150,7 +150,7 @@ class Learner:
         """
         config, state = self.config, self.shapes()
         layers = (*config.networks.policy_layers, *config.networks.value_layers)
-        unroll = config.steps_per_update * self.env.observation_size
+        unroll = config.slots_per_update * self.env.observation_size
         activations = config.steps_per_update // config.num_minibatches * sum(layers)
         numbers = len(self.configs) * (unroll + activations)
         return num_bytes((state, state.policy, state.value)) + 4 * numbers

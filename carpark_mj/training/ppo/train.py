@@ -111,9 +111,9 @@ def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
         "update": update,
         "env_steps": int(count_steps(state)[0]),
     }
-    # Its name counts absent agents too: it is the same for runs side by side.
-    simulated = update * config.steps_per_update
-    return runs.save_checkpoint(folder, vars(state), header, simulated)
+    # Its name counts the steps of absent agents too: the same for runs side by side.
+    slots = update * config.slots_per_update
+    return runs.save_checkpoint(folder, vars(state), header, slots)
 
 
 def train(
@@ -185,8 +185,8 @@ def train(
             if callback is not None:
                 leaving = hosts.largest(asked or leaving)[0]
             if not told and updates and elapsed > MEASURED_SECONDS:
-                simulated = updates * config.steps_per_update / elapsed
-                loop.say(estimate(config, done, seconds, simulated))
+                rate = updates * config.steps_per_update / elapsed
+                loop.say(estimate(config, done, seconds, rate))
                 told = True
             pace = f"{rates.sum():>7,.0f} steps/s  " if updates else ""
             loop.show(
