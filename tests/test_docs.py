@@ -59,9 +59,9 @@ PAGES = [
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
-README, MDP, POLICIES, VEHICLE = (
+README, MDP, DEPLOYMENT, VEHICLE = (
     (ROOT / name).read_text()
-    for name in ("README.md", "docs/mdp.md", "docs/policies.md", "docs/vehicle.md")
+    for name in ("README.md", "docs/mdp.md", "docs/deployment.md", "docs/vehicle.md")
 )
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
@@ -150,7 +150,7 @@ COMMAND_LINES = sorted({c for page in PAGES for c in commands(page.read_text())}
             "tanner observation table",
             lambda: markdown_table(make_fields(TANNER_FIXED)),
         ),
-        (POLICIES, "inputs of a car", markdown_inputs),
+        (DEPLOYMENT, "inputs of a car", markdown_inputs),
         (VEHICLE, "physics table", lambda: excerpt(REPORT)),
     ],
 )

@@ -27,7 +27,7 @@ from carpark_mj.policy.plain_inputs import INPUTS
 from carpark_mj.registry import environment
 
 pytest.importorskip("onnxruntime")
-LOTS = 24
+LOTS = 32
 MORE = {"others": 9, "parked": 24, "walls": 30, "discs": 2}
 
 

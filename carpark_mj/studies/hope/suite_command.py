@@ -22,6 +22,11 @@ from carpark_mj.planning.plot import plot_paths
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.studies.hope.held_out import LEVELS
+from carpark_mj.studies.hope.leaderboard import (
+    check_submission,
+    leaderboard,
+    write_submission,
+)
 from carpark_mj.studies.hope.suite import (
     MOVING_CAR,
     VEHICLE,
@@ -76,8 +81,10 @@ class SuiteConfig:
             needs off-screen OpenGL.
         combine: folders that this command has written; nothing is driven, their
             episodes make one table.
-        out: folder for `suite.md`, `suite.csv`, `cases.csv`, `worst.npz`, `suite.html`,
-            `videos/` and, of the planner, `paths.png`.
+        check: a `suite.json`; nothing is driven, it is checked as an entry of the
+            leaderboard.
+        out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
+            `suite.html`, `videos/` and, of the planner, `paths.png`.
     """
 
     policies: Annotated[
@@ -91,10 +98,14 @@ class SuiteConfig:
     seeds: tuple[int, ...] = (0,)
     videos: int = 0
     combine: tuple[str, ...] = ()
+    check: str = ""
     out: str = "runs/suite"
 
     def __post_init__(self) -> None:
-        if bool(self.policies) == bool(self.combine):
+        if self.check:
+            other = "with --check, which drives nothing"
+            require_unset(self, other, "policies", "combine", "videos", *DRIVING)
+        elif bool(self.policies) == bool(self.combine):
             raise ValueError(
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
@@ -137,12 +148,17 @@ class SuiteConfig:
 def main(config: SuiteConfig) -> list[dict[str, Any]]:
     """Drives, writes the files and prints the table; returns the table's rows.
 
+    With `check` it prints the leaderboard's rows, and returns none.
+
     Raises:
         CheckpointError: a run cannot be read.
         RenderingError: videos are asked for, and there is no OpenGL.
         ValueError: impossible settings, or malformed results to combine.
         OSError: the output folder cannot be written.
     """
+    if config.check:
+        print(leaderboard(check_submission(Path(config.check))))
+        return []
     folder = Path(config.out)
     if folder.resolve() in [Path(name).resolve() for name in config.combine]:
         raise ValueError(f"out must not be one of the combined folders, {config.out}")
@@ -163,7 +179,7 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
     rows = [row for name in names for row in table_rows(name, episodes)]
     head = header(episodes)
-    written = write_run(folder, episodes, drives)
+    written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
     written += write_results(folder, head, rows, episodes, pictures, ())
     print_rows(rows, head[0])
     videos: list[Video] = []

@@ -107,6 +107,7 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
         with pytest.raises(BrokenPipeError):
             main(config)
     names = {"cases.csv", "worst.npz", "suite.md", "suite.csv", "suite.html"}
+    names |= {"suite.json"}
     assert {path.name for path in out.iterdir()} == names  # before it is printed
     (row,) = main(config)
     assert (row["cases"], row["seeds"], row["parked"]) == (2, 2, 0.25)
