@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import shapely
 
 from carpark_mj.maps.features import Feature
 from carpark_mj.maps.fit import Box
@@ -50,7 +51,23 @@ def joined_lanes(features: list[Feature]) -> list[tuple[Box, bool]]:
         width = float(np.average(wide, weights=lengths))
         whole = Box(first.x, first.y, first.yaw, first.length, width)
         found.append((whole.part(back, front, -width / 2, width / 2), one_way))
-    return found
+    return [(_reaching(lane, found), one_way) for lane, one_way in found]
+
+
+def _reaching(lane: Box, lanes: list[tuple[Box, bool]]) -> Box:
+    """A lane lengthened at either end to the next one ahead, within `GAP`."""
+    others = [other.shape for other, _ in lanes if other is not lane]
+    ends = []
+    for side in (-1.0, 1.0):
+        start = side * lane.length / 2
+        ahead = shapely.LineString([(start, 0.0), (start + side * GAP, 0.0)])
+        gaps = [
+            hit.distance(shapely.Point(start, 0.0))
+            for other in others
+            if not (hit := lane.local(other).intersection(ahead)).is_empty
+        ]
+        ends.append(start + side * min(gaps, default=0.0))
+    return lane.part(*ends, -lane.width / 2, lane.width / 2)
 
 
 def _box(feature: Feature) -> Box:

@@ -1,11 +1,14 @@
 """Real car parks by name, and crops of them."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import polygons
 
 from carpark_mj.layouts import layout_config
 from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.routes import make_routes
 
 BAYS = {"dragon_lake": 364, "san_jose": 232}  # of 364 and of 240 spots
 CORNERS = (-30.0, -20.0, 35.0, 33.0)
@@ -57,3 +60,9 @@ def test_impossible_crops_are_refused(corners, told):
 
     with pytest.raises(ValueError, match=told):
         _ = dataclasses.replace(layout_config("dragon_lake"), corners=corners).layout
+
+
+@pytest.mark.parametrize("name", BAYS)
+def test_every_bay_is_reached_from_every_lane(name):
+    routes = jax.jit(make_routes)(layout_config(name).layout)
+    assert (routes.beside | jnp.isfinite(routes.remaining).any(axis=1)).all()
