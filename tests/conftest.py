@@ -22,7 +22,7 @@ quick = (
 os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}".strip()
 os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = "0"
 gc.set_threshold(200_000, 20, 50)  # tracing makes many objects, few of them garbage
-MAX_KEPT = 2e9  # bytes of compiled programs; a run leaves some 0.4e9
+MAX_KEPT = 2e9  # bytes of compiled programs; a run leaves 0.1e9
 
 
 def kept_programs() -> Path:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from helpers.cars import ROAD_CARS
 from helpers.rules import LIMITS
 from PIL import Image, ImageSequence
 
@@ -23,6 +24,7 @@ from carpark_mj.cli.map_import import ImportConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig, complete
+from carpark_mj.cli.vehicles import VehiclesConfig
 from carpark_mj.config import (
     REWARDS,
     ContextName,
@@ -51,7 +53,6 @@ from carpark_mj.training.ppo.arguments import read_runs
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
 from carpark_mj.training.settings import named
-from carpark_mj.vehicle import PRESETS
 from vehicle_suite.table import excerpt
 
 ROOT = Path(__file__).parents[1]
@@ -84,6 +85,7 @@ COMMANDS = {
     "-m carpark_mj.scene": SceneConfig,
     "-m carpark_mj.layouts": LayoutsConfig,
     "layouts import": ImportConfig,
+    "-m carpark_mj.vehicles": VehiclesConfig,
     "-m carpark_mj.play": PlayConfig,
 }
 
@@ -113,7 +115,10 @@ SCRIPTS = {
     "study junction": "train/junction.py",
     "study slots": "train/slots_study.py",
     "study tanner": "train/study.py",
-    **{f"{name}": f"-m carpark_mj.{name}" for name in ("scene", "play", "layouts")},
+    **{
+        f"{name}": f"-m carpark_mj.{name}"
+        for name in ("scene", "play", "layouts", "vehicles")
+    },
     **{
         f"{name}": f"eval/{name}.py"
         for name in ("evaluate", "render", "suite", "analysis", "benchmark")
@@ -230,7 +235,8 @@ def test_contexts_environments_and_layouts_are_all_named():
 
 def test_the_vehicle_presets_are_those_of_the_code():
     drive = {1.0: "front", 0.0: "rear", 0.5: "all"}
-    found = [[row[0], *row[2:]] for row in cells(VEHICLE, "presets")]
+    tables = [*cells(VEHICLE, "presets"), *cells(VEHICLE, "sheets")]
+    found = [[row[0], *row[2:]] for row in tables]
     assert found == [
         [
             name,
@@ -240,7 +246,7 @@ def test_the_vehicle_presets_are_those_of_the_code():
             f"{car.mass:g}",
             f"{car.turning_circle:g}",
         ]
-        for name, car in PRESETS.items()
+        for name, car in ROAD_CARS.items()
     ]
 
 

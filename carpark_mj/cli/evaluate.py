@@ -46,7 +46,7 @@ class EvaluateConfig:
         min_agents: least number of agents, so that lots have from here to the number of
             agents, each number equally often; default: that of the run, or always
             `num_agents` if that is given.
-        vehicle: kind of all cars; default: that of the run, or its fleet.
+        vehicle: preset or file of all cars; default: that of the run, or its fleet.
         layout: the lot, a name or a layout file, or a comma-separated list of them;
             default: that of the run.
         num_parked_cars: number of parked cars; default: that of the run.

@@ -104,7 +104,7 @@ def check(
         layout: a name, a file or a config.
         num_keys: how many.
         seed: of the keys.
-        vehicle: a preset; by default the car that the lots are drawn for.
+        vehicle: a preset or file; by default the car that the lots are drawn for.
     """
     config = layout_config(layout)
     size = (config.car or DesignCar()).size
@@ -152,8 +152,8 @@ class LayoutsConfig:
         layouts: names or layout files; all families if none.
         plot: picture to write, with two lots of each layout.
         check: number of keys of each layout to check.
-        vehicle: preset of the car that must fit into bays and spawn regions of the
-            lots to check; by default the car that they are drawn for.
+        vehicle: preset or file of the car that must fit into bays and spawn regions of
+            the lots to check; by default the car that they are drawn for.
         run: number of scenes of each layout to run.
         save: layout file to write, with the first lot of one layout.
         seed: seed of the keys.

@@ -64,7 +64,7 @@ class PlayConfig:
         num_agents: cars, yours included; default 1, or as the policy was trained.
         num_parked_cars: default 16, or as many as a smaller lot has room for, or as the
             policy was trained.
-        vehicle: preset of all cars; default `compact`, or the policy's.
+        vehicle: preset or file of all cars; default `compact`, or the policy's.
         seed: of the lot; the next lot has the next.
         view: `window`, or `web` for a page on this machine; default by whether there is
             a display.

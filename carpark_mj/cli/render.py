@@ -58,7 +58,7 @@ class RenderConfig:
         seed: seed of the held-out lot.
         num_agents: number of agents; default: that of the run.
         num_parked_cars: number of parked cars; default: that of the run.
-        vehicle: kind of all cars; default: that of the run, or its fleet.
+        vehicle: preset or file of all cars; default: that of the run, or its fleet.
         layout: the lot, a name or a layout file; default: that of the run.
         physics: back end; default: that of the run. In `scene` crashed cars push each
             other, spin and stop.

@@ -91,7 +91,7 @@ class SceneConfig(SceneOutput):
             or as the policy was trained.
         num_parked_cars: number of parked cars; default 16, or as many as a smaller lot
             has room for, or as the policy was trained.
-        vehicle: preset of all cars; default `compact`, or the policy's.
+        vehicle: preset or file of all cars; default `compact`, or the policy's.
         suspension: springs between the wheels and the cars to drive.
         seed: random seed of the lot and its cars.
     """

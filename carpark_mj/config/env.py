@@ -21,6 +21,7 @@ from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import RewardConfig
 from carpark_mj.config.spawning import SpawnConfig
 from carpark_mj.config.terminations import EpisodeConfig
+from carpark_mj.config.vehicles import with_parameters
 from carpark_mj.renamed import OldNames
 
 
@@ -34,7 +35,8 @@ class EnvConfig(OldNames):
             other of `LAYOUTS`, to which studies and other packages add theirs. Or a
             layout file (.json). A comma-separated list is a mixture. From Python also
             the config of a family, see `carpark_mj.layouts`.
-        vehicle: name of one of `carpark_mj.vehicle.VEHICLES`.
+        vehicle: name of one of `carpark_mj.vehicle.VEHICLES`, or a vehicle file (.yaml,
+            .json), in whose place are its parameters from then on.
         num_agents: number of agents, the cars that act.
         min_agents: least number of agents: how many a lot has is drawn when it begins,
             uniform from here to `num_agents`. With fixed goals and `occupancy` a lot
@@ -104,6 +106,7 @@ class EnvConfig(OldNames):
             movers=tuple[Mover | str, ...],
             physics=PhysicsConfig | str,
         )
+        object.__setattr__(self, "vehicle", with_parameters(self.vehicle))
         make_movers(self.movers)  # refuses unknown names
         physics = self.physics_config
         require_whole(self, 1, "num_agents")

@@ -4,11 +4,14 @@ import dataclasses
 import math
 
 from carpark_mj.config.checks import CheckedConfig, Range, require_range
+from carpark_mj.config.vehicles import with_parameters
 
 
 @dataclasses.dataclass(frozen=True)
 class FleetConfig(CheckedConfig):
-    """Vehicle presets to draw cars from; an empty list means `EnvConfig.vehicle`.
+    """Vehicles to draw cars from; an empty list means `EnvConfig.vehicle`.
+
+    Each is a preset's name or a vehicle file, as `EnvConfig.vehicle` is.
 
     Attributes:
         agents: presets of the agents, drawn anew at every spawn.
@@ -24,6 +27,9 @@ class FleetConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for names in ("agents", "parked_cars"):
+            cars = tuple(map(with_parameters, getattr(self, names)))
+            object.__setattr__(self, names, cars)
         for names, weights in (
             ("agents", "agent_weights"),
             ("parked_cars", "parked_weights"),

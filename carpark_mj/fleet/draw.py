@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.vehicles import READ, is_name
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.bays import Wanted, draw_bays, fits, shuffled_bays
 from carpark_mj.mdp.parked_cars import poses_in_bays
@@ -63,8 +64,8 @@ class Fleet:
         self._config = config
         names = config.fleet
         own_name = _name(vehicle, config.vehicle)
-        self.agent_names = names.agents or (own_name,)
-        self.parked_names = names.parked_cars or (own_name,)
+        self.agent_names = tuple(map(_known_as, names.agents)) or (own_name,)
+        self.parked_names = tuple(map(_known_as, names.parked_cars)) or (own_name,)
         self.agents = tuple(map(preset, names.agents)) or (vehicle,)
         self.parked_cars = tuple(map(preset, names.parked_cars)) or (vehicle,)
         kinds = [make_vehicle(params) for params in self.agents]
@@ -235,8 +236,13 @@ class Fleet:
 def _name(vehicle: VehicleParameters, named: str) -> str:
     """The name of a car: its preset's, `named` if it is that one."""
     if vehicle == preset(named):
-        return named
+        return _known_as(named)
     return VEHICLES.name_of(vehicle) or "custom car"
+
+
+def _known_as(vehicle: str) -> str:
+    """The name of a car that a config names or describes."""
+    return vehicle if is_name(vehicle) else READ.load()(vehicle)[0]
 
 
 def _in_bays(layout: Layout, cars: ParkedCars) -> ParkedCars:

@@ -15,6 +15,9 @@ COMMANDS = {
     "scene": Entry("carpark_mj.cli.scene:run", "write a car park as MJCF, or show it"),
     "play": Entry("carpark_mj.cli.play:run", "drive a car yourself"),
     "layouts": Entry("carpark_mj.cli.layouts:main", "plot, check and save layouts"),
+    "vehicles": Entry(
+        "carpark_mj.cli.vehicles:main", "show a vehicle and what is estimated of it"
+    ),
     "suite": Entry(
         "carpark_mj.programs.suite:run",
         "compare policies on the held-out hard cases",

@@ -12,6 +12,10 @@ The names load on first use, so that an extension can register presets for nothi
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from carpark_mj.rendering.gl import choose_gl
+
+choose_gl()  # before MuJoCo is imported, for `render`
+
 if TYPE_CHECKING:
     from carpark_mj.training.ppo.config import PPOConfig
     from carpark_mj.training.ppo.parts import PRESETS

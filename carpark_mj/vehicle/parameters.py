@@ -26,7 +26,7 @@ _MAX_LOCK = math.pi / 3  # beyond 60 deg no steering linkage works
 
 
 # What no road vehicle exceeds, so that other units are noticed; toys are no cars.
-_PLAUSIBLE = {
+PLAUSIBLE = {
     (1.0, 25.0, "m"): ("length",),
     (2.0, 100.0, "m"): ("turning_circle",),
     (0.5, 20.0, "m"): ("wheelbase",),
@@ -214,7 +214,7 @@ class VehicleParameters:
         self._check_body()
         self._check_masses()
         _ = self.max_steering  # refuses an impossible turning circle
-        for (least, most, unit), names in _PLAUSIBLE.items():
+        for (least, most, unit), names in PLAUSIBLE.items():
             require_within(self, least, most, unit, *names)
 
     def _check_body(self) -> None:

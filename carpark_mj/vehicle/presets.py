@@ -17,13 +17,14 @@ defaults, on which published policies were trained.
 
 from types import MappingProxyType
 
+from carpark_mj.config.vehicles import READ, is_name
 from carpark_mj.extensions import Registry
 from carpark_mj.vehicle.parameters import (
     TyreParameters,
     VehicleParameters,
 )
 
-VEHICLES: Registry[VehicleParameters] = Registry("vehicle")
+VEHICLES: Registry[VehicleParameters] = Registry("vehicle", "carpark_mj.vehicle.sheets")
 
 
 def register_vehicle(name: str, params: VehicleParameters) -> VehicleParameters:
@@ -36,12 +37,12 @@ def register_vehicle(name: str, params: VehicleParameters) -> VehicleParameters:
 
 
 def preset(name: str) -> VehicleParameters:
-    """Looks a vehicle up by name.
+    """Looks a vehicle up by name, or reads it from a file (`carpark_mj.vehicle.file`).
 
     Raises:
-        ValueError: unknown name; the message lists the known ones.
+        ValueError: unknown name, the message lists the known ones; or a bad file.
     """
-    return VEHICLES[name]
+    return VEHICLES[name] if is_name(name) else READ.load()(name)[1]
 
 
 # Fiat 500 (2007), front-driven.
@@ -193,7 +194,8 @@ VAN = VehicleParameters(
     tyre=TyreParameters(vertical_stiffness=38_000.0, vertical_damping=2900.0),  # [est]
 )
 
-# The cars that are drawn and measured; studies and other packages register more.
+# The cars that have looks of their own and that estimates are fitted to; those of data
+# sheets, studies and other packages are registered, too.
 PRESETS = MappingProxyType(
     {
         "city": CITY,

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from helpers.cars import ROAD_CARS
 from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, RandomizationConfig, SimConfig
@@ -118,7 +119,7 @@ def test_switching_one_parameter_on_changes_no_other(compact: Vehicle):
     assert one.tyres.friction != two.tyres.friction
 
 
-@pytest.mark.parametrize("params", PRESETS.values(), ids=PRESETS)
+@pytest.mark.parametrize("params", ROAD_CARS.values(), ids=ROAD_CARS)
 def test_a_loaded_car_has_the_mass_properties_of_one_built_so(params):
     vehicle = make_vehicle(params)
     mass = jnp.float32(1.25 * params.mass)
@@ -278,7 +279,7 @@ def test_what_is_no_range_is_refused(name, value):
     assert str(refusal.value).endswith(repr(value))
 
 
-@pytest.mark.parametrize("params", PRESETS.values(), ids=PRESETS)
+@pytest.mark.parametrize("params", ROAD_CARS.values(), ids=ROAD_CARS)
 def test_every_preset_bears_the_randomization_of_the_tests(params):
     check_randomization(EVERYTHING, params)
 

@@ -6,14 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.cars import ROAD_CARS
 
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
+from carpark_mj.vehicle import Vehicle, make_vehicle
 from carpark_mj.vehicle.conditions import SURFACES, with_grip, with_mass
 from carpark_mj.vehicle.parameters import GRAVITY
 
-NAMES = list(PRESETS)
+NAMES = list(ROAD_CARS)
 VARIANTS = ("plain", "loaded", "wet", "ice")
 CARS = [(name, variant) for name in NAMES for variant in VARIANTS]
 GRADE = 0.2
@@ -22,7 +23,7 @@ BRAKE = 300  # the step at which the brake is pressed
 
 def make(name: str, variant: str) -> Vehicle:
     # Fast enough for pitching, some 4 cm of a stop, to matter little.
-    vehicle = make_vehicle(dataclasses.replace(PRESETS[name], max_speed=9.0))
+    vehicle = make_vehicle(dataclasses.replace(ROAD_CARS[name], max_speed=9.0))
     if variant == "loaded":
         return with_mass(vehicle, 1.3 * vehicle.mass, vehicle.cg)
     grip = SURFACES.get(variant, SURFACES["dry"])  # pyright: ignore
@@ -70,7 +71,7 @@ def run(fleet: Vehicle) -> dict:
 
 def numbers(name: str, variant: str) -> tuple[float, float, float]:
     """Mass [kg], mass with the wheels' inertia [kg], rolling resistance [N]."""
-    params = PRESETS[name]
+    params = ROAD_CARS[name]
     mass = params.mass * (1.3 if variant == "loaded" else 1.0)
     spinning = 4 * params.wheel_inertia / params.wheel_radius**2
     return mass, mass + spinning, params.tyre.rolling_resistance * mass * GRAVITY
@@ -80,7 +81,7 @@ def numbers(name: str, variant: str) -> tuple[float, float, float]:
 @pytest.mark.parametrize("name", NAMES)
 def test_full_throttle_accelerates_by_force_over_mass(run, name, variant):
     _, effective, rolling = numbers(name, variant)
-    force = PRESETS[name].mass * PRESETS[name].max_acceleration
+    force = ROAD_CARS[name].mass * ROAD_CARS[name].max_acceleration
     _, speed = run[name, variant]
     measured = (speed[149] - speed[49]) / 2.0
     # Tyre slip; measured within 0.16 %.
@@ -91,7 +92,7 @@ def test_full_throttle_accelerates_by_force_over_mass(run, name, variant):
 @pytest.mark.parametrize("name", NAMES)
 def test_full_brake_stops_within_v_squared_over_2a(run, name, variant):
     _, effective, rolling = numbers(name, variant)
-    force = PRESETS[name].mass * PRESETS[name].max_deceleration
+    force = ROAD_CARS[name].mass * ROAD_CARS[name].max_deceleration
     x, speed = run[name, variant]
     expected = speed[BRAKE - 1] ** 2 / 2 * effective / (force + rolling)
     # The body pitches forward, some 4 cm; measured -0.9 to -1.2 %.

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from helpers.cars import ROAD_CARS
 
 from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.fleet.randomization import randomize_all
@@ -101,9 +102,9 @@ def test_models_with_contacts_or_springs_are_refused():
             check_unrollable(contact_car_model(COMPACT, sim))
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", ROAD_CARS)
 def test_the_model_of_every_preset_is_allowed(name: str):
-    check_unrollable(car_model(PRESETS[name], 0.01, GRAVITY))
+    check_unrollable(car_model(ROAD_CARS[name], 0.01, GRAVITY))
 
 
 def set_row(field: str, row: int, value):

@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from helpers.cars import ROAD_CARS
 
 from carpark_mj.scene import materials
 from carpark_mj.scene.car_look import add_standing_car, shape_name
@@ -21,7 +22,7 @@ TAXI = dataclasses.replace(
 )
 STUB = dataclasses.replace(COMPACT, rear_overhang=COMPACT.wheel_radius, length=3.9)
 OWN = {"taxi": TAXI, "stub": STUB}
-CARS = [pytest.param(p, id=n) for n, p in (PRESETS | OWN).items()]
+CARS = [pytest.param(p, id=n) for n, p in (ROAD_CARS | OWN).items()]
 FIXED = ("body", "cage", "glass", "headlights", "tail_lights", "trim")
 SEEN = (*FIXED, "tyres", "rims")
 

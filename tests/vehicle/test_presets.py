@@ -5,13 +5,14 @@ import math
 
 import numpy as np
 import pytest
+from helpers.cars import ROAD_CARS
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import GRAVITY, kerb_to_kerb, steering_for_circle
 
-CARS = [pytest.param(params, id=name) for name, params in PRESETS.items()]
+CARS = [pytest.param(params, id=name) for name, params in ROAD_CARS.items()]
 # Bicycle angles at full lock, from shop manuals' and published circles by hand:
 # d_o = asin(L / (D/2 - w/2)), cot d = cot d_o - T / 2L.
 LOCKS = {

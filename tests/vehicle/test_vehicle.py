@@ -169,8 +169,8 @@ def test_a_preset_is_found_by_its_name():
 
 
 def test_an_unknown_preset_is_refused_with_the_known_names():
-    with pytest.raises(ValueError, match="'truck'") as refusal:
-        preset("truck")
+    with pytest.raises(ValueError, match="'tank'") as refusal:
+        preset("tank")
     for name in PRESETS:
         assert name in str(refusal.value)
 

@@ -31,7 +31,7 @@ class JunctionSceneConfig(SceneOutput):
             a page on this machine for a browser.
         port: port of the browser page.
         scenario: `2av`, `2av-hd`, `3av` or `3av-hd`, all cars to drive.
-        vehicle: preset of all cars.
+        vehicle: preset or file of all cars.
         seed: random seed of the starts.
     """
 

@@ -10,6 +10,7 @@ from carpark_mj.config.checks import (
     require_positive,
     require_whole,
 )
+from carpark_mj.config.vehicles import with_parameters
 from carpark_mj.studies.cederle.junction.roads import LANES, path_length
 from carpark_mj.studies.cederle.junction.scenarios import Scenario, scenario
 
@@ -66,7 +67,7 @@ class JunctionConfig(CheckedConfig):
         scenario: `2av`, `2av-hd`, `3av` or `3av-hd`; from Python also a `Scenario`.
         cars: `path`: points on their routes. `bicycle`: kinematic cars that steer.
             `mjx`: rigid-body cars on tyres, of the batched physics.
-        vehicle: preset of the cars that steer; those on paths are SMARTS's box.
+        vehicle: preset or file of the cars that steer; those on paths are SMARTS's box.
         observation: `vector`, or `image`, the bird's-eye view.
         raster: of the image.
         action: `index` of one of the four, or a `scalar` in [-1, 1], four ranges of
@@ -99,6 +100,7 @@ class JunctionConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "vehicle", with_parameters(self.vehicle))
         require_whole(self, 1, "max_steps")
         require_at_least(self, 0.0, "jitter")
         for mission in self.traffic.missions:

@@ -1,0 +1,240 @@
+"""Cars by file: read, estimated, kept by configs, refused in one sentence."""
+
+import dataclasses
+import json
+import random
+import re
+from pathlib import Path
+
+import pytest
+from helpers.cars import ROAD_CARS
+
+from carpark_mj.cli.driver import adapt
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.vehicles import main
+from carpark_mj.config import EnvConfig, FleetConfig
+from carpark_mj.fleet.draw import Fleet
+from carpark_mj.policy.runs import from_dict
+from carpark_mj.scene.car_style import STYLES, nearest_style
+from carpark_mj.studies.cederle.junction.config import JunctionConfig
+from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle, preset
+from carpark_mj.vehicle.file import parameters_text, read_sheet
+from carpark_mj.vehicle.parameters import TyreParameters
+from carpark_mj.vehicle.sheet import SHEET, car_of_sheet
+from carpark_mj.vehicle.sheets import SHEETS
+
+GUIDE = (Path(__file__).parents[2] / "docs" / "own_lot.md").read_text()
+[EXAMPLE] = re.findall(r"```yaml\n(.*?)```", GUIDE, re.DOTALL)
+SIZE = {"length": 4.28, "width": 1.79, "wheelbase": 2.64}
+
+
+@pytest.fixture
+def file(tmp_path) -> str:
+    path = tmp_path / "my_car.yaml"
+    path.write_text(EXAMPLE)
+    return str(path)
+
+
+def test_the_car_of_the_guide_has_what_its_file_says(file):
+    name, (params, estimated) = read_sheet(file)
+    assert name == "my_car"
+    assert (params.length, params.width, params.wheelbase) == (4.28, 1.79, 2.64)
+    front, _, rear, _ = params.static_loads
+    assert 2 * front == pytest.approx(830 * 9.81)
+    assert 2 * (front + rear) == pytest.approx(1420 * 9.81)
+    assert params.front_overhang == pytest.approx(0.86)
+    # 205 mm wide, 55 % of it high, on 16 inches.
+    assert params.wheel_radius == pytest.approx(0.2032 + 0.55 * 0.205)
+    assert params.front_drive == 1.0
+    assert "height" in estimated
+    assert not {"mass", "wheel_radius", "turning_circle"} & {*estimated}
+
+
+def test_a_config_keeps_the_parameters_and_not_the_path(file):
+    car = preset(file)
+    configs = (
+        EnvConfig(vehicle=file, num_agents=1),
+        read_flags(EnvConfig, ["--vehicle", file, "--num-agents", "1"]),
+        adapt(EnvConfig(num_agents=1), vehicle=file),
+    )
+    fleet = FleetConfig(agents=(file, "van"), parked_cars=(file,))
+    junction = JunctionConfig(vehicle=file)
+    Path(file).unlink()
+    assert preset(junction.vehicle) == car
+    assert [Fleet(c, preset(c.vehicle)).agent_names for c in configs] == [
+        ("my_car",)
+    ] * 3
+    for config in configs:
+        back = from_dict(EnvConfig, json.loads(json.dumps(dataclasses.asdict(config))))
+        assert back == config
+        assert preset(back.vehicle) == car
+        assert read_flags(EnvConfig, [], config) == config  # as a run is resumed
+    kept = from_dict(FleetConfig, json.loads(json.dumps(dataclasses.asdict(fleet))))
+    assert kept == fleet
+    assert [preset(name) for name in kept.agents] == [car, PRESETS["van"]]
+
+
+@pytest.mark.parametrize("name", ROAD_CARS)
+def test_all_parameters_of_a_car_survive_their_text(name):
+    assert preset(parameters_text(name, ROAD_CARS[name])) == ROAD_CARS[name]
+
+
+def test_json_and_yaml_say_the_same(tmp_path):
+    sheet = SIZE | {"mass": 1420, "drive": "all", "tyre": {"friction": 0.8}}
+    paths = [tmp_path / "car.json", tmp_path / "car.yml"]
+    for path in paths:
+        path.write_text(json.dumps(sheet))
+    one, two = (read_sheet(str(path)) for path in paths)
+    assert one == two
+    assert one[1].params.tyre.friction == 0.8
+
+
+def test_the_command_tells_estimates_and_writes_the_whole_car(file, tmp_path, capsys):
+    whole = tmp_path / "whole.json"
+    assert main([file, "--save", str(whole)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    _, (params, estimated) = read_sheet(file)
+    told = {line.split()[0] for line in lines if line.endswith("estimated")}
+    assert told == {*estimated}
+    names = {f.name for f in dataclasses.fields(VehicleParameters)} - {"tyre"}
+    names |= {f"tyre.{f.name}" for f in dataclasses.fields(TyreParameters)}
+    assert names <= {line.split()[0] for line in lines}
+    assert read_sheet(str(whole)) == ("my_car", (params, ()))
+    assert main([]) == 0
+    assert {*ROAD_CARS} <= {*capsys.readouterr().out.split()}
+    assert main(["nowhere.yaml"]) == 2
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_estimates_come_near_the_presets(name):
+    car = PRESETS[name]
+    known = ("length", "width", "height", "wheelbase", "mass", "front_drive")
+    sheet = {field: getattr(car, field) for field in (*known, "wheel_radius")}
+    found, estimated = car_of_sheet(sheet)
+    loose = ("wheel", "knuckle", "max", "tyre.")
+    for field in estimated:
+        of, _, part = field.rpartition(".")
+        mine, its = (getattr(x, of) if of else x for x in (found, car))
+        within = 0.35 if field.startswith(loose) else 0.15
+        assert getattr(mine, part) == pytest.approx(getattr(its, part), rel=within)
+
+
+def test_a_steering_ratio_gives_rate_and_circle():
+    car = car_of_sheet(SIZE | {"steering_ratio": 16.0, "steering_turns": 3.0}).params
+    # Of the steering wheel: a turn a second, 1.5 turns to either side.
+    assert 16.0 * car.steering_rate == pytest.approx(2 * 3.14159265)
+    assert 16.0 * car.max_steering == pytest.approx(3 * 3.14159265)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"wheelbase": None}, "wheelbase missing"),
+        ({"seats": 5}, r"unknown \['seats'\]"),
+        ({"mass": "heavy"}, "mass must be a number above 0, not 'heavy'"),
+        ({"mass": True}, "mass must be a number above 0, not True"),
+        ({"mass": -3}, "mass must be a number above 0, not -3"),
+        ({"mass": 1.4}, r"mass must lie within .* kg"),
+        ({"length": 428}, r"length must lie within .* m"),
+        ({"wheelbase": 4.5}, "wheelbase must be less than the length"),
+        ({"width": 10.0}, "width must lie within"),
+        ({"front_overhang": 2.0}, "front_overhang must be less than"),
+        ({"front_overhang": 0.9, "rear_overhang": 0.9}, "length 4.28 contradicts"),
+        ({"front_axle_load": 830}, "needs mass"),
+        ({"mass": 1400, "front_axle_load": 1500}, "less than the mass 1400 kg"),
+        (
+            {"mass": 1400, "front_axle_load": 830, "rear_axle_load": 700},
+            "mass 1400 contradicts axle loads, which give 1530",
+        ),
+        (
+            {"mass": 1400, "front_axle_load": 830, "cg_to_front_axle": 1.0},
+            "leave one of them out",
+        ),
+        ({"tyre_size": "big"}, "tyre_size must be as in 205/55 R16, not 'big'"),
+        ({"tyre_size": 205}, "tyre_size must be text"),
+        ({"tyre_size": "205/55 R16", "wheel_radius": 0.4}, "wheel_radius 0.4 contra"),
+        ({"drive": "both"}, "unknown drive 'both'; choose from"),
+        ({"drive": "rear", "front_drive": 1.0}, "leave one of them out"),
+        ({"front_drive": 1.5}, r"front_drive must lie in \[0, 1\]"),
+        ({"steering_turns": 3.0}, "steering_turns 3 needs steering_ratio"),
+        ({"steering_ratio": 5.0, "steering_turns": 3.0}, "steering_turns must be less"),
+        (
+            {"steering_ratio": 15.0, "steering_turns": 3.0, "turning_circle": 14.0},
+            "turning_circle 14 contradicts steering ratio and turns",
+        ),
+        ({"turning_circle": 5.0}, "turning_circle must be more than"),
+        ({"tyre": "205/55 R16"}, "tyre must be an object"),
+        ({"tyre": {"grip": 1.0}}, r"unknown \['grip'\] of tyre"),
+        ({"tyre": {"friction": 0}}, "tyre.friction must be a number above 0"),
+        ({"wheel_mass": 400.0}, "leave no possible chassis"),
+        ({"name": 5}, "name must be text, not 5"),
+    ],
+)
+def test_contradictions_are_refused_with_file_value_and_what_is_allowed(
+    change, message, tmp_path
+):
+    sheet = {k: v for k, v in (SIZE | change).items() if v is not None}
+    path = tmp_path / "car.json"
+    path.write_text(json.dumps(sheet))
+    with pytest.raises(ValueError, match=message) as refusal:
+        EnvConfig(vehicle=str(path))
+    assert str(refusal.value).startswith(f"{path}: ")
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("car.yaml", "length: [4", "line 1: no YAML"),
+        ("car.yaml", "length: 4.28\nlength: 4.3", "has length twice"),
+        ("car.yaml", "just words", "must have lines as"),
+        ("car.yaml", "", "must have lines as"),
+        ("car.yaml", "!!python/object/apply:os.getcwd []", "no YAML"),
+        ("car.yaml", "- [" * 3000, "no YAML|nested too deeply"),
+        ("car.yaml", "when: 2026-99-99", "no YAML|unknown"),
+        ("car.yaml", "a: &a [*a]", "unknown"),
+        ("car.json", "{", "is damaged"),
+        ("car.json", "[]", "is no JSON object"),
+        ("car.toml", "", r"must end in one of \.json, \.yaml, \.yml, not"),
+    ],
+)
+def test_files_that_are_none_are_refused_in_one_sentence(name, text, message, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=message) as refusal:
+        preset(str(tmp_path / name))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_missing_file_is_refused():
+    with pytest.raises(ValueError, match=r"cannot read nowhere.yaml: No such file"):
+        FleetConfig(parked_cars=("nowhere.yaml",))
+
+
+def test_a_damaged_file_is_a_car_or_refused_in_one_sentence(tmp_path):
+    dice, path = random.Random(0), tmp_path / "car.yaml"
+    for _ in range(300):
+        text = [*EXAMPLE]
+        for _ in range(dice.randint(1, 4)):
+            text[dice.randrange(len(text))] = dice.choice("0.9-:\n {}[]&*!#'\"x\t")
+        path.write_text("".join(text))
+        assert "\n" not in refusal_of(path)
+
+
+def refusal_of(path) -> str:
+    """Why a file is no car; empty if it is one."""
+    try:
+        make_vehicle(preset(str(path)))
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def test_every_quantity_of_a_sheet_is_on_the_page():
+    for name in SHEET:
+        assert f"`{name}`" in GUIDE
+
+
+def test_the_cars_of_data_sheets_are_drawn_as_the_most_similar_preset():
+    for name in SHEETS:
+        assert nearest_style(preset(name)) in STYLES
+        assert preset(name) != COMPACT
