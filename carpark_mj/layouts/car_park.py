@@ -80,11 +80,12 @@ class CarParkConfig(LayoutConfig):
 @functools.cache
 def _made(name: str, corners: tuple[float, ...]) -> Layout:
     """The lot of a config, made once."""
-    whole = jax.device_get(_MAKERS[name]())
-    if not corners:
-        return whole
-    x, y, other_x, other_y = corners
-    return crop(whole, (x, y, other_x, other_y))
+    with jax.ensure_compile_time_eval():  # may be called by a function that is traced
+        whole = jax.device_get(_MAKERS[name]())
+        if not corners:
+            return whole
+        x, y, other_x, other_y = corners
+        return crop(whole, (x, y, other_x, other_y))
 
 
 DRAGON_LAKE = register_layout("dragon_lake", CarParkConfig("dragon_lake"))

@@ -66,3 +66,10 @@ def test_impossible_crops_are_refused(corners, told):
 def test_every_bay_is_reached_from_every_lane(name):
     routes = jax.jit(make_routes)(layout_config(name).layout)
     assert (routes.beside | jnp.isfinite(routes.remaining).any(axis=1)).all()
+
+
+@pytest.mark.parametrize("name", BAYS)
+def test_a_lot_is_first_read_within_a_traced_function(name):
+    config = layout_config(name).crop(*CORNERS[:3], 32.0)
+    drawn = jax.jit(config.generate)(jax.random.key(0))
+    assert np.array_equal(drawn.bay_pose, config.layout.bay_pose)
