@@ -28,7 +28,7 @@ SHEETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
             "tyre_size": "215/55 R18",  # [est]
             "turning_circle": 10.2,  # [est]
             "drive": "rear",  # [press]
-            "max_drive_torque": 3500.0,  # 310 N m [press] x 11.5 [est]
+            "max_drive_torque": 3500.0,  # 310 N m x 11.5 [est]
             "max_power": 150e3,  # [press] 204 hp
             "drive_lag": 0.05,  # [est] a motor
         },

@@ -25,6 +25,7 @@ class Options(TypedDict, total=False):
         layout: `EnvConfig.layout`.
         agents: `EnvConfig.num_agents`.
         parked_cars: `EnvConfig.num_parked_cars`.
+        vehicle: `EnvConfig.vehicle`.
         rule: `EpisodeConfig.parked_rule`.
         reward: weights, or the name of a set of them.
         physics: `EnvConfig.physics`.
@@ -34,6 +35,7 @@ class Options(TypedDict, total=False):
     layout: LayoutChoice
     agents: int
     parked_cars: int
+    vehicle: str
     rule: str
     reward: RewardConfig | str
     physics: PhysicsChoice
@@ -45,6 +47,7 @@ _FIELDS = {
     "layout": "layout",
     "agents": "num_agents",
     "parked_cars": "num_parked_cars",
+    "vehicle": "vehicle",
     "physics": "physics",
 }
 

@@ -22,6 +22,7 @@ from carpark_mj.vehicle.file import parameters_text, read_sheet
 from carpark_mj.vehicle.parameters import TyreParameters
 from carpark_mj.vehicle.sheet import SHEET, car_of_sheet
 from carpark_mj.vehicle.sheets import SHEETS
+from carpark_mj.wrappers.options import configure
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "own_lot.md").read_text()
 [EXAMPLE] = re.findall(r"```yaml\n(.*?)```", GUIDE, re.DOTALL)
@@ -56,6 +57,7 @@ def test_a_config_keeps_the_parameters_and_not_the_path(file):
         EnvConfig(vehicle=file, num_agents=1),
         read_flags(EnvConfig, ["--vehicle", file, "--num-agents", "1"]),
         adapt(EnvConfig(num_agents=1), vehicle=file),
+        configure({"agents": 1, "vehicle": file}),
     )
     fleet = FleetConfig(agents=(file, "van"), parked_cars=(file,))
     junction = JunctionConfig(vehicle=file)
@@ -63,7 +65,7 @@ def test_a_config_keeps_the_parameters_and_not_the_path(file):
     assert preset(junction.vehicle) == car
     assert [Fleet(c, preset(c.vehicle)).agent_names for c in configs] == [
         ("my_car",)
-    ] * 3
+    ] * 4
     for config in configs:
         back = from_dict(EnvConfig, json.loads(json.dumps(dataclasses.asdict(config))))
         assert back == config

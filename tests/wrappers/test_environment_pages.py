@@ -41,6 +41,7 @@ DEFAULTS = {
     "layout": CONFIG.layout,
     "agents": CONFIG.num_agents,
     "parked_cars": CONFIG.num_parked_cars,
+    "vehicle": CONFIG.vehicle,
     "rule": CONFIG.episode.parked_rule,
     "reward": next(name for name, set_ in REWARDS.items() if set_ == CONFIG.reward),
     "physics": CONFIG.physics,
