@@ -104,7 +104,9 @@ RENAMED: dict[str, str] = {
         f"carpark_mj.{old}": f"carpark_mj.{new}"
         for old, new in {
             "config.sensors": "config.observations",
+            "config.units": "config.terminations",
             "layouts.lanes": "layouts.routes",
+            "mdp.chosen_goals": "mdp.dynamic_goals",
             "mdp.goal_rewards": "mdp.rewards",
             "mdp.metrics.collision_time": "mdp.metrics.safety",
             "mdp.metrics.driving": "mdp.metrics.tallies",

@@ -27,6 +27,7 @@ from carpark_mj.config import (
     SpawnConfig,
     insert,
 )
+from carpark_mj.config.layouts import LAYOUTS
 from carpark_mj.extensions import Registry
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.runs import from_dict
@@ -98,6 +99,8 @@ def test_a_former_setting_is_refused_and_what_it_became_exists(config, setting):
 
 @pytest.mark.parametrize(("kind", "name"), PARTS)
 def test_a_former_name_of_a_part_is_refused_with_its_new_one(kind, name):
+    registries = {"layout": LAYOUTS}
+    assert RENAMED[f"{kind} {name}"] in registries[kind]
     with pytest.raises(ValueError, match=repr(RENAMED[f"{kind} {name}"])):
         Registry(kind)[name]
 

@@ -62,6 +62,7 @@ def look(config: VehiclesConfig) -> None:
     else:
         name, (params, estimated) = read_sheet(name)
     print("\n".join(_lines(params, estimated)))
+    print("metres, kilograms, newtons, watts, seconds, radians")
     if config.save:
         text = json.dumps(json.loads(parameters_text(name, params)), indent=1) + "\n"
         write_atomically(Path(config.save), lambda file: file.write_text(text))

@@ -80,13 +80,15 @@ def goal_features(state: State) -> jax.Array:
 def pose_norm(
     achieved: Any,
     desired: Any,
-    x: float = 1.0,
-    y: float = 0.3,
-    speed: float = 0.0,
-    heading: float = 0.02,
-    power: float = 0.5,
+    x: float,
+    y: float,
+    speed: float,
+    heading: float,
+    power: float,
 ) -> Any:
     """Weighted p-norm (...) of the difference of features (..., 6), as given.
+
+    The other arguments are parameters of the reward term `pose`.
 
     Args:
         achieved: features.
@@ -119,13 +121,14 @@ def _pose(
 
 
 def near(threshold: float) -> Callable[..., jax.Array]:
-    """A `ParkedRule.test`: whether the norm, of default weights, is below a number."""
+    """A `ParkedRule.test`: the norm of the default weights is below a number."""
 
     def test(
         motion: Motion, pose: jax.Array, size: jax.Array, end: jax.Array | None
     ) -> jax.Array:
         del size
-        return pose_norm(car_features(motion), bay_features(pose, end)) < threshold
+        there, goal = car_features(motion), bay_features(pose, end)
+        return pose_norm(there, goal, **POSE.parameters) < threshold
 
     return test
 

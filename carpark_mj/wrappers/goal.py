@@ -18,6 +18,7 @@ from carpark_mj.physics.base import Physics
 from carpark_mj.tasks.goal_pose import (
     FEATURES,
     NUM_FEATURES,
+    POSE,
     car_features,
     goal_features,
     pose_norm,
@@ -87,7 +88,8 @@ class GoalParking(ParkingEnv):
     ) -> np.ndarray:
         """Rewards (...) of features (..., 6) at a step's end; `crashed` (...) bool."""
         reward = self.config.reward
-        norm = pose_norm(achieved, desired, **reward.parameters("pose"))
+        parameters = POSE.parameters | reward.parameters("pose")
+        norm = pose_norm(achieved, desired, **parameters)
         return -reward.extra["pose"] * norm - reward.crash * crashed
 
     def reset_to_layout(

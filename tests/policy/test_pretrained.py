@@ -1,4 +1,4 @@
-"""Pretrained policies: files of a policy alone, found by name, each with its card."""
+"""Pretrained policies: files of a policy alone, found by name."""
 
 import dataclasses
 import json
@@ -9,75 +9,24 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from helpers.tiny_policy import TINY
 
 import carpark_mj
 from carpark_mj.cli import evaluate
 from carpark_mj.cli.driver import adapt, command_help, find_driver
 from carpark_mj.cli.render import RenderConfig
-from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.config import GoalConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import observation_size
-from carpark_mj.policy import checkpoints, loading, pretrained, runs
+from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import FOLDER_SETTINGS
-from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.pretrained import find_policy, pretrained_names
-from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.run import finish
 from carpark_mj.training.ppo.train import save
 
-DOCS = Path(__file__).parents[2] / "docs"
 MAX_SIZE = 1e6  # bytes
-TINY = PPOConfig(
-    name="secret",
-    runs_dir="/somewhere",
-    seed=7,
-    num_lots=2,
-    num_minibatches=2,
-    networks=NetworkConfig((16,), (16,)),
-    env=EnvConfig(physics="bicycle", num_parked_cars=4),
-)
-CARD = """## tiny
-
-| | |
-|---|---|
-| task | none: it was not trained |
-| training | `python train/ppo.py --seed 7` |
-| steps | 0 |
-| seed | 7 |
-| device | two CPU cores, 0 min |
-
-| evaluation | episodes | parked | crashed | timed out |
-|---|---:|---:|---:|---:|
-| `python eval/evaluate.py tiny` | 1,024 | 1.0 % (0.5 … 1.8) | 95.0 % (93.5 … 96.2) | 4.0 % (3.0 … 5.4) |
-
-Limits:
-
-- It does not park.
-"""  # noqa: E501
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """A run folder with a checkpoint of an untrained policy."""
-    folder = tmp_path_factory.mktemp("tiny_run")
-    learner = Learner(TINY)
-    save(folder, TINY, learner.init())
-    return folder
-
-
-@pytest.fixture
-def shipped(run, tmp_path, monkeypatch):
-    """The policy of the run as `tiny`, beside the others; the folder of them all."""
-    folder = tmp_path / "package"
-    shutil.copytree(pretrained.FOLDER, folder)
-    loading.save_policy(run, folder / "tiny.npz")
-    (folder / "tiny.md").write_text(CARD)
-    monkeypatch.setattr(pretrained, "FOLDER", folder)
-    (tmp_path / "work").mkdir()
-    monkeypatch.chdir(tmp_path / "work")
-    return folder
 
 
 def act(loaded, count=50):
@@ -327,78 +276,3 @@ def test_every_policy_is_small_and_acts(shipped):
         action = act(loading.load_policy(name))
         assert np.isfinite(action).all(), name
         assert (np.abs(action[:, :2]) <= 1.0).all(), name
-
-
-def rows(card):
-    """The rows of the two tables of a card: settings by name, and evaluations."""
-    cells = [
-        [cell.strip() for cell in line.strip("|").split("|")]
-        for line in card.splitlines()
-        if line.startswith("|") and not line.startswith("|---") and line != "| | |"
-    ]
-    settings = {row[0]: row[1] for row in cells if len(row) == 2}
-    return settings, [row for row in cells if len(row) == 5][1:]
-
-
-def faults(name, card):
-    """What is wrong with the card of a policy."""
-    settings, evaluations = rows(card)
-    header = checkpoints.read_header(find_policy(name))
-    wanted = ("task", "training", "steps", "seed", "device")
-    yield from (f"no {row}" for row in wanted if not settings.get(row))
-    if not re.search(r"^Limits:\n\n(- \S.*\n( .*\n)*)+\Z", card, re.MULTILINE):
-        yield "no limits"
-    if card.splitlines()[0] != f"## {name}":
-        yield "another name"
-    if settings.get("steps") != f"{header['env_steps']:,}":
-        yield f"steps are {header['env_steps']:,}"
-    if settings.get("seed") != str(header["config"]["seed"]):
-        yield f"the seed is {header['config']['seed']}"
-    if not evaluations:
-        yield "no evaluation"
-    for command, episodes, *rates in evaluations:
-        if f"`python eval/evaluate.py {name}" not in command:
-            yield f"{command} is no evaluation of it"
-        if int(episodes.replace(",", "")) < 1000:
-            yield f"{episodes} episodes are too few"
-        pattern = r"([\d.]+) % \(([\d.]+) … ([\d.]+)\)"
-        numbers = [list(map(float, re.fullmatch(pattern, r).groups())) for r in rates]
-        if not all(low <= rate <= high for rate, low, high in numbers):
-            yield f"a rate is not in its interval: {rates}"
-        if abs(sum(rate for rate, _, _ in numbers) - 100) > 0.2:  # diverged, rounding
-            yield f"{rates} do not make 100 %"
-
-
-def test_every_policy_has_a_card_with_its_figures(shipped):
-    for name in pretrained_names():
-        assert list(faults(name, (shipped / f"{name}.md").read_text())) == [], name
-    cards = {path.stem for path in shipped.glob("*.md")}
-    assert cards == {*pretrained_names()}
-
-
-@pytest.mark.parametrize(
-    ("wrong", "right", "fault"),
-    [
-        ("| seed | 7 |", "| seed | 1 |", "the seed is 7"),
-        ("| steps | 0 |", "| steps | 9 |", "steps are 0"),
-        ("- It does not park.", "", "no limits"),
-        ("4.0 % (3.0", "4.0 % (4.1", "a rate is not in its interval"),
-        ("4.0 % (3.0", "5.0 % (3.0", "do not make 100 %"),
-        ("evaluate.py tiny", "evaluate.py huge", "is no evaluation of it"),
-    ],
-)
-def test_a_fault_of_a_card_is_found(shipped, wrong, right, fault):
-    assert wrong in CARD
-    found = list(faults("tiny", CARD.replace(wrong, right)))
-    assert len(found) == 1
-    assert fault in found[0]
-
-
-def test_the_page_of_the_policies_shows_all_cards():
-    cards = [
-        (pretrained.FOLDER / f"{name}.md").read_text() for name in pretrained_names()
-    ]
-    page = (DOCS / "policies.md").read_text()
-    shown = page.split("<!-- cards -->\n")[1].split("\n<!-- end of cards -->")[0]
-    expected = "\n".join(cards).rstrip()
-    assert shown == expected, f"paste this:\n{expected}"

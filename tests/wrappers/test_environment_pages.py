@@ -7,8 +7,9 @@ from pathlib import Path
 import gymnasium
 import pytest
 from gymnasium import spaces
+from helpers.registering import restore_after
 
-from carpark_mj.config import REWARDS, EnvConfig
+from carpark_mj.config import PARKED_RULES, REWARDS, EnvConfig
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.registration import ENTRY_POINTS
@@ -159,7 +160,8 @@ def test_a_page_lists_all_arguments_with_their_defaults(name):
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_the_example_of_an_environment_runs(name):
+def test_the_example_of_an_environment_runs(name, monkeypatch):
+    restore_after(monkeypatch, PARKED_RULES)
     [snippet] = re.findall(r"^```python\n(.*?)^```", TEXTS[name], re.M | re.S)
     exec(snippet.replace("64", "4"), {})
 

@@ -207,7 +207,11 @@ def test_no_environment_of_many_is_an_absent_agent():
 @pytest.mark.parametrize(
     "options",
     [
-        {"config": "hope"},
+        {
+            "config": "hope",
+            "layout": "hope_extreme_parallel",
+            "physics": "bicycle",
+        },
         {"config": "pandita"},
         {"layout": "slots", "parked_cars": 0, "physics": "bicycle"},
         {

@@ -12,7 +12,7 @@ import pytest
 from carpark_mj.config import REWARDS, EpisodeConfig
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
-from carpark_mj.tasks.goal_pose import pose_norm
+from carpark_mj.tasks.goal_pose import POSE, pose_norm
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.gymnasium_goal import goal_config
 
@@ -37,7 +37,7 @@ def test_the_reward_is_the_weighted_norm_of_highway_env():
     off = np.array([0.0064, 0.0, 3.0, 3.0, 1.0, 0.0])
     askew = np.array([0.0064, 0.0, 0.0, 0.0, math.cos(1), math.sin(1)])
     turned = math.sqrt(0.0064 + 0.02 * (1 - math.cos(1) + math.sin(1)))
-    found = pose_norm(np.stack([at, off, askew]), at)
+    found = pose_norm(np.stack([at, off, askew]), at, **POSE.parameters)
     np.testing.assert_allclose(found, [0.0, 0.08, turned], rtol=1e-5)
 
 
