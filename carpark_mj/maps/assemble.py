@@ -40,7 +40,7 @@ class Report:
         unknown: what was not understood, with how often.
         outside: shapes left out because they lie outside the drivable part, by tag.
         errors: between the outlines of spots and of their bays [m].
-        stretched: spots lengthened by at most `STRETCH` to hold the car.
+        stretched: names of spots lengthened into the aisle to hold the car.
         turned: angle by which the map was turned to the rows of its bays [rad].
     """
 
@@ -49,7 +49,7 @@ class Report:
     unknown: Counter[str] = dataclasses.field(default_factory=Counter)
     outside: Counter[str] = dataclasses.field(default_factory=Counter)
     errors: list[float] = dataclasses.field(default_factory=list)
-    stretched: int = 0
+    stretched: list[str] = dataclasses.field(default_factory=list)
     turned: float = 0.0
 
     def __str__(self) -> str:
@@ -58,10 +58,14 @@ class Report:
         lines = [
             f"{len(self.errors)} of {self.spots} spots imported; their rectangles are "
             f"off by {mean:.2f} m on average, {worst:.2f} m at most",
-            f"{self.stretched} spots lengthened by up to {STRETCH:g} m to hold the car",
             f"turned by {np.degrees(self.turned):.1f} deg to its rows",
             *(f"spot {name} left out: {why}" for name, why in self.lost.items()),
         ]
+        if self.stretched:
+            lines.append(
+                f"{len(self.stretched)} spots lengthened by at most {STRETCH:g} m into "
+                f"the aisle to hold the car: {', '.join(self.stretched)}"
+            )
         for what, counts in (
             ("outside the drivable part", self.outside),
             ("not understood", self.unknown),
@@ -154,9 +158,11 @@ def _bays(
         if error > WORST_FIT:
             report.lost[one.name] = f"no rectangle: {error:.2f} m off the best one"
             continue
-        if box.length < least[0] < box.length + STRETCH:
-            box = dataclasses.replace(box, length=least[0] + 0.01)
-            report.stretched += 1
+        box = _facing(box, drivable)
+        short = box.length < least[0] < box.length + STRETCH
+        if short:  # what stands behind it stays
+            back, side = -box.length / 2, box.width / 2
+            box = box.part(back, back + least[0] + 0.01, -side, side)
         if not one.shape.intersects(near):
             report.lost[one.name] = f"more than {NEAR:g} m from what can be driven on"
             continue
@@ -172,7 +178,7 @@ def _bays(
         if free is None or size[0] < least[0] or size[1] < least[1]:
             report.lost[one.name] = (
                 f"{size[0]:.2f} x {size[1]:.2f} m, smaller than the car of "
-                f"{least[0]:.2f} x {least[1]:.2f} m"
+                f"{least[0]:g} x {least[1]:g} m"
             )
             continue
         if max(size) > PLAUSIBLE_BAY[1]:
@@ -181,8 +187,10 @@ def _bays(
             )
             continue
         report.errors.append(float(shapely.hausdorff_distance(one.shape, free.shape)))
+        if short:
+            report.stretched.append(one.name)
         taken.append(free.shape)
-        found.append((_facing(free, drivable), one.kind))
+        found.append((free, one.kind))
     return found
 
 

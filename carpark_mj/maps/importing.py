@@ -30,9 +30,10 @@ def read_plan(path: Path) -> Plan:
         ValueError: no such map.
         OSError: the file cannot be read.
     """
-    if path.suffix not in FORMATS:
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
         raise ValueError(f"a map must end in one of {', '.join(FORMATS)}")
-    if path.suffix in (".geojson", ".json"):
+    if suffix in (".geojson", ".json"):
         from carpark_mj.maps.geojson import geojson_features
 
         return geojson_features(path)

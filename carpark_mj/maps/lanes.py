@@ -57,7 +57,7 @@ def joined_lanes(features: list[Feature]) -> list[tuple[Box, bool]]:
 def _reaching(lane: Box, lanes: list[tuple[Box, bool]]) -> Box:
     """A lane lengthened at either end to the next one ahead, within `GAP`."""
     others = [other.shape for other, _ in lanes if other is not lane]
-    ends = []
+    ends: list[float] = []
     for side in (-1.0, 1.0):
         start = side * lane.length / 2
         ahead = shapely.LineString([(start, 0.0), (start + side * GAP, 0.0)])
@@ -67,7 +67,8 @@ def _reaching(lane: Box, lanes: list[tuple[Box, bool]]) -> Box:
             if not (hit := lane.local(other).intersection(ahead)).is_empty
         ]
         ends.append(start + side * min(gaps, default=0.0))
-    return lane.part(*ends, -lane.width / 2, lane.width / 2)
+    back, front = ends
+    return lane.part(back, front, -lane.width / 2, lane.width / 2)
 
 
 def _box(feature: Feature) -> Box:

@@ -283,6 +283,19 @@ def test_spots_that_are_no_bays_are_told_with_the_reason(tmp_path):
     assert [why.split()[0] for why in reasons] == ["no", "covered", "more"]
 
 
+def test_a_spot_a_little_too_short_is_lengthened_into_the_aisle(tmp_path):
+    short = rectangle(20, 3, 22.5, 7.18)
+    lot, report = import_map(write(tmp_path, "a.osm", openstreetmap([*BAYS, short])))
+    assert len(report.stretched) == 1
+    assert report.stretched[0] in str(report)
+    # Its end away from the lane, whose line is y = 0 of the drawing, stays.
+    [lane] = np.asarray(lot.lane_pose)
+    aside = np.array([-math.sin(lane[2]), math.cos(lane[2])])
+    away = np.abs((np.asarray(lot.bay_pose)[:, :2] - lane[:2]) @ aside)
+    back = away + np.asarray(lot.bay_size)[:, 0] / 2
+    assert np.allclose(back, [*[8.0] * COUNT, 7.18], atol=0.03)
+
+
 SHAPES = {
     "L": shapely.box(0, 0, 10, 1).union(shapely.box(0, 0, 1, 8)),
     "ring": shapely.box(0, 0, 10, 8).difference(shapely.box(1, 1, 9, 7)),
