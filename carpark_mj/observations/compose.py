@@ -40,7 +40,8 @@ def join(config: EnvConfig, values: Mapping[str, jax.Array], count: int) -> jax.
     """
     fields = make_fields(config)
     _require_fit(config.observation.encoding, fields, values, count)
-    ordered = [values[field.name] for field in fields]
+    # XLA would compute the values within the concatenation, some of them repeatedly.
+    ordered = jax.lax.optimization_barrier([values[field.name] for field in fields])
     return jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
 
 

@@ -49,6 +49,8 @@ def cast_rays(
     bearing = jnp.arange(count) * (2 * jnp.pi / count)
     ahead = jnp.stack([jnp.cos(bearing), jnp.sin(bearing)], axis=-1)
     direction = rotate(ahead, own_pose[:, None, 2])[:, None]  # (agents, 1, count, 2)
+    # Once for a ray, not for each obstacle, which XLA would do to save memory.
+    direction = jax.lax.optimization_barrier(direction)
     origin = own_pose[:, None, None, :2]
     outline = jnp.min(0.5 * own_size[:, None] / jnp.abs(ahead), axis=-1)
     free = outline + reach  # nothing farther away is seen

@@ -29,7 +29,7 @@ def on_cuda(
 
     Gradients are always those of `otherwise`.
     """
-    if not _has_triton():
+    if not has_triton():
         return otherwise(*args)
     return _on_either(run, otherwise, args)
 
@@ -102,7 +102,8 @@ def run_in_kernel(
     return jax.tree.unflatten(result_tree, call(*shared))
 
 
-def _has_triton() -> bool:
+def has_triton() -> bool:
+    """Whether JAX computes on a CUDA GPU that Triton supports."""
     if jax.default_backend() != "gpu":
         return False
     capability = jax.devices()[0].compute_capability

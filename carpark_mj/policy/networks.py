@@ -65,6 +65,19 @@ def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> Observatio
     return ObservationSets(sum(field.size for field in fields))
 
 
+@dataclasses.dataclass(frozen=True)
+class Arithmetic:
+    """How networks with a set encoder are computed; their parameters do not tell.
+
+    Attributes:
+        in_kernel: whether sets are encoded in a GPU kernel.
+        dtype: of all layers but the sets' and the last.
+    """
+
+    in_kernel: bool = False
+    dtype: Any = jnp.float32
+
+
 class SetNetwork(linen.Module):
     """The set encoder and hidden layers.
 
@@ -72,24 +85,55 @@ class SetNetwork(linen.Module):
         inputs: see `network_inputs`.
         config: the encoder.
         layers: sizes of the layers after it, the output included.
+        arithmetic: how they are computed.
     """
 
     inputs: ObservationSets
     config: NetworkConfig
     layers: tuple[int, ...]
+    arithmetic: Arithmetic
 
     @linen.compact
     def __call__(
         self, parts: dict[str, jax.Array], present: dict[str, jax.Array]
     ) -> jax.Array:
         """The output (..., layers[-1])."""
-        encoder = SetEncoder(self.inputs, self.config.own_size, self.config.entity_size)
+        sizes, how = (self.config.own_size, self.config.entity_size), self.arithmetic
+        encoder = SetEncoder(self.inputs, *sizes, how.in_kernel, how.dtype)
         hidden = encoder(parts, present)
-        return brax_networks.MLP(list(self.layers), activation=linen.swish)(hidden)
+        return _Layers(self.layers, how.dtype, name="MLP_0")(hidden)
+
+
+class _Layers(linen.Module):
+    """Brax's `MLP` with swish, whose hidden layers may have half precision.
+
+    Attributes:
+        sizes: of the layers; the last has no activation, and float32.
+        dtype: of the others.
+    """
+
+    sizes: tuple[int, ...]
+    dtype: Any
+
+    @linen.compact
+    def __call__(self, hidden: jax.Array) -> jax.Array:
+        for i, size in enumerate(self.sizes):
+            last = i == len(self.sizes) - 1
+            hidden = linen.Dense(
+                size,
+                dtype=jnp.float32 if last else self.dtype,
+                kernel_init=jax.nn.initializers.lecun_uniform(),
+                name=f"hidden_{i}",
+            )(hidden)
+            hidden = hidden if last else linen.swish(hidden)
+        return hidden
 
 
 def make_networks(
-    config: NetworkConfig, fields: Sequence[Field], action: ActionSpec
+    config: NetworkConfig,
+    fields: Sequence[Field],
+    action: ActionSpec,
+    arithmetic: Arithmetic = Arithmetic(),
 ) -> ppo_networks.PPONetworks:
     """Builds actor and critic over observations with the given fields.
 
@@ -114,8 +158,9 @@ def make_networks(
         )
     else:
         layers = (*config.policy_layers, distribution.param_size)
-        policy = _set_network(SetNetwork(inputs, config, layers))
-        value = _set_network(SetNetwork(inputs, config, (*config.value_layers, 1)))
+        policy = _set_network(SetNetwork(inputs, config, layers, arithmetic))
+        layers = (*config.value_layers, 1)
+        value = _set_network(SetNetwork(inputs, config, layers, arithmetic))
         value = dataclasses.replace(value, apply=_scalar(value.apply))
     return networks(
         policy_network=policy,

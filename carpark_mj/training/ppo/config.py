@@ -66,6 +66,7 @@ class PPOConfig(RunConfig):
         discount: discount factor per control step, at the start.
         gae_lambda: lambda of generalised advantage estimation.
         max_grad_norm: global norm to which gradients are clipped.
+        half_precision: compute the networks' inner layers in bfloat16 during training.
         variant: whose details: `brax`, or of a study, as `ml-agents`.
         averaged_updates: the policy that is evaluated is the exponential moving average
             over about this many updates; 1 = the last one.
@@ -96,6 +97,7 @@ class PPOConfig(RunConfig):
     discount: float = data(0.99)
     gae_lambda: float = data(0.92)
     max_grad_norm: float = 1.0
+    half_precision: bool = False
     variant: str = "brax"
     averaged_updates: int = 32
     critic_steps: int = 0

@@ -19,7 +19,13 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import training_key
 from carpark_mj.observations import make_fields
-from carpark_mj.policy.networks import make_networks, make_policy, network_inputs
+from carpark_mj.physics.kernel import has_triton
+from carpark_mj.policy.networks import (
+    Arithmetic,
+    make_networks,
+    make_policy,
+    network_inputs,
+)
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.training.memory import num_bytes
 from carpark_mj.training.ppo.collect import Rollout, Totals, collect
@@ -75,7 +81,9 @@ class Learner:
         self.families = make_families(target, lots)
         fields, action = make_fields(config.env), self.env.env.action_spec
         self.inputs = network_inputs(config.networks, fields)
-        self.networks = make_networks(config.networks, fields, action)
+        dtype = jnp.bfloat16 if config.half_precision else jnp.float32
+        arithmetic = Arithmetic(has_triton(), dtype)
+        self.networks = make_networks(config.networks, fields, action, arithmetic)
         self.optimizer = optax.chain(
             optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam()
         )
