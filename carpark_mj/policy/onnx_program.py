@@ -1,6 +1,6 @@
 """Programs of JAX as ONNX models: a table from primitives to operators.
 
-Shapes are static, loops are written out, and what depends on no input is computed here.
+Shapes are static, loops are unrolled, and constant expressions are computed here.
 """
 
 import math
