@@ -19,11 +19,11 @@ from carpark_mj.types import State, TimeStep
 class BraxParking(Env):
     """`num_lots` lots of `env.num_agents` agents each.
 
-    `reset(keys)` takes (num_lots,) keys; observations, rewards, `done` and everything
-    in `info` but the state have the leading dimension num_lots * num_agents. Steps of
-    agents that are absent, where `info["present"]` is 0, are not to be learned from;
-    it is None where all always are present. `info["final_observation"]` is that of
-    `TimeStep`, None unless `EpisodeConfig.final_observation`.
+    `reset(keys)` takes (num_lots,) keys. Observations, rewards, `done` and everything
+    in `info` but the state have the leading dimension num_lots * num_agents. Mask steps
+    of absent agents, where `info["present"]` is 0; it is None if agents are never
+    absent. `info["final_observation"]` is that of `TimeStep`, None unless
+    `EpisodeConfig.final_observation`. Agents auto-reset.
     """
 
     def __init__(self, env: ParkingEnv) -> None:
@@ -87,7 +87,7 @@ class BraxParking(Env):
         member: jax.Array | None = None,
         num_present: jax.Array | None = None,
     ) -> BraxState:
-        """Draws some lots anew; the episodes running in them are cut off.
+        """Redraws some lots and cuts off the episodes running in them.
 
         Args:
             state: of all lots.
