@@ -4,6 +4,7 @@ import { Controls } from "./controls.js";
 import { CAMERAS, View } from "./view.js";
 
 const SLOW = 20; // frames/s, under which the view draws less
+const PATIENCE = 3; // half-seconds of that
 
 const get = (id) => document.getElementById(id);
 const options = new URLSearchParams(location.search);
@@ -36,7 +37,10 @@ get("again").onclick = again;
 get("driver").onclick = () => setManual(!manual);
 get("lot").onchange = ({ target }) => load(target.value);
 document.addEventListener("click", ({ target }) => target.matches("button") && target.blur()); // keys drive
-document.addEventListener("visibilitychange", () => worker.postMessage({ paused: document.hidden }));
+document.addEventListener("visibilitychange", () => {
+  worker.postMessage({ paused: document.hidden });
+  startMeasuring();
+});
 
 function load(name) {
   get("lot").value = name;
@@ -66,7 +70,7 @@ worker.onmessage = ({ data }) => {
   if (data.look) {
     Object.assign(demo, { look: data.look, lot: data.lot, name: data.name, report: null, first: null, events: [] });
     view.show(data.look, data.lot);
-    return;
+    return startMeasuring();
   }
   demo.report = data;
   demo.first ??= data.first;
@@ -75,7 +79,13 @@ worker.onmessage = ({ data }) => {
 };
 worker.onerror = (event) => (get("status").textContent = `The demo cannot run: ${event.message ?? "no module workers"}`);
 
-let [last, counted, since, before] = [performance.now(), 0, performance.now(), null];
+const NOTHING = { time: 0, cost: { steps: 0, physics: 0, decisions: 0, policy: 0 } };
+let last = performance.now();
+let counted, since, slow, before;
+
+function startMeasuring() {
+  [counted, since, slow, before] = [0, performance.now(), 0, demo.report ?? NOTHING];
+}
 
 function frame(now) {
   requestAnimationFrame(frame);
@@ -95,11 +105,16 @@ function frame(now) {
 
 // Twice a second: numbers for the visitor.
 function measure(now, { time, counts, cost, cars }) {
-  const [seconds, was] = [(now - since) / 1000, before ?? { time: 0, cost: { steps: 0, physics: 0, decisions: 0, policy: 0 } }];
-  const spent = (ms, count) => (cost[ms] - was.cost[ms]) / Math.max(1, cost[count] - was.cost[count]);
+  const seconds = (now - since) / 1000;
+  const gone = (name) => cost[name] - before.cost[name];
+  const spent = (ms, count) => gone(ms) / Math.max(1, gone(count));
   demo.fps = counted / seconds;
-  if (demo.fps < SLOW) view.simplify();
-  demo.rate = (time - was.time) / seconds;
+  demo.rate = (time - before.time) / seconds;
+  slow = demo.fps < SLOW ? slow + 1 : 0;
+  if (slow === PATIENCE) {
+    view.simplify();
+    slow = 0;
+  }
   const { visitor, parked, crashed, late } = counts;
   const mine = visitor ? `You parked ${visitor}. ` : "";
   get("status").textContent = `${mine}Policy: ${parked} parked, ${crashed} crashed, ${late} timed out`;
@@ -112,4 +127,5 @@ function measure(now, { time, counts, cost, cars }) {
 }
 
 new ResizeObserver(() => view.resize(innerWidth, innerHeight)).observe(document.body);
+startMeasuring();
 requestAnimationFrame(frame);
