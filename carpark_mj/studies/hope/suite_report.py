@@ -1,4 +1,4 @@
-"""The results of the suite as a table on the screen and as files."""
+"""The results of the suite as a table on the terminal and as files."""
 
 import importlib.metadata
 import itertools
