@@ -35,9 +35,9 @@ _HEAD = (
 def verdict(published: Published | None, outcomes: Sequence[Outcome]) -> str:
     """Whether the seeds agree with a cell of the thesis.
 
-    They agree if at least `CLEAR` of them solve, or do not, as its run did, and likewise
-    converge; `earlier` or `later` if all converging seeds converge before or after its
-    run.
+    They agree if at least `CLEAR` of them solve, or do not, as its run did, and the
+    same of convergence; `earlier` or `later` if all converging seeds converge before
+    or after its run.
     """
     if published is None:
         safe = sum(
