@@ -4,9 +4,11 @@ carpark_mj layouts --plot lots.png
 carpark_mj layouts --check 1000 --run 20
 carpark_mj layouts street my_lot.json --check 1000
 carpark_mj layouts lot --seed 3 --save lot.json
+carpark_mj layouts import car_park.osm --out lot.json
 """
 
 import dataclasses
+import sys
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -234,6 +236,11 @@ def look(config: LayoutsConfig) -> bool:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code, 1 if a layout has a problem."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if given and given[0] == "import":
+        from carpark_mj.cli import map_import
+
+        return map_import.main(given[1:])
 
     def command() -> int:
         config = read_flags(LayoutsConfig, arguments, description=__doc__, prog=PROGRAM)

@@ -17,6 +17,7 @@ _FAMILIES = (
     "garage_row",
     "dead_end",
     "from_file",
+    "car_park",
 )
 _HOMES = [f"carpark_mj.layouts.{family}" for family in _FAMILIES]
 

@@ -202,3 +202,22 @@ def assemble(extent: Any, *groups: Group) -> Layout:
             columns.setdefault(name, []).append(rows)
     fields = {name: jnp.concatenate(rows) for name, rows in columns.items()}
     return Layout(**fields, extent=jnp.asarray(extent, jnp.float32))
+
+
+@jax.jit  # many small operations would each be compiled on their own
+def from_columns(extent: Any, columns: dict[str, dict[str, Any]]) -> Layout:
+    """Makes a layout of the columns of its rows.
+
+    Args:
+        extent: see `assemble`.
+        columns: arguments of `bays`, `walls`, `discs`, `lanes` and `spawns` by name.
+    """
+    make = {
+        "bays": bays,
+        "walls": walls,
+        "discs": discs,
+        "lanes": lanes,
+        "spawns": spawns,
+    }
+    groups = [make[rows](**columns[rows]) for rows in make if rows in columns]
+    return assemble(extent, *groups)
