@@ -57,7 +57,7 @@ def subjects(peer: Peer, lots: int) -> Generator[list[Subject]]:
     """The compared programs, closed after use.
 
     Args:
-        peer: what the adapters are compared with.
+        peer: peer of the adapters.
         lots: simulated at once, of one agent each.
 
     Raises:

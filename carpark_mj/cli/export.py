@@ -149,8 +149,8 @@ def _write_car(out: Path, loaded: LoadedPolicy, config: ExportConfig) -> None:
     """Writes a model that acts in lots like its policy, or none.
 
     Raises:
-        ValueError: it acts otherwise, a car outside cannot observe what the policy
-            does, or the lots have more than the counts.
+        ValueError: it acts otherwise, a car outside cannot make the policy's
+            observation, or the lots have more rows than the counts.
     """
     require_outside(loaded.env)
     counts = {name: getattr(config, name) for name in COUNTS}
