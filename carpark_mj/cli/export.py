@@ -88,7 +88,7 @@ class ExportConfig:
         if self.out and Path(self.out).suffix not in (".onnx", ".npz"):
             raise ValueError(f"out must end in .onnx or .npz, not {self.out!r}")
         if self.out.endswith(".npz"):
-            reason = "with a checkpoint"
+            reason = "on a checkpoint"
             require_unset(self, reason, "seed", "from_state")
         if not self.from_state:
             require_unset(self, "without --from-state", *COUNTS)
