@@ -176,7 +176,7 @@ def _outcome(row: Row) -> str:
 
 
 def _told(row: Row) -> str:
-    """What a video shows."""
+    """Caption of a video."""
     return f"case {row['case']}, seed {row['seed']}: {_outcome(row)}"
 
 
