@@ -123,7 +123,7 @@ def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
     ):
         width, height = size * metre
         top = 1 - y / (high + foot)
-        text = {"fontsize": FONT, "va": "top", "linespacing": 1.1}
+        text: dict[str, Any] = {"fontsize": FONT, "va": "top", "linespacing": 1.1}
         figure.text(x / SHEET, top, "\n".join(told), **text)
         low = top - (height + LINE * len(told)) / (high + foot)
         box = (x / SHEET, low, width / SHEET, height / (high + foot))
@@ -169,9 +169,9 @@ def _legend(figure: Any, layouts: Sequence[tuple[str, Layout]], metre: float) ->
             if int(kind) in found:
                 name = kind.name.lower() + " bay" * (part == "bay")
                 entries.append(Patch(fc=colour, ec="#444444", lw=0.6, label=name))
-    arrow = {"marker": ">", "lw": 0.8, "ms": 3}
+    arrow: dict[str, Any] = {"marker": ">", "lw": 0.8, "ms": 3}
     if any(np.any(layout.spawn_mask) for _, layout in layouts):
-        start = {"fc": "#2e86c1", "ec": "#1b4f72", "alpha": 0.25}
+        start: dict[str, Any] = {"fc": "#2e86c1", "ec": "#1b4f72", "alpha": 0.25}
         entries.append(Patch(**start, label="start region"))
     if any(np.any(layout.lane_mask) for _, layout in layouts):
         entries.append(Patch(fc="#d9d9d9", label="lane"))

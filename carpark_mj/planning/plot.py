@@ -1,6 +1,7 @@
 """Cases with the planner's paths, as a picture."""
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +48,7 @@ def plot_paths(
         axis.axis("off")
     for axis, (title, layout, path) in zip(axes.flat, cases, strict=False):
         axis.set_title(title.replace(": ", "\n"), fontsize=7)
-        _draw(axis, jax.device_get(layout), path, car)
+        _draw(axis, layout, path, car)
     figure.legend(
         handles=[
             Patch(fc="tab:blue", alpha=0.3, label="start"),
@@ -69,8 +70,9 @@ def plot_paths(
 
 
 def _draw(
-    axis: Axes, layout: Layout, path: PlannedPath | None, car: VehicleParameters
+    axis: Axes, lot: Layout, path: PlannedPath | None, car: VehicleParameters
 ) -> None:
+    layout: Any = jax.device_get(lot)
     axis.set_aspect("equal")
     axis.set(xticks=[], yticks=[])
     mask = layout.wall_mask

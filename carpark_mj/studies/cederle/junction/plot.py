@@ -83,7 +83,7 @@ def write_plan(path: Path) -> Path:
     for axes in panels[:, 0]:
         axes.set_ylabel("y [m]", fontsize=8)
     agents = max(len(scenario(name).missions) for name in SCENARIOS)
-    ring = {"marker": "o", "lw": 0, "mfc": "none", "ms": 9}
+    ring: dict[str, Any] = {"marker": "o", "lw": 0, "mfc": "none", "ms": 9}
     figure.legend(
         handles=[
             *(
