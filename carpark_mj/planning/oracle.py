@@ -19,7 +19,7 @@ from carpark_mj.planning.paths import SHIFT_TIME, STEP, make_path, rear_axle
 from carpark_mj.planning.schedule import DT, MARGIN, Drive, instants, meet, schedule
 from carpark_mj.planning.search import SearchConfig, search
 
-ORDERS = 8
+ORDERS = 6
 BREADTH = 3  # cars of an order among which the one that parks first is next
 WAYS = 2  # of every car in a lot without others
 # Long steps: most of a lot is open, and a search that fails is soon given up.
@@ -31,7 +31,7 @@ ALONE = SearchConfig(
     max_tests=2500,
     shorten_tests=1000,
 )
-AROUND = dataclasses.replace(ALONE, clearances=(0.04, 0.0), paths=1, max_tests=2000)
+AROUND = dataclasses.replace(ALONE, clearances=(0.02,), paths=1, max_tests=1000)
 ASIDE = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0, 9.0, -9.0, 12.0, -12.0)  # m along its heading
 MOVES = 2  # aside, of every car
 
