@@ -32,7 +32,7 @@ FLOORS = (
     ("evaluation",),
     ("analysis",),
     ("rendering",),
-    ("wrappers", "play"),
+    ("wrappers", "play", "maps"),
     ("cli",),
     ("training",),
     ("sweeps", "benchmarking"),

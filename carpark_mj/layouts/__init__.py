@@ -28,6 +28,7 @@ from carpark_mj.renamed import old_names
 
 if TYPE_CHECKING:
     from carpark_mj.layouts.angled import AngledConfig
+    from carpark_mj.layouts.car_park import CarParkConfig
     from carpark_mj.layouts.dead_end import DeadEndConfig
     from carpark_mj.layouts.from_file import FromFileConfig
     from carpark_mj.layouts.garage_row import GarageRowConfig
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 else:
     _HOMES = {
         "AngledConfig": "angled",
+        "CarParkConfig": "car_park",
         "DeadEndConfig": "dead_end",
         "FromFileConfig": "from_file",
         "GarageRowConfig": "garage_row",
@@ -64,6 +66,7 @@ __all__ = [
     "AngledConfig",
     "BayEnd",
     "BayKind",
+    "CarParkConfig",
     "DeadEndConfig",
     "DesignCar",
     "DiscKind",

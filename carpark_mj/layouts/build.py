@@ -62,7 +62,7 @@ def bays(
 
 
 def _ends(end: Any) -> dict[str, tuple[Any, Any, Any]]:
-    """The part of `bays`; none where it is known that either end will do."""
+    """The field of `bays`; empty if either end is known to be allowed."""
     either = not isinstance(end, jax.Array) and not np.any(end)
     return {} if either else {"end": (end, (), jnp.int32)}
 
@@ -202,3 +202,22 @@ def assemble(extent: Any, *groups: Group) -> Layout:
             columns.setdefault(name, []).append(rows)
     fields = {name: jnp.concatenate(rows) for name, rows in columns.items()}
     return Layout(**fields, extent=jnp.asarray(extent, jnp.float32))
+
+
+@jax.jit  # many small operations would each be compiled on their own
+def from_columns(extent: Any, columns: dict[str, dict[str, Any]]) -> Layout:
+    """Makes a layout of the columns of its rows.
+
+    Args:
+        extent: see `assemble`.
+        columns: arguments of `bays`, `walls`, `discs`, `lanes` and `spawns` by name.
+    """
+    make = {
+        "bays": bays,
+        "walls": walls,
+        "discs": discs,
+        "lanes": lanes,
+        "spawns": spawns,
+    }
+    groups = [make[rows](**columns[rows]) for rows in make if rows in columns]
+    return assemble(extent, *groups)

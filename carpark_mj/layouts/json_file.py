@@ -157,24 +157,19 @@ def _parse(text: str) -> tuple[Layout, dict[str, list[int]]]:
         raise _RowError(
             line, f"unknown {unknown}; a layout has {sorted({*_SCHEMA, *_NEEDED})}"
         )
-    make = {
-        "bays": build.bays,
-        "walls": build.walls,
-        "discs": build.discs,
-        "lanes": build.lanes,
-        "spawns": build.spawns,
-    }
-    groups, lines = [], {}
+    groups, lines = {}, {}
     for name, schema in _SCHEMA.items():
         rows = data.get(name, [])
         if not isinstance(rows, list):
             raise _RowError(line, f"{name} must be a list of objects, not {rows!r}")
         if rows:
             columns, places = _columns(name, schema, rows, line)
-            groups.append(make[name](**columns))
+            if name == "bays" and not columns["end"].any():
+                del columns["end"]
+            groups[name] = columns
             lines[name.removesuffix("s")] = places
     extent = _number(line, "extent", data["extent"], 2)
-    return build.assemble(extent, *groups), lines
+    return build.from_columns(np.array(extent), groups), lines
 
 
 def _columns(

@@ -5,12 +5,16 @@ all entities of a kind go through the same layers, and the largest of each featu
 the entities that are present goes on. Neither their order nor their number matters.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import linen
 
 from carpark_mj.observations.fields import ORDERED
 from carpark_mj.observations.sets import OWN, ObservationSets
+from carpark_mj.policy import entities, entities_kernel
+from carpark_mj.policy.entities import EntityLayers
 
 
 class SetEncoder(linen.Module):
@@ -20,29 +24,57 @@ class SetEncoder(linen.Module):
         sets: parts of the observation.
         own_size: features of the own numbers.
         entity_size: features of an entity, and so of a set.
+        in_kernel: whether sets are encoded in a GPU kernel, see `entities_kernel`.
+        dtype: of the layer of the own numbers, and of products in the kernel.
     """
 
     sets: ObservationSets
     own_size: int
     entity_size: int
+    in_kernel: bool = False
+    dtype: Any = jnp.float32
 
     @linen.compact
     def __call__(
         self, parts: dict[str, jax.Array], present: dict[str, jax.Array]
     ) -> jax.Array:
         """Encodes `parts` of which entities are `present`, see `ObservationSets`."""
-        features = [linen.Dense(self.own_size, name=OWN)(parts[OWN])]
+        own = linen.Dense(self.own_size, dtype=self.dtype, name=OWN)(parts[OWN])
+        features = [own]
         for part in self.sets.sets:
-            group, mask = part.group, present[part.group][..., None]
-            hidden = linen.Dense(self.entity_size, name=f"{group}_0")(parts[group])
-            # The fast variance, a difference of two means, loses digits.
-            norm = linen.LayerNorm(use_fast_variance=False, name=f"{group}_norm")
-            hidden = linen.swish(norm(hidden))
-            hidden = linen.Dense(self.entity_size, name=f"{group}_1")(hidden)
+            group, size = part.group, self.entity_size
+            layers = EntityLayers(
+                _Layer((part.size, size), "kernel", name=f"{group}_0")(),
+                _Layer((size,), "scale", name=f"{group}_norm")(),
+                _Layer((size, size), "kernel", name=f"{group}_1")(),
+            )
             if group in ORDERED:  # actions name the slots, so all stay apart
-                hidden = jnp.where(mask, hidden, 0.0)
-                features.append(hidden.reshape(*hidden.shape[:-2], -1))
+                hidden = entities.encode(layers, parts[group])
+                hidden = jnp.where(present[group][..., None], hidden, 0.0)
+                found = hidden.reshape(*hidden.shape[:-2], -1)
+            elif self.in_kernel and entities_kernel.fits(size):
+                kernel = entities_kernel.largest
+                found = kernel(layers, parts[group], present[group], self.dtype)
             else:
-                largest = jnp.max(jnp.where(mask, hidden, -jnp.inf), axis=-2)
-                features.append(jnp.where(mask.any(axis=-2), largest, 0.0))
+                found = entities.largest(layers, parts[group], present[group])
+            features.append(found.astype(own.dtype))
         return linen.swish(jnp.concatenate(features, axis=-1))
+
+
+class _Layer(linen.Module):
+    """Parameters named and initialised as those of flax's `Dense` or `LayerNorm`.
+
+    Attributes:
+        shape: of `first`; its last axis is that of the bias.
+        first: `kernel` or `scale`.
+    """
+
+    shape: tuple[int, ...]
+    first: str
+
+    @linen.compact
+    def __call__(self) -> tuple[jax.Array, jax.Array]:
+        init = linen.initializers
+        begin = init.lecun_normal() if self.first == "kernel" else init.ones
+        first = self.param(self.first, begin, self.shape)
+        return first, self.param("bias", init.zeros, self.shape[-1:])

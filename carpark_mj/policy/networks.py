@@ -31,13 +31,13 @@ class NetworkConfig(CheckedConfig):
     Attributes:
         policy_layers: sizes of the actor's hidden layers.
         value_layers: sizes of the critic's hidden layers.
-        encoder: what comes before them. `set`: all cars of a kind go through the same
-            layers, see `carpark_mj.policy.encoder`; the weights fit any number of cars.
-            `flat`: nothing, they read the vector as it is.
-        own_size: features that `set` makes of the own numbers.
-        entity_size: features that `set` makes of a set of entities.
-        min_std: least standard deviation of continuous actions before tanh, above 0. If
-            it is small, a policy may end up exploring little.
+        encoder: encoder before the layers. `set`: all cars of a kind go through the
+            same layers, see `carpark_mj.policy.encoder`; the weights fit any number of
+            cars. `flat`: none, the layers read the vector.
+        own_size: number of features of the own numbers in `set`.
+        entity_size: number of features of a set of entities in `set`.
+        min_std: least standard deviation of continuous actions before tanh, above 0.
+            With a small value a policy may stop exploring.
     """
 
     policy_layers: tuple[int, ...] = (128, 128)
@@ -59,10 +59,23 @@ class NetworkConfig(CheckedConfig):
 
 
 def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> ObservationSets:
-    """The parts in which the networks read observations with these fields."""
+    """The parts of observations with these fields, as the networks read them."""
     if config.encoder == "set":
         return observation_sets(fields)
     return ObservationSets(sum(field.size for field in fields))
+
+
+@dataclasses.dataclass(frozen=True)
+class Arithmetic:
+    """How networks with a set encoder are computed; their parameters do not tell.
+
+    Attributes:
+        in_kernel: whether sets are encoded in a GPU kernel.
+        dtype: of all layers but the sets' and the last.
+    """
+
+    in_kernel: bool = False
+    dtype: Any = jnp.float32
 
 
 class SetNetwork(linen.Module):
@@ -72,24 +85,55 @@ class SetNetwork(linen.Module):
         inputs: see `network_inputs`.
         config: the encoder.
         layers: sizes of the layers after it, the output included.
+        arithmetic: how they are computed.
     """
 
     inputs: ObservationSets
     config: NetworkConfig
     layers: tuple[int, ...]
+    arithmetic: Arithmetic
 
     @linen.compact
     def __call__(
         self, parts: dict[str, jax.Array], present: dict[str, jax.Array]
     ) -> jax.Array:
         """The output (..., layers[-1])."""
-        encoder = SetEncoder(self.inputs, self.config.own_size, self.config.entity_size)
+        sizes, how = (self.config.own_size, self.config.entity_size), self.arithmetic
+        encoder = SetEncoder(self.inputs, *sizes, how.in_kernel, how.dtype)
         hidden = encoder(parts, present)
-        return brax_networks.MLP(list(self.layers), activation=linen.swish)(hidden)
+        return _Layers(self.layers, how.dtype, name="MLP_0")(hidden)
+
+
+class _Layers(linen.Module):
+    """Brax's `MLP` with swish, whose hidden layers may have half precision.
+
+    Attributes:
+        sizes: of the layers; the last has no activation, and float32.
+        dtype: of the others.
+    """
+
+    sizes: tuple[int, ...]
+    dtype: Any
+
+    @linen.compact
+    def __call__(self, hidden: jax.Array) -> jax.Array:
+        for i, size in enumerate(self.sizes):
+            last = i == len(self.sizes) - 1
+            hidden = linen.Dense(
+                size,
+                dtype=jnp.float32 if last else self.dtype,
+                kernel_init=jax.nn.initializers.lecun_uniform(),
+                name=f"hidden_{i}",
+            )(hidden)
+            hidden = hidden if last else linen.swish(hidden)
+        return hidden
 
 
 def make_networks(
-    config: NetworkConfig, fields: Sequence[Field], action: ActionSpec
+    config: NetworkConfig,
+    fields: Sequence[Field],
+    action: ActionSpec,
+    arithmetic: Arithmetic = Arithmetic(),
 ) -> ppo_networks.PPONetworks:
     """Builds actor and critic over observations with the given fields.
 
@@ -114,8 +158,9 @@ def make_networks(
         )
     else:
         layers = (*config.policy_layers, distribution.param_size)
-        policy = _set_network(SetNetwork(inputs, config, layers))
-        value = _set_network(SetNetwork(inputs, config, (*config.value_layers, 1)))
+        policy = _set_network(SetNetwork(inputs, config, layers, arithmetic))
+        layers = (*config.value_layers, 1)
+        value = _set_network(SetNetwork(inputs, config, layers, arithmetic))
         value = dataclasses.replace(value, apply=_scalar(value.apply))
     return networks(
         policy_network=policy,
@@ -144,7 +189,7 @@ def _set_network(network: SetNetwork) -> brax_networks.FeedForwardNetwork:
 
 
 def _scalar(apply: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """The same without the output's dimension of one."""
+    """The function without the output's last dimension, which is 1."""
     return lambda *args: apply(*args)[..., 0]
 
 

@@ -16,7 +16,7 @@ COMMANDS = {
     "play": Entry("carpark_mj.cli.play:run", "drive a car yourself"),
     "layouts": Entry("carpark_mj.cli.layouts:main", "plot, check and save layouts"),
     "vehicles": Entry(
-        "carpark_mj.cli.vehicles:main", "show a vehicle and what is estimated of it"
+        "carpark_mj.cli.vehicles:main", "show a vehicle and its estimated parameters"
     ),
     "oracle": Entry(
         "carpark_mj.cli.oracle:main", "say which agents of held-out lots can park"

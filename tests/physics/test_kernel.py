@@ -82,7 +82,7 @@ def test_cars_move_in_the_kernel_as_outside(monkeypatch):
 
 def test_a_cuda_program_is_one_kernel_without_loops(monkeypatch):
     physics, state, controls = moving_cars(lots=2)
-    monkeypatch.setattr(kernel, "_has_triton", lambda: True)
+    monkeypatch.setattr(kernel, "has_triton", lambda: True)
     traced = jax.jit(jax.vmap(physics.step)).trace(state, controls)
     for platform, kernels in (("cuda", 1), ("cpu", 0)):
         text = traced.lower(lowering_platforms=(platform,)).as_text()
@@ -92,7 +92,7 @@ def test_a_cuda_program_is_one_kernel_without_loops(monkeypatch):
 
 @pytest.mark.parametrize("wrap", [jax.jit, lambda f: jax.jit(jax.vmap(f))])
 def test_what_arguments_share_is_handed_to_the_kernel_once(monkeypatch, wrap):
-    monkeypatch.setattr(kernel, "_has_triton", lambda: True)
+    monkeypatch.setattr(kernel, "has_triton", lambda: True)
     seen = []
 
     def on_gpu(args):

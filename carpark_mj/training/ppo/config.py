@@ -46,8 +46,7 @@ class PPOConfig(RunConfig):
             one, else `cpu`.
         warm_start: run whose networks the training starts from instead of random ones:
             folder, checkpoint, or name of a pretrained policy with `critic_steps`.
-        num_steps: agent steps to simulate in all. Those of absent agents count, here
-            and in the other settings of steps: they take as long.
+        num_steps: agent steps to make in all, see `steps_per_update`.
         minutes: time after which training ends before `num_steps` are made, compiling
             included, evaluation and video not [min]; 0 = no limit. Schedules then
             follow steps or time, whichever is further.
@@ -66,6 +65,7 @@ class PPOConfig(RunConfig):
         discount: discount factor per control step, at the start.
         gae_lambda: lambda of generalised advantage estimation.
         max_grad_norm: global norm to which gradients are clipped.
+        half_precision: compute the networks' inner layers in bfloat16 during training.
         variant: whose details: `brax`, or of a study, as `ml-agents`.
         averaged_updates: the policy that is evaluated is the exponential moving average
             over about this many updates; 1 = the last one.
@@ -96,6 +96,7 @@ class PPOConfig(RunConfig):
     discount: float = data(0.99)
     gae_lambda: float = data(0.92)
     max_grad_norm: float = 1.0
+    half_precision: bool = False
     variant: str = "brax"
     averaged_updates: int = 32
     critic_steps: int = 0
@@ -171,8 +172,22 @@ class PPOConfig(RunConfig):
 
     @property
     def steps_per_update(self) -> int:
+        """Agent steps expected of one update, those of present agents.
+
+        What a training reports is counted, not expected.
+        """
+        return round(self.present_share * self.slots_per_update)
+
+    @property
+    def slots_per_update(self) -> int:
         """Steps simulated for one update, those of absent agents included."""
         return self.num_lots * self.env.num_agents * self.unroll_length
+
+    @property
+    def present_share(self) -> float:
+        """Share of the agents that are present if all their numbers are as likely."""
+        counts = self.env.agent_counts
+        return (counts[0] + counts[-1]) / (2 * self.env.num_agents)
 
     @property
     def critic_updates(self) -> int:

@@ -1,0 +1,297 @@
+"""From the features of a map to a layout, with a report of what was left out."""
+
+import dataclasses
+import itertools
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely import affinity
+
+from carpark_mj.layouts import build
+from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
+from carpark_mj.layouts.types import BayKind, Layout, WallKind
+from carpark_mj.maps.features import Feature, Plan
+from carpark_mj.maps.fit import Box, around, best_fit, boxes, cut_free
+from carpark_mj.maps.lanes import joined_lanes
+
+MOST_BAYS = 500
+REACH = 1.5  # m from the drivable ground within which walls and kerbs are kept
+NEAR = 4.0  # m from the drivable ground within which a spot must begin
+WORST_FIT = 0.6  # m between the outlines of a spot and its rectangle
+TWICE = 0.5  # share of a spot that another covers, for it to be the same one
+DETAIL = 0.25  # m, smaller bends of walls are straightened
+STRETCH = 0.1  # m by which a spot may be too short for the car
+SLIVER = 0.08  # m, thinner walls are none
+THINNEST = 0.02  # m, of a wall
+LEAST_START = 0.05  # m that a start is long and wide
+MARGIN = 1.0  # m around everything
+
+
+@dataclasses.dataclass
+class Report:
+    """What became of a map.
+
+    Attributes:
+        spots: how many there are in it.
+        lost: spots without a bay, with the reason, by their names.
+        unknown: what was not understood, with how often.
+        outside: shapes left out because they lie outside the drivable part, by tag.
+        errors: between the outlines of spots and of their bays [m].
+        stretched: names of spots lengthened into the aisle to hold the car.
+        turned: angle by which the map was turned to the rows of its bays [rad].
+    """
+
+    spots: int = 0
+    lost: dict[str, str] = dataclasses.field(default_factory=dict)
+    unknown: Counter[str] = dataclasses.field(default_factory=Counter)
+    outside: Counter[str] = dataclasses.field(default_factory=Counter)
+    errors: list[float] = dataclasses.field(default_factory=list)
+    stretched: list[str] = dataclasses.field(default_factory=list)
+    turned: float = 0.0
+
+    def __str__(self) -> str:
+        """A line for each thing to know."""
+        worst, mean = max(self.errors), float(np.mean(self.errors))
+        lines = [
+            f"{len(self.errors)} of {self.spots} spots imported; their rectangles are "
+            f"off by {mean:.2f} m on average, {worst:.2f} m at most",
+            f"turned by {np.degrees(self.turned):.1f} deg to its rows",
+            *(f"spot {name} left out: {why}" for name, why in self.lost.items()),
+        ]
+        if self.stretched:
+            lines.append(
+                f"{len(self.stretched)} spots lengthened by at most {STRETCH:g} m into "
+                f"the aisle to hold the car: {', '.join(self.stretched)}"
+            )
+        for what, counts in (
+            ("outside the drivable part", self.outside),
+            ("not understood", self.unknown),
+        ):
+            if counts:
+                listed = ", ".join(f"{n} {name}" for name, n in counts.most_common())
+                lines.append(f"{what}: {listed}")
+        return "\n".join(lines)
+
+
+def assemble(plan: Plan) -> tuple[Layout, Report]:
+    """Makes a layout of a map, its middle at the origin and its rows along x or y.
+
+    Raises:
+        ValueError: no spot that a car can reach, too many of them, or nowhere to start.
+    """
+    report = Report(lost=dict(plan.lost), unknown=plan.unknown)
+    found = Counter(feature.tag for feature in plan.features)
+    report.spots = found["bay"] + len(plan.lost)
+    if not found["bay"]:
+        raise ValueError("the map has no parking spot with an outline")
+    if found["bay"] > MOST_BAYS:
+        raise ValueError(f"the map has {found['bay']} spots; at most {MOST_BAYS}")
+    if not found["lane"] + found["start"]:
+        raise ValueError("the map has no lane, aisle or start, so cars have no way in")
+    features = _turned(plan.features, report)
+    drivable = shapely.union_all(
+        [_ground(one) for one in features if one.tag in ("lane", "drivable", "start")]
+    )
+    bays = _bays(features, drivable, report)
+    if not bays:
+        reasons = "; ".join(sorted(set(report.lost.values()))[:3])
+        raise ValueError(f"no spot of the map can be a bay ({reasons})")
+    taken = [box.shape for box, _ in bays]
+    ground = shapely.union_all([drivable, *taken])
+    solids, discs = _solids(features, ground, taken, report)
+    standing = [box.shape for box, _ in solids]
+    standing += [shapely.Point(x, y).buffer(r) for x, y, r in discs]
+    lanes = []
+    tree = shapely.STRtree([*taken, *standing])
+    for lane, one_way in joined_lanes([one for one in features if one.tag == "lane"]):
+        met = tree.query(lane.shape, "intersects")
+        free = cut_free(lane, tree.geometries[met])
+        if free and free.length > 2.0 and free.width > 1.0:
+            lanes.append((free, one_way))
+        else:
+            report.outside["lane without room"] += 1
+    starts = [around(one.shape) for one in features if one.tag == "start"]
+    starts += [lane for lane, _ in lanes]
+    starts += [lane.turned() for lane, one_way in lanes if not one_way]
+    layout = _layout(bays, solids, discs, lanes, starts)
+    if faults := describe_faults(layout):
+        raise ValueError(f"no valid layout comes of the map: {'; '.join(faults)}")
+    return layout, report
+
+
+def _ground(feature: Feature) -> Any:
+    if feature.tag != "lane":
+        return feature.shape
+    return feature.shape.buffer(feature.width / 2, cap_style="square")
+
+
+def _turned(features: list[Feature], report: Report) -> list[Feature]:
+    """Turns the map so that most of its bays lie along x or y."""
+    yaws = np.array([around(one.shape).yaw for one in features if one.tag == "bay"])
+    report.turned = -float(np.angle(np.exp(4j * yaws).sum())) / 4
+    return [
+        dataclasses.replace(
+            one,
+            shape=affinity.rotate(
+                one.shape, report.turned, origin=(0, 0), use_radians=True
+            ),
+        )
+        for one in features
+    ]
+
+
+def _bays(
+    features: list[Feature], drivable: Any, report: Report
+) -> list[tuple[Box, BayKind]]:
+    """Rectangles of the spots, heading out into the aisle."""
+    least = DesignCar().size
+    near = drivable.buffer(NEAR)
+    found: list[tuple[Box, BayKind]] = []
+    taken: list[Any] = []
+    for one in features:
+        if one.tag != "bay":
+            continue
+        box, error = best_fit(one.shape)
+        if error > WORST_FIT:
+            report.lost[one.name] = f"no rectangle: {error:.2f} m off the best one"
+            continue
+        box = _facing(box, drivable)
+        short = box.length < least[0] < box.length + STRETCH
+        if short:  # what stands behind it stays
+            back, side = -box.length / 2, box.width / 2
+            box = box.part(back, back + least[0] + 0.01, -side, side)
+        if not one.shape.intersects(near):
+            report.lost[one.name] = f"more than {NEAR:g} m from what can be driven on"
+            continue
+        others = [other for other in taken if other.intersects(box.shape)]
+        over = [
+            o for o in others if o.intersection(box.shape).area > TWICE * one.shape.area
+        ]
+        if over:
+            report.lost[one.name] = "covered by another spot"
+            continue
+        free = cut_free(box, others)
+        size = free.size if free else (0.0, 0.0)
+        if free is None or size[0] < least[0] or size[1] < least[1]:
+            report.lost[one.name] = (
+                f"{size[0]:.2f} x {size[1]:.2f} m, smaller than the car of "
+                f"{least[0]:g} x {least[1]:g} m"
+            )
+            continue
+        if max(size) > PLAUSIBLE_BAY[1]:
+            report.lost[one.name] = (
+                f"{size[0]:.1f} m long, more than {PLAUSIBLE_BAY[1]:g} m"
+            )
+            continue
+        report.errors.append(float(shapely.hausdorff_distance(one.shape, free.shape)))
+        if short:
+            report.stretched.append(one.name)
+        taken.append(free.shape)
+        found.append((free, one.kind))
+    return found
+
+
+def _facing(box: Box, drivable: Any) -> Box:
+    """The rectangle with the end in front that is nearer to the drivable ground."""
+    half = box.length / 2
+    ends = [
+        shapely.Point(box.x + s * np.cos(box.yaw), box.y + s * np.sin(box.yaw))
+        for s in (half + 1.0, -half - 1.0)
+    ]
+    ahead, behind = (end.distance(drivable) for end in ends)
+    return box.turned() if behind < ahead else box
+
+
+_Disc = tuple[float, float, float]
+
+
+def _solids(
+    features: list[Feature], ground: Any, taken: list[Any], report: Report
+) -> tuple[list[tuple[Box, WallKind]], list[_Disc]]:
+    """Boxes and discs of what stands within reach of the ground."""
+    within = ground.buffer(REACH, join_style="mitre")
+    occupied = shapely.union_all(taken).buffer(0.001)
+    tree = shapely.STRtree(taken)
+    kept: dict[WallKind, list[Any]] = {WallKind.WALL: [], WallKind.KERB: []}
+    discs: list[_Disc] = []
+    for one in features:
+        if one.tag not in ("wall", "kerb", "pillar"):
+            continue
+        shape = one.shape.intersection(within)
+        if shape.is_empty:
+            report.outside[one.tag] += 1
+        elif one.tag == "pillar" and not shape.intersects(occupied):
+            x, y = one.shape.centroid.coords[0]
+            discs.append((x, y, float(np.sqrt(one.shape.area / np.pi))))
+        else:
+            kind = WallKind.KERB if one.tag == "kerb" else WallKind.WALL
+            kept[kind].append(shape)
+    solids: list[tuple[Box, WallKind]] = []
+    for kind, shapes in kept.items():
+        closed = shapely.union_all(shapes).buffer(DETAIL / 2, join_style="mitre")
+        whole = closed.buffer(-DETAIL / 2, join_style="mitre").difference(occupied)
+        # Without the slivers between bays.
+        whole = whole.buffer(-SLIVER / 2, join_style="mitre")
+        whole = whole.buffer(SLIVER / 2, join_style="mitre")
+        parts = shapely.get_parts(whole)
+        parts = parts[shapely.area(parts) > 0]
+        # No more than a quarter of a thin wall's thickness.
+        thickness = 2 * shapely.area(parts) / shapely.length(parts)
+        parts = shapely.simplify(parts, np.minimum(DETAIL, thickness / 4))
+        for box in itertools.chain.from_iterable(map(boxes, parts)):
+            met = tree.query(box.shape, "intersects")
+            free = cut_free(box, tree.geometries[met])
+            if free and free.width > THINNEST and free.length > DETAIL:
+                solids.append((free, kind))
+    return solids, discs
+
+
+def _layout(
+    bays: list[tuple[Box, BayKind]],
+    solids: list[tuple[Box, WallKind]],
+    discs: list[_Disc],
+    lanes: list[tuple[Box, bool]],
+    starts: list[Box],
+) -> Layout:
+    shapes = [box.shape for box, _ in (*bays, *solids, *lanes)]
+    left, low, right, high = shapely.union_all(shapes).bounds
+    middle = np.array([(left + right) / 2, (low + high) / 2, 0.0])
+    extent = np.array([right - left, high - low]) / 2 + MARGIN
+
+    def placed(found: list[Box]) -> tuple[np.ndarray, np.ndarray]:
+        pose = np.array([box.pose for box in found]).reshape(-1, 3) - middle
+        return pose, np.array([box.size for box in found]).reshape(-1, 2)
+
+    pose, size = placed(starts)
+    car, spread = DesignCar(), build.LANE_SPREAD
+    swept = (
+        car.length * np.cos(spread) + car.width * np.sin(spread),
+        car.width * np.cos(spread) + car.length * np.sin(spread),
+    )
+    room = size - swept
+    fits = (room > LEAST_START).all(axis=1)
+    if not fits.any():
+        raise ValueError("no lane of the map has room for a car to start in")
+    rows = np.array(discs).reshape(-1, 3)
+
+    def columns(found: list[tuple[Box, Any]], part: str, kind: type) -> dict[str, Any]:
+        pose, size = placed([box for box, _ in found])
+        return {
+            "pose": pose,
+            "size": size,
+            part: np.array([what for _, what in found], kind),
+        }
+
+    return build.from_columns(
+        extent,
+        {
+            "bays": columns(bays, "kind", int),
+            "walls": columns(solids, "kind", int),
+            "discs": {"centre": rows[:, :2] - middle[:2], "radius": rows[:, 2]},
+            "lanes": columns(lanes, "one_way", bool),
+            "spawns": {"pose": pose[fits], "size": room[fits], "spread": spread},
+        },
+    )

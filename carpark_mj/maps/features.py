@@ -1,0 +1,47 @@
+"""What maps have in common: tagged shapes in metres."""
+
+import dataclasses
+from collections import Counter
+from typing import Any, Literal
+
+from carpark_mj.layouts.types import BayKind
+
+Tag = Literal["bay", "lane", "wall", "kerb", "pillar", "drivable", "start"]
+
+LINE_THICKNESS = 0.2  # m of walls and kerbs drawn as lines
+
+
+@dataclasses.dataclass(frozen=True)
+class Feature:
+    """One shape of a map.
+
+    Attributes:
+        tag: what it is.
+        shape: a shapely polygon, of a lane the centre line in its direction [m].
+        name: by which the map knows it.
+        kind: of a bay.
+        width: of a lane [m].
+        one_way: whether a lane is driven along its line only.
+    """
+
+    tag: Tag
+    shape: Any
+    name: str
+    kind: BayKind = BayKind.STANDARD
+    width: float = 0.0
+    one_way: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """The features of a map.
+
+    Attributes:
+        features: in the map's order, metres.
+        unknown: what was not understood, with how often.
+        lost: spots that cannot become shapes, with the reason, by their names.
+    """
+
+    features: list[Feature] = dataclasses.field(default_factory=list)
+    unknown: Counter[str] = dataclasses.field(default_factory=Counter)
+    lost: dict[str, str] = dataclasses.field(default_factory=dict)

@@ -1,0 +1,45 @@
+"""A layout of a map file."""
+
+from pathlib import Path
+
+from carpark_mj.layouts.types import Layout
+from carpark_mj.maps.assemble import Report, assemble
+from carpark_mj.maps.features import Plan
+
+FORMATS = (".osm", ".xml", ".geojson", ".json")
+
+
+def import_map(path: Path) -> tuple[Layout, Report]:
+    """Reads a map, Lanelet2 or OpenStreetMap in OSM XML, or GeoJSON.
+
+    Raises:
+        ValueError: no such map, or no lot comes of it; the message names the file.
+    """
+    try:
+        return assemble(read_plan(path))
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def read_plan(path: Path) -> Plan:
+    """The features of a map.
+
+    Raises:
+        ValueError: no such map.
+        OSError: the file cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise ValueError(f"a map must end in one of {', '.join(FORMATS)}")
+    if suffix in (".geojson", ".json"):
+        from carpark_mj.maps.geojson import geojson_features
+
+        return geojson_features(path)
+    from carpark_mj.maps.lanelet2 import is_lanelet2, lanelet2_features
+    from carpark_mj.maps.openstreetmap import osm_features
+    from carpark_mj.maps.osm_xml import read_osm_xml
+
+    osm = read_osm_xml(path)
+    return lanelet2_features(osm) if is_lanelet2(osm) else osm_features(osm)

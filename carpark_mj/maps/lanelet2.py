@@ -1,0 +1,164 @@
+"""Lanelet2 maps in OSM XML: lanelets, parking spots, walls, kerbs and columns."""
+
+import itertools
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import shapely
+
+from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan, Tag
+from carpark_mj.maps.osm_xml import OsmXml, Tags, Way, joined
+
+# Subtypes and types in lower case; first what the Lanelet2 documents name, then what
+# maps for valet parking have.
+_SOLID: dict[str, Tag] = {
+    "wall": "wall",
+    "fence": "wall",
+    "guard_rail": "wall",
+    "building": "wall",
+    "curbstone": "kerb",
+    "walls": "wall",
+    "windows": "wall",
+    "doors": "wall",
+    "kerbs": "kerb",
+    "columns": "pillar",
+}
+_TAGS: dict[str, Tag] = {
+    **_SOLID,
+    "parking_space": "bay",
+    "parking_spot": "bay",
+    "parking": "drivable",
+    "parking_lot": "drivable",
+    "parking_access": "drivable",
+    "junction": "drivable",
+}
+TURN = np.radians(30.0)  # a lanelet that bends more ...
+SHORT = 15.0  # ... over fewer metres joins lanes that cross, and is none itself
+BEND = 0.5  # m between a curved lane and its straight parts
+_SAMPLES = 9  # along a border
+
+
+def is_lanelet2(osm: OsmXml) -> bool:
+    """Whether a file is a Lanelet2 map rather than one of OpenStreetMap."""
+    return any(
+        element.tags.get("type") == "lanelet" or _tag(element.tags) == "bay"
+        for element in (*osm.relations.values(), *osm.ways.values())
+        if "amenity" not in element.tags
+    )
+
+
+def _tag(tags: Tags) -> Tag | None:
+    """What an element is by its subtype, or else by its type."""
+    for key in ("subtype", "type"):
+        if found := _TAGS.get(tags.get(key, "").lower()):
+            return found
+    return None
+
+
+def lanelet2_features(osm: OsmXml) -> Plan:
+    """The features of a map on the level that has most spots."""
+    plan = Plan(unknown=Counter(osm.faults))
+    levels = Counter(
+        element.tags.get("level", "")
+        for element in (*osm.relations.values(), *osm.ways.values())
+        if _tag(element.tags) == "bay"
+    )
+    level = levels.most_common(1)[0][0] if levels else ""
+    used: set[str] = set()
+    for name, relation in osm.relations.items():
+        ways = [
+            (role, osm.ways[way]) for role, way in relation.members if way in osm.ways
+        ]
+        if relation.tags.get("type") == "lanelet":
+            lanelet = _lanelet(name, dict(ways), relation.tags)
+            plan.features.extend(lanelet)
+            if not lanelet:
+                plan.unknown["lanelet without two borders"] += 1
+        elif _tag(relation.tags) in ("bay", "drivable"):
+            used.update(way for _, way in relation.members)
+            shape = joined([way.shape for role, way in ways if role != "inner"])
+            _add(plan, name, relation.tags, shape, level)
+        else:
+            kind = relation.tags.get("subtype") or relation.tags.get("type", "")
+            plan.unknown[f"relation {kind or 'without a type'}"] += 1
+    for name, way in osm.ways.items():
+        if name in used or not (way.tags.get("type") or way.tags.get("subtype")):
+            continue  # a piece of a spot or a border of a lanelet
+        _add(plan, name, way.tags, _shape(way), level)
+    return plan
+
+
+def _add(plan: Plan, name: str, tags: Tags, shape: Any, level: str) -> None:
+    tag = _tag(tags)
+    kind = tags.get("subtype") or tags.get("type", "")
+    if tag is None:
+        plan.unknown[kind] += 1
+    elif tags.get("level", level) != level:
+        if tag == "bay":
+            plan.lost[name] = f"on level {tags['level']}, not {level}"
+        plan.unknown[f"{kind} on another level"] += 1
+    elif shape is None or not shape.area:
+        if tag == "bay":
+            plan.lost[name] = "its lines close no polygon"
+        plan.unknown[f"{kind} that closes no polygon"] += 1
+    else:
+        plan.features.append(Feature(tag, shapely.make_valid(shape), name))
+
+
+def _shape(way: Way) -> Any:
+    """The polygon of a way; a line has its own width, or that of a wall."""
+    if way.closed:
+        return way.shape
+    tag = _tag(way.tags)
+    try:
+        width = float(way.tags["width"])
+    except (KeyError, ValueError):
+        if tag not in ("wall", "kerb"):
+            return None
+        width = LINE_THICKNESS
+    width = width if 0 < width < 100 else LINE_THICKNESS
+    return way.shape.buffer(width / 2, cap_style="flat", join_style="mitre")
+
+
+def _lanelet(name: str, borders: dict[str, Way], tags: Tags) -> list[Feature]:
+    """The straight lanes of a lanelet, and the ground that it covers."""
+    if not {"left", "right"} <= set(borders):
+        return []
+    left, right = (borders[side].points for side in ("left", "right"))
+    ends = [shapely.LineString([left[i], right[i]]) for i in (0, -1)]
+    if ends[0].intersects(ends[1]):
+        right = right[::-1]
+    ground = shapely.LinearRing(np.concatenate([left, right[::-1]]))
+    if ground.is_ccw:  # drawn against the direction of travel
+        left, right = left[::-1], right[::-1]
+    ground = shapely.make_valid(shapely.Polygon(ground))
+    if not ground.area:
+        return []
+    features = [Feature("drivable", ground, name)]
+    line = (_sampled(left) + _sampled(right)) / 2
+    steps = np.diff(line, axis=0)
+    turned = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    length = float(np.hypot(*steps.T).sum())
+    if np.ptp(turned) > TURN and length < SHORT:
+        return features
+    width = min(
+        ground.area / max(length, 1e-6),
+        shapely.LineString(left).distance(shapely.LineString(right)),
+    )
+    if width <= 0:
+        return features
+    points = np.asarray(shapely.LineString(line).simplify(BEND).coords)
+    one_way = tags.get("one_way", "yes") != "no"
+    features += [
+        Feature("lane", shapely.LineString(part), name, width=width, one_way=one_way)
+        for part in itertools.pairwise(points)
+    ]
+    return features
+
+
+def _sampled(points: np.ndarray) -> np.ndarray:
+    """Points (samples, 2) at equal distances along a line."""
+    line = shapely.LineString(points)
+    along = np.linspace(0, line.length, _SAMPLES)
+    return shapely.get_coordinates(shapely.line_interpolate_point(line, along))

@@ -1,0 +1,109 @@
+"""OpenStreetMap: parking spaces, aisles, barriers and buildings by their tags."""
+
+import itertools
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import shapely
+
+from carpark_mj.layouts.types import BayKind
+from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan
+from carpark_mj.maps.osm_xml import OsmXml, joined
+
+# Widths [m] of aisles that have none in the map, driven both ways and one way: the
+# least that standards ask for (`layouts.standards`), before bays and walls cut them.
+AISLE, ONE_WAY_AISLE = 6.0, 3.5
+BOLLARD_RADIUS = 0.15  # m
+_BARRIERS = {"kerb": "kerb", "bollard": "pillar", "block": "pillar"}
+_OPEN = ("gate", "lift_gate", "swing_gate", "entrance", "cattle_grid", "toll_booth")
+_KINDS = {
+    "disabled": BayKind.ACCESSIBLE,
+    "parent": BayKind.FAMILY,
+    "reserved": BayKind.RESERVED,
+}
+_ROADS = ("service", "residential", "unclassified", "living_street", "track")
+_PLAIN = {"source", "name", "note", "created_by", "ref", "layer", "level", "type"}
+
+
+def osm_features(osm: OsmXml) -> Plan:
+    """The features of a map."""
+    plan = Plan(unknown=Counter(osm.faults))
+    used: set[str] = set()
+    for name, relation in osm.relations.items():
+        if relation.tags.get("type") != "multipolygon":
+            plan.unknown[f"relation {relation.tags.get('type', 'without a type')}"] += 1
+            continue
+        outer = [
+            (way, osm.ways[way].shape)
+            for role, way in relation.members
+            if way in osm.ways and role != "inner"
+        ]
+        # Older maps have the tags on the outer way.
+        if any(key in relation.tags for key in ("amenity", "building", "barrier")):
+            used.update(way for way, _ in outer)
+            add_by_tags(
+                plan, name, relation.tags, joined([shape for _, shape in outer])
+            )
+    for name, way in osm.ways.items():
+        if name not in used:
+            add_by_tags(plan, name, way.tags, way.shape)
+    for name, (place, tags) in osm.nodes.items():
+        if tags:
+            add_by_tags(plan, name, tags, shapely.Point(place))
+    return plan
+
+
+def add_by_tags(plan: Plan, name: str, tags: Mapping[str, Any], shape: Any) -> None:
+    """Adds what a shape is by its tags, or counts it as not understood."""
+    if shape is None or shape.is_empty:
+        if tags.get("amenity") == "parking_space":
+            plan.lost[name] = "its lines close no polygon"
+        return
+    is_area = bool(shape.area)
+    if tags.get("amenity") == "parking_space":
+        if not is_area:
+            plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
+            return
+        use = str(tags.get("parking_space", ""))
+        kind = _KINDS.get(use, BayKind.STANDARD)
+        if tags.get("wheelchair") == "designated" or tags.get("capacity:disabled"):
+            kind = BayKind.ACCESSIBLE
+        plan.features.append(Feature("bay", shapely.make_valid(shape), name, kind))
+    elif tags.get("amenity") == "parking" and is_area:
+        plan.features.append(Feature("drivable", shapely.make_valid(shape), name))
+    elif tags.get("highway") in _ROADS and not is_area:
+        plan.features.extend(_lanes(name, tags, shape))
+    elif barrier := tags.get("barrier"):
+        if barrier not in _OPEN:
+            tag = _BARRIERS.get(str(barrier), "wall")
+            radius = LINE_THICKNESS / 2 if shape.length else BOLLARD_RADIUS
+            solid = shapely.make_valid(shape) if is_area else shape.buffer(radius)
+            plan.features.append(Feature(tag, solid, name))  # pyright: ignore
+    elif tags.get("building", "no") != "no" and is_area:
+        # The ground floor of a multi-storey car park is no wall.
+        tag = "drivable" if tags["building"] in ("parking", "carport") else "wall"
+        plan.features.append(Feature(tag, shapely.make_valid(shape), name))
+    elif left := sorted(set(tags) - _PLAIN):
+        plan.unknown[f"{left[0]}={tags[left[0]]}"] += 1
+
+
+def _lanes(name: str, tags: Mapping[str, Any], line: Any) -> list[Feature]:
+    """The straight parts of a road."""
+    oneway = str(tags.get("oneway", "no"))
+    one_way = oneway in ("yes", "true", "1", "-1", "reverse", "True")
+    if oneway in ("-1", "reverse"):
+        line = line.reverse()
+    try:
+        width = float(str(tags.get("width") or tags["est_width"]).removesuffix(" m"))
+    except (KeyError, ValueError):
+        width = 0.0
+    if not 2.0 <= width <= 30.0:
+        width = ONE_WAY_AISLE if one_way else AISLE
+    points = shapely.get_coordinates(line.simplify(0.5))
+    return [
+        Feature("lane", shapely.LineString(part), name, width=width, one_way=one_way)
+        for part in itertools.pairwise(points)
+        if np.ptp(part, axis=0).max() > 0
+    ]

@@ -1,0 +1,75 @@
+"""Real car parks by name, and crops of them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import polygons
+
+from carpark_mj.layouts import layout_config
+from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.routes import make_routes
+
+BAYS = {"dragon_lake": 364, "san_jose": 232}  # of 364 and of 240 spots
+CORNERS = (-30.0, -20.0, 35.0, 33.0)
+
+
+@pytest.mark.parametrize("name", BAYS)
+def test_bays_open_onto_lanes_and_the_lot_is_valid(name):
+    lot = layout_config(name).layout
+    assert describe_faults(lot) == []
+    assert int(lot.bay_mask.sum()) == BAYS[name]
+    lanes = polygons(lot.lane_pose, lot.lane_size)
+    ahead = np.stack([np.cos(lot.bay_pose[:, 2]), np.sin(lot.bay_pose[:, 2])], axis=-1)
+    ends = [
+        lot.bay_pose[:, :2] + side * ahead * lot.bay_size[:, :1] / 2 for side in (1, -1)
+    ]
+    front, back = (_to_lanes(end, lanes) for end in ends)
+    assert (front < back).mean() > 0.98
+
+
+def _to_lanes(points, lanes):
+    import shapely
+
+    distance = shapely.distance(shapely.points(points)[:, None], np.array(lanes))
+    return distance.min(axis=1)
+
+
+@pytest.mark.parametrize("name", BAYS)
+def test_a_crop_holds_the_bays_between_its_corners(name):
+    config = layout_config(name)
+    whole, part = config.layout, config.crop(*CORNERS).layout
+    low, high = np.array(CORNERS[:2]), np.array(CORNERS[2:])
+    assert np.allclose(part.extent, (high - low) / 2)
+    assert describe_faults(part) == []
+    import shapely
+
+    region = shapely.box(*CORNERS)
+    inside = region.covers(polygons(whole.bay_pose, whole.bay_size))
+    moved = part.bay_pose[:, :2] + (low + high) / 2
+    assert np.allclose(moved, whole.bay_pose[inside, :2], atol=1e-4)
+    assert 0 < len(moved) < BAYS[name]
+
+
+@pytest.mark.parametrize(
+    ("corners", "told"),
+    [((500.0, 0.0, 510.0, 10.0), "no whole bay"), ((1.0, 2.0), "corners must be")],
+)
+def test_impossible_crops_are_refused(corners, told):
+    import dataclasses
+
+    with pytest.raises(ValueError, match=told):
+        _ = dataclasses.replace(layout_config("dragon_lake"), corners=corners).layout
+
+
+@pytest.mark.parametrize("name", BAYS)
+def test_every_bay_is_reached_from_every_lane(name):
+    routes = jax.jit(make_routes)(layout_config(name).layout)
+    assert (routes.beside | jnp.isfinite(routes.remaining).any(axis=1)).all()
+
+
+@pytest.mark.parametrize("name", BAYS)
+def test_a_lot_is_first_read_within_a_traced_function(name):
+    config = layout_config(name).crop(*CORNERS[:3], 32.0)
+    drawn = jax.jit(config.generate)(jax.random.key(0))
+    assert np.array_equal(drawn.bay_pose, config.layout.bay_pose)
