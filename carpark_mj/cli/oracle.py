@@ -108,15 +108,15 @@ def answers(
 ) -> Iterator[dict[str, Any]]:
     """A row for each agent of a lot."""
     arrival = solve(seen, seconds, seed).arrival
-    in_time = arrival <= seconds
-    never = in_time if in_time.all() else impossible(seen)
+    found = np.isfinite(arrival)
+    never = ~found if found.all() else impossible(seen)
     for agent in range(len(seen)):
-        outcome = "late" if np.isfinite(arrival[agent]) else "none found"
-        outcome = "impossible" if never[agent] else outcome
+        outcome = "late" if found[agent] else "none found"
+        outcome = "in time" if arrival[agent] <= seconds else outcome
         yield {
             "agents_present": len(seen),
             "agent": agent,
-            "outcome": "in time" if in_time[agent] else outcome,
+            "outcome": "impossible" if never[agent] else outcome,
             "arrival": float(arrival[agent]),
         }
 

@@ -5,8 +5,9 @@ with that of every other car. A cell counts as free where any point of it may be
 that discs pass wherever cars do; cars may still fail where discs pass.
 """
 
+import heapq
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,23 +24,23 @@ def impossible(sights: Sequence[Sight]) -> np.ndarray:
     Args:
         sights: what the agents of a lot see.
     """
-    discs = [_Cells(sight) for sight in sights]
-    never = np.array([not disc.reaches() for disc in discs])
+    discs = [_Disc(sight) for sight in sights]
+    never = np.array([not disc.reaches for disc in discs], bool)
     for a, b in itertools.combinations(np.flatnonzero(~never), 2):
         if not _both_reach(discs[a], discs[b]):
             never[[a, b]] = True
     return never
 
 
-class _Cells:
+class _Disc:
     """The cells where the middle of a car may be.
 
     Attributes:
         radius: of the disc [m].
         centre: (n, 2) of cells [m].
-        beside: (n, 4) index of the cells next to each; n = none.
-        start: index of the cell; n = none.
-        goal: the same.
+        beside: of each cell, indices of the free ones next to it.
+        left: (n,) steps from each to the goal; inf where it cannot be reached.
+        start: index of the cell; None if it is not free.
     """
 
     def __init__(self, sight: Sight) -> None:
@@ -48,60 +49,60 @@ class _Cells:
         grid = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
         centre = (grid + 0.5) * CELL - sight.extent
         free = _gap(sight.solids, centre) > self.radius - CELL * np.sqrt(0.5)
-        self.centre, count = centre[free], int(free.sum())
-        index = np.full(counts + 2, count)  # a border that is not free
-        index[1:-1, 1:-1][free] = np.arange(count)
-        cells = grid[free] + 1
-        self.beside = index[tuple(np.moveaxis(cells[:, None] + STEPS, -1, 0))]
+        self.centre, cells = centre[free], list(map(tuple, grid[free].tolist()))
+        index = {cell: number for number, cell in enumerate(cells)}
+        self.beside = [
+            [
+                index[x, y]
+                for x, y in (np.array(cell) + STEPS).tolist()
+                if (x, y) in index
+            ]
+            for cell in cells
+        ]
 
-        def cell(point: np.ndarray) -> int:
-            return int(index[tuple(((point + sight.extent) // CELL).astype(int) + 1)])
+        def at(point: np.ndarray) -> int | None:
+            x, y = ((point + sight.extent) // CELL).astype(int).tolist()
+            return index.get((x, y))
 
-        self.start = cell(sight.pose[:2])
-        self.goal = cell(np.atleast_2d(sight.goal)[0, :2])
+        self.start = at(sight.pose[:2])
+        self.left = self._steps_to(at(np.atleast_2d(sight.goal)[0, :2]))
 
+    @property
     def reaches(self) -> bool:
         """Whether the disc gets from start to goal."""
-        count = len(self.centre)
-        if count in (self.start, self.goal):
-            return False
-        free = np.ones(count, bool)
-        return _flood(free, self.start, self.goal, lambda at: self.beside[at].T)
+        return self.start is not None and self.left[self.start] < np.inf
+
+    def _steps_to(self, goal: int | None) -> list[float]:
+        left = [np.inf] * len(self.centre)
+        edge, steps = [] if goal is None else [goal], 0
+        while edge:
+            for cell in edge:
+                left[cell] = steps
+            onward = {near for cell in edge for near in self.beside[cell]}
+            edge = [cell for cell in onward if left[cell] == np.inf]
+            steps += 1
+        return left
 
 
-def _both_reach(a: _Cells, b: _Cells) -> bool:
+def _both_reach(a: _Disc, b: _Disc) -> bool:
     """Whether two discs get to their goals without touching each other."""
-    count, other = len(a.centre), len(b.centre)
     # The farthest that points of two cells can be from each other.
     gap = np.abs(a.centre[:, None] - b.centre) + CELL
-    free = (np.hypot(gap[..., 0], gap[..., 1]) > a.radius + b.radius).ravel()
-
-    def beside(at: np.ndarray) -> np.ndarray:
-        rows, columns = np.divmod(at, other)
-        one, two = a.beside[rows].T, b.beside[columns].T
-        moved = np.where(one < count, one * other + columns, len(free))
-        return np.concatenate(
-            [moved, np.where(two < other, rows * other + two, len(free))]
-        )
-
-    return _flood(free, a.start * other + b.start, a.goal * other + b.goal, beside)
-
-
-def _flood(
-    free: np.ndarray,
-    start: int,
-    goal: int,
-    beside: Callable[[np.ndarray], np.ndarray],
-) -> bool:
-    """Whether free (n,) places from one to another lie next to each other."""
-    left = np.append(free, False)  # the last stands for none
-    edge = np.array([start])
-    while len(edge):
-        left[edge] = False
-        if not left[goal]:
+    free = np.hypot(gap[..., 0], gap[..., 1]) > a.radius + b.radius
+    assert a.start is not None
+    assert b.start is not None
+    edge = [(a.left[a.start] + b.left[b.start], a.start, b.start)]
+    free[a.start, b.start] = False  # as is what has been reached
+    while edge:  # nearest to both goals first
+        left, one, two = heapq.heappop(edge)
+        if left == 0:
             return True
-        edge = beside(edge).ravel()
-        edge = np.unique(edge[left[edge]])
+        moves = [(near, two) for near in a.beside[one]]
+        for cells in moves + [(one, near) for near in b.beside[two]]:
+            if free[cells]:
+                free[cells] = False
+                left = a.left[cells[0]] + b.left[cells[1]]
+                heapq.heappush(edge, (left, *cells))
     return False
 
 
@@ -115,7 +116,6 @@ def _gap(solids: Solids, point: np.ndarray) -> np.ndarray:
         gap = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
         least = np.minimum(least, gap)
     for (x, y), radius in zip(solids.centre, solids.radius, strict=True):
-        least = np.minimum(
-            least, np.hypot(point[..., 0] - x, point[..., 1] - y) - radius
-        )
+        distance = np.hypot(point[..., 0] - x, point[..., 1] - y)
+        least = np.minimum(least, distance - radius)
     return least
