@@ -22,6 +22,7 @@ from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.map_import import ImportConfig
+from carpark_mj.cli.oracle import OracleConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig, complete
@@ -86,6 +87,7 @@ COMMANDS = {
     "eval/suite.py": SuiteConfig,
     "-m carpark_mj.scene": SceneConfig,
     "-m carpark_mj.layouts": LayoutsConfig,
+    "-m carpark_mj.oracle": OracleConfig,
     "layouts import": ImportConfig,
     "-m carpark_mj.vehicles": VehiclesConfig,
     "-m carpark_mj.play": PlayConfig,
@@ -119,7 +121,7 @@ SCRIPTS = {
     "study tanner": "train/study.py",
     **{
         f"{name}": f"-m carpark_mj.{name}"
-        for name in ("scene", "play", "layouts", "vehicles")
+        for name in ("scene", "play", "layouts", "oracle", "vehicles")
     },
     **{
         f"{name}": f"eval/{name}.py"
