@@ -31,7 +31,8 @@ ALONE = SearchConfig(
     max_tests=2500,
     shorten_tests=1000,
 )
-PATIENT = SearchConfig(paths=2, more_paths=0)  # for tight bays, where others fail
+# Short steps, for tight bays.
+PATIENT = SearchConfig((0.02,), paths=2, more_paths=0, max_tests=4000)
 AROUND = dataclasses.replace(ALONE, clearances=(0.02,), paths=1, max_tests=1000)
 ASIDE = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0, 9.0, -9.0, 12.0, -12.0)  # m along its heading
 MOVES = 2  # aside, of every car
