@@ -2,7 +2,6 @@
 
 const FULL = 0.3; // brake of a full pedal, as in examples/deploy/drive.py
 const HOLD = 0.2; // brake of a car that is to stand
-const GROUP = 3; // geoms of this group and above only collide
 
 export class Physics {
   constructor(mujoco, xml, lot) {
@@ -110,13 +109,7 @@ export class Physics {
     return found;
   }
 
-  // Numbers of the geoms to draw that move.
-  moving() {
-    return [...this.owner.keys()].filter((g) =>
-      this.owner[g] >= 0 && this.model.geom_group[g] < GROUP);
-  }
-
-  // Positions and rotations of all geoms, 12 numbers each.
+  // Positions and rotations of geoms, 12 numbers each.
   places(geoms) {
     const { geom_xpos, geom_xmat } = this.data;
     const out = new Float32Array(12 * geoms.length);
@@ -125,35 +118,6 @@ export class Physics {
       out.set(geom_xmat.subarray(9 * g, 9 * g + 9), 12 * k + 3);
     });
     return out;
-  }
-
-  // All geoms to draw, and their meshes.
-  look() {
-    const { model } = this;
-    const shown = [...model.geom_group.keys()].filter((g) => model.geom_group[g] < GROUP);
-    const meshes = {};
-    const geoms = shown.map((g) => {
-      const [mesh, material] = [model.geom_dataid[g], model.geom_matid[g]];
-      if (mesh >= 0) meshes[mesh] ??= this.mesh(mesh);
-      return {
-        type: model.geom_type[g],
-        size: [...model.geom_size.subarray(3 * g, 3 * g + 3)],
-        rgba: [...model.geom_rgba.subarray(4 * g, 4 * g + 4)],
-        material: material < 0 ? "" : model.mat(material).name,
-        name: model.geom(g).name,
-        mesh, car: this.owner[g],
-      };
-    });
-    return { geoms, meshes, places: this.places(shown), moving: this.moving().map((g) => shown.indexOf(g)) };
-  }
-
-  mesh(number) {
-    const { model } = this;
-    const slice = (array, adr, num) => array.slice(3 * adr[number], 3 * (adr[number] + num[number]));
-    return {
-      vertices: Float32Array.from(slice(model.mesh_vert, model.mesh_vertadr, model.mesh_vertnum)),
-      faces: Uint32Array.from(slice(model.mesh_face, model.mesh_faceadr, model.mesh_facenum)),
-    };
   }
 
   delete() {

@@ -3,6 +3,7 @@
 import loadMujoco from "./built/mujoco/mujoco.js";
 import * as ort from "./built/onnxruntime/ort.wasm.bundle.min.mjs";
 import { makeInputs } from "./inputs.js";
+import { look, moving } from "./look.js";
 import { Physics } from "./physics.js";
 import { TICK, Traffic } from "./traffic.js";
 
@@ -10,7 +11,7 @@ const SLICE = 40; // ms of simulation between reports at most
 const LAG = 0.1; // s behind real time that it catches up with
 ort.env.wasm.numThreads = 1; // more need headers that a plain web server does not send
 
-let [mujoco, session, about, traffic, moving] = [];
+let [mujoco, session, about, traffic, drawn] = [];
 let [run, speed, paused, manual] = [0, 1, false, false];
 
 async function prepare() {
@@ -40,8 +41,8 @@ async function load(name) {
   traffic = new Traffic(physics, about, lot, makeInputs(about, lot), decide);
   traffic.manual = manual;
   setTimeout(() => old?.physics.delete(), 1000); // once its last tick is over
-  moving = physics.moving();
-  postMessage({ look: physics.look(), lot, name });
+  drawn = moving(physics);
+  postMessage({ look: look(physics), lot, name });
   await loop(own, traffic);
 }
 
@@ -62,7 +63,7 @@ async function loop(own, traffic) {
 }
 
 function report({ physics, cars, time, counts, cost, events, first, manual }) {
-  const places = physics.places(moving);
+  const places = physics.places(drawn);
   const state = cars.map(({ pose, speed, steering, goal, end }) =>
     ({ pose, speed, steering, goal, outcome: end?.outcome ?? null }));
   postMessage({ places, cars: state, time, counts, cost, events, first, manual }, [places.buffer]);
