@@ -151,8 +151,8 @@ def _cuts(polygon: Any) -> Iterator[Any]:
                 found.append((first.length, x, y, math.atan2(dy, dx)))
     if found:
         length, x, y, yaw = min(found)
-        x, y = x - EPSILON * math.cos(yaw), y - EPSILON * math.sin(yaw)
-        yield _line(x, y, yaw, length + 2 * EPSILON)
+        # From the corner itself: beside an edge it would not meet the polygon.
+        yield _line(x, y, yaw, length + EPSILON)
 
 
 def _line(x: float, y: float, yaw: float, reach: float, both: bool = False) -> Any:
