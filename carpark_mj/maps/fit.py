@@ -137,10 +137,13 @@ def _cuts(polygon: Any) -> Iterator[Any]:
     before, after = corners - np.roll(corners, 1, 0), np.roll(corners, -1, 0) - corners
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     turn = np.arctan2(cross, (before * after).sum(axis=1))
+    bisector = (
+        before / np.hypot(*before.T)[:, None] - after / np.hypot(*after.T)[:, None]
+    )
     found = []
     for corner in np.flatnonzero(turn < -REFLEX):
         x, y = corners[corner]
-        for dx, dy in (before[corner], -after[corner]):
+        for dx, dy in (before[corner], -after[corner], bisector[corner]):
             ray = _line(x, y, math.atan2(dy, dx), reach)
             inside = shapely.get_parts(ray.intersection(polygon))
             inside = inside[shapely.length(inside) > EPSILON]
