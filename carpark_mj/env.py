@@ -88,8 +88,8 @@ class ParkingEnv:
             ValueError: the lot cannot hold the cars asked for, the randomization
                 could draw an impossible car, there is no such preset, or JAX computes
                 in float64.
-            TypeError: the config, the back end or the car is something else, or the
-                back end lacks something.
+            TypeError: the config, the back end or the car has another type, or the back
+                end lacks a method.
         """
         require_float32()
         if not isinstance(config, EnvConfig | None):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -122,7 +122,7 @@ class ParkingEnv:
         )
 
     def with_values(self, values: Mapping[str, jax.Array | float]) -> "ParkingEnv":
-        """The environment with other values of some settings, which may be traced.
+        """The environment with some settings replaced by values, which may be traced.
 
         Args:
             values: by the path of the setting, as in `reward.park`: numbers that are
@@ -179,17 +179,18 @@ class ParkingEnv:
             member: () int32 which member of a mixture the lot is of; drawn if None.
             num_present: () int32 how many agents the lot has, from 1 to `num_agents`;
                 drawn if None, see `EnvConfig.min_agents`.
-            options: start poses, speeds and goals that are given, not drawn. Traced
-                ones that cannot be are not refused: a car that begins in another has
-                crashed after the first step.
+            options: given start poses, speeds and goals. Impossible traced options are
+                not refused: a car that begins inside another has crashed after the
+                first step.
 
         Returns:
             The state and the observations (num_agents, observation_size).
 
         Raises:
-            TypeError: no key of JAX, as a seed, or other options.
-            ValueError: an unknown split; where they are not traced another number of
-                agents, no such member, or options with which the lot cannot begin.
+            TypeError: `key` is not a JAX key (but a seed, say), or `options` has
+                another type.
+            ValueError: an unknown split; unless traced, a number of agents or a member
+                out of range, or impossible options.
         """
         if not isinstance(key, jax.Array):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise TypeError(f"key must be as jax.random.key(0) gives, not {key!r}")
@@ -243,7 +244,8 @@ class ParkingEnv:
 
         Raises:
             ValueError: an action of another shape.
-            TypeError: no state, or an action that is no array of real numbers.
+            TypeError: `state` is not a `State`, or `action` is not an array of real
+                numbers.
         """
         require_kind("state", state, State)
         shape = (self.config.num_agents, self.action_spec.size)
@@ -338,7 +340,7 @@ class ParkingEnv:
 
 
 def _require_index(name: str, value: Any, least: int, most: int) -> None:
-    """Refuses what is no whole number () within bounds, where it is not traced."""
+    """Refuses a value that is not a whole number () within bounds, unless traced."""
     whole = isinstance(value, int) or (is_real(value) and value.dtype.kind in "iu")
     if value is not None and not (whole and jnp.ndim(value) == 0):
         raise ValueError(f"{name} must be a whole number, not {value!r}")

@@ -1,13 +1,13 @@
 """Registries: parts of the gym by name, ours and those of other packages.
 
-A part is registered under a name when its module is imported. A name that nothing has
-registered yet makes a registry import the core's own parts, then the extensions:
+A part is registered under a name when its module is imported. Looking up an
+unregistered name imports the core's own parts, then the extensions:
 
 - the studies, every package in `carpark_mj.studies`;
 - the modules that installed packages name as entry points of `GROUP`;
 - the modules that the environment variable `VARIABLE` lists, separated by commas.
 
-So the core imports none of them, and every program finds all of them.
+The core imports none of them, and every program finds all of them.
 """
 
 import dataclasses
@@ -56,7 +56,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """Adds a part, and returns it.
 
         Raises:
-            ValueError: the name is taken by another part, or is no plain name.
+            ValueError: the name is taken by another part, or is not a plain name.
         """
         if not name or not name.replace("_", "a").replace("-", "a").isalnum():
             raise ValueError(
@@ -112,7 +112,7 @@ class Registry(Mapping[str, T], Generic[T]):
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A part that is imported when it is used, so that naming it costs nothing.
+    """A part that is imported on first use.
 
     Attributes:
         home: `module:name` where it is.
@@ -142,7 +142,7 @@ def load_extensions() -> None:
             except Exception as error:
                 why = " ".join(str(error).split()) or type(error).__name__
                 _broken[name] = why
-        # Not tried again: what it registered before it failed would be there already.
+        # Not tried again: parts registered before the failure exist already.
         if name in _broken:
             raise ValueError(
                 f"the extension {name} cannot be imported: {_broken[name]}"

@@ -31,7 +31,7 @@ def _temporary(path: Path, folder: Path | None = None) -> Generator[Path]:
 
 @contextlib.contextmanager
 def naming(path: Path, temporary: Path | None = None) -> Generator[None]:
-    """Errors of the system in it name a file: those of writing into one name none.
+    """Makes errors of the system inside name a file; errors of writing name none.
 
     Args:
         path: its name.
@@ -46,12 +46,12 @@ def naming(path: Path, temporary: Path | None = None) -> Generator[None]:
 
 
 def require_writable(path: Path, new_folders: bool = False) -> None:
-    """Refuses, before the work, what `write_atomically` could not write after it.
+    """Refuses, before the work, a file that `write_atomically` cannot write after it.
 
     Args:
         path: of the file.
-        new_folders: those of `path` that are not there yet are made after the work, so
-            that nothing is left of work that is refused.
+        new_folders: missing folders of `path` are made after the work, so that refused
+            work leaves no folder.
 
     Raises:
         OSError: `path` cannot be written.

@@ -1,6 +1,6 @@
 """Obstacles: all that agents can hit, see and keep away from, in one list.
 
-Movers are those that move by themselves; they begin and go on with a lot.
+Movers move by themselves and belong to a lot.
 """
 
 import dataclasses
@@ -85,7 +85,7 @@ def begin_movers(movers: Sequence[Mover], layout: Layout, key: jax.Array) -> Mov
         key: consumed.
 
     Raises:
-        ValueError: obstacles that are no groups of boxes and discs.
+        ValueError: obstacles are not groups of boxes and discs.
     """
     keys = jax.random.split(key, len(movers))
     pairs = zip(movers, keys, strict=True)
@@ -114,7 +114,7 @@ def step_movers(
         key: consumed.
 
     Raises:
-        ValueError: a state or obstacles of other shapes than those before.
+        ValueError: the shapes of the state or the obstacles have changed.
     """
     old, num_traces = state.movers, state.motion.trace_w.shape[-2]
     keys, states, obstacles = jax.random.split(key, len(movers)), [], []

@@ -1,4 +1,4 @@
-"""States as pytrees: to be donated, and to be saved."""
+"""States as pytrees that can be donated and saved."""
 
 from typing import Any, TypeVar
 
@@ -12,9 +12,9 @@ Tree = TypeVar("Tree")
 def own_buffers(tree: Tree) -> Tree:
     """The tree in buffers of its own; traced arrays as they are.
 
-    Outside of `jax.jit` functions give arrays on that they were called with, constants
-    of an environment among them, and one array in several places. A program that takes
-    over its argument (`donate_argnums`) would delete them, or refuse.
+    Outside of `jax.jit` a function may return its own arguments, constants of an
+    environment, or one array in several places. A program that donates its argument
+    (`donate_argnums`) would delete or refuse these.
     """
 
     def own(x: jax.Array) -> jax.Array:
@@ -33,7 +33,7 @@ def with_empty(saved: Any, like: Tree) -> Tree:
 
     Args:
         saved: what it gave.
-        like: a tree of the arrays' shapes and types, as of `jax.eval_shape`.
+        like: a tree of the arrays' shapes and types, as `jax.eval_shape` gives.
     """
 
     def fill(shape: Any, x: Any) -> Any:

@@ -1,8 +1,8 @@
-"""Files read as what anybody may have written: text, JSON, CSV and `.npz` archives.
+"""Reads untrusted files: text, JSON, CSV and `.npz` archives.
 
-What a file claims is checked before it is used: an array is inflated only once its
-dtype, shape and size are those that were asked for. Whatever is wrong is one ValueError
-that names the file; what the system refuses is an OSError.
+Claims of a file are checked before use: an array is inflated only if its dtype, shape
+and size are the expected ones. Faults raise a `ValueError` that names the file; errors
+of the system raise `OSError`.
 """
 
 import csv
@@ -34,7 +34,7 @@ def read_bytes(path: Path) -> bytes:
     """
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise ValueError(f"cannot read {path}: it is no regular file")
+        raise ValueError(f"cannot read {path}: it is not a regular file")
     return path.read_bytes()
 
 
@@ -42,20 +42,20 @@ def read_text(path: Path) -> str:
     """Reads a file of UTF-8, with a byte order mark or without.
 
     Raises:
-        ValueError: it is no text.
+        ValueError: it is not text.
         OSError: it cannot be read.
     """
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise ValueError(f"cannot read {path}: it is no text") from None
+        raise ValueError(f"cannot read {path}: it is not text") from None
 
 
 def read_object(path: Path, **kinds: type) -> dict[str, Any]:
     """Reads the JSON object of a file, see `parse_object`.
 
     Raises:
-        ValueError: it is no such object.
+        ValueError: it is not such an object.
         OSError: the file cannot be read.
     """
     return parse_object(read_text(path), str(path), **kinds)
@@ -70,7 +70,7 @@ def parse_object(text: str, what: str, **kinds: type) -> dict[str, Any]:
         **kinds: names that it must have, with the types of their values.
 
     Raises:
-        ValueError: no JSON, nested too deeply, no object, or without such a value.
+        ValueError: not JSON, nested too deeply, not an object, or without such a value.
     """
     try:
         found = json.loads(text)
@@ -84,7 +84,7 @@ def parse_object(text: str, what: str, **kinds: type) -> dict[str, Any]:
     if level:
         raise ValueError(f"{what} is nested too deeply")
     if not isinstance(found, dict):
-        raise ValueError(f"{what} is no JSON object")
+        raise ValueError(f"{what} is not a JSON object")
     require_entries(found, what, **kinds)
     return found
 
@@ -146,7 +146,7 @@ class CsvRow(NamedTuple):
             return kind(self.cells[name])
         except ValueError:
             raise ValueError(
-                f"{self.place}: {name} is no {told}, {self.cells[name]!r}"
+                f"{self.place}: {name} must be a {told}, not {self.cells[name]!r}"
             ) from None
 
 
@@ -220,7 +220,7 @@ class Archive:
         """Reads the file, but inflates nothing.
 
         Raises:
-            ValueError: it is no archive.
+            ValueError: it is not an archive.
             OSError: it cannot be read.
         """
         data = read_bytes(path)  # a few MB, so that no handle stays open
@@ -244,7 +244,7 @@ class Archive:
             most: bytes of an array that has any length.
 
         Raises:
-            ValueError: one is missing, damaged, or something else.
+            ValueError: one is missing, damaged, or of another form.
         """
         lengths: dict[str, int] = {}
         for name, form in forms.items():
@@ -254,12 +254,12 @@ class Archive:
     def _check(
         self, name: str, form: ArrayForm, lengths: dict[str, int], most: int
     ) -> None:
-        """Refuses what is not of a form, by the headers of archive and array."""
+        """Refuses an array of another form, by the headers of archive and array."""
         if name not in self._members:
-            raise ValueError(f"{self.path} lacks {name}: it is of another kind")
+            raise ValueError(f"{self.path} lacks {name}: it is another kind of file")
         info = self._members[name]
         if info.flag_bits & _ENCRYPTED or info.compress_type not in COMPRESSIONS:
-            raise ValueError(f"{self.path} is damaged at {name}: NumPy wrote no such")
+            raise ValueError(f"{self.path} is damaged at {name}: not written by NumPy")
         try:
             with self._zip.open(info) as stream:
                 shape, dtype = _read_header(stream)

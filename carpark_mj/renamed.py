@@ -192,13 +192,13 @@ class OldNames:
     """Base of dataclasses that refuse their former settings by name."""
 
     def __new__(cls, *_: Any, **settings: Any) -> Any:
-        """Refuses former settings; the rest is as of any class."""
+        """Refuses former settings; the rest is as in any class."""
         refuse_settings(cls, settings)
         return super().__new__(cls)
 
 
 def old_names(module: str) -> Callable[[str], Any]:
-    """The `__getattr__` of a module that things have moved out of.
+    """The `__getattr__` of a module from which names have moved.
 
     It raises an ImportError even where an attribute is asked for, as an AttributeError
     would not be shown where it is imported.
@@ -213,7 +213,7 @@ def old_names(module: str) -> Callable[[str], Any]:
 
 
 class _OldModules:
-    """The last finder of modules, asked for those that no other has found."""
+    """The last finder of modules, for modules that no other finder has found."""
 
     def find_spec(
         self, name: str, path: Any = None, target: ModuleType | None = None
@@ -226,5 +226,5 @@ class _OldModules:
 
 
 def name_old_modules() -> None:
-    """Lets imports of modules that have moved say where they are."""
+    """Makes imports of moved modules name their new location."""
     sys.meta_path.append(_OldModules())

@@ -108,13 +108,14 @@ def ppo_subject(job: Job) -> Subject:
         what += f", {job.runs} runs"
     layout, carry = config.env.layout, learner.init()
     present = carry.env.info.get("present")  # None: all always are
+    slots = job.runs * config.slots_per_update
     share = 1.0 if present is None else float(jnp.mean(present))
     return Subject(
         what=what,
         layout=layout if isinstance(layout, str) else layout.family,
         agents=config.env.num_agents,
         unit="agent-steps",
-        count=round(job.runs * share * config.steps_per_update),
+        count=round(share * slots),
         program=program,
         carry=carry,
     )

@@ -33,9 +33,9 @@ class AnalysisConfig:
 
     Attributes:
         runs: run folders and folders of sweeps.
-        by: settings by which runs are put together, in full (`env.num_agents`); the
-            first is the horizontal axis. Default: what the sweeps vary.
-        metrics: of the evaluations, see docs/metrics.md.
+        by: settings that group runs, by full name (`env.num_agents`); the first is the
+            horizontal axis. Default: the settings that the sweeps vary.
+        metrics: metrics of the evaluations, see docs/metrics.md.
         out: folder to write to; default: the sweep's if one is given, else
             `runs/analysis`.
     """
@@ -81,7 +81,7 @@ def main(config: AnalysisConfig) -> Path:
 
 
 def read_records(folders: Sequence[Path]) -> tuple[list[Record], list[str]]:
-    """The evaluated runs, and why the others are none."""
+    """The evaluated runs, and reasons why others are left out."""
     records: list[Record] = []
     missing: list[str] = []
     for folder in folders:
@@ -103,12 +103,12 @@ def analyse(
     """Writes tables, plots and `report.html` of runs; returns the page.
 
     Args:
-        sources: whose runs, by name; the first are ours.
-        by: settings by which they are put together.
+        sources: runs by source; the first source is ours.
+        by: settings that group runs.
         metrics: to show.
         out: folder.
         title: of the page.
-        notes: what is to be said first, such as runs that are missing.
+        notes: sentences at the top, for example about missing runs.
 
     Raises:
         OSError: the folder cannot be written.
@@ -167,7 +167,7 @@ def _print_table(rows: Sequence[dict[str, Any]], title: str) -> None:
 
 
 def _provenance(records: Sequence[Record]) -> list[str]:
-    """What trained the runs, if it is known."""
+    """Devices and versions of the trainings, if known."""
     trained = [record for record in records if record.folder]
     if not trained:
         return []

@@ -1,4 +1,4 @@
-"""What all commands share: errors in one line, how XLA compiles and keeps programs."""
+"""Shared by all commands: one-line errors, XLA's flags and compilation cache."""
 
 import contextlib
 import os
@@ -34,9 +34,9 @@ def run_command(program: str, command: Callable[[], object]) -> int:
 
     Args:
         program: name before the line.
-        command: what it returns is the exit code if it is an int; else that is 0. It
-            imports what needs the packages of `EXTRAS`, so that one that is missing is
-            such an error.
+        command: returns the exit code; any value but an int means 0. It imports
+            modules that need packages of `EXTRAS`, so that a missing package is such an
+            error.
 
     Returns:
         The exit code, 2 for such errors.
@@ -53,7 +53,7 @@ def run_command(program: str, command: Callable[[], object]) -> int:
 
 
 def _for_the_user(error: Exception) -> str | None:
-    """What is said of an error that the user can fix; None for a bug."""
+    """Message for an error that the user can fix; None for a bug."""
     if isinstance(error, (*USER_ERRORS, *_loaded_errors())):
         return one_line(error)
     if isinstance(error, ModuleNotFoundError):
@@ -70,10 +70,10 @@ def _missing_extra(error: ModuleNotFoundError) -> str | None:
 
 @contextlib.contextmanager
 def naming_extras() -> Generator[None]:
-    """Says what installs a package of `EXTRAS` that an import in it misses.
+    """Names the extra to install if an import inside misses a package of `EXTRAS`.
 
     Raises:
-        ImportError: one is missing.
+        ImportError: a package is missing.
     """
     try:
         yield
@@ -85,9 +85,9 @@ def naming_extras() -> Generator[None]:
 
 
 def _loaded_errors() -> tuple[type[Exception], ...]:
-    """The library's own errors of the user's making.
+    """The library's own errors that the user can fix.
 
-    Not imported here: where JAX or MuJoCo cannot be, that is the error.
+    They are not imported here: if JAX or MuJoCo cannot be imported, that is the error.
     """
     homes = {
         "carpark_mj.policy.checkpoints": "CheckpointError",
@@ -98,9 +98,9 @@ def _loaded_errors() -> tuple[type[Exception], ...]:
 
 
 def _missing_device() -> str | None:
-    """What is said where JAX has no device of those that the user asks for.
+    """Message if JAX does not find a device that the user has requested.
 
-    It fails of that in many ways; in some of them it says nothing.
+    JAX fails in many ways then, sometimes without a message.
     """
     names = ("JAX_PLATFORMS", "JAX_NUM_CPU_DEVICES")
     asked = [f"{name}={os.environ[name]}" for name in names if os.environ.get(name)]
@@ -116,10 +116,10 @@ def _missing_device() -> str | None:
 
 
 def enable_output_fusion() -> None:
-    """Makes XLA on a CPU compute once what several loops use; GPUs do so anyway.
+    """Makes XLA on a CPU share results between loops, as on GPUs.
 
-    Call it before JAX's first computation, when XLA reads `XLA_FLAGS`. A value that the
-    user has set is left as it is.
+    Call it before JAX's first computation, when XLA reads `XLA_FLAGS`. It keeps a value
+    that the user has set.
     """
     os.environ.setdefault("XLA_FLAGS", OUTPUT_FUSION)
 

@@ -32,10 +32,10 @@ class Driver:
     """A policy and its environment.
 
     Attributes:
-        env: the environment; for a trained policy, the one it was trained in.
+        env: the environment; for a trained policy, that of its training.
         folder: folder of its output files.
-        policy: makes the acting function for an environment; ValueError if it does not
-            fit.
+        policy: makes the acting function for an environment, or raises ValueError if
+            the policy does not fit.
     """
 
     env: EnvConfig
@@ -44,19 +44,20 @@ class Driver:
 
 
 def find_driver(name: str, named: str = "", deterministic: bool = True) -> Driver:
-    """Finds a policy of `POLICIES`, a pretrained one or that of a run.
+    """Finds a policy of `POLICIES`, a pretrained policy or that of a run.
 
     Args:
-        name: of a policy, as `zero`, `random` or `planner`, or of a pretrained one, or
-            a run folder or checkpoint file.
-        named: name of an environment. Policies by name drive in it, in the default one
-            if empty; a trained policy has its task, observed as in training.
+        name: a policy of `POLICIES` (`zero`, `random`, `planner`), a pretrained policy,
+            a run folder or a checkpoint file.
+        named: name of an environment; empty = the default one for policies of
+            `POLICIES`, that of the training for others. A trained policy observes as in
+            its training.
         deterministic: take a distribution's mode instead of samples.
 
     Raises:
         CheckpointError: the run cannot be read.
-        ValueError: unknown environment, or one in which cars cannot be observed as the
-            policy does; or a policy that has no distribution is to be sampled.
+        ValueError: unknown environment, an environment in which the policy cannot
+            observe, or samples from a policy without a distribution.
     """
     if name in POLICIES:
         if not deterministic:
@@ -73,14 +74,14 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
 
 
 def _observed_alike(own: EnvConfig, task: EnvConfig) -> EnvConfig:
-    """The environment of a task with what a policy observes, and is rewarded for."""
+    """The environment of a task with a policy's own observation and reward."""
     return dataclasses.replace(task, observation=own.observation, reward=own.reward)
 
 
 def output_folder(checkpoint: Path) -> Path:
-    """Where commands put what they make of a checkpoint if told nothing else.
+    """Default folder for files about a checkpoint.
 
-    In the folder of its run, or beside the file; `runs/NAME` for a pretrained policy.
+    It is the folder of its run or file; `runs/NAME` for a pretrained policy.
     """
     folder = checkpoint.parent
     if folder.resolve() == pretrained.FOLDER:
@@ -99,10 +100,9 @@ def adapt(
 
     `nominal` turns the noise and delay of sensors and the randomization of cars off.
 
-    A number of agents is that of every lot, unless `min_agents` is given too, and so is
-    one of parked cars, instead of an occupancy; in another layout an occupancy has as
-    many parked cars as it takes there. A `vehicle` is that of all cars, instead of a
-    fleet.
+    A number of agents applies to every lot, unless `min_agents` is given too. A number
+    of parked cars replaces an occupancy. In another layout an occupancy keeps its
+    range, with as many parked cars as that needs. A `vehicle` replaces a fleet.
     """
     episode = {"parked_rule": rule, "hitbox_scale": hitbox_scale}
     episode = {name: value for name, value in episode.items() if value is not None}

@@ -34,31 +34,29 @@ class EvaluateConfig:
             `carpark_mj.registry`. Default: that of the run. A run's policy observes in
             it what it was trained to.
         episodes: number of episodes, rounded up to the same number per agent.
-        horizon: simulated time [s] of lots that `episodes` fill; all episodes that
-            begin within it count, however many of an agent, instead of the same number
-            per agent, so that short ones weigh more.
+        horizon: simulated time [s]; all episodes that begin within it count, instead of
+            the same number per agent, so that short episodes weigh more. `episodes`
+            then sets the number of lots.
         seed: seed of the held-out lots; training never uses these keys.
-        rule: parked rule to evaluate under: tanner, strict, precise, metadrive, or one
-            that is registered; default: that of the run.
+        rule: parked rule of the evaluation: tanner, strict, precise, metadrive, or a
+            registered one; default: that of the run.
         hitbox_scale: factor on the cars' lengths and widths in collision tests;
             default: that of the run's environment.
         num_agents: number of agents; default: that of the run.
-        min_agents: least number of agents, so that lots have from here to the number of
-            agents, each number equally often; default: that of the run, or always
-            `num_agents` if that is given.
+        min_agents: least number of agents; lots have from here to `num_agents` agents,
+            each number equally often. Default: that of the run, or `num_agents` if that
+            is given.
         vehicle: preset or file of all cars; default: that of the run, or its fleet.
         layout: the lot, a name or a layout file, or a comma-separated list of them;
             default: that of the run.
         num_parked_cars: number of parked cars; default: that of the run.
         physics: back end; default: that of the run. With `scene`, crashes are contacts
             in one MuJoCo world.
-        nominal: without noise and delay of sensors and randomization of the cars,
-            whatever the run's environment has.
+        nominal: switch off noise and delay of sensors and randomization of the cars.
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
-            for a baseline or a pretrained policy, and in that a folder of
-            `evaluations/` for flags that make another task or other episodes, and for a
-            checkpoint file of a run.
+            for a baseline or a pretrained policy. Flags for another task or other
+            episodes, and checkpoint files of a run, get a subfolder of `evaluations/`.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
@@ -96,11 +94,11 @@ class EvaluateConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """What an evaluation is of.
+    """An evaluation to make.
 
     Attributes:
         name: of the policy.
-        policy: it.
+        policy: acting function.
         env: the environment, with what the command line changes.
         folder: of the results.
     """
@@ -180,7 +178,7 @@ def _is_kept_checkpoint(config: EvaluateConfig) -> bool:
 
 
 def subfolder(config: EvaluateConfig) -> Path:
-    """Where in a run's folder what is not its own evaluation goes, by its flags."""
+    """Subfolder of a run's folder for other evaluations, named by their flags."""
     changes = [
         f"{field.name}-{value}"
         for field in dataclasses.fields(config)

@@ -64,13 +64,14 @@ class ExportConfig:
             default `policy.onnx` (`car.onnx` with --from-state) in the run folder, or
             in `runs/NAME` of a pretrained policy.
         seed: seed of the observations that the model is checked on.
-        from_state: the model takes where the car and all else is, and computes the
-            observation itself.
-        others: most other cars that drive; default those of the environment, the least.
-        parked: most parked cars, likewise.
-        walls: most walls and other boxes, likewise.
-        discs: most pillars and other discs, likewise.
-        lanes: most lanes, likewise.
+        from_state: the inputs are poses of the car and its surroundings, and the model
+            computes the observation.
+        others: number of rows for other driving cars; default and least: as many as the
+            environment has.
+        parked: number of rows for parked cars, likewise.
+        walls: number of rows for walls and other boxes, likewise.
+        discs: number of rows for pillars and other discs, likewise.
+        lanes: number of rows for lanes, likewise.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
@@ -87,7 +88,7 @@ class ExportConfig:
         if self.out and Path(self.out).suffix not in (".onnx", ".npz"):
             raise ValueError(f"out must end in .onnx or .npz, not {self.out!r}")
         if self.out.endswith(".npz"):
-            reason = "on a checkpoint, of which no model is made"
+            reason = "with a checkpoint as output"
             require_unset(self, reason, "seed", "from_state")
         if not self.from_state:
             require_unset(self, "without --from-state", *COUNTS)

@@ -107,12 +107,12 @@ def read_flags(
     The flag `--….encoding NAME` of an observation chooses that encoder, and its flags.
 
     Args:
-        cls: a field is a flag; its docstring says what `--help` prints.
+        cls: each field is a flag; the class's docstring is its help.
         arguments: of the command line; None = those of the program.
-        default: what flags that are not given leave as it is; None = `cls()`.
+        default: values of flags that are not given; None = `cls()`.
         description: at the head of the help.
         short: fields that `--help` lists, if not all; `--help-all` lists them all.
-        prog: how the program is called in the help; None = by its file.
+        prog: name of the program in the help; None = that of its file.
 
     Raises:
         ValueError: an unknown flag or an impossible value.
@@ -166,7 +166,7 @@ def _with_encoders(
 
 @contextlib.contextmanager
 def _stderr_as_text() -> Generator[io.StringIO]:
-    """Keeps what is written to stderr, in lines so wide that no word is broken."""
+    """Captures stderr, with lines wide enough to keep words whole."""
     columns = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = "100000"
     try:
@@ -220,7 +220,7 @@ def _by_line(text: str | None) -> str | None:
 
 
 def _sentence(box: str) -> str:
-    """What tyro says in a box on stderr, without frame, title and helptext."""
+    """Tyro's message in a box on stderr, without frame, title and helptext."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", box)
     lines = [line.strip("│ ") for line in text.splitlines()]
     # Under the title: within the frame, or below a rule where there is no UTF-8.

@@ -104,7 +104,7 @@ def check(
         layout: a name, a file or a config.
         num_keys: how many.
         seed: of the keys.
-        vehicle: a preset or file; by default the car that the lots are drawn for.
+        vehicle: a preset or file; by default the lots' design car.
     """
     config = layout_config(layout)
     size = (config.car or DesignCar()).size
@@ -117,7 +117,7 @@ def check(
         problems = describe_faults(drawn, size)
         bays = int(drawn.bay_mask.sum())
         if bays < config.min_bays:
-            problems.append(f"{bays} bays, {config.min_bays} were promised")
+            problems.append(f"{bays} bays, min_bays is {config.min_bays}")
         found += [f"key {number}: {problem}" for problem in problems]
     return found
 
@@ -153,7 +153,7 @@ class LayoutsConfig:
         plot: picture to write, with two lots of each layout.
         check: number of keys of each layout to check.
         vehicle: preset or file of the car that must fit into bays and spawn regions of
-            the lots to check; by default the car that they are drawn for.
+            the checked lots; by default their design car.
         run: number of scenes of each layout to run.
         save: layout file to write, with the first lot of one layout.
         seed: seed of the keys.
@@ -198,7 +198,7 @@ def look(config: LayoutsConfig) -> bool:
     """Draws, saves, checks and runs; returns whether there were no problems.
 
     Raises:
-        ValueError: unknown layouts, or files that are none.
+        ValueError: unknown layouts, or files that are not layouts.
         OSError: the picture or the layout file cannot be written.
     """
     shown = {name: layout_config(name) for name in config.layouts} or families()

@@ -60,14 +60,15 @@ class PlayConfig:
         layout: name of a lot or a family, or a layout file; default `square`, or the
             policy's.
         policy: pretrained policy, run folder or checkpoint file that drives the other
-            cars; without one they stand.
-        num_agents: cars, yours included; default 1, or as the policy was trained.
-        num_parked_cars: default 16, or as many as a smaller lot has room for, or as the
-            policy was trained.
+            cars; without a policy they stand.
+        num_agents: number of cars, yours included; default 1, or as in the policy's
+            training.
+        num_parked_cars: number of parked cars; default 16, or as many as fit into a
+            smaller lot, or as in the policy's training.
         vehicle: preset or file of all cars; default `compact`, or the policy's.
-        seed: of the lot; the next lot has the next.
-        view: `window`, or `web` for a page on this machine; default by whether there is
-            a display.
+        seed: of the lot; the next lot has the next seed.
+        view: `window`, or `web` for a page on this machine; default: a window if there
+            is a display.
         camera: of the window or the video: `topdown`, `overview`, `chase:0`, `driver:0`
             or `split`.
         out: folder in which every drive is saved as drive-K.npz.
@@ -111,7 +112,7 @@ class PlayConfig:
 
 
 def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
-    """The environment to drive in, and who drives the other cars."""
+    """The environment to drive in, and the policy of the other cars."""
     agents = config.num_agents
     if agents is None and not config.policy:
         agents = 1
@@ -136,7 +137,7 @@ def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
 
 
 def replay(demonstration: Demonstration) -> DrivenLot:
-    """The lot of a recorded drive, in which everybody does the same again."""
+    """The lot of a recorded drive, which repeats all actions."""
     env = ParkingEnv(demonstration.config)
     step = 0
 

@@ -27,13 +27,12 @@ PATIENCE = 1.5  # s in which an interrupted command ends by itself
 def enter(program: str, entry: str) -> NoReturn:
     """Runs a command as this process, and ends it.
 
-    Ctrl-C ends it with one line and exit code 130 wherever it is, in compiled code too,
-    unless the command has a handler of its own; a second Ctrl-C does so anyway. A
-    reader of stdout that has left, a full disk or an encoding that lacks a character
-    stops no work.
+    Ctrl-C ends it with one line and exit code 130, also in compiled code, unless the
+    command has its own handler; a second Ctrl-C always does. A closed stdout, a full
+    disk or a character that the encoding lacks does not stop the work.
 
     Args:
-        program: name before what is said on stderr.
+        program: name before messages on stderr.
         entry: `module:function` that is the command, imported here; its value is the
             exit code if it is an int.
     """
@@ -97,8 +96,8 @@ class _Output(io.FileIO):
 def keep_printing() -> _Output | None:
     """Makes stdout and stderr never raise; returns stdout's descriptor.
 
-    Nothing that is printed is worth the work behind it. None: stdout is not the
-    process's own any more.
+    A failed print must not lose the work behind it. None: stdout does not belong to the
+    process any more.
     """
     found: dict[str, _Output] = {}
     for name, descriptor in (("stdout", 1), ("stderr", 2)):
@@ -119,10 +118,10 @@ def keep_printing() -> _Output | None:
 
 
 def check_jax() -> None:
-    """Refuses a value of `JAX_NUM_CPU_DEVICES` that JAX fails of.
+    """Refuses a value of `JAX_NUM_CPU_DEVICES` with which JAX fails.
 
     Raises:
-        ValueError: it is no number of devices.
+        ValueError: it is not a number of devices.
     """
     count = os.environ.get("JAX_NUM_CPU_DEVICES", "1")
     if not (count.isdecimal() and int(count) >= 1):
@@ -132,11 +131,11 @@ def check_jax() -> None:
 
 
 class Interrupts:
-    """Ctrl-C in a command: `KeyboardInterrupt`, and an end that nothing can stop.
+    """Ctrl-C in a command: `KeyboardInterrupt`, and a guaranteed end.
 
     The exception alone is not enough: it waits for compiled code to return, destructors
     and callbacks swallow it, and JAX dies when the interpreter ends beside a running
-    program. So a thread ends the process where the command does not.
+    program. A thread therefore ends the process if the command does not.
 
     Attributes:
         taken: whether the exception has been raised.
@@ -163,7 +162,7 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def _watch(self, came: int) -> None:
-        """Ends what does not end: after one Ctrl-C, or two if it handles the first."""
+        """Ends the process after one Ctrl-C; after two if the command handles one."""
         count = 0
         while True:
             count += os.read(came, 1)[0] == signal.SIGINT
@@ -191,7 +190,7 @@ class Interrupts:
     def end(self) -> NoReturn:
         """Ends the process with one line.
 
-        Not by `sys.exit`, where the interpreter would destroy what still runs.
+        `sys.exit` is not used: the interpreter would destroy running programs.
         """
         self._ends = True
         if threading.current_thread() is threading.main_thread():
@@ -204,7 +203,7 @@ class Interrupts:
 
 @contextlib.contextmanager
 def patient_interrupts() -> Generator[None]:
-    """In it a first Ctrl-C is a `KeyboardInterrupt` that leaves time to save."""
+    """Inside, a first Ctrl-C is a `KeyboardInterrupt` that leaves time to save."""
     handler = signal.getsignal(signal.SIGINT)
     if handler is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

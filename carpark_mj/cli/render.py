@@ -62,7 +62,7 @@ class RenderConfig:
         layout: the lot, a name or a layout file; default: that of the run.
         physics: back end; default: that of the run. In `scene` crashed cars push each
             other, spin and stop.
-        respawn: whether finished agents start anew; `false` = one episode per agent.
+        respawn: whether finished agents respawn; `false` = one episode per agent.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
@@ -183,7 +183,7 @@ def main(config: RenderConfig) -> Path:
 
 
 def _open_output(config: RenderConfig, folder: Path) -> Path:
-    """The file to write; checked before the work."""
+    """The file to write, checked before the work."""
     out = Path(config.out) if config.out else folder / config.file
     if out.suffix not in config.suffixes:
         raise ValueError(

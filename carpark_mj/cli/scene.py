@@ -87,10 +87,10 @@ class SceneConfig(SceneOutput):
             file, as in `EnvConfig`; default `square`, or the policy's.
         policy: pretrained policy, run folder or checkpoint file that drives, or `zero`
             or `random`; in the browser only.
-        num_agents: number of cars to drive; default 2, or 1 where a lot has one goal,
-            or as the policy was trained.
-        num_parked_cars: number of parked cars; default 16, or as many as a smaller lot
-            has room for, or as the policy was trained.
+        num_agents: number of cars to drive; default 2, or 1 in a lot with one goal, or
+            as in the policy's training.
+        num_parked_cars: number of parked cars; default 16, or as many as fit into a
+            smaller lot, or as in the policy's training.
         vehicle: preset or file of all cars; default `compact`, or the policy's.
         suspension: springs between the wheels and the cars to drive.
         seed: random seed of the lot and its cars.

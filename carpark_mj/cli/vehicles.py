@@ -1,4 +1,4 @@
-"""Shows cars: presets, and what a data sheet says and leaves to estimates.
+"""Shows cars: presets, and data sheets with their estimates.
 
 carpark_mj vehicles
 carpark_mj vehicles my_car.yaml
@@ -29,8 +29,8 @@ class VehiclesConfig:
     """Settings of `carpark_mj vehicles`.
 
     Attributes:
-        vehicle: a vehicle file or a preset; the names of the presets if none.
-        save: file to write, with all parameters of the vehicle.
+        vehicle: a vehicle file or a preset; without one the presets are listed.
+        save: file to write all parameters of the vehicle to.
     """
 
     vehicle: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VEHICLE")] = ""

@@ -1,6 +1,6 @@
 """Frozen, validated configuration of the environment: the only home of its defaults.
 
-Impossible settings raise `ValueError` at construction, in one sentence.
+Impossible settings raise a one-sentence `ValueError` at construction.
 """
 
 from typing import TYPE_CHECKING

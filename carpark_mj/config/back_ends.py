@@ -56,7 +56,7 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
         return ()
 
     def check(self, config: Any) -> None:
-        """Refuses an `EnvConfig` with what the back end cannot do.
+        """Refuses settings of an `EnvConfig` that the back end does not support.
 
         Raises:
             ValueError: naming the setting and what is allowed.
@@ -73,7 +73,7 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
             vehicle: `VehicleParameters` of the car that `config.vehicle` names.
 
         Raises:
-            ValueError: the back end cannot do what else is configured.
+            ValueError: the back end does not support other settings.
         """
 
     def turn(self, before: Any, after: Any, ctrl_dt: float) -> Any:
@@ -88,7 +88,7 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
         return abs(after.steering - before.steering)
 
     def largest_turn(self, vehicle: Any, ctrl_dt: float) -> Any:
-        """The most that `turn` can be for cars with parameters (...) [rad]."""
+        """Upper bound of `turn` for cars with parameters (...) [rad]."""
         return vehicle.steering_rate * ctrl_dt
 
     def top_speed(self, vehicle: Any, ctrl_dt: float) -> Any:
@@ -109,11 +109,11 @@ else:
 
 
 def physics_config(physics: PhysicsChoice) -> PhysicsConfig:
-    """The config that a back end's name stands for; a config stands for itself.
+    """The config of a back end given by name, or as a config.
 
     Raises:
         ValueError: unknown name.
-        TypeError: it stands for something else.
+        TypeError: the value is not a back end's config.
     """
     found = physics if isinstance(physics, PhysicsConfig) else PHYSICS[physics]
     if not isinstance(found, PhysicsConfig):  # pyright: ignore

@@ -35,7 +35,7 @@ def require_whole(config: object, minimum: int, *names: str) -> None:
 
 
 def require_count(name: str, value: Any, minimum: int) -> None:
-    """Refuses what is not a whole number of at least a minimum."""
+    """Refuses values other than whole numbers of at least a minimum."""
     if type(value) is bool or not isinstance(value, numbers.Integral):
         raise ValueError(f"{name} must be a whole number, not {value!r}")
     if value < minimum:
@@ -104,7 +104,7 @@ def require_range(name: str, value: Range, least: float, most: float) -> None:
 def require_within(
     config: object, least: float, most: float, unit: str, *names: str
 ) -> None:
-    """Refuses attributes that are not plausible, as if they were of another unit.
+    """Refuses implausible attributes, which may be in another unit.
 
     Raises:
         ValueError: naming the attribute, its value, the bounds and the unit.
@@ -114,12 +114,12 @@ def require_within(
         if not (is_finite(value) and least <= value <= most):
             raise ValueError(
                 f"{name} must lie within [{least:g}, {most:g}] {unit}, not {value}: "
-                f"it is in {unit}"
+                f"its unit is {unit}"
             )
 
 
 def require_kind(name: str, value: object, kind: Any) -> None:
-    """Refuses an argument of a function that is no instance of a type.
+    """Refuses an argument of a function that is not an instance of a type.
 
     Raises:
         TypeError: naming the argument, its value and the type.
@@ -157,8 +157,8 @@ class CheckedConfig(OldNames):
 def require_types(config: Any, **hints: Any) -> None:
     """Refuses attributes of a dataclass that are not of the types they declare.
 
-    Numbers may be NumPy's, truth values are no numbers, and lists no tuples: configs
-    are hashed, by JAX as static arguments.
+    NumPy numbers are allowed. Truth values are not numbers, and lists are not tuples:
+    JAX hashes configs as static arguments.
 
     Args:
         config: the dataclass.
@@ -188,7 +188,7 @@ def _declared(cls: Any) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
 
 
-# How types are called, and of what else their values may be.
+# Names of types, and other types that their values may have.
 _NAMES = {
     bool: "True or False",
     int: "a whole number",

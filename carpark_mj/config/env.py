@@ -31,21 +31,21 @@ class EnvConfig(OldNames):
 
     Attributes:
         layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `square_compact`
-            (the same with 2.5 m x 5.0 m bays), a random family as `street`, or any
+            (the same with 2.5 m x 5.0 m bays), a random family such as `street`, or any
             other of `LAYOUTS`, to which studies and other packages add theirs. Or a
             layout file (.json). A comma-separated list is a mixture. From Python also
             the config of a family, see `carpark_mj.layouts`.
-        vehicle: name of one of `carpark_mj.vehicle.VEHICLES`, or a vehicle file (.yaml,
-            .json), in whose place are its parameters from then on.
+        vehicle: a name in `carpark_mj.vehicle.VEHICLES`, or a vehicle file (.yaml,
+            .json); the config then stores the parameters instead of the path.
         num_agents: number of agents, the cars that act.
-        min_agents: least number of agents: how many a lot has is drawn when it begins,
-            uniform from here to `num_agents`. With fixed goals and `occupancy` a lot
-            has at most one agent for every two bays all the same: more of them jam in
+        min_agents: smallest number of agents; a lot's number is drawn uniformly from
+            here to `num_agents` when the lot begins. With fixed goals and `occupancy` a
+            lot still has at most one agent for every two bays, because more would jam
             the aisle of a small lot. None = always `num_agents`.
         num_parked_cars: number of parked cars.
         occupancy: share of the lot's bays that hold a parked car, drawn from this range
             when the lot is reset; `num_parked_cars` is then the maximum. Agents' goals
-            come first: where they leave fewer bays there are fewer parked cars.
+            have precedence: if they leave fewer bays, fewer cars are parked.
         fleet: presets that cars are drawn from instead of `vehicle`.
         jitter: variation of parked cars' poses in their bays, and of their sizes.
         movers: obstacles that move by themselves, by name, of `MOVERS`; from Python
@@ -59,11 +59,11 @@ class EnvConfig(OldNames):
             end, a `PhysicsConfig`.
         sim: time steps and ground.
         goals: whether the environment or the agents choose the goals.
-        giving_way: when agents that choose goals should give them up.
+        giving_way: when agents should give up dynamic goals.
         spawn: where episodes start.
         episode: when episodes end.
         reward: reward weights.
-        observation: what agents observe, an encoder; those that have a name are in
+        observation: encoder of what agents observe; named encoders are in
             `carpark_mj.config.observations.ENCODERS`.
         randomization: parameters that differ between cars.
         sensors: noise and delay of what agents observe.

@@ -14,7 +14,7 @@ class FleetConfig(CheckedConfig):
     Each is a preset's name or a vehicle file, as `EnvConfig.vehicle` is.
 
     Attributes:
-        agents: presets of the agents, drawn anew at every spawn.
+        agents: presets of the agents, drawn at every spawn.
         agent_weights: relative frequencies of `agents`; empty = equally often.
         parked_cars: presets of the parked cars, drawn when the lot is reset.
         parked_weights: relative frequencies of `parked_cars`; empty = equally often.

@@ -40,7 +40,8 @@ class GivingWayConfig(CheckedConfig):
 
     Attributes:
         scheme: "a,b,c", one of the six of the study: "L,L,S", "L,L,A", "G,L,S",
-            "G,L,A", "G,G,S", "G,G,A"; None = nothing is enforced. Needs dynamic goals.
+            "G,L,A", "G,G,S", "G,G,A"; None = no context is enforced. Needs dynamic
+            goals.
         bad_goal: reward for keeping a bad goal, in place of `continue_goal`; at most 0.
             The study sweeps 0 to -0.2.
     """
@@ -65,5 +66,5 @@ class GivingWayConfig(CheckedConfig):
 
     @property
     def context(self) -> ContextName | None:
-        """The context in which keeping the goal is bad; None if nothing is enforced."""
+        """The context in which keeping the goal is bad; None if none is enforced."""
         return None if self.scheme is None else _ENFORCED[self.scheme[2:]]

@@ -10,14 +10,14 @@ TOLERANCE = 1e-9  # by which (3.5) may fail, for 0.1 + 0.2 is not 0.3
 
 @dataclasses.dataclass(frozen=True)
 class GoalConfig(CheckedConfig):
-    """How agents come to their goals.
+    """How agents get their goals.
 
     Attributes:
-        dynamic: every agent chooses its goal itself, at every step, among the free
-            bays it tracks; otherwise the environment draws one for each episode.
+        dynamic: every agent chooses its goal at every step among the free bays it
+            tracks; otherwise the environment draws one for each episode.
         num_tracked_bays: nearest free bays that an agent tracks (n_space).
-        slots_by_distance: number the tracked bays anew at every step, the nearest
-            first; otherwise a bay keeps its slot for as long as it is tracked.
+        slots_by_distance: renumber the tracked bays at every step, the nearest first;
+            otherwise a bay keeps its slot while it is tracked.
         may_repeat: whether the goal of an episode may be that of the one before; fixed
             goals only.
         drive_out: an agent that starts in a bay drives to an exit of the lot, all
@@ -48,8 +48,8 @@ class GoalRewards(CheckedConfig):
         continue_goal: reward for keeping the bay, r(p->p).
         change_goal: reward for choosing another bay, r(p->p').
         stop_goal: reward for giving up the bay to explore, r(p->e); None = r(p->p') -
-            r(e->p), which the study's rule (3.5) requires. Losing the goal because it
-            is no longer tracked pays the same, as in the reference implementation.
+            r(e->p), as the study's rule (3.5) requires. Losing the goal because it is
+            no longer tracked pays the same, as in the reference implementation.
     """
 
     continue_explore: float = data(-0.002)

@@ -60,7 +60,7 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
     @property
     def is_random(self) -> bool:
-        """Whether other keys give other lots."""
+        """Whether lots depend on the key."""
         return True
 
     @property
@@ -75,20 +75,20 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
     @property
     def shares(self) -> "tuple[tuple[LayoutConfig, float], ...]":
-        """The same, mixtures among them whole, each with its share of the lots."""
+        """Like `parts`, but nested mixtures stay whole; each with its share of lots."""
         return ((self, 1.0),)
 
     @property
     def layout(self) -> Any:
-        """The only lot, a `carpark_mj.layouts.Layout`, if it is of a file; or None."""
+        """The only lot, a `carpark_mj.layouts.Layout`, if a file has it; else None."""
         return None
 
     @property
     def entries(self) -> tuple[Any, ...]:
         """The widest entries into bays, `carpark_mj.layouts.turning.Entry`.
 
-        A car that can enter a bay in none of these can enter none in any lot of this
-        config; empty if unknown.
+        A car that fits through none of these cannot enter any bay of this config's
+        lots; empty if unknown.
         """
         return ()
 

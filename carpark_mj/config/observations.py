@@ -33,8 +33,8 @@ class Tracked:
 class ObservationConfig(CheckedConfig, abc.ABC):
     """An encoder of observations: a frozen dataclass of its settings.
 
-    It says which fields the vector has and fills them. What else the environment must
-    know of it are the properties and methods below, which a class overrides where its
+    It lists the fields of the vector and fills them. The properties and methods below
+    tell the environment what else the encoder needs; a class overrides them where the
     defaults are wrong.
 
     Attributes:
@@ -65,12 +65,12 @@ class ObservationConfig(CheckedConfig, abc.ABC):
 
         Args:
             env: the `EnvConfig`.
-            state: of the lot, a `carpark_mj.types.State`. Where the cars are
-                `observations.sensors.observed` says.
+            state: of the lot, a `carpark_mj.types.State`;
+                `observations.sensors.observed` gives the measured poses of cars.
         """
 
     def check(self, env: Any) -> None:
-        """Refuses an environment in which it makes no sense.
+        """Refuses environments that the encoder does not support.
 
         Args:
             env: the `EnvConfig`.
@@ -142,8 +142,8 @@ class RingConfig(CheckedConfig):
         diameters: diameters of the circles [m].
         cap: largest count a ring reports.
         cars: also count parked cars and other agents, not only walls and discs.
-        history: number of past counts of every ring that are observed (n_h); zero
-            before the episode.
+        history: number of past counts of every ring that are observed (n_h); they are
+            0 at the start of an episode.
     """
 
     diameters: tuple[float, ...] = ()

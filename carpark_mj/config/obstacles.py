@@ -24,9 +24,9 @@ class ObstacleKind(enum.IntEnum):
 
 
 class Mover(CheckedConfig, abc.ABC):
-    """Base of what moves in a lot and is no car, a frozen dataclass of settings.
+    """Base of moving obstacles that are not cars, a frozen dataclass of settings.
 
-    Agents must avoid it: it is not pushed by contacts.
+    Agents must avoid them: contacts do not push them.
 
     Attributes:
         mover: its name in `MOVERS`.
@@ -60,8 +60,8 @@ class Mover(CheckedConfig, abc.ABC):
     def obstacles(self, state: Any) -> Sequence[Any]:
         """Where it is: groups `Boxes` and `Discs` of `carpark_mj.obstacles`.
 
-        As many always; masks say which there are. In between two steps those that stay
-        move straight on, those that come are at their new places.
+        Their number is constant; masks mark those that exist. Between two steps
+        obstacles move along straight lines; new ones appear at their new places.
         """
 
 
@@ -88,6 +88,6 @@ def make_movers(choices: Sequence[MoverChoice]) -> tuple[Mover, ...]:
 
 
 def hit_kinds(movers: Sequence[MoverChoice]) -> tuple[ObstacleKind, ...]:
-    """What agents can hit in a lot with some movers."""
+    """Kinds of obstacles in a lot with some movers."""
     always = (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR, ObstacleKind.WALL)
     return tuple(sorted({*always, *(mover.kind for mover in make_movers(movers))}))

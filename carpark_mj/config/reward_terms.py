@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import math
 from collections.abc import Callable, Container, Mapping
 from typing import Any
 
@@ -23,12 +24,14 @@ class RewardTerm(CheckedConfig):
             adds up to it.
         fixed: parameters that decide what is computed. All other numbers of a term may
             be traced, and differ between runs side by side.
+        most: largest weight.
     """
 
     value: Callable[..., Any]
     sign: float = 1.0
     per_step: bool = False
     fixed: tuple[str, ...] = ()
+    most: float = math.inf
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -56,7 +59,7 @@ class RewardTerm(CheckedConfig):
 
 # Terms beyond those of `carpark_mj.mdp.rewards`, for `RewardConfig.extra`.
 REWARD_TERMS: Registry[RewardTerm] = Registry(
-    "reward term", "carpark_mj.tasks.goal_pose"
+    "reward term", "carpark_mj.tasks.goal_pose", "carpark_mj.mdp.yielding"
 )
 
 
@@ -108,6 +111,8 @@ def check_extra(extra: Mapping[str, float], taken: Container[str]) -> None:
         if not is_finite(value) or (key == name and value < 0.0):
             least = "at least 0.0" if key == name else "finite"
             raise ValueError(f"{key} must be {least}, not {value!r}")
+        if key == name and value > (most := REWARD_TERMS[name].most):
+            raise ValueError(f"{key} must be at most {most}, not {value!r}")
         if name not in extra:
             raise ValueError(f"{key} needs {name}, the weight of the term")
 

@@ -26,22 +26,21 @@ class SpawnConfig(CheckedConfig):
             collision with it, or with its goal where goals are dynamic.
         conflict_distance: on a collision course, shortest distance of the other agent
             to its goal, and from the meeting point to that goal [m].
-        reverse_ratio: share of spawns where a car has got to that drove out of the goal
-            bay; a training aid. All remaining spawns are random.
+        reverse_ratio: share of spawns on a collision-free path sampled backwards from
+            the goal; a training aid. All remaining spawns are random.
         min_distance: desired distance to other agents' centres [m]; 7.38 m is Tanner's
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
             taken, or the one with most room to the other agents if none does.
-        max_redraws: how often so many poses are drawn again, at random, while none
-            keeps `min_distance`.
+        max_redraws: further rounds of `num_candidates` random poses while none keeps
+            `min_distance`.
         spacing: spacing of the grid of start positions [m], centred in a spawn region
             and including its edges; 0 = anywhere.
         relocation: which parked car moves into a bay where an agent has parked: the one
             `furthest` from all agents, a `random` one that no agent tracks, or `any`, a
             random one that agents may track.
-        kinds_at_reset: whether a lot of agents that choose their goals begins with
-            starts of all kinds, too; otherwise they are random there. With fixed goals
-            they are always of all kinds.
+        kinds_at_reset: with dynamic goals, whether the first starts in a lot are of all
+            kinds; otherwise they are random. With fixed goals they are of all kinds.
     """
 
     close_ratio: float = 0.2

@@ -1,8 +1,8 @@
-"""A car by file: a config has its parameters, so that a run needs the file no more."""
+"""Cars by file: a config stores the parameters, so a run does not need the file."""
 
 from carpark_mj.extensions import Entry
 
-# Name and parameters of a car that is no name of a registered one.
+# Name and parameters of a car that is not registered.
 READ = Entry("carpark_mj.vehicle.file:read_vehicle")
 _TEXT = Entry("carpark_mj.vehicle.file:read_as_text")
 
@@ -13,7 +13,7 @@ def is_name(vehicle: str) -> bool:
 
 
 def with_parameters(vehicle: str) -> str:
-    """What a config holds of a vehicle: the parameters of a file, or a name as it is.
+    """A vehicle as configs store it: the parameters of a file, or a name unchanged.
 
     Raises:
         ValueError: no such file, or a fault in it.

@@ -1,4 +1,4 @@
-"""Metrics of many episodes together, exact whatever batches they came in."""
+"""Aggregates metrics of many episodes, independent of batching."""
 
 import math
 from collections import defaultdict
@@ -18,9 +18,9 @@ Row = dict[str, Any]  # an episode: its metrics, and which it is, by name
 
 
 def complete_row(row: Row, ctrl_dt: float) -> Row:
-    """An episode with what follows from its own numbers added, in catalogue order.
+    """An episode with derived metrics added, in catalogue order.
 
-    Ratios without a denominator are NaN; nothing is added whose parts are missing.
+    Ratios without a denominator are NaN; a ratio whose parts are missing is left out.
 
     Args:
         row: `metrics.episode_metrics` at the end of an episode.
@@ -44,12 +44,12 @@ def complete_row(row: Row, ctrl_dt: float) -> Row:
 
 
 def summarize(rows: Sequence[Row]) -> dict[str, Any]:
-    """Episodes (completed rows) together.
+    """Aggregates episodes (completed rows).
 
     Returns:
-        `episodes`, their number; every metric of the catalogue that they have, by its
-        name, in its unit, see `pool`; and `mean_returns`, which add up to
-        `episode_return`, by reward term.
+        `episodes`, their number; each metric of the catalogue that they have, by name
+        and in its unit, see `pool`; and `mean_returns` by reward term, which add up to
+        `episode_return`.
     """
     names = rows[0] if rows else (*ENDINGS, *HITS)
     returns = [name for name in names if name.startswith("return_")]
@@ -71,7 +71,7 @@ def pool(metric: Metric, rows: Sequence[Row]) -> float | dict[str, float]:
     """A metric of many episodes (completed rows); NaN if none of them has it.
 
     Rates come with Wilson's 95 % interval for `effective_episodes` and the count.
-    Quantiles are numbers of an episode, not in between two.
+    Quantiles are values of single episodes, without interpolation.
     """
     if metric.pool == "steps" and metric.ratio is not None:
         above, below = (math.fsum(row[name] for row in rows) for name in metric.ratio)
@@ -91,14 +91,14 @@ def pool(metric: Metric, rows: Sequence[Row]) -> float | dict[str, float]:
 
 
 def effective_episodes(name: str, rows: Sequence[Row]) -> float:
-    """Number of independent episodes that would tell as much about a rate.
+    """Number of independent episodes that estimate a rate equally well.
 
     Episodes in the same lot are correlated: two agents crash together, and some lots
-    are harder. It is the number of episodes over the design effect (Kish 1965, at least
-    1): the variance of the rate with lots as clusters, in strata of a family and a
-    number of agents, over that of independent episodes. Episodes without a lot, all of
-    one lot, and those of a rate of 0 or 1 count in full, as nothing is known of how
-    lots differ.
+    are harder. The result is the number of episodes divided by the design effect (Kish
+    1965, at least 1): the variance of the rate with lots as clusters and a stratum for
+    each family and number of agents, divided by that of independent episodes. Episodes
+    without a lot, of a single lot, or with a rate of 0 or 1 count in full, because they
+    do not show how lots differ.
 
     Args:
         name: of a rate.

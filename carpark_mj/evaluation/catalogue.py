@@ -1,8 +1,8 @@
-"""The catalogue of metrics: what each means, its unit, how episodes add up.
+"""The catalogue of metrics: meanings, units and aggregation over episodes.
 
-It defines the library's, of which the tables of `docs/metrics.md` are made; others are
+It defines the library's metrics and the tables of `docs/metrics.md`; others are
 registered (`carpark_mj.config.metrics`). An evaluation has a column for each in the
-table of episodes, and a number or a few of all episodes together.
+table of episodes, and one or several aggregates.
 """
 
 from carpark_mj.config.metrics import METRICS, Metric, Pool
@@ -51,9 +51,9 @@ _WHAT = {
 }
 OUTCOME = (
     _rate("parked", "parked under the rule in force", "p"),
-    _rate("crashed", "touched something", "c"),
-    _rate("timed_out", "neither within the longest episode", "h"),
-    _rate("diverged", "no finite number from the physics, or on its side"),
+    _rate("crashed", "hit an obstacle", "c"),
+    _rate("timed_out", "neither within `max_steps`", "h"),
+    _rate("diverged", "non-finite physics, or the car on its side"),
     _rate("hit_agent", "crashed into an agent; both count", "Total Crashes Car"),
     _rate("hit_parked_car", "crashed into a parked car", "Total Crashes StaticCar"),
     _rate("hit_wall", "crashed into a wall or disc", "Total Crashes Wall"),
@@ -66,14 +66,14 @@ OUTCOME = (
     Metric("episode_return", "", "sum of rewards", "mean", "Final Mean Reward"),
     Metric("length", "steps", "control steps", "mean", "Final Mean Episode Length"),
     Metric("time_to_park", "s", "duration of a parked episode", "parked"),
-    Metric("path", "m", "way driven, either direction", "parked"),
+    Metric("path", "m", "distance driven in either direction", "parked"),
     Metric("gear_changes", "", "changes of the direction of travel", "parked"),
-    Metric("invalid_actions", "", "steps whose action is NaN or outside", "mean"),
-    Metric("wrong_way", "m", "way driven against the lanes, if any", "mean"),
+    Metric("invalid_actions", "", "steps with NaN or numbers out of range", "mean"),
+    Metric("wrong_way", "m", "distance driven against the lanes, if any", "mean"),
     Metric(
         "wrong_way_share",
         "",
-        "share of the way driven against the lanes, if any",
+        "share of the distance driven against the lanes, if any",
         "steps",
         "",
         ("wrong_way", "path"),

@@ -35,7 +35,7 @@ class Evaluation:
         episodes: a row per episode: lot, agent, episode, how many agents the lot has,
             its metrics (see `carpark_mj.evaluation.catalogue`), and the lot's family by
             name.
-        summary: all of them together, see `aggregation.summarize`.
+        summary: aggregates of all episodes, see `aggregation.summarize`.
         families: the same for the lots of each member of a mixture, by name; the lot's
             own if it is no mixture.
         agent_counts: the same for the lots with each number of agents.
@@ -66,8 +66,8 @@ def evaluate(
         seed: of the held-out lots, goals and spawns.
         num_lots: lots run side by side; fewer if the episodes do not fill them, but
             one for each member of a mixture with each number of agents.
-        horizon: all episodes of these lots that begin within this time [s] count,
-            however many of an agent; None = the same number for every agent.
+        horizon: time [s] within which all episodes of these lots that begin count, any
+            number per agent; None = the same number for every agent.
 
     Raises:
         ValueError: no episodes, or an environment without respawn, or no time.
@@ -85,7 +85,7 @@ class Evaluator:
         """Takes the environment, see `evaluate`.
 
         Raises:
-            ValueError: it is without respawn.
+            ValueError: its agents do not respawn.
         """
         if not env.config.episode.respawn:
             raise ValueError("evaluation needs episode.respawn = True")
@@ -194,7 +194,7 @@ class Evaluator:
 def _summarized(
     rows: list[Row], families: Sequence[str], kinds: Sequence[str]
 ) -> Evaluation:
-    """What episodes come to: of all, and by family, number of agents, kind of car."""
+    """Summaries of all episodes, and by family, number of agents and kind of car."""
 
     def those(column: str, value: Any) -> list[Row]:
         return [row for row in rows if row[column] == value]
@@ -255,7 +255,7 @@ def _chunk(
     carry: Carry,
     keys: jax.Array,
 ) -> tuple[Carry, tuple[jax.Array, jax.Array, dict[str, jax.Array]]]:
-    """Drives on by a control step for every key; what ended in each of them."""
+    """Makes a control step for every key; returns the episodes that ended in each."""
 
     def report(step: Step) -> Any:
         done, kind = step.timestep.events.done, step.before.kind

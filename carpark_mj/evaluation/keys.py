@@ -1,4 +1,4 @@
-"""Keys of trainings and of evaluations with the same seed, which never meet."""
+"""Disjoint keys of trainings and evaluations with the same seed."""
 
 import numbers
 
@@ -8,10 +8,10 @@ MAX_SEED = 2**32 - 1  # what a key takes; others would be taken modulo 2**32
 
 
 def require_seed(seed: int) -> None:
-    """Refuses a seed that no key can have.
+    """Refuses an impossible seed of a key.
 
     Raises:
-        ValueError: it is negative or too large, or no whole number.
+        ValueError: it is negative, too large, or not a whole number.
     """
     if type(seed) is bool or not isinstance(seed, numbers.Integral):
         raise ValueError(f"seed must be a whole number, not {seed!r}")

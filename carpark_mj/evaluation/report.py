@@ -123,7 +123,7 @@ def print_table(summary: dict[str, Any], title: str) -> None:
     console.print(table)
     share = summary.get("wrong_way_share", math.nan)
     if not math.isnan(share):
-        console.print(f"{share:.1%} of the way driven against the lanes")
+        console.print(f"{share:.1%} of the distance driven against the lanes")
     if not summary["parked"]["count"]:
         console.print("no parked episode to describe")
         return
@@ -138,7 +138,7 @@ def print_table(summary: dict[str, Any], title: str) -> None:
 
 
 def print_metrics(summary: dict[str, Any]) -> None:
-    """Prints how the episodes were driven, and how safely."""
+    """Prints metrics of driving and safety."""
     table = Table(title="driving and safety (docs/metrics.md)")
     for column in ("metric", "unit", "mean", "median", "worst 5 %", "worst"):
         table.add_column(

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.lax import optimization_barrier
 
 from carpark_mj.geometry.gradients import finite_slope, sqrt
 from carpark_mj.geometry.se2 import norm, rotate, to_local
@@ -205,14 +206,28 @@ def ray_box_distance(
     Returns:
         (...) 0 from inside, inf without a hit; a ray along an edge misses.
     """
-    start = rotate(origin - pose[..., :2], -pose[..., 2])
-    # A ray along a slab gives +-inf, the right ends of its interval; on the edge 0 / 0,
-    # and NaN fails the comparison.
-    towards = rotate(direction, -pose[..., 2])
-    half = 0.5 * size
-    one, other = _time(-half - start, towards), _time(half - start, towards)
-    enter = jnp.max(jnp.minimum(one, other), axis=-1)
-    leave = jnp.min(jnp.maximum(one, other), axis=-1)
+    offset = origin - pose[..., :2]
+    # Once for a box, not for each of its rays, which XLA would do to save memory.
+    cos, sin = optimization_barrier((jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])))
+
+    def along(vector: jax.Array) -> tuple[jax.Array, jax.Array]:
+        x, y = vector[..., 0], vector[..., 1]
+        return cos * x + sin * y, cos * y - sin * x
+
+    def slab(
+        start: jax.Array, speed: jax.Array, size: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        # A ray along a slab gives +-inf, the right ends of its interval; on the edge
+        # 0 / 0, and NaN fails the comparison.
+        one, other = _time(-0.5 * size - start, speed), _time(0.5 * size - start, speed)
+        return jnp.minimum(one, other), jnp.maximum(one, other)
+
+    starts = optimization_barrier(along(offset))
+    speeds = along(direction)
+    (enter_x, leave_x), (enter_y, leave_y) = (
+        slab(starts[i], speeds[i], size[..., i]) for i in range(2)
+    )
+    enter, leave = jnp.maximum(enter_x, enter_y), jnp.minimum(leave_x, leave_y)
     hit = (enter <= leave) & (leave >= 0.0)
     return jnp.where(hit, jnp.maximum(enter, 0.0), jnp.inf)
 

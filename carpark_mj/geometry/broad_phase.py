@@ -1,10 +1,10 @@
-"""Broad phase: exact tests only of what is near.
+"""Broad phase: exact tests of near pairs only.
 
-For every pair a cheap lower bound of the gap is worked out; the exact and costly test
-then visits the pairs whose bound is below a limit, nearest first and a few per agent
-at a time, until none is left. Nothing is missed however crowded the lot is, and the
-cost of the tests grows with what is near. In small lots testing every pair is cheaper:
-`is_crowded` decides by the static shapes, so that no key changes the program.
+Every pair gets a cheap lower bound of its gap. The exact and costly test then visits
+the pairs whose bound is below a limit, nearest first and a few per agent at a time,
+until none is left. The result is exact in any lot, and the cost of the tests grows with
+the number of near pairs. In small lots testing every pair is cheaper: `is_crowded`
+decides by the static shapes, so that no key changes the program.
 """
 
 from collections.abc import Callable
@@ -76,7 +76,7 @@ def least_near(
     Args:
         bound: (num_agents, n) lower bounds of the numbers; see `visit_near`.
         find: the numbers (num_agents, k) at indices (num_agents, k).
-        limit: what is larger need not be found.
+        limit: larger numbers need not be found.
         chunk: see `visit_near`.
     """
 

@@ -1,8 +1,8 @@
-"""Gradients that `jax.grad` would not find, or would find to be NaN.
+"""Gradients where `jax.grad` fails or gives NaN.
 
-The square root of 0 has an infinite slope. Where such a value does not even count, as
-the distance of a car to itself, the chain rule makes NaN of it: 0 times infinity. And a
-loop that ends when it has found enough has no gradient in reverse mode at all.
+The square root of 0 has an infinite slope. Where such a value is masked out, like the
+distance of a car to itself, the chain rule gives NaN: 0 times infinity. A loop of
+data-dependent length has no gradient in reverse mode.
 """
 
 from collections.abc import Callable
@@ -17,16 +17,16 @@ Tree = TypeVar("Tree")
 def with_gradient(
     function: Callable[..., Tree], like: Callable[..., Tree]
 ) -> Callable[..., Tree]:
-    """The function, with the gradients of another one that computes the same."""
+    """The function, with the gradients of an equal function."""
     wrapped = jax.custom_jvp(function)
     wrapped.defjvp(lambda args, tangents: jax.jvp(like, args, tangents))
     return wrapped
 
 
 def finite_slope(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """The function; where a derivative is not finite it counts as 0.
+    """The function with non-finite derivatives replaced by 0.
 
-    As that of `jnp.abs` at 0. The values are those of the function, bit for bit.
+    `jnp.abs` at 0 is alike. The values are those of the function, bit for bit.
 
     Args:
         function: elementwise, of arrays that broadcast.

@@ -1,6 +1,6 @@
 """Groups of boxes and discs that cars can hit.
 
-A group has one shape and one kind. Both are static, so that what can be left out is
+A group has one shape and one kind. Both are static, so that needless computations are
 never traced: walls stand still, and only agents leave themselves out.
 """
 
@@ -99,11 +99,11 @@ class Group:
     def contact_time(
         self, pose: jax.Array, size: jax.Array, velocity: jax.Array
     ) -> jax.Array:
-        """Times [s] until boxes hit them that move at (..., 2) as seen from them."""
+        """Times [s] until boxes of relative velocity (..., 2) hit them."""
         return self._contact_time(pose, size, self.pose_w, self.size, velocity)
 
     def ray_distance(self, origin: jax.Array, direction: jax.Array) -> jax.Array:
-        """Ways (..., rays) [m] along rays (..., rays, 2) to each of them."""
+        """Distances (..., rays) [m] along rays (..., rays, 2) to each of them."""
         axis = self.pose_w.ndim - 1
         pose = jnp.expand_dims(self.pose_w, axis)
         return self._ray_distance(

@@ -62,7 +62,7 @@ def bays(
 
 
 def _ends(end: Any) -> dict[str, tuple[Any, Any, Any]]:
-    """The part of `bays`; none where it is known that either end will do."""
+    """The field of `bays`; empty if either end is known to be allowed."""
     either = not isinstance(end, jax.Array) and not np.any(end)
     return {} if either else {"end": (end, (), jnp.int32)}
 

@@ -1,4 +1,4 @@
-"""Checks of layouts: what makes one valid, and messages about its faults.
+"""Checks of layouts, and messages about their faults.
 
 `find_faults` is pure and runs for thousands of layouts at once under `jax.vmap`;
 `describe_faults` puts those of one layout into sentences.
@@ -138,7 +138,7 @@ def describe_faults(
 
 
 _find_faults = jax.jit(find_faults)
-# What rows the sentences of `find_faults` are about, by their first words.
+# Rows that messages of `find_faults` concern, by their first words.
 _SUBJECTS = {"bays": "bay", "lanes": "lane", "cars": "spawn"}
 
 

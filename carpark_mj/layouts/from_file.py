@@ -23,8 +23,8 @@ from carpark_mj.reading import read_bytes
 class FromFileConfig(LayoutConfig):
     """A layout file, read when the config is made.
 
-    Configs are equal if both paths and contents are: one of a file that has changed is
-    another.
+    Configs are equal if paths and contents are equal; a changed file gives another
+    config.
 
     Attributes:
         path: of the file; its suffix says the format: `.json`, in which a car park can
@@ -65,7 +65,7 @@ class FromFileConfig(LayoutConfig):
 
     @property
     def is_enclosed(self) -> bool:
-        """Unknown, so taken for False."""
+        """False, because it is unknown."""
         return False
 
     @property
@@ -80,7 +80,7 @@ class FromFileConfig(LayoutConfig):
 
     @property
     def is_random(self) -> bool:
-        """Whether other keys give other lots."""
+        """False: the lot does not depend on the key."""
         return False
 
     def generate(self, key: jax.Array) -> Layout:

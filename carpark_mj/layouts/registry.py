@@ -12,15 +12,15 @@ from carpark_mj.layouts.types import Layout
 
 
 def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
-    """The config that a layout's name stands for; a config stands for itself.
+    """The config of a layout given by name, by file or as a config.
 
     Args:
         layout: a name, a layout file, several of them separated by commas for their
             mixture, or a config.
 
     Raises:
-        ValueError: unknown name, the message lists the known ones; or a bad file.
-        TypeError: something else.
+        ValueError: unknown name (the message lists the known ones), or a bad file.
+        TypeError: another type.
     """
     require_kind("layout", layout, LayoutConfig | str)
     if isinstance(layout, LayoutConfig):
@@ -81,7 +81,7 @@ def mixture(
 
     Raises:
         ValueError: unknown names, or weights that do not fit.
-        TypeError: no list.
+        TypeError: `members` is not a list.
     """
     require_kind("members", members, list | tuple)
     configs = tuple(layout_config(member) for member in members)

@@ -1,9 +1,8 @@
 """Routes along the lanes of a lot, around the rows of bays, and their lengths.
 
 A route goes from lane to lane, turning where their centre lines cross, and ends in a
-straight line from a lane along which the bay lies. What is parked, and the direction in
-which a lane is driven, do not matter. A lot without lanes is open ground: routes are
-straight lines.
+straight line from a lane along which the bay lies. Parked cars and directions of lanes
+have no effect. A lot without lanes is open ground: routes are straight lines.
 """
 
 from typing import NamedTuple
@@ -38,9 +37,9 @@ def lane_distance(layout: Layout, pose_w: jax.Array) -> jax.Array:
 
 
 def nearest_lane(layout: Layout, pose_w: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The lane of each car: the one its centre is in, or else the nearest.
+    """The lane of each car: the lane that holds its centre, or else the nearest.
 
-    Where lanes overlap (at crossings), the one that points most as the car does.
+    Where lanes overlap (at crossings), it is the lane closest to the car's heading.
 
     Args:
         layout: the lot.
@@ -81,7 +80,7 @@ class Routes:
 
 
 class RouteLeft(NamedTuple):
-    """What is left of the routes of cars (...).
+    """Remaining routes of cars (...).
 
     Attributes:
         length: (...) [m].
@@ -130,7 +129,7 @@ def make_routes(layout: Layout) -> Routes:
 def route_to(
     routes: Routes | None, layout: Layout, xy: jax.Array, bay: jax.Array
 ) -> RouteLeft:
-    """What is left of the routes of cars to their bays.
+    """Remaining routes of cars to their bays.
 
     Args:
         routes: of the lot; None = routes are straight lines.

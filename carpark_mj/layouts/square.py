@@ -77,7 +77,7 @@ class SquareConfig(LayoutConfig):
 
     @property
     def is_random(self) -> bool:
-        """Whether other keys give other lots."""
+        """False: the lot does not depend on the key."""
         return False
 
     @property

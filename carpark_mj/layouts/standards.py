@@ -1,4 +1,4 @@
-"""Dimensions of car parks and of the car they are drawn for; one home, with sources.
+"""Dimensions of car parks and of their design car, with sources.
 
 Sources: [mfs] Manual for Streets (UK, 2007), section 8.3; [rast] RASt 06 and EAR 23
 (Germany); [us] US practice after the ITE tables, here as in Snohomish Municipal Code
@@ -49,7 +49,7 @@ def one_way_aisle(angle: float) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class DesignCar(CheckedConfig):
-    """The car a lot is drawn for; by default the `compact` vehicle preset.
+    """The design car of a lot; by default the `compact` vehicle preset.
 
     Attributes:
         length: [m].

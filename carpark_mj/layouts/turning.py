@@ -1,4 +1,4 @@
-"""The narrowest aisle from which a car gets into a bay, from its turning circle.
+"""The narrowest aisle from which a car can enter a bay, from its turning circle.
 
 A car on full lock turns about a point on its rear axle's line, at R = L / tan(delta)
 from the axle's centre (Ackermann). Its inner side sweeps R - w/2; its outer rear and
@@ -83,7 +83,7 @@ class Entry:
         require_within(self, *PLAUSIBLE_BAY, "m", "bay_width")
 
     def least(self, car: DesignCar) -> float:
-        """Narrowest aisle [m] from which a car would get into the bay."""
+        """Narrowest aisle [m] from which a car can enter the bay."""
         if self.angle == 0.0:
             return least_parallel_aisle(car)
         return least_aisle(car, self.angle, self.bay_width, self.walled)

@@ -34,7 +34,7 @@ class BayEnd(enum.IntEnum):
 
 
 class WallKind(enum.IntEnum):
-    """What a solid box looks like; all kinds collide alike."""
+    """Look of a solid box; all kinds collide alike."""
 
     WALL = 0
     KERB = 1
@@ -43,7 +43,7 @@ class WallKind(enum.IntEnum):
 
 
 class DiscKind(enum.IntEnum):
-    """What a solid disc looks like; all kinds collide alike."""
+    """Look of a solid disc; all kinds collide alike."""
 
     PILLAR = 0
     BOLLARD = 1
@@ -70,7 +70,7 @@ class Layout:
         disc_mask: (..., discs) bool.
         lane_pose: (..., lanes, 3) centre of each lane and its direction of travel.
         lane_size: (..., lanes, 2) length along the direction and width [m].
-        lane_one_way: (..., lanes) bool; False where either direction is right.
+        lane_one_way: (..., lanes) bool; False where both directions are allowed.
         lane_mask: (..., lanes) bool.
         spawn_pose: (..., regions, 3) rectangles in which car centres may spawn.
         spawn_size: (..., regions, 2) [m]; a region is drawn in proportion to its area.
@@ -117,10 +117,10 @@ class Layout:
 
     @property
     def parked_pose(self) -> jax.Array:
-        """(..., bays, 3) how a car stands in the middle of each bay.
+        """(..., bays, 3) pose of a car in the middle of each bay.
 
-        That is `bay_pose`, its tail in the bay's far end; turned where it must be the
-        nose.
+        It is `bay_pose`, with the tail at the bay's far end; turned by 180 degrees
+        where the nose must go in first.
         """
         if self.bay_end is None:
             return self.bay_pose
@@ -133,7 +133,7 @@ class Layout:
     def one_way(self) -> jax.Array | None:
         """(..., bays) bool, whether cars must stand as `parked_pose`; None = nowhere.
 
-        Elsewhere they may stand the other way round, too.
+        In other bays they may also stand the other way round.
         """
         return None if self.bay_end is None else self.bay_end != BayEnd.EITHER
 

@@ -1,6 +1,6 @@
-"""Actions: what they consist of, and how invalid ones are sanitized.
+"""Actions: their parts, and how invalid numbers are sanitized.
 
-Jitted code cannot raise, so what is NaN or out of range is replaced and counted.
+Jitted code cannot raise, so NaN and numbers out of range are replaced and counted.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from carpark_mj.config import EnvConfig
 
 @dataclasses.dataclass(frozen=True)
 class ActionSpec:
-    """What an agent's action consists of: numbers in [-1, 1], then indices.
+    """Parts of an agent's action: numbers in [-1, 1], then indices.
 
     Attributes:
         continuous: number of continuous entries, in [-1, 1], which come first.
@@ -50,7 +50,7 @@ class Action(NamedTuple):
             where they are indices only.
         goal_choice: (...) int32 0 = explore, k = head for the k-th tracked bay; None
             while goals are fixed.
-        invalid: (...) bool, whether anything had to be replaced.
+        invalid: (...) bool, whether any part was replaced.
     """
 
     controls: jax.Array
@@ -59,7 +59,7 @@ class Action(NamedTuple):
 
 
 def action_spec(config: EnvConfig) -> ActionSpec:
-    """What an action consists of: controls and, with dynamic goals, a choice."""
+    """Parts of an action: controls and, with dynamic goals, a choice."""
     goals, physics = config.goals, config.physics_config
     choice = (1 + goals.num_tracked_bays,) if goals.dynamic else ()
     return ActionSpec(physics.continuous, (*physics.choices, *choice))
@@ -80,7 +80,7 @@ def parse(config: EnvConfig, action: jax.Array) -> Action:
 def sanitize_action(
     spec: ActionSpec, action: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Replaces what is NaN or out of range in actions (..., spec.size).
+    """Replaces NaN and numbers out of range in actions (..., spec.size).
 
     Returns:
         The numbers (..., spec.continuous) and the indices (..., choices) int32, see
@@ -117,8 +117,8 @@ def sanitize_indices(
         choices: number of choices in each of the k branches.
 
     Returns:
-        Indices (..., k) int32, the middle one for NaN and the nearest for others that
-        are none, and (...) bool, whether any was replaced.
+        Indices (..., k) int32: the middle one for NaN, the nearest for other invalid
+        numbers; and (...) bool, whether any was replaced.
     """
     most = jnp.array(choices, jnp.float32) - 1
     value = indices.astype(jnp.float32)

@@ -48,8 +48,8 @@ def _near_agent_gap(pose: jax.Array, size: jax.Array) -> jax.Array:
 def clearances(motion: Motion, obstacles: Sequence[Group]) -> dict[str, jax.Array]:
     """Gaps (num_agents,) [m] of the step by the labels of `ObstacleKind`.
 
-    The smallest at the traced instants, those at which collisions are looked for: 0
-    where footprints overlapped at one of them. At most `RANGE`.
+    The smallest gap at the traced instants, where collisions are tested: 0 if
+    footprints overlapped at one of them. At most `RANGE`.
     """
     return least_by_kind(obstacles, lambda group: _clearance(motion, group))
 

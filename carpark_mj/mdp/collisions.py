@@ -1,7 +1,7 @@
 """Collisions: the obstacles that each agent touched during a step.
 
-Physics with contacts reports them; otherwise footprints are tested for overlap at
-every traced instant, of near pairs only where a lot is crowded.
+Physics with contacts reports them. Otherwise footprints are tested for overlap at every
+traced instant; in crowded lots near pairs only.
 """
 
 import dataclasses
@@ -76,7 +76,7 @@ def _group_hits(motion: Motion, group: Group) -> jax.Array:
 
 
 def _near_hits(motion: Motion, them: Merged) -> list[tuple[ObstacleKind, jax.Array]]:
-    """As `_group_hits` of many obstacles of one shape, by kind: near ones only."""
+    """Like `_group_hits`, for the near ones of many obstacles of a shape, by kind."""
     trace, traced = motion.trace_w, them.group.traced
     bound = them.group.gaps(trace[:, -1, :2]) - them.excursion
     bound = jnp.where(them.counts, bound, jnp.inf)

@@ -1,4 +1,4 @@
-"""Giving way: which agents have a goal that another agent is nearer to.
+"""Giving way: agents with a goal that another agent is nearer to.
 
 An agent with a goal is in a *context* if some other agent is strictly nearer to that
 goal (centres, world distance) and also, in the notation of Tanner 2022:
@@ -8,23 +8,23 @@ goal (centres, world distance) and also, in the notation of Tanner 2022:
 | `local_same` (L,S) | is tracked and has the same goal |
 | `local_any` (L,A) | is tracked |
 | `global_same` (G,S) | has the same goal |
-| `global_any` (G,A) | – |
+| `global_any` (G,A) | any |
 | `untracked_same` (G+,S) | is not tracked and has the same goal |
 | `untracked_any` (G+,A) | is not tracked |
 | `untracked_other` (G+,A) | is not tracked and does not have the same goal |
-| `only_untracked_same` (G+,S) | as in (G,S), and none is there as in (L,S) |
-| `only_untracked_any` (G+,A) | as in (G,A), and none is there as in (L,A) |
-| `global_same_not_local_any` | as in (G,S), and none is there as in (L,A) |
+| `only_untracked_same` (G+,S) | as in (G,S), but no agent as in (L,S) |
+| `only_untracked_any` (G+,A) | as in (G,A), but no agent as in (L,A) |
+| `global_same_not_local_any` | as in (G,S), but no agent as in (L,A) |
 
-The study defines G+ by an intersection that would equal L, and calls it disjoint from
-L, which only the set differences `only_untracked_*` are; its published figures come
-from `untracked_same` and `untracked_other`. All are counted side by side. The last row
-tells whether agents that are penalized in (L,A) only also give way to agents that they
-do not track.
+The study defines G+ by an intersection that equals L, and calls it disjoint from L.
+Only the set differences `only_untracked_*` are disjoint from L; published figures come
+from `untracked_same` and `untracked_other`. Metrics count all of them. The last row
+measures whether agents that are penalized in (L,A) only also give way to agents that
+they do not track.
 
-The *situation* of a step is the one that agents observe when they choose: poses and
-tracked agents at its start. Agents choose in the order of their numbers, as in the
-study: each sees the new goals of agents before it and the old goals of agents after it
+The *situation* of a step is what agents observe when they choose: poses and tracked
+agents at its start. Agents choose in the order of their numbers, as in the study. Each
+sees the new goals of agents before it and the old goals of agents after it
 (`goals_in_turn`). All cars move after the last choice.
 """
 
@@ -53,7 +53,7 @@ def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
 def find_contexts(
     before: State, chosen: jax.Array, tracked: jax.Array
 ) -> dict[ContextName, jax.Array]:
-    """In which contexts each agent is, see the table above.
+    """Contexts of each agent, see the table above.
 
     Agents that have finished are in no context and cause none.
 

@@ -25,9 +25,9 @@ def goal_potential(
 ) -> jax.Array:
     """Potential (...) of a pose: minus the weighted distance and misalignment to go.
 
-    Progress terms are differences of this (undiscounted), so that no closed loop pays.
-    The misalignment with the bay's axis, either way round if either end may go in
-    first, counts more the nearer the goal is.
+    Progress terms are undiscounted differences of it, so closed loops earn nothing. The
+    misalignment with the bay's axis counts more the nearer the goal is; either way
+    round is right if either end may go in first.
 
     Args:
         weights: of distance and misalignment.
@@ -104,11 +104,11 @@ AGAINST = math.radians(120.0)
 def drives_wrong_way(layout: Layout, motion: Motion) -> jax.Array | None:
     """Whether each agent drives against the lanes it is in.
 
-    It does if it moves, its centre is in a lane, and no lane there allows its
-    direction of travel: that of its motion, not its heading, so that reversing counts
-    by where the car goes. A lane allows any direction if it is not one-way, else those
-    within `AGAINST` of its own. The halves of a two-way street are one-way lanes
-    (`layouts.build.two_lanes`), so driving on its wrong side counts, too.
+    An agent does if it moves, its centre is in a lane, and no lane there allows its
+    direction of motion. The heading does not matter, so a reversing car counts by where
+    it goes. A one-way lane allows directions within `AGAINST` of its own, any other
+    lane all directions. The halves of a two-way street are one-way lanes
+    (`layouts.build.two_lanes`), so driving on the wrong side counts.
 
     Returns:
         (num_agents,) bool; None in lots that never have lanes.

@@ -23,7 +23,7 @@ TOLERANCE = 1e-3  # m, rad or m/s by which a start may differ from what was aske
 
 @struct.dataclass
 class ResetOptions:
-    """How agents begin their first episodes; None and NaN are drawn.
+    """How agents begin their first episodes; None and NaN mean drawn.
 
     Drawn goals, starts and parked cars do not overlap given ones. A parked car without
     a free bay is absent.
@@ -48,8 +48,8 @@ def read_reset_options(
     """Options of one lot as float32 and int32; None if nothing is given.
 
     Raises:
-        TypeError: something else.
-        ValueError: another shape, or a goal where agents choose theirs.
+        TypeError: `options` has another type.
+        ValueError: an array has another shape, or goals are dynamic.
     """
     require_kind("options", options, ResetOptions | None)
     if options is None or not jax.tree.leaves(options):
@@ -114,7 +114,7 @@ def kept_clear(
 
 
 def check_starts(config: EnvConfig, options: ResetOptions, state: State) -> None:
-    """Refuses lots that could not begin as asked for.
+    """Refuses lots whose given starts are impossible.
 
     Args:
         config: of the environment.
@@ -122,7 +122,7 @@ def check_starts(config: EnvConfig, options: ResetOptions, state: State) -> None
         state: with which they began.
 
     Raises:
-        ValueError: naming the first agent whose start cannot be, and why.
+        ValueError: naming the first agent with an impossible start, and the reason.
     """
     many = state.goal.ndim > 1
     if not many:
@@ -138,7 +138,7 @@ Fault = tuple[Any, Callable[[tuple[int, int]], str]]
 
 
 def _faults(config: EnvConfig, options: ResetOptions, state: State) -> Iterator[Fault]:
-    """Which agents (lots, num_agents) bool cannot begin as asked for, and why."""
+    """Agents (lots, num_agents) bool with impossible starts, and the reason."""
     shape, layout, motion = state.goal.shape, state.layout, state.motion
     pose = np.full((*shape, 3), np.nan) if options.pose is None else options.pose
     speed = np.full(shape, np.nan) if options.speed is None else options.speed

@@ -73,7 +73,7 @@ def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax
 
 
 def _is_off(weight: float) -> bool:
-    """Whether a weight is known to be 0; one that is traced may have any value."""
+    """Whether a weight is known to be 0; a traced weight may have any value."""
     return not isinstance(weight, jax.Array) and weight == 0.0
 
 

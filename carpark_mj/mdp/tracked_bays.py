@@ -54,7 +54,7 @@ def track_bays(
     Args:
         layout: the lot.
         xy: (num_agents, 2) centres of the agents [m].
-        free: (bays,) or (num_agents, bays) bool, what counts.
+        free: (bays,) or (num_agents, bays) bool, the free bays.
         tracked_bays: (num_agents, num_tracked_bays) int32 so far, `NO_BAY` in empty
             slots.
 
@@ -86,7 +86,7 @@ def target_bay(
         xy: (num_agents, 2) centres of the agents [m].
 
     Returns:
-        (num_agents,) int32, and (num_agents,) bool, whether there is such a bay.
+        (num_agents,) int32, and (num_agents,) bool, whether the bay exists.
     """
     rows = jnp.minimum(tracked_bays, layout.num_bays - 1)
     gap = norm(layout.bay_pose[rows, :2] - xy[:, None])

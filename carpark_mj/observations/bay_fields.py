@@ -30,7 +30,7 @@ _BAY_FIELDS = (
         1,
         0.0,
         1.0,
-        "1 if there is such a bay; else all its numbers are 0",
+        "padding mask: 1 if the bay exists, else all its numbers are 0",
         is_mask=True,
     ),
     *POSE_FIELDS,

@@ -24,7 +24,7 @@ def observe(config: EnvConfig, state: State) -> jax.Array:
     Absent agents observe zeros.
 
     Raises:
-        ValueError: the encoder's values are not those of its fields.
+        ValueError: the encoder's values do not match its fields.
     """
     vector = join(config, config.observation.values(config, state), state.goal.shape[0])
     if state.present is None:
@@ -36,11 +36,12 @@ def join(config: EnvConfig, values: Mapping[str, jax.Array], count: int) -> jax.
     """The observations (count, observation_size) float32 of values by field.
 
     Raises:
-        ValueError: the values are not those of the encoder's fields.
+        ValueError: the values do not match the encoder's fields.
     """
     fields = make_fields(config)
     _require_fit(config.observation.encoding, fields, values, count)
-    ordered = [values[field.name] for field in fields]
+    # XLA would compute the values within the concatenation, some of them repeatedly.
+    ordered = jax.lax.optimization_barrier([values[field.name] for field in fields])
     return jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
 
 
@@ -50,7 +51,7 @@ def _require_fit(
     values: Mapping[str, jax.Array],
     num_agents: int,
 ) -> None:
-    """Refuses values that are not those of the fields, each (num_agents, size).
+    """Refuses values that do not match the fields, each (num_agents, size).
 
     Raises:
         ValueError: naming the encoder and the fields.
@@ -61,13 +62,13 @@ def _require_fit(
         names = [field.name for field in fields]
         wrong = f"declares {sorted({x for x in names if names.count(x) > 1})} twice"
     elif missing := sorted(shapes.keys() - given.keys()):
-        wrong = f"fills no {missing}, which it declares"
+        wrong = f"does not fill {missing}, which it declares"
     elif extra := sorted(given.keys() - shapes.keys()):
         wrong = f"fills {extra}, which it does not declare"
     elif bad := sorted(name for name in shapes if given[name] != shapes[name]):
         wrong = (
-            f"fills {bad} with {[given[name] for name in bad]} numbers, not the "
-            f"{[shapes[name] for name in bad]} that it declares"
+            f"fills {bad} with {[given[name] for name in bad]} numbers but declares "
+            f"{[shapes[name] for name in bad]}"
         )
     else:
         return
@@ -83,13 +84,13 @@ def cardinalities(config: EnvConfig) -> tuple[int, ...]:
     """How many values each number of the observation can have, for tables.
 
     Raises:
-        ValueError: not all are whole numbers from 0.
+        ValueError: a number is not whole, or its range does not begin at 0.
     """
     fields = make_fields(config)
     if not all(field.is_whole and field.low == 0 for field in fields):
         raise ValueError(
-            "a table needs an observation of whole numbers, which the encoding "
-            f"{config.observation.encoding!r} is not"
+            "a table needs an observation of whole numbers, not the encoding "
+            f"{config.observation.encoding!r}"
         )
     return tuple(int(field.high) + 1 for field in fields for _ in range(field.size))
 

@@ -30,8 +30,10 @@ class ContinuousObservation(ObservationConfig):
     """Real numbers of order 1; `parts` lists them.
 
     Attributes:
-        tracked_agents: most nearest other agents observed; fewer in a lot of fewer.
-        tracked_parked_cars: most nearest parked cars observed; fewer in a lot of fewer.
+        tracked_agents: how many of the nearest other agents are observed, capped by
+            those in the lot.
+        tracked_parked_cars: how many of the nearest parked cars are observed, capped by
+            those in the lot.
         share: what is observed of tracked agents in addition to their poses.
         global_information: observe, for the goal or every tracked bay, the distances to
             the nearest agent and to the nearest agent that has it as its goal.
@@ -66,9 +68,8 @@ class ContinuousObservation(ObservationConfig):
     def parts(self, env: EnvConfig) -> list[Part]:
         """All that is observed, in order. An extension adds to it.
 
-        One slot for other agents and one for parked cars stay where there are no such
-        cars, so that a network that reads sets of cars has the same weights whatever
-        their number.
+        At least one slot each remains for other agents and for parked cars, so that a
+        set encoder has the same weights whatever their number.
         """
         num_bays = env.goals.num_tracked_bays if env.goals.dynamic else 0
         agents = min(self.tracked_agents, max(env.num_agents - 1, 1))

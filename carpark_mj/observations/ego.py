@@ -190,7 +190,7 @@ CAR = Part(
 _LANE_FIELDS = (
     Field("lane_present", 1, 0.0, 1.0, "1 if the lot has lanes; else all 0"),
     Field("lane_heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
-    Field("lane_one_way", 1, 0.0, 1.0, "1 if only that direction is right"),
+    Field("lane_one_way", 1, 0.0, 1.0, "1 if only that direction is allowed"),
 )
 
 

@@ -107,7 +107,7 @@ CAR_FIELDS = (
         1,
         0.0,
         1.0,
-        "1 if there is such a car; else all its numbers are 0",
+        "padding mask: 1 if the car exists, else all its numbers are 0",
         is_mask=True,
     ),
     *POSE_FIELDS,

@@ -23,7 +23,7 @@ class Sight:
 
     Attributes:
         state: of the lot.
-        agents: all of them (num_agents,) as their sensors tell; `state.motion` is true.
+        agents: measured motion of all (num_agents,); `state.motion` is the true one.
         num_observers: how many of them observe, the first; None = all, as in `values`
             of parts (num_agents, k).
         number: (num_agents,) numbers that give priority; None = 0, 1, 2...
@@ -41,7 +41,7 @@ class Sight:
 
     @property
     def motion(self) -> Motion:
-        """The observers, as their sensors tell."""
+        """Measured motion of the observers."""
         return self._of_observers(self.agents)
 
     @property
@@ -62,7 +62,7 @@ class Sight:
 
     @property
     def obstacles(self) -> tuple[Group, ...]:
-        """All there is to hit, agents first and where they are sensed."""
+        """All obstacles, agents first and at their measured poses."""
         state = self.state
         return lot_obstacles(state.layout, self.agents, state.parked_cars, state.movers)
 
@@ -72,7 +72,7 @@ class Sight:
         return self._of_observers(self.state.physics.vehicle)
 
     def with_goal(self, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        """Values (num_observers, k) that are about the goal: zeros without one."""
+        """Values (num_observers, k) about the goal; zeros without a goal."""
         if self.state.tracked_bays is None:
             return values
         has_goal = (self.goal != NO_BAY)[:, None]

@@ -35,10 +35,9 @@ def cast_rays(
     """Free distance along the bearings (num_agents, count), divided by the reach.
 
     The rays start at the footprint's centre, the first one straight ahead, the others
-    evenly spaced counter-clockwise in the body frame. It is measured from where a
-    ray leaves the car's own outline, so that 0 means touching whatever the bearing,
-    to the nearest obstacle; 1 means that nothing is hit within reach. Exact, on boxes
-    and discs alike.
+    evenly spaced counter-clockwise in the body frame. The distance counts from the
+    car's own outline to the nearest obstacle: 0 means touching at any bearing, 1 that
+    no obstacle is within reach. It is exact for boxes and discs.
 
     Args:
         config: the rays.
@@ -50,6 +49,8 @@ def cast_rays(
     bearing = jnp.arange(count) * (2 * jnp.pi / count)
     ahead = jnp.stack([jnp.cos(bearing), jnp.sin(bearing)], axis=-1)
     direction = rotate(ahead, own_pose[:, None, 2])[:, None]  # (agents, 1, count, 2)
+    # Once for a ray, not for each obstacle, which XLA would do to save memory.
+    direction = jax.lax.optimization_barrier(direction)
     origin = own_pose[:, None, None, :2]
     outline = jnp.min(0.5 * own_size[:, None] / jnp.abs(ahead), axis=-1)
     free = outline + reach  # nothing farther away is seen

@@ -1,4 +1,4 @@
-"""The cars that an agent tracks: the nearest."""
+"""Tracked cars: the nearest to each agent."""
 
 import jax
 import jax.numpy as jnp
@@ -69,7 +69,7 @@ def mark(index: jax.Array, present: jax.Array, count: int) -> jax.Array:
 
 
 def tracks(config: EnvConfig, state: State) -> jax.Array:
-    """Whether agents track each other, as far as their sensors tell.
+    """Whether agents track each other, by their measured poses.
 
     Returns:
         (num_agents, num_agents) bool, [i, j] whether i tracks j.
@@ -80,7 +80,7 @@ def tracks(config: EnvConfig, state: State) -> jax.Array:
 
 
 def tracks_parked_cars(config: EnvConfig, state: State) -> jax.Array:
-    """Whether agents track parked cars, as far as their sensors tell.
+    """Whether agents track parked cars, by their measured poses.
 
     Returns:
         (num_agents, num_parked_cars) bool.

@@ -1,7 +1,7 @@
-"""The core's back ends; what they are made of is imported when they are built.
+"""The core's back ends; their modules are imported when they are built.
 
-`contact` imports MJX and `scene` trimesh, which together take about half of the time to
-import the environment.
+`contact` imports MJX and `scene` trimesh, together about half of the import time of the
+environment.
 """
 
 import dataclasses
@@ -81,7 +81,7 @@ class BicycleConfig(PhysicsConfig):
     def make(
         self, config: EnvConfig, layout: "Layout | None", vehicle: "VehicleParameters"
     ) -> "Physics[Any]":
-        """Builds it; it has no ground but a plane."""
+        """Builds it; its ground is a plane."""
         from carpark_mj.physics.bicycle import BicyclePhysics
 
         del layout, vehicle

@@ -1,6 +1,6 @@
-"""The interface between physics and task: what its back ends share, who makes them.
+"""The interface between physics and task, and shared code of back ends.
 
-Every function takes any leading batch shape, but `ScenePhysics.step`: see there.
+Every function takes any leading batch shape, except `ScenePhysics.step`.
 """
 
 import abc
@@ -25,7 +25,7 @@ class Physics(Protocol[S]):
     """A physics back end.
 
     Attributes:
-        config: its traits. With `contacts`, `read` reports what cars touched.
+        config: its traits. With `contacts`, `read` reports the contacts of cars.
     """
 
     config: PhysicsConfig
@@ -86,7 +86,7 @@ class Physics(Protocol[S]):
         ...
 
     def read(self, state: S) -> Motion:
-        """The motion of the cars, all that the task reads."""
+        """The motion of the cars; the task reads nothing else."""
         ...
 
 
@@ -199,7 +199,7 @@ def run_substeps(
 
 
 def require_plain_ground(sim: SimConfig, name: str) -> None:
-    """Refuses what a kinematic back end cannot model.
+    """Refuses settings that a kinematic back end does not model.
 
     Raises:
         ValueError: a slope, a slippery surface or contact tyres.
@@ -236,21 +236,21 @@ def make_physics(
         vehicle: of all cars, for `scene`.
 
     Raises:
-        ValueError: the back end cannot do what else is configured.
-        TypeError: what its config makes is no back end.
+        ValueError: the back end does not support other settings.
+        TypeError: its config does not make a back end.
     """
     return require_physics(config.physics_config.make(config, layout, vehicle))
 
 
 def require_physics(physics: Any) -> Physics[PhysicsState]:
-    """Refuses an object that is no back end.
+    """Refuses an object that is not a back end.
 
     Raises:
-        TypeError: naming what it lacks.
+        TypeError: naming the missing attributes.
     """
     if isinstance(physics, str):
         raise TypeError(
-            f"physics must be of Physics or None, not {physics!r}: a name stands in "
+            f"physics must be of Physics or None, not {physics!r}: names belong in "
             "the config"
         )
     if missing := [name for name in MEMBERS if not hasattr(physics, name)]:

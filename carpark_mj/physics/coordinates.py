@@ -1,4 +1,4 @@
-"""The state of a car's MuJoCo model, packed as MuJoCo has it and unpacked by name."""
+"""The state of a car's MuJoCo model, packed as in MuJoCo and unpacked by name."""
 
 from typing import NamedTuple
 
@@ -43,7 +43,7 @@ class CarIndex:
 
 
 class CarDynamics(NamedTuple):
-    """What a substep changes of cars (...), packed.
+    """Variables of cars (...) that a substep changes, packed.
 
     Attributes:
         qpos: (..., nq) MuJoCo positions.
@@ -88,7 +88,7 @@ class Coordinates(NamedTuple):
 
 
 class Car(NamedTuple):
-    """What a substep changes of cars (...), unpacked: an array (...) per component.
+    """Variables of cars (...) that a substep changes: an array (...) per component.
 
     Attributes:
         coordinates: positions and velocities.

@@ -1,6 +1,6 @@
-"""The forces on a car over a substep: from driver and tyres.
+"""The forces of driver and tyres on a car over a substep.
 
-One home for every integrator: the unrolled step, `mjx.step`, C MuJoCo in the `scene`
+All integrators use this module: the unrolled step, `mjx.step`, C MuJoCo in the `scene`
 back end and in the tests. Functions are elementwise over cars of any shape.
 """
 
@@ -35,7 +35,7 @@ from carpark_mj.vehicle.wheel import Wheel, wheels_of
 
 
 class CarForces(NamedTuple):
-    """What tyres and driver apply to cars (...) over a substep.
+    """Forces of tyres and driver on cars (...) over a substep.
 
     Attributes:
         force_w: of all tyres, world frame [N].
@@ -53,7 +53,7 @@ class CarForces(NamedTuple):
 
 
 class Driven(NamedTuple):
-    """What a substep of driver and tyres gives for cars (...).
+    """Result of a substep of driver and tyres for cars (...).
 
     Attributes:
         forces: on the car.
@@ -107,7 +107,7 @@ def roll(
     torques: Sequence[drive.WheelTorques],
     dt: float | jax.Array,
 ) -> tuple[CarForces, tuple[TyreState, ...]]:
-    """What the tyres apply to cars over one substep, the wheel torques given.
+    """Forces of the tyres on cars over one substep, for given wheel torques.
 
     The ground is the plane z = 0; a slope is tilted gravity (`gravity_vector`).
 
@@ -151,9 +151,9 @@ def _wheel_motion(
 
     Returns:
         The motion; the unit vector (x, y) along the wheel's plane on the ground; the
-        contact point in the body frame [m]. That lies on the ground: it does not lean
-        with the car, or the centre of gravity would stand too high above it and the
-        car would tip over too early.
+        contact point in the body frame [m]. That point lies on the ground and does not
+        lean with the car; otherwise the centre of gravity would be too high above it
+        and the car would tip over too early.
     """
     rotation = at.rotation
     up = rotation[2]
@@ -188,7 +188,7 @@ def substep_forces(
     controls: jax.Array,
     dt: float,
 ) -> tuple[jax.Array, jax.Array, TyreState, drive.Actuators]:
-    """What driver, servos and tyres apply to cars over one substep, for MuJoCo.
+    """Forces of driver, servos and tyres on cars over one substep, for MuJoCo.
 
     Args:
         index: addresses of the car in `qpos` and `qvel`.

@@ -1,9 +1,9 @@
 """Elementwise functions as one GPU kernel, in Pallas on Triton.
 
-XLA runs a loop from outside, in a few kernels each time round, whose launches and
-memory traffic take longer than the arithmetic. In one kernel a thread keeps a car in
-its registers for the whole control step. JAX 0.11 deprecates Pallas on Triton: where it
-is gone, `on_cuda` can go too, at the price of speed alone.
+XLA launches a few kernels for each iteration of a loop; launches and memory traffic
+take longer than the arithmetic. In one kernel a thread keeps a car in its registers for
+the whole control step. JAX 0.11 deprecates Pallas on Triton. Without it `on_cuda` can
+be removed at the cost of speed only.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,8 +39,8 @@ def _on_either(
 ) -> Tree:
     """`on_cuda` where there may be a GPU; shared leaves of `args` stay shared.
 
-    The wrappers hand every leaf on as an array of its own: without this the kernel
-    would load what the wheels share four times, and run a fifth slower.
+    The wrappers pass each leaf as a separate array. Without sharing, the kernel would
+    load parameters common to the wheels four times and run a fifth slower.
     """
     rows, restore = _share(args)
 
@@ -57,7 +57,7 @@ def _on_either(
 
 
 def _share(args: Any) -> tuple[list[jax.Array], Callable[[Sequence[jax.Array]], Any]]:
-    """The different leaves of a tree, and how the tree is made of such leaves."""
+    """The distinct leaves of a tree, and a function that rebuilds the tree."""
     leaves, tree = jax.tree.flatten(args)
     unique = {id(leaf): leaf for leaf in leaves}  # wheels share their car's parameters
     row = {leaf: i for i, leaf in enumerate(unique)}

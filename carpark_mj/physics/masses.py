@@ -18,8 +18,8 @@ class MassProperties:
     Attributes:
         mass: of the whole car [kg].
         com: common centre of mass, body frame [m].
-        body_inertia: about it, of all that does not steer: chassis, the masses of the
-            corners as points, rear wheels without their spin [kg m^2].
+        body_inertia: about it, of all parts that do not steer: chassis, the masses of
+            the corners as points, rear wheels without their spin [kg m^2].
         corner_inertia: of each front corner, knuckle and wheel, about the wheel's
             (longitudinal, axle, vertical) axes, without the spin [kg m^2].
         spin_inertia: of each wheel about its axle [kg m^2].

@@ -1,9 +1,8 @@
 """The batched back end: one 12-dof car per world, MuJoCo's model and equations.
 
-Per car only (qpos, qvel, bristles, actuators) is carried; the vehicle's parameters lie
-in the state too, so a batch may mix cars without recompiling. Cars are stepped by the
-unrolled equations where the model allows, else by `mjx.step`; `SimConfig.stepper` can
-force either.
+The state of a car is qpos, qvel, bristles, actuators and the vehicle's parameters, so a
+batch may mix cars without recompiling. The unrolled equations step cars where the model
+allows, otherwise `mjx.step` does; `SimConfig.stepper` can force either.
 """
 
 import dataclasses
@@ -80,7 +79,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
         self._step = self._make_stepper(model, sim)
 
     def _compile(self, sim: SimConfig) -> mujoco.MjModel:
-        """The model of one car; what a batch may mix is replaced in every step."""
+        """The model of one car; per-car parameters are replaced in every step."""
         return car_model(COMPACT, sim.sim_dt, gravity_vector(sim))
 
     def _make_stepper(self, model: mujoco.MjModel, sim: SimConfig) -> Stepper:
@@ -130,8 +129,8 @@ class MjxPhysics(FactoredPhysics[CarState]):
     def step(self, state: CarState, controls: jax.Array) -> CarState:
         """Advances by one control step; see `Physics.step`.
 
-        A car with a non-finite number in its state, or on its side, is put back to
-        where it was before the step, at rest on the position it had, and flagged.
+        A car with a non-finite number in its state, or on its side, is flagged and put
+        back at rest to its pose before the step.
         """
         with jax.named_scope("physics"):
             vehicle = on_surface(state.vehicle, self.sim.surface)

@@ -27,7 +27,7 @@ class MjxStep:
     """The control step of cars of any leading shape, in MJX, on brush tyres."""
 
     def __init__(self, model: mujoco.MjModel, sim: SimConfig) -> None:
-        """Takes the model of a car; what a batch may mix is replaced in `__call__`.
+        """Takes the model of a car; `__call__` replaces per-car parameters.
 
         Raises:
             ValueError: under flags with which XLA cannot compile MJX.
@@ -41,7 +41,7 @@ class MjxStep:
     def __call__(
         self, vehicle: Vehicle, car: CarDynamics, controls: jax.Array
     ) -> tuple[CarDynamics, jax.Array]:
-        """Advances cars (...) by one control step; as `UnrolledStep`."""
+        """Advances cars (...) by one control step; see `UnrolledStep`."""
         function = self._step
         for _ in range(controls.ndim - 1):
             function = jax.vmap(function)

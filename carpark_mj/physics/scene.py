@@ -2,11 +2,11 @@
 
 Agents' cars on brush tyres (the same code as `carpark_mj.physics.mjx`), parked cars
 that can be pushed, walls; all hulls collide. JAX computes the tyres of all cars, a
-host callback per substep steps the scenes. It is slow and meant for checking the
-factored physics, for evaluation by contacts, and for rendering crashes.
+host callback per substep steps the scenes. It is slow and serves to check the factored
+physics, to evaluate by contacts and to render crashes.
 
-Every car follows its own `Vehicle`, as in `mjx`, but for its wheelbase, track and hull,
-which are those of the parameters the model was built from.
+Every car follows its own `Vehicle`, as in `mjx`, except for wheelbase, track and hull:
+they are those of the parameters from which the model was built.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ from carpark_mj.vehicle.conditions import on_surface
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.vehicle import Vehicle
 
-MOVED = 1e-3  # m or rad; a parked car set further than that away is placed anew
+MOVED = 1e-3  # m or rad; a parked car set further away than this is moved
 
 
 # Agents' cars, parked_qpos, parked_qvel, touched.
@@ -139,7 +139,7 @@ class ScenePhysics:
         return centre.at[..., 2].set(wrap_angle(centre[..., 2]))
 
     def read(self, state: SceneState) -> Motion:
-        """Reads the motion and what was touched; see `Physics.read`."""
+        """Reads the motion and the contacts; see `Physics.read`."""
         motion = self._single.read(state.cars)
         return dataclasses.replace(motion, touched=state.touched)
 

@@ -26,7 +26,7 @@ AGENT, PARKED_CAR, WALL = range(3)  # columns of `Motion.touched`
 
 
 class Moving(NamedTuple):
-    """What a substep changes, of a batch of scenes with leading shape `(...)`.
+    """Variables that a substep changes, of a batch of scenes of shape `(...)`.
 
     Attributes:
         qpos: (..., num_agents, 13) MuJoCo positions of the agents' cars.
@@ -141,8 +141,8 @@ class SceneModel:
             masses: of the agents' cars.
 
         Returns:
-            Positions and velocities after the substep, and what each agent touched
-            (..., num_agents, 3) bool.
+            Positions and velocities after the substep, and contacts of each agent
+            (..., num_agents, 3) bool, see `Motion.touched`.
         """
         arrays = [np.array(x) for x in (*moving, qfrc, ctrl, *masses)]
         lead = arrays[0].shape[:-2]
@@ -180,7 +180,7 @@ class SceneModel:
             self.find_touches(data, touched[k])
 
     def find_touches(self, data: mujoco.MjData, touched: np.ndarray) -> None:
-        """Marks in (num_agents, 3) what agents touch, by the contacts in `data`."""
+        """Marks contacts of agents (num_agents, 3) from those in `data`."""
         if data.ncon == 0:
             return
         first, second = data.contact.geom.T

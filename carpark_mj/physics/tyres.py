@@ -76,7 +76,7 @@ class WheelMotion(NamedTuple):
 
 
 class TyreForces(NamedTuple):
-    """What tyres (...) do to the car in one substep.
+    """Forces of tyres (...) on the car in one substep.
 
     Attributes:
         forward: force on the car along the wheel's plane [N].

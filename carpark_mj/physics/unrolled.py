@@ -1,10 +1,10 @@
-"""The car's substep unrolled: what `mjx.step` computes, in a few kernels.
+"""The car's substep unrolled: the computation of `mjx.step` in a few kernels.
 
-`mjx.step` serves any model: a tree of bodies in small matrices, some hundred kernels a
-substep. For this one car the same equations fit on two pages
-(`carpark_mj.physics.newton_euler`), elementwise over the batch. MJX's model and state
-stay; `check_unrollable` says for which models the equations hold, and tests compare
-them with `mjx.step` and with C MuJoCo.
+`mjx.step` handles any tree of bodies with small matrices, in some hundred kernels per
+substep. `carpark_mj.physics.newton_euler` writes the same equations out for this car,
+elementwise over the batch. MJX's model and state are unchanged. `check_unrollable`
+refuses models for which the equations do not hold, and tests compare them with
+`mjx.step` and with C MuJoCo.
 """
 
 from typing import Any, NamedTuple
@@ -36,7 +36,7 @@ from carpark_mj.vehicle.wheel import Wheel, wheels_of
 
 
 class _Fixed(NamedTuple):
-    """What stays the same of cars (...) over a control step, an array (...) each."""
+    """Constants of cars (...) over a control step, an array (...) each."""
 
     vehicle: Vehicle
     wheels: tuple[Wheel, ...]

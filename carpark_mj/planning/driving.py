@@ -27,7 +27,7 @@ from carpark_mj.vehicle import VehicleParameters
 LOOK_AHEAD = 2.5  # m of the path that must be free of other agents
 GAP = 0.3  # m kept from them
 PATIENCE = 20  # control steps until an agent that stands plans again
-ASTRAY = 0.3  # m from the path: it is planned anew
+ASTRAY = 0.3  # m from the path: the agent replans
 MAX_PLANS = 6  # of an episode
 
 
@@ -40,8 +40,8 @@ class Sight(NamedTuple):
         speed: signed [m/s].
         steering: [rad].
         goal: the bay's middle, see `search`.
-        car: what it drives.
-        solids: what stands still.
+        car: parameters of its car.
+        solids: obstacles at rest.
         others: (k, 3) poses and (k, 2) sizes of the other agents, and of movers.
         extent: (2,) of the lot [m].
     """

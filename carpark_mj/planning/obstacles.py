@@ -1,8 +1,8 @@
-"""Solid boxes and discs, and whether a car stands free of them; one pose a call.
+"""Collision tests of a car with solid boxes and discs, one pose a call.
 
-The test is exact, as `carpark_mj.geometry.boxes_overlap`, which is for batches. A grid
-says which obstacles are near: often none, or one that is too near for any heading. The
-few others are tested on plain numbers, for NumPy takes longer to call than to compute.
+The test is exact, like `carpark_mj.geometry.boxes_overlap` for batches. A grid gives
+the near obstacles: often none, or one that is too near for any heading. The few others
+are tested on plain numbers, because NumPy takes longer to call than to compute.
 """
 
 import itertools

@@ -58,7 +58,7 @@ class Planner:
         return self.agents[lot, agent].searches
 
     def act(self, seen: dict[str, Any]) -> np.ndarray:
-        """Actions (lots, agents, 2) for what `_look` gives of lots."""
+        """Actions (lots, agents, 2) from the output of `_look`."""
         seen = jax.tree.map(np.asarray, seen)
         begun = time.thread_time()
         lots, agents = seen["active"].shape
@@ -113,7 +113,7 @@ def _callback(act: Callable[[dict[str, Any]], np.ndarray]) -> Any:
 
 
 def _look(state: State) -> dict[str, Any]:
-    """What the planner reads of lots (...)."""
+    """The planner's inputs of lots (...)."""
     layout = state.layout
     one_way = layout.one_way
     if one_way is None:

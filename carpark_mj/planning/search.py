@@ -2,10 +2,10 @@
 
 RRT-Connect (Kuffner and LaValle, ICRA 2000) grows a tree from the start and one from
 the goal; Sucan, Moll and Kavraki, *The Open Motion Planning Library*, 2012. Its steps
-are short, for in a tight bay only short moves are free, and it starts afresh when it
+are short, because in a tight bay only short moves are free, and it restarts when it
 takes long. It mostly ends in the first of its goals, so the two ways round in the bay
-take turns. The quickest to drive of a few paths is taken, of more if all are slow. A
-search is cut off by the number of its collision tests, not by time.
+take turns. Of a few paths the quickest to drive is taken; more are searched for if all
+are slow. The number of collision tests ends a search, not time.
 """
 
 import dataclasses
@@ -84,11 +84,11 @@ def search(
     Args:
         start: (3,) pose of the footprint's centre.
         goal: (3,) of the bay's middle, either way round; (1, 3) if only that way.
-        solids: what to keep clear of.
+        solids: obstacles to keep clear of.
         car: that drives.
         extent: (2,) half widths of the lot [m].
         seed: of the random numbers; several numbers are one seed.
-        config: how; the defaults if None.
+        config: of the search; the defaults if None.
 
     Raises:
         ValueError: OMPL is not installed.
@@ -158,10 +158,10 @@ def require_ompl() -> None:
 
 
 class _Counter:
-    """Counts collision tests; once there have been enough, nothing is free in a search.
+    """Counts collision tests; beyond the limit no pose is free.
 
-    RRT-Connect asks whether to stop only between its rounds, and a round goes on for as
-    long as moves towards the other tree are free. Now and then moves of Reeds and Shepp
+    RRT-Connect checks whether to stop only between its rounds, and a round lasts as
+    long as moves towards the other tree are free. Sometimes moves of Reeds and Shepp
     come no nearer to it, and the round would never end.
     """
 

@@ -1,4 +1,4 @@
-"""What a policy does in a lot: most act on observations, some on the lot's state."""
+"""Acting policies: most act on observations, some on the state of the lot."""
 
 from collections.abc import Callable
 
@@ -27,8 +27,8 @@ AnyPolicy = Policy | StatePolicy
 def as_argument(policy: AnyPolicy) -> AnyPolicy:
     """A policy as a pytree of its parameters, to be passed to a jitted function.
 
-    If the function closed over it, its weights would be constants of the program, which
-    would be compiled again for every checkpoint.
+    If the function closed over the policy, its weights would be constants of the
+    program, which would recompile for every checkpoint.
     """
     return policy if isinstance(policy, Partial | StatePolicy) else Partial(policy)
 

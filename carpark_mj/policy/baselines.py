@@ -8,7 +8,7 @@ from carpark_mj.policy.networks import Policy
 
 
 def zero_policy(action: ActionSpec) -> Policy:
-    """Takes the middle of every range, with which a standing car stays put."""
+    """Takes the middle of every range; a standing car stays where it is."""
 
     def policy(observation: jax.Array, key: jax.Array):
         del key

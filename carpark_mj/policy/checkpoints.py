@@ -1,7 +1,7 @@
 """Checkpoints: one `.npz` file of named arrays and a JSON header, no pickles.
 
-Files are written atomically. Reading checks the header, the names, shapes and dtypes;
-whatever is wrong is one `CheckpointError` in one line.
+Files are written atomically. Reading checks the header, the names, shapes and dtypes; a
+fault raises a one-line `CheckpointError`.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ def save(path: Path, tree: Any, header: dict[str, Any]) -> None:
     Args:
         path: target, ending in `.npz`.
         tree: pytree of arrays, numbers and PRNG keys.
-        header: what `read_header` gives back.
+        header: read back by `read_header`.
     """
     arrays: dict[str, Any] = {
         name: _to_numpy(leaf) for name, leaf in _named_leaves(tree).items()
@@ -58,7 +58,7 @@ def save(path: Path, tree: Any, header: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def _open(path: Path) -> Generator[Archive]:
-    """A checkpoint; what is wrong with it is a `CheckpointError`."""
+    """Opens a checkpoint; faults raise `CheckpointError`."""
     try:
         archive = Archive(path)
         if _HEADER not in archive.names:
@@ -145,7 +145,7 @@ def require_finite(path: Path, tree: Any) -> None:
 
 
 def _form(leaf: Any) -> ArrayForm:
-    """What the array of a leaf is like."""
+    """Dtype and shape of the array of a leaf."""
     if _is_key(leaf):
         leaf = jax.eval_shape(jax.random.key_data, leaf)
     elif not hasattr(leaf, "dtype"):

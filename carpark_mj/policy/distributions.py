@@ -1,7 +1,7 @@
-"""Distributions of actions that hold choices, in Brax's interface.
+"""Distributions of actions with discrete choices, in Brax's interface.
 
-Raw actions are what a network's distribution gives: numbers before tanh, and indices,
-which stay as they are. Brax's PPO loss computes with those.
+Raw actions are samples of a network's distribution: numbers before tanh, and indices.
+Brax's PPO loss uses raw actions.
 """
 
 from typing import Any
@@ -51,7 +51,7 @@ class Categoricals:
         return jnp.stack(drawn, axis=-1).astype(jnp.int32)
 
     def mode(self) -> jax.Array:
-        """Likeliest indices (..., k) int32, the first of equals."""
+        """Most probable indices (..., k) int32, the first of equals."""
         best = [jnp.argmax(log_p, axis=-1) for log_p in self._log_p]
         return jnp.stack(best, axis=-1).astype(jnp.int32)
 
@@ -99,7 +99,7 @@ class MultiCategorical(ParametricDistribution):
     """Indices (..., k) int32; parameters are the logits of branch after branch."""
 
     def __init__(self, choices: tuple[int, ...]) -> None:
-        """Takes how many there are to choose from in each of the k branches."""
+        """Takes the number of choices in each of the k branches."""
         super().__init__(
             param_size=sum(choices),
             postprocessor=IdentityPostprocessor(),
@@ -128,7 +128,7 @@ class NormalAndCategoricals:
         return _join(self._normal.sample(normal_key), choice)
 
     def mode(self) -> jax.Array:
-        """Mode of the numbers before tanh, and likeliest indices (..., size)."""
+        """Mode of the numbers before tanh, and most probable indices (..., size)."""
         return _join(self._normal.mode(), self._categoricals.mode())
 
     def log_prob(self, x: jax.Array) -> jax.Array:
@@ -187,7 +187,7 @@ class TanhNormalCategorical(ParametricDistribution):
     def __init__(
         self, continuous: int, choices: tuple[int, ...], min_std: float
     ) -> None:
-        """Takes how many numbers there are, sizes of the branches, least deviation."""
+        """Takes the number of numbers, sizes of the branches and least deviation."""
         self._normal = NormalTanhDistribution(event_size=continuous, min_std=min_std)
         self._categoricals = MultiCategorical(choices)
         super().__init__(

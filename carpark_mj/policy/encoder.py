@@ -25,7 +25,7 @@ class SetEncoder(linen.Module):
         own_size: features of the own numbers.
         entity_size: features of an entity, and so of a set.
         in_kernel: whether sets are encoded in a GPU kernel, see `entities_kernel`.
-        dtype: of the layer of the own numbers.
+        dtype: of the layer of the own numbers, and of products in the kernel.
     """
 
     sets: ObservationSets
@@ -53,7 +53,8 @@ class SetEncoder(linen.Module):
                 hidden = jnp.where(present[group][..., None], hidden, 0.0)
                 found = hidden.reshape(*hidden.shape[:-2], -1)
             elif self.in_kernel and entities_kernel.fits(size):
-                found = entities_kernel.largest(layers, parts[group], present[group])
+                kernel = entities_kernel.largest
+                found = kernel(layers, parts[group], present[group], self.dtype)
             else:
                 found = entities.largest(layers, parts[group], present[group])
             features.append(found.astype(own.dtype))

@@ -8,8 +8,7 @@ observations have none.
 """
 
 import functools
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +32,7 @@ def largest(
     layers: EntityLayers,
     entities: jax.Array,
     present: jax.Array,
+    dtype: Any = jnp.float32,
     interpret: bool = False,
 ) -> jax.Array:
     """As `entities.largest`, with gradients of the weights alone.
@@ -41,6 +41,7 @@ def largest(
         layers: of this kind of entity; the features must fit, see `fits`.
         entities: (..., count, size), normalised.
         present: (..., count) bool.
+        dtype: of the factors of matrix products; they are added up in float32.
         interpret: run on any device, slowly, for tests.
     """
     lead, (count, size) = entities.shape[:-2], entities.shape[-2:]
@@ -53,20 +54,46 @@ def largest(
     there = jnp.pad(there, ((0, 0), (0, more)))
     (kernel, bias), norm, second = layers
     kernel = jnp.pad(kernel, ((0, width - size), (0, 0)))
-    found = _largest(interpret, rows, there, (kernel, bias, *norm, *second))
+    found = _largest(
+        _How(dtype, interpret), rows, there, (kernel, bias, *norm, *second)
+    )
     return found[:samples].reshape(*lead, -1)
+
+
+class _How(NamedTuple):
+    """What `largest` says of the arithmetic."""
+
+    dtype: Any
+    interpret: bool
+
+    def dot(self, a: jax.Array, b: jax.Array, axes: tuple[int, int] = (1, 0)) -> Any:
+        """The matrix product, along these axes of the factors."""
+        contracted = (((axes[0],), (axes[1],)), ((), ()))
+        return jax.lax.dot_general(
+            a.astype(self.dtype),
+            b.astype(self.dtype),
+            contracted,
+            preferred_element_type=jnp.float32,
+        )
+
+    def options(self) -> dict[str, Any]:
+        """For `pallas_call`."""
+        from jax.experimental.pallas import triton
+
+        parameters = triton.CompilerParams(num_warps=WARPS, num_stages=1)
+        return {"compiler_params": parameters, "interpret": self.interpret}
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _largest(
-    interpret: bool, rows: jax.Array, there: jax.Array, weights: Weights
+    how: _How, rows: jax.Array, there: jax.Array, weights: Weights
 ) -> jax.Array:
     """Maxima (samples, features) over entities `rows` (count, samples, width)."""
-    return _forward(interpret, rows, there, weights)[0]
+    return _forward(how, rows, there, weights)[0]
 
 
 def _forward(
-    interpret: bool, rows: jax.Array, there: jax.Array, weights: Weights
+    how: _How, rows: jax.Array, there: jax.Array, weights: Weights
 ) -> tuple[jax.Array, Any]:
     """The maxima, and what the gradient needs."""
     from jax.experimental import pallas as pl  # slow to import
@@ -80,8 +107,8 @@ def _forward(
 
         def entity(i: Any, best: Any) -> Any:
             value, of = best
-            _, _, hidden = _hidden(rows[i], layers)
-            hidden = _dot(hidden, layers[4]) + layers[5]
+            _, _, hidden = _hidden(how, rows[i], layers)
+            hidden = how.dot(hidden, layers[4]) + layers[5]
             better = (there[i] > 0.0)[:, None] & (hidden > value)
             return jnp.where(better, hidden, value), jnp.where(better, i, of)
 
@@ -106,18 +133,17 @@ def _forward(
             jax.ShapeDtypeStruct((samples, features), jnp.int8),
         ),
         name="entities",
-        **_options(interpret),
+        **how.options(),
     )(rows, there, *weights)
     return found, (rows, there, weights, owner)
 
 
-def _backward(interpret: bool, kept: Any, change: jax.Array) -> tuple[Any, ...]:
+def _backward(how: _How, kept: Any, change: jax.Array) -> tuple[Any, ...]:
     """Gradients of the weights: every program adds up those of its blocks."""
     from jax.experimental import pallas as pl
 
     rows, there, weights, owner = kept
-    count, samples, width = rows.shape
-    features = weights[0].shape[1]
+    count, samples, _ = rows.shape
     blocks = samples // BLOCK
     programs = min(PROGRAMS, blocks)
 
@@ -130,9 +156,8 @@ def _backward(interpret: bool, kept: Any, change: jax.Array) -> tuple[Any, ...]:
             of, gained = owner[at, :].astype(jnp.int32), change[at, :]
 
             def entity(i: Any, totals: Any) -> Any:
-                new = _gradients(
-                    rows[i, at, :], jnp.where(of == i, gained, 0.0), layers
-                )
+                own = jnp.where(of == i, gained, 0.0)
+                new = _gradients(how, rows[i, at, :], own, layers)
                 return [total + x for total, x in zip(totals, new, strict=True)]
 
             return jax.lax.fori_loop(0, count, entity, totals)
@@ -152,7 +177,7 @@ def _backward(interpret: bool, kept: Any, change: jax.Array) -> tuple[Any, ...]:
             jax.ShapeDtypeStruct((programs, *x.shape), jnp.float32) for x in weights
         ],
         name="entities_gradient",
-        **_options(interpret),
+        **how.options(),
     )(rows, owner, change, *weights)
     gradients = tuple(x.sum(axis=0) for x in sums)
     return jnp.zeros_like(rows), jnp.zeros_like(there), gradients
@@ -161,10 +186,10 @@ def _backward(interpret: bool, kept: Any, change: jax.Array) -> tuple[Any, ...]:
 _largest.defvjp(_forward, _backward)
 
 
-def _hidden(x: jax.Array, layers: Any) -> tuple[jax.Array, ...]:
+def _hidden(how: _How, x: jax.Array, layers: Any) -> tuple[jax.Array, ...]:
     """Of entities (block, width): normalised features, 1 / deviation, activations."""
     features = layers[0].shape[1]
-    hidden = _dot(x, layers[0]) + layers[1]
+    hidden = how.dot(x, layers[0]) + layers[1]
     centred = hidden - (jnp.sum(hidden, axis=1) / features)[:, None]
     variance = jnp.sum(centred * centred, axis=1) / features
     inverse = jax.lax.rsqrt(variance + EPSILON)[:, None]
@@ -173,32 +198,28 @@ def _hidden(x: jax.Array, layers: Any) -> tuple[jax.Array, ...]:
     return normal, inverse, scaled * jax.nn.sigmoid(scaled)
 
 
-def _gradients(x: jax.Array, change: jax.Array, layers: Any) -> list[jax.Array]:
+def _gradients(
+    how: _How, x: jax.Array, change: jax.Array, layers: Any
+) -> list[jax.Array]:
     """Of the weights, from those of an entity's features (block, features)."""
     features = layers[0].shape[1]
-    normal, inverse, hidden = _hidden(x, layers)
+    normal, inverse, hidden = _hidden(how, x, layers)
     scaled = normal * layers[2] + layers[3]
     gate = jax.nn.sigmoid(scaled)
     slope = gate * (1.0 + scaled * (1.0 - gate))
-    of_scaled = _dot(change, layers[4], trans_b=True) * slope
+    of_scaled = how.dot(change, layers[4], (1, 1)) * slope
     of_normal = of_scaled * layers[2]
     mean = jnp.sum(of_normal, axis=1) / features
     along = jnp.sum(of_normal * normal, axis=1) / features
     of_first = inverse * (of_normal - mean[:, None] - normal * along[:, None])
     return [
-        _dot(x, of_first, trans_a=True),
+        how.dot(x, of_first, (0, 0)),
         jnp.sum(of_first, axis=0),
         jnp.sum(of_scaled * normal, axis=0),
         jnp.sum(of_scaled, axis=0),
-        _dot(hidden, change, trans_a=True),
+        how.dot(hidden, change, (0, 0)),
         jnp.sum(change, axis=0),
     ]
-
-
-def _dot(a: jax.Array, b: jax.Array, trans_a: bool = False, trans_b: bool = False):
-    from jax.experimental import pallas as pl
-
-    return pl.dot(a, b, trans_a=trans_a, trans_b=trans_b)
 
 
 def _whole(x: jax.Array) -> Any:
@@ -213,10 +234,3 @@ def _row(x: jax.Array) -> Any:
     from jax.experimental import pallas as pl
 
     return pl.BlockSpec((1, *x.shape), lambda i: (i,) + (0,) * x.ndim)
-
-
-def _options(interpret: bool) -> dict[str, Any]:
-    from jax.experimental.pallas import triton
-
-    parameters = triton.CompilerParams(num_warps=WARPS, num_stages=1)
-    return {"compiler_params": parameters, "interpret": interpret}

@@ -1,4 +1,4 @@
-"""Policies out of checkpoints: those of runs, and checkpoints of a policy alone."""
+"""Loads policies from checkpoints of runs and of policies alone."""
 
 import dataclasses
 import math
@@ -34,7 +34,7 @@ from carpark_mj.policy.runs import (
 )
 from carpark_mj.precision import require_float32
 
-# Settings of a run that say where it lay, which a policy alone does not keep.
+# Locations of a run, which a checkpoint of a policy alone does not store.
 FOLDER_SETTINGS = ("name", "runs_dir", "resume", "warm_start")
 
 
@@ -43,9 +43,9 @@ class LoadedPolicy:
     """A policy and the environment it drives in.
 
     Attributes:
-        env: the one it was trained in, unless another was asked for.
+        env: the environment it was trained in, unless another was requested.
         policy: acting function.
-        steps: agent steps it was trained for.
+        steps: agent steps of its training.
         path: the checkpoint.
     """
 
@@ -61,17 +61,17 @@ def load_policy(
     """Loads a pretrained policy, or that of a run folder or checkpoint file.
 
     For Q-learning it is the table with the highest return in the last episodes before
-    the checkpoint, which is always deterministic.
+    the checkpoint; tables are always deterministic.
 
     Args:
         run: name of a pretrained policy, or a path; a `Path` is never a name.
         deterministic: take a distribution's mode instead of samples.
-        env: environment to drive in; None = the one it was trained in.
+        env: environment to drive in; None = the environment of its training.
 
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.
         ValueError: the policy does not fit `env`, or JAX computes in float64.
-        TypeError: `run` or `env` is something else.
+        TypeError: `run` or `env` has another type.
     """
     require_float32()
     require_kind("env", env, EnvConfig | None)
@@ -92,7 +92,7 @@ def load_policy(
 
 
 def save_policy(run: str | Path, out: Path) -> None:
-    """Writes a checkpoint of a policy alone, without what only training needs.
+    """Writes a checkpoint of a policy without its training state.
 
     It holds the normalizer and the averaged actor (or the tables of Q-learning), and
     the settings of the run less its folder.
@@ -161,11 +161,11 @@ def _template(header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
 def _require_fit(
     run: str | Path, config: NetworkConfig | None, own: EnvConfig, env: EnvConfig
 ) -> None:
-    """Refuses an environment in which agents observe or do something else.
+    """Refuses an environment with other observations or actions.
 
     Raises:
-        ValueError: a set encoder only takes other numbers of cars, a flat network or a
-            table nothing else at all; and actions must be the same.
+        ValueError: actions differ, or observations do; a set encoder accepts other
+            numbers of cars, a flat network or a table accepts no difference.
     """
     is_set = config is not None and config.encoder == "set"
     before, now = (
@@ -186,5 +186,5 @@ def _require_fit(
 
 
 def _has_own_weights(field: Field) -> bool:
-    """Whether a set encoder has weights for it that are no other entity's."""
+    """Whether a set encoder has weights for this field alone."""
     return field.index == 0 or field.group in ORDERED

@@ -1,4 +1,4 @@
-"""Policies by name that nobody trained: baselines, planners and those of packages."""
+"""Untrained policies by name: baselines, planners and those of other packages."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,7 @@ from carpark_mj.extensions import Registry
 from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.baselines import random_policy, zero_policy
 
-# What makes the policy for an environment; `ValueError` if it cannot drive there.
+# Functions that make the policy for an environment, or raise `ValueError`.
 POLICIES: Registry[Callable[[ParkingEnv], AnyPolicy]] = Registry(
     "policy", "carpark_mj.planning.named"
 )

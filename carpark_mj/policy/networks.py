@@ -31,13 +31,13 @@ class NetworkConfig(CheckedConfig):
     Attributes:
         policy_layers: sizes of the actor's hidden layers.
         value_layers: sizes of the critic's hidden layers.
-        encoder: what comes before them. `set`: all cars of a kind go through the same
-            layers, see `carpark_mj.policy.encoder`; the weights fit any number of cars.
-            `flat`: nothing, they read the vector as it is.
-        own_size: features that `set` makes of the own numbers.
-        entity_size: features that `set` makes of a set of entities.
-        min_std: least standard deviation of continuous actions before tanh, above 0. If
-            it is small, a policy may end up exploring little.
+        encoder: encoder before the layers. `set`: all cars of a kind go through the
+            same layers, see `carpark_mj.policy.encoder`; the weights fit any number of
+            cars. `flat`: none, the layers read the vector.
+        own_size: number of features of the own numbers in `set`.
+        entity_size: number of features of a set of entities in `set`.
+        min_std: least standard deviation of continuous actions before tanh, above 0.
+            With a small value a policy may stop exploring.
     """
 
     policy_layers: tuple[int, ...] = (128, 128)
@@ -59,7 +59,7 @@ class NetworkConfig(CheckedConfig):
 
 
 def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> ObservationSets:
-    """The parts in which the networks read observations with these fields."""
+    """The parts of observations with these fields, as the networks read them."""
     if config.encoder == "set":
         return observation_sets(fields)
     return ObservationSets(sum(field.size for field in fields))
@@ -189,7 +189,7 @@ def _set_network(network: SetNetwork) -> brax_networks.FeedForwardNetwork:
 
 
 def _scalar(apply: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """The same without the output's dimension of one."""
+    """The function without the output's last dimension, which is 1."""
     return lambda *args: apply(*args)[..., 0]
 
 

@@ -1,8 +1,7 @@
-"""Running statistics of observations, one set of numbers for all entities of a kind.
+"""Running statistics of observations, shared by all entities of a kind.
 
-So an entity means the same in every slot, and the statistics fit any number of slots.
-They are of what the networks read: empty slots, whose zeros a set encoder masks, do not
-count.
+An entity therefore means the same in every slot, and the statistics fit any number of
+slots. Padded slots, which a set encoder masks, do not count.
 """
 
 from typing import Any
@@ -14,9 +13,9 @@ from brax.training.acme import running_statistics, specs
 
 from carpark_mj.observations.sets import OWN, ObservationSets
 
-# Smallest standard deviation by which observations (scaled to about 1) are divided:
-# what hardly varied in training (sizes in a lot of equal bays) must not swamp the
-# network where it differs.
+# Smallest standard deviation by which observations (scaled to about 1) are divided.
+# Numbers that hardly varied in training (sizes in a lot of equal bays) must not swamp
+# the network when they do.
 MIN_STD = 0.1
 
 Normalizer = dict[str, Any]  # Brax's running statistics by part

@@ -1,4 +1,4 @@
-"""Policies as ONNX models with the observation inside, for a car outside.
+"""Policies as ONNX models with the observation inside, for cars outside the simulator.
 
 The inputs are those of `INPUTS` that the policy reads, the output is the action. The
 observation is the environment's own program, translated by `onnx_program`.
@@ -25,29 +25,29 @@ METADATA = "carpark_mj"  # key of the model's metadata, as JSON
 
 
 def require_outside(config: EnvConfig) -> None:
-    """Refuses what a car outside cannot observe.
+    """Refuses observations that a car outside cannot make.
 
     Raises:
-        ValueError: one sentence.
+        ValueError: naming the observation.
     """
     encoder = config.observation
     if not isinstance(encoder, ContinuousObservation):
         raise ValueError(
-            f"the encoding {encoder.encoding!r} reads all of the lot's state, of which "
-            "a car outside knows only a part: export without --from-state"
+            f"the encoding {encoder.encoding!r} reads the whole state of the lot, "
+            "and a car outside knows only a part: export without --from-state"
         )
     if encoder.init_memory(config) is not None:
         raise ValueError(
-            "the policy observes the past (rings.history), which a model does not "
-            "remember: export without --from-state"
+            "the policy observes the past (rings.history), but a model has no memory: "
+            "export without --from-state"
         )
 
 
 def make_car_model(loaded: LoadedPolicy, rows: Rows) -> Any:
-    """The ONNX model (`onnx.ModelProto`) of a policy and what it observes.
+    """The ONNX model (`onnx.ModelProto`) of a policy and its observation.
 
     Raises:
-        ValueError: a car outside cannot observe that.
+        ValueError: a car outside cannot make the observation.
     """
     require_outside(loaded.env)
     inputs = {x.name: jax.ShapeDtypeStruct(x.shape(rows), x.dtype) for x in INPUTS}
@@ -88,7 +88,7 @@ def describe(entry: PlainInput) -> str:
 
 
 def _about(loaded: LoadedPolicy, rows: Rows, read: list[PlainInput]) -> dict[str, Any]:
-    """What the metadata tell."""
+    """The metadata of a model."""
     spec = action_spec(loaded.env)
     return {
         "inputs": [

@@ -106,7 +106,7 @@ def make_model(loaded: LoadedPolicy) -> Any:
     require_onnx()
     from jax2onnx import to_onnx
 
-    # It says of every constant that it has no type, and writes it nonetheless.
+    # It warns that constants have no type, and writes them all the same.
     logging.getLogger("onnx_ir.serde").setLevel(logging.ERROR)
     inputs = onnx_inputs(loaded.env)
 
@@ -127,7 +127,7 @@ def make_model(loaded: LoadedPolicy) -> Any:
 
 
 def describe_action(spec: ActionSpec) -> str:
-    """What the numbers of an action are, see docs/mdp.md."""
+    """Meaning of the numbers of an action, see docs/mdp.md."""
     parts = ["steer and pedal in [-1, 1]"] if spec.continuous else []
     parts += [f"an index below {count}" for count in spec.choices]
     return ", ".join(parts)
@@ -136,10 +136,10 @@ def describe_action(spec: ActionSpec) -> str:
 def random_observations(
     config: EnvConfig, typical: np.ndarray, seed: int
 ) -> np.ndarray:
-    """Observations with all numbers independent, as many as the typical ones.
+    """Observations with independent numbers, as many as the typical observations.
 
-    Uniform within the ranges of the fields and three standard deviations of the typical
-    ones.
+    They are uniform within the ranges of the fields and three standard deviations of
+    the typical observations.
 
     Args:
         config: the environment.
@@ -165,7 +165,7 @@ def random_observations(
 def largest_difference(
     model: Any, loaded: LoadedPolicy, observation: np.ndarray
 ) -> float:
-    """Between the actions of a model in onnxruntime and those of its policy.
+    """Largest difference between actions of a model in onnxruntime and of its policy.
 
     Args:
         model: `onnx.ModelProto`.
@@ -189,7 +189,7 @@ def policy_actions(loaded: LoadedPolicy, observation: np.ndarray) -> np.ndarray:
 
 
 def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
-    """Of the actions of a policy in float32, to the same policy in float64.
+    """Error of a policy's actions in float32 against the same policy in float64.
 
     Args:
         loaded: the policy.

@@ -1,7 +1,7 @@
 """ONNX graphs under construction.
 
-A value may have a smaller shape than it stands for, if it broadcasts to that: operators
-broadcast by themselves.
+A value may have a smaller shape than it stands for if it broadcasts to that shape,
+because operators broadcast.
 """
 
 from collections.abc import Sequence
@@ -101,7 +101,7 @@ class Graph:
         return self.add("Transpose", value, like=like, perm=list(order))
 
     def join(self, values: Sequence[Value], axis: int, like: Any) -> Named:
-        """Values one behind the other."""
+        """Concatenates values."""
         found = self.add("Concat", *values, like=like, axis=axis)
         self._joined[found.name] = axis, list(values)
         return found
@@ -109,7 +109,7 @@ class Graph:
     def cut(
         self, value: Value, starts: Sequence[int], ends: Sequence[int], steps: Any
     ) -> Value:
-        """A part of a value; if it lies in one of those that were joined, of this."""
+        """A part of a value; taken from a joined value if that contains it."""
         if isinstance(value, np.ndarray):
             return value[tuple(map(slice, starts, ends, steps))]
         axis, parts = self._joined.get(value.name, (0, []))
@@ -141,7 +141,7 @@ class Graph:
         return self.add(kind, value, np.array(shape, np.int64), like=like)
 
     def model(self, inputs: Sequence[Named], outputs: dict[str, Value]) -> Any:
-        """The model (`onnx.ModelProto`), without what the outputs do not need."""
+        """The model (`onnx.ModelProto`), without nodes that no output needs."""
         from onnx import helper
 
         for name, value in outputs.items():

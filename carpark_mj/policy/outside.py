@@ -1,7 +1,7 @@
-"""A lot as one car outside knows it: from plain inputs, and back into them.
+"""A lot as one car outside the simulator knows it: from plain inputs and to them.
 
-A car outside is the first agent of a lot that is made of what it knows, and the only
-one that observes. So it observes by the code of the environment.
+A lot is built from the inputs. The car outside is its first and only observing agent,
+so the environment's code computes the observation.
 """
 
 import dataclasses
@@ -39,10 +39,10 @@ class _Physics(NamedTuple):
 
 
 def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> Sight:
-    """What a car sees that gives all of `INPUTS`, by name."""
+    """The view of a car from all of `INPUTS`, by name."""
 
     def cars(name: str) -> jax.Array:
-        """Of the own car, then of the others; zeros if these do not tell."""
+        """Of the own car, then of the others; zeros if these do not communicate."""
         own = given[name][None]
         none = jnp.zeros((rows.others, *own.shape[1:]))
         return jnp.concatenate([own, given.get(f"other_{name}", none)])
@@ -148,7 +148,7 @@ def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
 
     Args:
         rows: at least as many as the lot has.
-        state: of the lot. Cars tell what their sensors do.
+        state: of the lot. Inputs are the sensors' measurements.
     """
     motion, car, layout = observed(state), state.physics.vehicle, state.layout
     count, goal, bays = state.goal.shape[0], state.goal, state.tracked_bays

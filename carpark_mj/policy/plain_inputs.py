@@ -1,4 +1,4 @@
-"""What a car outside knows of itself and its lot: arrays of plain numbers.
+"""Inputs of a car outside the simulator, about itself and its lot: plain arrays.
 
 World frame, SI units and radians.
 """
@@ -11,13 +11,13 @@ from carpark_mj.types import State
 
 @dataclasses.dataclass(frozen=True)
 class Rows:
-    """How many rows inputs have, padding included; masks say which of them count.
+    """How many rows inputs have, padding included; masks mark the valid rows.
 
     Attributes:
         others: other cars that drive.
         parked: parked cars.
-        walls: walls and whatever else is a box.
-        discs: pillars and whatever else is a disc.
+        walls: walls and other boxes.
+        discs: pillars and other discs.
         lanes: lanes.
         bays: tracked bays, from which goals are chosen; 0 = goals are fixed.
         bay_ends: whether there are bays that an end of the car must enter first.
@@ -34,7 +34,7 @@ class Rows:
 
 @dataclasses.dataclass(frozen=True)
 class PlainInput:
-    """An array that a car outside gives.
+    """An input array of a car outside.
 
     Attributes:
         name: of the input.
@@ -65,7 +65,7 @@ INPUTS = (
     PlainInput("steering", (), "rad", "own road-wheel angle, left > 0"),
     PlainInput("size", (2,), "m", "own length and width"),
     PlainInput("wheelbase", (), "m", "own, from axle to axle"),
-    PlainInput("rear_axle", (), "m", "from it to the own centre"),
+    PlainInput("rear_axle", (), "m", "own, from the rear axle to the centre"),
     PlainInput("max_speed", (), "m/s", "own limit forwards"),
     PlainInput("max_steering", (), "rad", "own largest road-wheel angle"),
     PlainInput("goal_pose", (3,), _POSE, f"bay to park in: {_PARKED}"),
@@ -75,35 +75,35 @@ INPUTS = (
     PlainInput("bay_pose", ("bays", 3), _POSE, f"tracked free bays: {_PARKED}"),
     PlainInput("bay_size", ("bays", 2), "m", _SIZE),
     PlainInput("bay_end", ("bays",), "", _END, "int32"),
-    PlainInput("bay_mask", ("bays",), "", "which there are", "bool"),
+    PlainInput("bay_mask", ("bays",), "", "padding mask: valid rows", "bool"),
     PlainInput("other_pose", ("others", 3), _POSE, "other cars that drive"),
     PlainInput("other_size", ("others", 2), "m", _SIZE),
-    PlainInput("other_speed", ("others",), "m/s", "they tell, forwards > 0"),
-    PlainInput("other_steering", ("others",), "rad", "they tell, left > 0"),
+    PlainInput("other_speed", ("others",), "m/s", "communicated, forwards > 0"),
+    PlainInput("other_steering", ("others",), "rad", "communicated, left > 0"),
     PlainInput("other_max_steering", ("others",), "rad", "their largest"),
-    PlainInput("other_goal", ("others", 2), "m", "they tell: centres of their bays"),
+    PlainInput("other_goal", ("others", 2), "m", "communicated: centres of their bays"),
     PlainInput(
         "other_choice",
         ("others",),
         "",
-        "they tell: 0 = none, k = the k-th of the own bays, one more = another",
+        "communicated: 0 = none, k = the k-th of the own bays, one more = another",
         "int32",
     ),
     PlainInput("other_priority", ("others",), "", "before the own car", "bool"),
-    PlainInput("other_mask", ("others",), "", "which there are", "bool"),
+    PlainInput("other_mask", ("others",), "", "padding mask: valid rows", "bool"),
     PlainInput("parked_pose", ("parked", 3), _POSE, "parked cars"),
     PlainInput("parked_size", ("parked", 2), "m", _SIZE),
-    PlainInput("parked_mask", ("parked",), "", "which there are", "bool"),
+    PlainInput("parked_mask", ("parked",), "", "padding mask: valid rows", "bool"),
     PlainInput("wall_pose", ("walls", 3), _POSE, "walls and other solid boxes"),
     PlainInput("wall_size", ("walls", 2), "m", _SIZE),
-    PlainInput("wall_mask", ("walls",), "", "which there are", "bool"),
+    PlainInput("wall_mask", ("walls",), "", "padding mask: valid rows", "bool"),
     PlainInput("disc_centre", ("discs", 2), "m", "pillars and other solid discs"),
     PlainInput("disc_radius", ("discs",), "m", "their radii"),
-    PlainInput("disc_mask", ("discs",), "", "which there are", "bool"),
+    PlainInput("disc_mask", ("discs",), "", "padding mask: valid rows", "bool"),
     PlainInput("lane_pose", ("lanes", 3), _POSE, "lanes: centre and direction"),
     PlainInput("lane_size", ("lanes", 2), "m", _SIZE),
-    PlainInput("lane_one_way", ("lanes",), "", "only that direction is right", "bool"),
-    PlainInput("lane_mask", ("lanes",), "", "which there are", "bool"),
+    PlainInput("lane_one_way", ("lanes",), "", "one-way in that direction", "bool"),
+    PlainInput("lane_mask", ("lanes",), "", "padding mask: valid rows", "bool"),
 )
 
 

@@ -30,7 +30,7 @@ def action_choices(action: jax.Array, choices: Sequence[int]) -> jax.Array:
 def make_table_policy(
     table: jax.Array, sizes: Sequence[int], choices: Sequence[int]
 ) -> Policy:
-    """Takes the action of highest value, the first of equals.
+    """A policy that takes the action of highest value, the first of equals.
 
     Args:
         table: (states, actions) values.

@@ -19,7 +19,7 @@ class Carry(NamedTuple):
     Attributes:
         state: of the lots.
         observation: (..., num_agents, size) what their agents observe.
-        memory: what the policy keeps between steps; None = nothing.
+        memory: of the policy between steps; None = none.
     """
 
     state: State
@@ -28,14 +28,14 @@ class Carry(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A control step that was made.
+    """A control step.
 
     Attributes:
-        before: the state that the agents acted in.
-        observation: what they observed in it.
-        action: what they did.
+        before: the state in which the agents acted.
+        observation: their observation in it.
+        action: their action.
         after: the next state, respawns included.
-        timestep: what they got.
+        timestep: its time step.
     """
 
     before: State
@@ -46,7 +46,7 @@ class Step(NamedTuple):
 
 
 def acts(policy: AnyPolicy) -> Act:
-    """How a policy without memory acts."""
+    """The acting function of a policy without memory."""
 
     def act(state: State, observation: jax.Array, memory: Any, key: jax.Array) -> Any:
         return choose_actions(policy, state, observation, key), memory

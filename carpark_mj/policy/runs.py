@@ -1,4 +1,4 @@
-"""The folder of a training run: `runs/<name>/` and what lies in it.
+"""The folder of a training run, `runs/<name>/`.
 
 config.json             every setting, versions, device
 checkpoints/step_N.npz  the last two training states
@@ -40,10 +40,10 @@ Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
 
 
 def from_dict(cls: Any, data: Any) -> Any:
-    """Rebuilds a frozen dataclass from the dictionary `dataclasses.asdict` made.
+    """Rebuilds a frozen dataclass from a dictionary of `dataclasses.asdict`.
 
-    Of a union of dataclasses it is the one whose tag, a field with a `Literal` of one
-    value, is the dictionary's.
+    In a union of dataclasses a tag, a field with a `Literal` of one value, selects the
+    class.
 
     Raises:
         ValueError: unknown or missing names, or values the dataclass refuses.
@@ -63,7 +63,7 @@ def from_dict(cls: Any, data: Any) -> Any:
 
 
 def _value(name: str, hint: Any, value: Any) -> Any:
-    """Rebuilds the value of a field from what JSON made of it."""
+    """Rebuilds the value of a field from its JSON value."""
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value)
     if hint is ExtraTerms and isinstance(value, dict):
@@ -109,7 +109,7 @@ def _plain_value(value: Any) -> Any:
 
 
 def check_version(header: Mapping[str, Any], path: Path) -> None:
-    """Refuses the settings of a run that another version of the configs wrote.
+    """Refuses settings of a run from another config version.
 
     Args:
         header: of a checkpoint, or the contents of `config.json`.
@@ -167,9 +167,9 @@ def latest_checkpoint(run: Path) -> Path:
 def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> Path:
     """Saves a training state and removes all but the last two.
 
-    Those of later steps go too: the run went on from an older one, and would be
-    evaluated and resumed with what it gave up. So do unfinished files of processes
-    that were killed while they wrote: only one trains in a folder.
+    Checkpoints of later steps are removed too: the run resumed from an older one and
+    must not be evaluated or resumed from the abandoned steps. So are unfinished files
+    of killed processes, because only one process trains in a folder.
     """
     folder = run / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ COMMANDS = {
     "play": Entry("carpark_mj.cli.play:run", "drive a car yourself"),
     "layouts": Entry("carpark_mj.cli.layouts:main", "plot, check and save layouts"),
     "vehicles": Entry(
-        "carpark_mj.cli.vehicles:main", "show a vehicle and what is estimated of it"
+        "carpark_mj.cli.vehicles:main", "show a vehicle and its estimated parameters"
     ),
     "suite": Entry(
         "carpark_mj.programs.suite:run",

@@ -10,11 +10,11 @@ carpark_mj benchmark --peer highway-env --batches 1024  # pip install ".[sb3,pee
 `env` counts agent steps of the whole environment under random actions, `ppo` those of
 training end to end, `physics` substeps of cars alone: on brush tyres, on the same by
 `mjx.step`, and on contact tyres, each at the longest substep at which it passes the
-physics report. Every measurement has a process
-of its own, in which nothing is compiled yet. With `--against` two checkouts take
-turns, and the ratio of this one's numbers to the other's is printed: that of the best
-rounds, and the range over the rounds. Compare only figures of one run. With `--peer`
-the adapters to other libraries take turns with the core they wrap, or with another gym.
+physics report. Every measurement runs in its own process, without compiled programs.
+With `--against` two checkouts take turns, and the ratio of this one's numbers to the
+other's is printed: of the best rounds, with the range over the rounds. Compare only
+figures of one run. With `--peer` the adapters to other libraries take turns with the
+core they wrap, or with another gym.
 """
 
 import contextlib

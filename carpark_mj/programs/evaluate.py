@@ -1,7 +1,7 @@
 """Evaluates a policy on held-out seeds: tables, `evaluation.csv`, `evaluation.json`.
 
-In a mixture of families also a table with a row per family, and `families.csv`.
-docs/metrics.md says what every number is.
+A mixture also gets a table with a row per family, and `families.csv`. docs/metrics.md
+defines every number.
 
 carpark_mj evaluate runs/cpu-0
 carpark_mj evaluate runs/cpu-mixture-0

@@ -5,8 +5,8 @@ carpark_mj export runs/cpu-0 --from-state         # runs/cpu-0/car.onnx, for a c
 carpark_mj export runs/cpu-0 --out policy.npz     # as the pretrained policies are
 
 An ONNX model has an input for every observation field, with the normalisation inside.
-With --from-state the observation is inside too: inputs are where the car, the others
-and the walls are. It is written only if onnxruntime computes the policy's actions with
+With --from-state the observation is inside too; inputs are poses of the car, the others
+and the walls. A model is written only if onnxruntime computes the policy's actions with
 it.
 """
 

@@ -4,8 +4,8 @@
     carpark_mj sweep --base gpu --set discount=0.99,0.995 --cluster slurm
     carpark_mj analysis runs/cpu-num_agents-clip    # tables, plots, a page
 
-The same command continues a sweep that was stopped: what is done is not run again, what
-was begun goes on from its checkpoint. `sweep.csv` in its folder has a row per run.
+The same command continues a stopped sweep: finished runs are not repeated, others
+continue from their checkpoints. `sweep.csv` in its folder has a row per run.
 """
 
 from collections.abc import Sequence

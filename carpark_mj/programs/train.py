@@ -57,8 +57,8 @@ def run_on_host(arguments: Sequence[str]) -> int:
             print(f"done: {folder}")
         if outcome == "diverged":
             print(
-                f"ppo: {MAX_SKIPPED} updates in a row came out non-finite; the "
-                f"checkpoints in {folder} are from before",
+                f"ppo: {MAX_SKIPPED} updates in a row were non-finite; the "
+                f"checkpoints in {folder} are older",
                 file=sys.stderr,
             )
     return int(any(outcome == "diverged" for _, outcome in ended))

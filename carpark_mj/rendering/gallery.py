@@ -88,7 +88,7 @@ def draw_lots(
 def contact_sheet(cells: Iterable[tuple[str, np.ndarray]]) -> Any:
     """Puts captioned pictures of one size in rows of `COLUMNS`; an image of PIL.
 
-    Its colours come from a palette, which makes it a small file.
+    A palette of colours keeps the file small.
     """
     from PIL import Image, ImageDraw
 

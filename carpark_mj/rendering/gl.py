@@ -13,9 +13,9 @@ _MISSING = {
     "osmesa": "off-screen OpenGL through OSMesa is not available: install the system "
     "package libosmesa6, or unset MUJOCO_GL",
 }
-# What `MUJOCO_GL` names, and the library that must be there.
+# Values of `MUJOCO_GL`, and the libraries that they need.
 _LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
-# What else MuJoCo takes: GLFW, which needs a display, and no OpenGL at all.
+# Other values that MuJoCo takes: GLFW, which needs a display, and no OpenGL at all.
 _GLFW = ("glfw", "glx", "enable", "enabled", "on", "true", "1")
 _OFF = ("disable", "disabled", "off", "false", "0")
 
@@ -50,7 +50,7 @@ def choose_gl() -> str | None:
     missing, so this runs first. A value the user has set is kept if it can work.
 
     Returns:
-        None if all is well, else a sentence saying what is missing; MuJoCo can then
+        None on success, else a sentence that names the missing library; MuJoCo can then
         be imported but not render.
 
     Raises:

@@ -18,11 +18,11 @@ LOG = logging.getLogger(__name__)
 
 
 class LocalServer(viser.ViserServer):
-    """A server that answers its own page, and no page of another site.
+    """A server that answers its own page and refuses pages of other sites.
 
-    Any page open in the same browser can send requests here. What they cannot choose
-    are the headers `Host`, the name they called us by, and `Origin`, where they are
-    from. viser checks neither, and opens a tunnel to the internet when it is asked to.
+    Any page open in the same browser can send requests here. A page cannot choose the
+    headers `Host`, the name of the requested server, and `Origin`, its own site. viser
+    checks neither, and opens a tunnel to the internet on request.
     """
 
     def __init__(self, host: str, port: int, label: str) -> None:
@@ -43,11 +43,11 @@ class LocalServer(viser.ViserServer):
         """Opens no tunnel."""
 
     def disconnect_share_url(self) -> None:
-        """There is none."""
+        """Does nothing: there is no tunnel."""
 
 
 def refusal(request: Request) -> str | None:
-    """Why a request is not one of our own page, opened on this machine; None if it is.
+    """Reason to refuse a request; None for our own page, opened on this machine.
 
     Args:
         request: for a file, or to open a websocket.
@@ -63,9 +63,9 @@ def refusal(request: Request) -> str | None:
 
 @contextlib.contextmanager
 def _checking() -> Generator[list[Any]]:
-    """In it servers of websockets check requests; gives those that were made.
+    """Inside, servers of websockets check requests; yields the servers made.
 
-    viser has no setting for that, so what it serves with is replaced for the while.
+    viser has no setting for that, so its server function is replaced meanwhile.
     """
     serve, made = websockets_server.serve, list[Any]()
 

@@ -1,4 +1,4 @@
-"""Records what a policy does in one lot, for the renderer."""
+"""Records a policy in one lot, for the renderer."""
 
 import dataclasses
 from typing import Any
@@ -23,7 +23,7 @@ from carpark_mj.types import Motion, ParkedCars, State
 class Recording:
     """A stretch of driving in one lot; `t` control steps, `k` poses in each.
 
-    Agents and parked cars that the lot has not are left out.
+    Absent agents and parked cars are left out.
 
     Attributes:
         layout: the lot.

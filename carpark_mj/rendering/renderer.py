@@ -133,13 +133,13 @@ class LotRenderer:
         screen.offwidth, screen.offheight = self.width, self.height
 
     def place(self, seen: Snapshot) -> None:
-        """Puts all cars where they are; wheels roll by the way since the last call."""
+        """Places all cars; wheels roll by the distance since the last call."""
         self._stage.place(
             seen.pose_w, seen.steering, seen.parked_pose, seen.kind, seen.movers
         )
 
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
-        """Draws what was placed, (height, width, 3) uint8, by one of `cameras`."""
+        """Draws the placed cars, (height, width, 3) uint8, by one of `cameras`."""
         scene = self._update_scene(self._stage.camera(camera))
         # The cameras that show the lot look down on it, so there is no sky to draw.
         scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = camera not in LOT_CAMERAS

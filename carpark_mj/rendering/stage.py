@@ -1,4 +1,4 @@
-"""The scene of a lot with its cars put where they are; needs no OpenGL."""
+"""The scene of a lot with its cars in their places; it does not need OpenGL."""
 
 import math
 from collections.abc import Sequence
@@ -84,7 +84,7 @@ class Stage:
         kind: np.ndarray | None = None,
         movers: Sequence[Group] = (),
     ) -> None:
-        """Puts all cars in their places; wheels roll by the way since the last call.
+        """Places all cars; wheels roll by the distance since the last call.
 
         Args:
             pose_w: (agents, 3) footprint centres.
@@ -141,7 +141,7 @@ class Stage:
         mujoco.mj_camlight(self.model, self.data)
 
     def _roll(self, pose_w: np.ndarray) -> None:
-        """Turns the wheels by the way driven since the last frame."""
+        """Turns the wheels by the distance driven since the last frame."""
         delta = pose_w - self._last
         ahead = np.cos(pose_w[:, 2]) * delta[:, 0] + np.sin(pose_w[:, 2]) * delta[:, 1]
         jumped = np.abs(ahead) > 1.0  # a respawn, or the first frame

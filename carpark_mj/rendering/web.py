@@ -29,7 +29,7 @@ def require_web() -> None:
 
 
 def check_port(port: int) -> None:
-    """Refuses what is no port: viser would serve on any other one.
+    """Refuses a number that is not a port; viser would silently choose another one.
 
     Raises:
         ValueError: naming it.
@@ -54,7 +54,7 @@ def make_viewer(
         extent: (2,) half widths of the lot [m].
         port: where to serve; the next free one if it is taken.
         step: advances `data` by a time step; MuJoCo's own if None.
-        reset: starts anew; MuJoCo's own if None.
+        reset: restarts; MuJoCo's own if None.
 
     Returns:
         The viewer of mjviser and its server of viser.

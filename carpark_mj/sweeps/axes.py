@@ -65,7 +65,7 @@ def read_axis(text: str, config: Any) -> Axis:
 
 
 def find_field(name: str, config: Any) -> str:
-    """The dotted name of a setting, given in full or by an end that only one has.
+    """The dotted name of a setting, given in full or by an unambiguous suffix.
 
     Raises:
         ValueError: no setting, several, or one that the sweep sets.

@@ -21,23 +21,23 @@ class SweepConfig:
     """Settings of `carpark_mj sweep`.
 
     Attributes:
-        base: preset of `carpark_mj train` that all runs start from.
-        set: `FIELD=VALUES` each: a setting by its dotted name, or the end of it that
-            no other has, and its values, separated by commas, or by semicolons if they
-            have commas themselves; `1..7` is a range. Every combination is trained.
+        base: preset of `carpark_mj train` for all runs.
+        set: `FIELD=VALUES` each: a setting by its dotted name or any unambiguous
+            suffix, and its values, separated by commas, or by semicolons if they
+            contain commas; `1..7` is a range. Every combination is trained.
         repeats: runs of every combination, with different seeds.
         seed: first seed.
-        name: folder under `runs_dir`; empty = the base and what is swept.
-        runs_dir: where sweeps are kept.
-        stochastic: evaluate sampled actions instead of the most likely ones.
+        name: folder under `runs_dir`; empty = the base and the swept settings.
+        runs_dir: folder of all sweeps.
+        stochastic: evaluate sampled actions instead of the deterministic policy.
         cluster: `local`: processes of this machine; `slurm`: jobs of a Slurm cluster;
             `debug`: this process.
-        jobs: most jobs at a time; on one machine each has its own GPU, if there are
-            several. 0 = one on this machine, all on a cluster.
-        side_by_side: most runs that a job trains in one program, if they differ only in
-            seeds and in numbers such as `discount` and `env.reward.park`; runs with
-            `minutes` are always alone.
-        slurm: what to ask Slurm for.
+        jobs: largest number of jobs at a time; on one machine each has its own GPU, if
+            there are several. 0 = one on this machine, all on a cluster.
+        side_by_side: largest number of runs that a job trains in one program, if they
+            differ only in seeds and in numbers such as `discount` and
+            `env.reward.park`; runs with `minutes` train alone.
+        slurm: resources to request from Slurm.
     """
 
     base: Annotated[str, tyro.conf.arg(metavar="PRESET")]
@@ -63,7 +63,7 @@ class SweepConfig:
 
     @property
     def plan(self) -> Plan:
-        """What is to be trained.
+        """The runs to train.
 
         Raises:
             ValueError: an unknown setting, or no values.
@@ -74,7 +74,7 @@ class SweepConfig:
 
     @property
     def where(self) -> Where:
-        """Where and how it runs."""
+        """Settings of the executor."""
         return Where(
             self.cluster, self.jobs, self.side_by_side, self.slurm, self.stochastic
         )

@@ -1,4 +1,4 @@
-"""What jobs inherit: where to import from, and which GPUs to use."""
+"""Environment of jobs: import path and GPUs."""
 
 import contextlib
 import os
@@ -25,7 +25,7 @@ def import_path() -> Generator[None]:
 
 
 def visible_gpus(slot: int, jobs: int) -> tuple[str, ...]:
-    """What a local job may see: of several at a time each its own GPU, if it can."""
+    """GPUs of a local job: of several at a time each has its own, if possible."""
     given = os.environ.get("CUDA_VISIBLE_DEVICES")
     if given is not None:
         devices = given.split(",")

@@ -28,7 +28,7 @@ def make_executor(
             after the other; `slurm`.
         folder: for what jobs print, and submitit's own files.
         jobs: of Slurm, most at a time; 0 = any number.
-        slurm: what to ask for.
+        slurm: resources to request.
         name: of the jobs.
 
     Raises:
@@ -53,14 +53,14 @@ def make_executor(
 def run_works(
     executor: submitit.AutoExecutor, works: Sequence[Work], jobs: int
 ) -> Iterator[tuple[Work, str]]:
-    """Runs jobs; gives each as it ends, and why its process did, if it failed.
+    """Runs jobs; yields each as it ends, with the reason if its process failed.
 
-    Left early, by Ctrl-C for instance, it cancels local jobs; those of a cluster go on.
+    Left early, by Ctrl-C for instance, it cancels local jobs; cluster jobs continue.
 
     Args:
         executor: where.
         works: the jobs.
-        jobs: most at a time of this machine; a cluster gets all at once.
+        jobs: largest number at a time on this machine; a cluster gets all at once.
     """
     waiting = list(works)
     running: dict[int, tuple[Work, submitit.Job[None]]] = {}  # by slot
@@ -101,7 +101,7 @@ def _submit(
 def _ended(running: Mapping[int, submitit.Job[None]]) -> list[int]:
     """Which jobs have ended.
 
-    Slurm is asked for its queue: what submitit asks for needs accounting.
+    It reads Slurm's queue; submitit's own query needs accounting.
     """
     if any(isinstance(job, submitit.SlurmJob) for job in running.values()):
         queued = queued_jobs()

@@ -1,4 +1,4 @@
-"""Runs a sweep: what is not done yet, and the table after every run."""
+"""Runs a sweep: unfinished runs, and the table after every run."""
 
 import dataclasses
 from collections import Counter
@@ -29,10 +29,11 @@ class Where:
 
     Attributes:
         cluster: `local`, `slurm` or `debug`.
-        jobs: most jobs at a time; 0 = one on this machine, all on a cluster.
-        side_by_side: most runs of a job.
-        slurm: what to ask Slurm for.
-        stochastic: evaluate sampled actions instead of the most likely ones.
+        jobs: largest number of jobs at a time; 0 = one on this machine, all on a
+            cluster.
+        side_by_side: largest number of runs in a job.
+        slurm: resources to request from Slurm.
+        stochastic: evaluate sampled actions instead of the deterministic policy.
     """
 
     cluster: Cluster = "local"
@@ -49,7 +50,7 @@ def run_sweep(
     where: Where,
     train: Train = train_ppo,
 ) -> Counter[str]:
-    """Trains the runs that are not done; the others keep their results.
+    """Trains the unfinished runs; the others keep their results.
 
     Args:
         folder: of the sweep.

@@ -1,4 +1,4 @@
-"""What became of the runs of a sweep: one small file for each, and one table of all.
+"""Outcomes of the runs of a sweep: one small file for each, and one table of all.
 
 runs/SWEEP/
     sweep.json          what all runs have in common
@@ -29,13 +29,13 @@ Status = Literal["done", "stopped", "failed", "waiting"]
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of a run.
+    """Outcome of a run.
 
     Attributes:
-        status: `done`; `stopped` before its end, to be resumed; `failed`; or `waiting`
-            as nothing is known yet.
-        error: why it failed, one sentence.
-        seconds: that the last attempt took.
+        status: `done`; `stopped` before its end, to be resumed; `failed`; or `waiting`,
+            not known yet.
+        error: reason of the failure, one sentence.
+        seconds: duration of the last attempt.
     """
 
     status: Status
@@ -72,7 +72,7 @@ def open_sweep(folder: Path, plan: Plan, stochastic: bool) -> None:
 
 
 def read_outcome(sweep: Path, run: Run) -> Outcome:
-    """What is known of a run."""
+    """The recorded outcome of a run."""
     try:
         return from_dict(Outcome, read_object(_path(sweep, run)))
     except (FileNotFoundError, ValueError, TypeError):
@@ -80,12 +80,12 @@ def read_outcome(sweep: Path, run: Run) -> Outcome:
 
 
 def remove_outcome(sweep: Path, run: Run) -> None:
-    """Removes how the last attempt ended, before the next."""
+    """Removes the outcome of the last attempt before the next."""
     _path(sweep, run).unlink(missing_ok=True)
 
 
 def write_outcome(sweep: Path, run: Run, outcome: Outcome) -> None:
-    """Notes what became of a run."""
+    """Records the outcome of a run."""
     write_json(_path(sweep, run), dataclasses.asdict(outcome))
 
 

@@ -23,10 +23,10 @@ class Plan:
     """A sweep.
 
     Attributes:
-        base: preset that all runs start from.
-        axes: what is varied; those with one value are the same in all runs.
+        base: preset of all runs.
+        axes: varied settings; a single value is fixed across runs.
         repeats: runs of every combination.
-        seed: of the first of them; the next has the next.
+        seed: of the first run of a combination; run i uses seed + i.
     """
 
     base: str
@@ -55,7 +55,7 @@ class Plan:
 
     @property
     def definition(self) -> dict[str, Any]:
-        """What all runs of a sweep have in common; those in one folder must agree."""
+        """Common settings of all runs; sweeps in one folder must agree in them."""
         fixed = [axis for axis in self.axes if not axis.is_swept]
         return {
             "base": self.base,
@@ -86,7 +86,7 @@ class Run:
 
     @property
     def arguments(self) -> list[str]:
-        """Flags of `carpark_mj train` that say what is trained, not where."""
+        """Flags of `carpark_mj train` for the training, without its folder."""
         words = flags(dict(self.settings), PRESETS[self.base])
         return ["--preset", self.base, "--seed", str(self.seed), *words]
 
@@ -113,8 +113,8 @@ def checked_runs(plan: Plan) -> list[Run]:
     """All runs, each with settings that can be trained.
 
     Raises:
-        ValueError: one of them cannot, or is another one again, as of 0.1 and 0.10;
-            the message says which and why.
+        ValueError: a run is impossible, or repeats another one, as with 0.1 and 0.10;
+            the message names the run and the reason.
     """
     checked: list[Run] = []
     possible: set[EnvConfig] = set()

@@ -1,4 +1,4 @@
-"""What roll-outs and adapters ask of an environment."""
+"""The interface of environments that roll-outs and adapters use."""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -32,7 +32,7 @@ class Environment(Protocol):
         ...
 
     def reset(self, key: jax.Array, /) -> tuple[Any, jax.Array]:
-        """A lot at its start, and what its agents (num_agents, ...) observe."""
+        """A lot at its start, and its agents' observations (num_agents, ...)."""
         ...
 
     def step(self, state: Any, action: jax.Array, /) -> tuple[Any, Any]:

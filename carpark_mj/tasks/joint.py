@@ -1,6 +1,6 @@
-"""One episode per agent: who finishes waits until the whole lot has.
+"""One episode per agent: agents that finish wait for the rest of the lot.
 
-Multi-agent libraries know episodes of a group only, which agents leave one by one.
+In multi-agent libraries an episode belongs to a group, and agents leave it one by one.
 """
 
 import dataclasses
@@ -16,13 +16,13 @@ from carpark_mj.types import State, TimeStep
 class JointEnv(ParkingEnv):
     """A lot whose agents have one episode each, and leave when it ends.
 
-    Agents that had finished before a step, and absent ones, observe zeros, earn nothing
-    and are terminated, so that nothing is bootstrapped from them. The lot's episode is
-    over when all agents are terminated or truncated.
+    Agents that had finished before a step, and absent agents, observe zeros, earn 0 and
+    are terminated, so that learners do not bootstrap from them. The lot's episode ends
+    when all agents are terminated or truncated.
     """
 
     def __init__(self, config: EnvConfig | None = None) -> None:
-        """Builds the environment; `config.episode.respawn` does not matter."""
+        """Builds the environment; `config.episode.respawn` has no effect."""
         config = config or EnvConfig()
         episode = dataclasses.replace(config.episode, respawn=False)
         super().__init__(dataclasses.replace(config, episode=episode))

@@ -6,7 +6,7 @@
     print(evaluate(run).summary["parked"])
     render(run, "drive.mp4")
 
-The names load on first use, so that an extension can register presets for nothing.
+The names load on first use, so that registering presets costs no import.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""Several hosts train together: who they are, and what they agree on.
+"""Several hosts train together.
 
 Each runs the same program. All take part in the updates; host 0 alone prints, writes
 files and evaluates. Host means process here, as in JAX.
@@ -32,8 +32,8 @@ class Hosts:
     Attributes:
         coordinator: HOST:PORT of host 0, or `auto` where JAX knows the cluster (Slurm,
             Open MPI, TPU pods); empty = one host.
-        num_hosts: how many they are; 0 = not given.
-        host: number of this one, from 0; -1 = not given.
+        num_hosts: number of hosts; 0 = not given.
+        host: number of this host, from 0; -1 = not given.
     """
 
     coordinator: str = ""
@@ -65,10 +65,10 @@ class Hosts:
 def read_hosts(arguments: Sequence[str]) -> tuple[Hosts, list[str]]:
     """The flags of the hosts, and the other arguments.
 
-    They are read before all others, whose defaults depend on the devices.
+    They are read first, because defaults of the others depend on the devices.
 
     Raises:
-        ValueError: impossible ones.
+        ValueError: impossible values.
     """
     parser = argparse.ArgumentParser(
         add_help=False, allow_abbrev=False, exit_on_error=False
@@ -85,12 +85,12 @@ def read_hosts(arguments: Sequence[str]) -> tuple[Hosts, list[str]]:
 
 @contextlib.contextmanager
 def joined(hosts: Hosts) -> Generator[None]:
-    """Connects the hosts; all but host 0 keep silent on stdout.
+    """Connects the hosts; only host 0 prints to stdout.
 
     Call it before JAX makes any array.
 
     Raises:
-        ValueError: they do not find each other.
+        ValueError: the hosts do not find each other.
     """
     if not hosts.coordinator:
         yield
@@ -113,7 +113,7 @@ def joined(hosts: Hosts) -> Generator[None]:
 
 
 def part() -> None:
-    """Ends what hosts do together; each goes on alone, or ends."""
+    """Disconnects the hosts; each continues alone, or ends."""
     if jax.process_count() > 1:
         jax.distributed.shutdown()
 
@@ -124,7 +124,7 @@ def is_first() -> bool:
 
 
 def largest(*values: float) -> tuple[float, ...]:
-    """Of each number the largest that any host has; one host keeps its own."""
+    """The largest of each number over all hosts."""
     if jax.process_count() == 1:
         return values
     gathered = multihost_utils.process_allgather(np.array(values, np.float32))
@@ -135,7 +135,7 @@ def on_first(function: Callable[[], Result]) -> Result | None:
     """Calls a function on host 0 alone; None on the others.
 
     Raises:
-        ValueError: it failed on host 0, which raises its error itself.
+        ValueError: it failed on host 0; host 0 raises the error itself.
     """
     result = error = None
     if is_first():
@@ -147,15 +147,15 @@ def on_first(function: Callable[[], Result]) -> Result | None:
     if error is not None:
         raise error
     if failed:
-        raise ValueError("host 0 failed: see what it says")
+        raise ValueError("host 0 failed: see its message")
     return result
 
 
 def require_same(text: str) -> None:
-    """Refuses hosts that differ in a text.
+    """Refuses different texts on the hosts.
 
     Raises:
-        ValueError: they do.
+        ValueError: the texts differ.
     """
     # 24 bits are exact in float32.
     checksum = zlib.crc32(text.encode()) % 2**24

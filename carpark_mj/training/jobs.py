@@ -1,4 +1,4 @@
-"""Runs of a trainer side by side, each in a process on a core of its own."""
+"""Runs of a trainer side by side, each in its own process and on its own core."""
 
 import contextlib
 import dataclasses
@@ -20,32 +20,32 @@ _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 def require_minutes(minutes: float) -> None:
-    """Refuses a time limit within which no run would begin.
+    """Refuses a time limit that is too short for any run.
 
     Raises:
-        ValueError: naming it and what is allowed.
+        ValueError: naming the limit and what is allowed.
     """
     if 0 < minutes <= LEAST:
         raise ValueError(
-            f"minutes must be more than {LEAST:g}, or no run begins, or 0 = no limit, "
-            f"not {minutes}"
+            f"minutes must be more than {LEAST:g} (shorter runs do not begin), or 0 = "
+            f"no limit, not {minutes}"
         )
 
 
 def is_evaluated(folder: Path) -> bool:
-    """Whether there is an evaluation, of trainers that evaluate at the end only."""
+    """Whether a trainer that evaluates at the end only has evaluated."""
     return (folder / "evaluation.json").exists()
 
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A training with a seed; experiments that train alike share it.
+    """A training with a seed; experiments with the same training share it.
 
     Attributes:
-        program: of `carpark_mj study` that trains.
+        program: of `carpark_mj study`, which trains.
         folder: of the run.
-        flags: of the script, for a new run.
-        finished: whether the run in a folder came to its end.
+        flags: of the program, for a new run.
+        finished: whether the run in a folder is finished.
     """
 
     program: str
@@ -55,12 +55,12 @@ class Job:
 
     @property
     def is_done(self) -> bool:
-        """Whether the run came to its end."""
+        """Whether the run is finished."""
         return self.finished(self.folder)
 
     @property
     def log(self) -> Path:
-        """What the run prints."""
+        """File with the output of the run."""
         return self.folder.with_name(f"{self.folder.name}.log")
 
     def command(self, minutes: float) -> list[str]:
@@ -79,7 +79,7 @@ def run_jobs(
     minutes: float,
     clock: Callable[[], float] = time.monotonic,
 ) -> list[Job]:
-    """Runs what is not done; returns what has failed.
+    """Runs unfinished jobs; returns the failed ones.
 
     Args:
         jobs: in the order in which they begin.
@@ -88,7 +88,7 @@ def run_jobs(
         clock: gives the time [s].
 
     Raises:
-        KeyboardInterrupt: Ctrl-C, which the runs have got too.
+        KeyboardInterrupt: Ctrl-C, which the runs receive too.
     """
     cores = sorted(os.sched_getaffinity(0))
     cores = cores[: workers or len(cores)]

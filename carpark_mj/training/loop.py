@@ -1,4 +1,4 @@
-"""What every training loop does between updates: progress, checkpoints, stopping."""
+"""Progress, checkpoints and stopping between updates, for every training loop."""
 
 import contextlib
 import signal
@@ -79,7 +79,7 @@ class Loop:
     def over(self, total: float, done: float = 0) -> Generator[None]:
         """Shows a bar over `total` and turns Ctrl-C into a request to stop.
 
-        Where there is no terminal it is a line now and then.
+        Without a terminal it prints a line from time to time.
         """
         self._stop = StopRequest()
         self._task = self._bar.add_task("", total=total)

@@ -1,4 +1,4 @@
-"""Refuses sizes that cannot fit, before an allocation ends the process."""
+"""Refuses sizes that do not fit into memory, before an allocation ends the process."""
 
 import math
 import os
@@ -15,7 +15,7 @@ def num_bytes(tree: Any) -> int:
 
 
 def device_memory() -> int:
-    """Bytes of all local devices together, or of the machine where they are CPUs."""
+    """Bytes of all local devices together; on CPUs, of the machine."""
     stats = [device.memory_stats() for device in jax.local_devices()]
     if jax.default_backend() != "cpu" and all(stats):
         return sum(stat["bytes_limit"] for stat in stats if stat)
@@ -23,14 +23,14 @@ def device_memory() -> int:
 
 
 def require_memory(needed: int, largest: str = "num_lots") -> None:
-    """Refuses what needs more memory than there is.
+    """Refuses sizes that need more memory than available.
 
     Args:
-        needed: memory needed at least [bytes].
+        needed: least memory needed [bytes].
         largest: the setting to lower first.
 
     Raises:
-        ValueError: there are fewer.
+        ValueError: less memory is available.
     """
     available = device_memory()
     if needed > available:

@@ -1,4 +1,4 @@
-"""PPO runs from Python: trained, evaluated and rendered as by the command line."""
+"""PPO runs from Python: train, evaluate and render as the command line does."""
 
 import contextlib
 import dataclasses
@@ -14,7 +14,7 @@ from carpark_mj.training.run_folder import argument
 if TYPE_CHECKING:
     from carpark_mj.evaluation.evaluator import Evaluation
 
-# Gets the metrics of an update by name; True ends the training after it.
+# Receives the metrics of an update by name; True ends the training after it.
 Callback = Callable[[Mapping[str, float]], bool | None]
 
 
@@ -43,22 +43,22 @@ class Run:
 
     @property
     def policy(self) -> LoadedPolicy:
-        """What the newest checkpoint has learned, and the environment it drives in.
+        """The policy of the newest checkpoint, and its environment.
 
         Raises:
-            CheckpointError: there is none, or it is damaged.
+            CheckpointError: the checkpoint is missing or damaged.
         """
         return load_policy(self.folder)
 
 
 def train(config: PPOConfig, callback: Callback | None = None) -> Run:
-    """Trains a run, or goes on with `config.resume`.
+    """Trains a run, or continues `config.resume`.
 
-    What `carpark_mj train` leaves at the end is left to `evaluate` and `render`. If JAX
-    has made no array yet, the lots are divided over all cores.
+    Unlike `carpark_mj train` it does not evaluate or render: call `evaluate` and
+    `render`. If JAX has made no array yet, the lots are divided over all cores.
 
     Args:
-        config: of the run; one of `PRESETS`, changed, for example.
+        config: of the run, for example one of `PRESETS` with other values.
         callback: called on the host after every update with its row of `metrics.csv`;
             True ends the training after this update, as Ctrl-C does.
 

@@ -34,8 +34,8 @@ class RunConfig(CheckedConfig):
 
     Attributes:
         preset: settings the other flags start from.
-        name: folder under `runs_dir`; empty = by preset and seed.
-        runs_dir: where runs are kept.
+        name: folder under `runs_dir`; empty = named by preset and seed.
+        runs_dir: folder of all runs.
         resume: folder of a run to continue with its own settings.
         time_limit: time after which to save a checkpoint and stop [min]; 0 = no limit.
         seed: random seed.
@@ -81,8 +81,9 @@ def _is_folder_name(name: str) -> bool:
 def open_run(config: RunConfig) -> Generator[Path]:
     """Opens and locks the folder of a run.
 
-    It is a new one with `config.json`, or the one to resume. A new one is removed if an
-    error ends the run before its first checkpoint, so that its name is free again.
+    The folder is new and has `config.json`, or belongs to the run to resume. A new
+    folder is removed if an error ends the run before its first checkpoint, so that its
+    name is free again.
 
     Raises:
         ValueError: the given name is taken, or another process trains in the folder.
@@ -101,7 +102,7 @@ def open_run(config: RunConfig) -> Generator[Path]:
 
 
 def argument(folder: Path) -> str:
-    """A run's folder as commands take it: a bare name may be that of a policy."""
+    """A run's folder as an argument; a bare name could be that of a policy."""
     return f"./{folder}" if folder.parent == Path() else str(folder)
 
 
@@ -136,7 +137,7 @@ def _is_bare(folder: Path) -> bool:
 
 
 def _remove(folder: Path) -> None:
-    """Removes a locked folder; renamed first, so that nobody opens what is left."""
+    """Removes a locked folder; renames it first, so that no process opens the rest."""
     removed = folder.with_name(f".{folder.name}.{os.getpid()}")
     with contextlib.suppress(OSError):  # what ended the run is the error to report
         shutil.rmtree(folder.rename(removed))
@@ -158,12 +159,12 @@ def _lock(folder: Path) -> Generator[None]:
 
 
 def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, Any]:
-    """The header of a checkpoint to resume from, whose settings a run can have.
+    """The header of a checkpoint to resume from; its settings are checked.
 
     Args:
         path: of the checkpoint.
         kind: of the settings.
-        **kinds: what else it must have, see `checkpoints.read_header`.
+        **kinds: further required entries, see `checkpoints.read_header`.
 
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.
@@ -178,7 +179,7 @@ def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, A
 
 
 def describe(config: RunConfig) -> dict[str, Any]:
-    """Everything needed to know what ran: settings, versions, device."""
+    """Provenance of a run: settings, versions, device."""
     packages = ("carpark_mj", "mujoco", "mujoco-mjx", "jax", "brax", "numpy")
     return {
         "config_version": runs.CONFIG_VERSION,

@@ -34,11 +34,12 @@ def read_settings(
         arguments: of the command line; None = those of the program.
         description: at the head of the help.
         short: settings that the short help lists.
-        summaries: by preset, what it is for; stands in the help.
+        summaries: purpose of each preset, for the help.
 
     Raises:
         ValueError: impossible settings.
-        CheckpointError: `--resume` names no run, or one of an older version.
+        CheckpointError: `--resume` does not name a run, or names one of an older
+            version.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     # The preset is read first: settings may be valid only on top of the one named.
@@ -77,10 +78,10 @@ def read_settings(
 
 
 def _refuse_changes(names: list[str]) -> None:
-    """Refuses settings given to a run that goes on.
+    """Refuses settings for a resumed run.
 
     Raises:
-        ValueError: there are such settings.
+        ValueError: settings are given.
     """
     if names:
         raise ValueError(
@@ -90,23 +91,23 @@ def _refuse_changes(names: list[str]) -> None:
 
 
 def read_config(cls: type[Config], folder: Path) -> Config:
-    """Reads the settings a run was started with.
+    """Reads the settings of a run.
 
     Raises:
-        CheckpointError: there is no such run, or another version wrote it.
+        CheckpointError: the run does not exist, or another version wrote it.
     """
     path, settings = folder / "config.json", stored(folder)
     try:
         return runs.from_dict(cls, settings)
     except (TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} is no config of a run: {error}") from None
+        raise CheckpointError(f"{path} is not the config of a run: {error}") from None
 
 
 def stored(folder: Path) -> dict[str, Any]:
-    """The settings a run was started with, as its `config.json` has them.
+    """The settings of a run, as in its `config.json`.
 
     Raises:
-        CheckpointError: there is no such run, or another version wrote it.
+        CheckpointError: the run does not exist, or another version wrote it.
     """
     path = folder / "config.json"
     try:
@@ -114,7 +115,7 @@ def stored(folder: Path) -> dict[str, Any]:
     except (FileNotFoundError, NotADirectoryError):
         raise CheckpointError(f"no run at {folder} (no {path})") from None
     except ValueError as error:
-        raise CheckpointError(f"{path} is no config of a run: {error}") from None
+        raise CheckpointError(f"{path} is not the config of a run: {error}") from None
     runs.check_version(described, path)
     return described["config"]
 
@@ -132,7 +133,7 @@ def list_settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def named(arguments: Sequence[str], setting: str) -> str:
-    """The value of a flag before all are read; empty if it is not given."""
+    """The value of a flag before the others are read; empty if it is not given."""
     name = ""
     for word, after in zip(arguments, [*arguments[1:], ""], strict=False):
         flag, equals, value = word.partition("=")
@@ -142,7 +143,7 @@ def named(arguments: Sequence[str], setting: str) -> str:
 
 
 def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> str:
-    """A line per preset that says what is trained."""
+    """A line per preset with its task."""
     width = max(map(len, presets))
     lines: list[str] = []
     for name, config in presets.items():

@@ -14,9 +14,9 @@ from carpark_mj.vehicle.vehicle import Vehicle
 def with_mass(vehicle: Vehicle, mass: jax.Array, cg: jax.Array) -> Vehicle:
     """One car whose chassis has another mass and centre of gravity.
 
-    A loaded car: passengers, luggage, an empty tank.
+    It models load: passengers, luggage, an empty tank.
 
-    Wheels and knuckles stay as they are; the chassis' inertia about its own centre
+    Wheels and knuckles do not change; the chassis' inertia about its own centre
     grows with its mass. Static tyre loads follow, so that the car rests at the same
     height (level control), and with them the stiffness of the tyres, which is
     proportional to load. The pedal's torques stay (`rated_mass`).

@@ -136,7 +136,7 @@ def add_contact_wheels(
 
 
 def rolling_loss(params: VehicleParameters) -> float:
-    """What rolling resistance costs of the speed that `drive` settles at [m/s].
+    """Reduction by rolling resistance of the speed at which `drive` settles [m/s].
 
     It takes c_rr g of an acceleration that falls by a_max / v_max per speed.
     """

@@ -1,17 +1,17 @@
 """From an action to steering angles and wheel torques.
 
-An action is `[steer, pedal]` in [-1, 1]^2. `steer` asks for a road-wheel angle of the
+An action is `[steer, pedal]` in [-1, 1]^2. `steer` commands a road-wheel angle of the
 bicycle model, reached at a limited rate and shared between the front wheels by the
-Ackermann condition. `pedal` asks for an acceleration. Along the motion it drives;
+Ackermann condition. `pedal` commands an acceleration. Along the motion it drives;
 against the motion it brakes; below `SWITCH_SPEED` it drives either way. Pedals below
-`HOLD_PEDAL` count as none.
+`HOLD_PEDAL` count as 0.
 
 The holding brake closes where a car slower than `HOLD_SPEED` is not driven along its
 motion, and stays closed until the pedal drives the car along its motion: a car that
 slides on locked wheels keeps them locked. It closes gradually and eases off as the car
 comes to rest, as a driver stops a car: without a jerk, and without rocking on the
-tyres. So from `SWITCH_SPEED` up no pedal against the motion slows a car down less than
-a weaker one. Steering and drive may follow with a first-order lag. All functions are
+tyres. From `SWITCH_SPEED` up, a stronger pedal against the motion always brakes at
+least as hard. Steering and drive may follow with a first-order lag. All functions are
 elementwise, for cars of any shape.
 """
 
@@ -142,7 +142,7 @@ def close_hold(
 
 
 def hold_braking(vehicle: Vehicle, hold: jax.Array, speed: jax.Array) -> jax.Array:
-    """What the holding brake brakes with (...) [m/s^2], `hold` of it at rest."""
+    """Deceleration (...) of the holding brake [m/s^2], `hold` at rest."""
     rising = HOLD_RAMP * hold
     easing = hold + jnp.sqrt(2.0 * HOLD_EASE * jnp.abs(speed) + _TINY)
     return jnp.minimum(jnp.minimum(rising, easing), vehicle.hold_deceleration)
@@ -155,7 +155,7 @@ def demanded_torques(
     speed: jax.Array,
     wheel_speed: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Drive and brake torques that the pedal asks for.
+    """Drive and brake torques that the pedal demands.
 
     The drive gives at most `max_drive_torque` and `max_power`. It fades out towards
     the speed limit, by the speed of the driven wheels where these spin, or it would
@@ -215,7 +215,7 @@ def press_pedal(
     wheel_speed: jax.Array,
     dt: float | jax.Array,
 ) -> tuple[Actuators, jax.Array]:
-    """One substep of drive and brakes; arguments as of `actuate`.
+    """One substep of drive and brakes; see `actuate` for the arguments.
 
     Returns:
         The actuators, their steering as before, and the brake torque (...) of all

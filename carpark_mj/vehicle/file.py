@@ -51,7 +51,7 @@ def read_sheet(path: str) -> tuple[str, Sheet]:
 
 
 def read_as_text(vehicle: str) -> str:
-    """The parameters of a file as a JSON object; such an object as it is.
+    """The parameters of a file as a JSON object; a JSON object unchanged.
 
     Raises:
         ValueError: no such file, or a fault in it.
@@ -99,10 +99,10 @@ def _parse_yaml(text: str, what: str) -> dict[str, Any]:
         found = yaml.safe_load(text)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ValueError(f"{what}, line {line}: no YAML ({error.problem})") from None
+        raise ValueError(f"{what}, line {line}: not YAML ({error.problem})") from None
     except (yaml.YAMLError, ValueError) as error:  # characters, dates
         told = " ".join(str(error).split())
-        raise ValueError(f"{what}: no YAML ({told})") from None
+        raise ValueError(f"{what}: not YAML ({told})") from None
     except RecursionError:
         raise ValueError(f"{what} is nested too deeply") from None
     if not isinstance(found, dict):

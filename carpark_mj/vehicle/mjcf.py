@@ -53,7 +53,7 @@ def chassis_inertial(
         [kg m^2] about it. Products of inertia are neglected.
 
     Raises:
-        ValueError: the remainder is no rigid body (negative, or it violates the
+        ValueError: the remainder is not a rigid body (negative, or it violates the
             triangle inequality of inertias).
     """
     hubs = hub_positions(params)

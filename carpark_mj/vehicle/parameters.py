@@ -25,7 +25,7 @@ GRAVITY = 9.81  # m/s^2
 _MAX_LOCK = math.pi / 3  # beyond 60 deg no steering linkage works
 
 
-# What no road vehicle exceeds, so that other units are noticed; toys are no cars.
+# Bounds of road vehicles, which reveal other units. Toy cars are out of bounds.
 PLAUSIBLE = {
     (1.0, 25.0, "m"): ("length",),
     (2.0, 100.0, "m"): ("turning_circle",),
@@ -316,7 +316,7 @@ LENGTHS = (
 
 
 def scaled(params: VehicleParameters, factor: float) -> VehicleParameters:
-    """The car enlarged by a factor; masses stay, it is made to be looked at."""
+    """The car enlarged by a factor, for pictures; masses do not change."""
     if abs(factor - 1.0) < 1e-6:  # float32 has been there
         return params
     lengths = {name: factor * getattr(params, name) for name in LENGTHS}

@@ -28,7 +28,7 @@ VEHICLES: Registry[VehicleParameters] = Registry("vehicle", "carpark_mj.vehicle.
 
 
 def register_vehicle(name: str, params: VehicleParameters) -> VehicleParameters:
-    """Names a car, so that `EnvConfig.vehicle`, fleets and flags can have it.
+    """Names a car for `EnvConfig.vehicle`, fleets and flags.
 
     Raises:
         ValueError: the name is another car's.
@@ -194,8 +194,8 @@ VAN = VehicleParameters(
     tyre=TyreParameters(vertical_stiffness=38_000.0, vertical_damping=2900.0),  # [est]
 )
 
-# The cars that have looks of their own and that estimates are fitted to; those of data
-# sheets, studies and other packages are registered, too.
+# Cars with their own looks, to which estimates are fitted. Cars of data sheets, studies
+# and other packages are registered too.
 PRESETS = MappingProxyType(
     {
         "city": CITY,

@@ -1,8 +1,8 @@
-"""A car from the quantities of a data sheet; what the sheet leaves out is estimated.
+"""A car from the quantities of a data sheet; missing quantities are estimated.
 
-A quantity is a parameter of `VehicleParameters`, in its unit, or what data sheets give
-in its place (`SHEET`). Estimates are fits to `presets.PRESETS`: from outline,
-wheelbase, mass, drive and wheel they give a preset's other sizes and its inertias
+A quantity is a parameter of `VehicleParameters`, in its unit, or a quantity of data
+sheets that replaces one (`SHEET`). Estimates are fits to `presets.PRESETS`: from
+outline, wheelbase, mass, drive and wheel they give a preset's other sizes and inertias
 within 15 %, its wheels' masses, springs, torque and power within 35 %.
 """
 
@@ -75,8 +75,8 @@ class Sheet(NamedTuple):
 
     Attributes:
         params: its parameters.
-        estimated: names of those that are estimates from the sheet's quantities. What
-            is neither there nor in the sheet has the default of all cars.
+        estimated: names of parameters estimated from the sheet's quantities. Parameters
+            that are neither here nor in the sheet have the default of all cars.
     """
 
     params: VehicleParameters
@@ -186,7 +186,7 @@ def _axle_loads(given: dict[str, Any]) -> None:
         return
     if "cg_to_front_axle" in given:
         raise ValueError(
-            f"cg_to_front_axle {given['cg_to_front_axle']:g} says what axle loads say: "
+            f"cg_to_front_axle {given['cg_to_front_axle']:g} repeats the axle loads: "
             "leave one of them out"
         )
     if front is not None and rear is not None:
@@ -234,7 +234,7 @@ def _drive(given: dict[str, Any]) -> None:
         raise ValueError(f"unknown drive {drive!r}; choose from {[*DRIVES]}")
     if "front_drive" in given:
         raise ValueError(
-            f"front_drive {given['front_drive']:g} says what drive {drive!r} says: "
+            f"front_drive {given['front_drive']:g} repeats drive {drive!r}: "
             "leave one of them out"
         )
     given["front_drive"] = DRIVES[drive]

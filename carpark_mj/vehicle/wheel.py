@@ -1,4 +1,4 @@
-"""One wheel's share of a car's parameters, for code that is written for one wheel."""
+"""One wheel's share of a car's parameters, for code that computes one wheel."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""All actions of an agent in one numbered list, for learners of a single choice."""
+"""All discrete actions of an agent in one numbered list."""
 
 import itertools
 
@@ -13,7 +13,7 @@ STEERS, PEDALS = 11, 7
 def action_table(spec: ActionSpec) -> np.ndarray:
     """Actions (number, spec.size): steering x pedal x choices, the last fastest.
 
-    On the grid, where all parts are choices, these are all the actions there are.
+    On the grid, where all parts are choices, the list is complete.
     """
     ends = (-1.0, 1.0)
     parts = (np.linspace(*ends, STEERS), np.linspace(*ends, PEDALS))[: spec.continuous]

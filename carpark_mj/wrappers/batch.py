@@ -27,16 +27,16 @@ from carpark_mj.types import State, TimeStep
 # episodes. A batch restarts as many such groups as it takes.
 _GROUP = 1 / 32
 
-# Of the first lot, each further one has the next; or of each lot. None = drawn.
+# Of the first lot (the next lot has the next seed), or of each lot. None = drawn.
 Seeds = int | Sequence[int | None] | None
 
 
 class Batch:
     """Lots of one environment on JAX's device.
 
-    With `EpisodeConfig.respawn` an agent whose episode ends begins the next in the same
-    lot. Without, agents wait until all of their lot have finished; then the lot begins
-    anew in the same call, with another layout if it is random.
+    With `EpisodeConfig.respawn` each agent auto-resets in its lot. Without it, agents
+    wait until all of their lot have finished. The lot then resets in the same call,
+    with another layout if it is random.
 
     Attributes:
         env: environment of one lot.
@@ -49,11 +49,11 @@ class Batch:
         Args:
             env: environment of one lot.
             num_lots: at least 1.
-            restart: whether lots whose agents all have finished begin anew.
+            restart: whether a lot resets when all its agents have finished.
 
         Raises:
-            ValueError: `num_lots` is no whole number of at least 1.
-            TypeError: the environment is something else.
+            ValueError: `num_lots` is not a whole number of at least 1.
+            TypeError: `env` is not an environment.
         """
         if not isinstance(env, Environment):  # pyright: ignore[reportUnnecessaryIsInstance]
             kind = type(env).__name__
@@ -78,7 +78,7 @@ class Batch:
 
     @property
     def state(self) -> State:
-        """State (num_lots, ...) of the lots; its buffers are gone after the next step.
+        """State (num_lots, ...) of the lots; the next step reuses its buffers.
 
         Raises:
             ResetNeeded: before the first `reset`.
@@ -100,15 +100,15 @@ class Batch:
         Args:
             seed: in [0, 2**32); lot i gets seed + i, or the i-th of a sequence. None =
                 lots go on with their own random numbers, at first unpredictable ones.
-            options: (num_lots, num_agents, ...) starts that are given; episodes that
-                begin later are drawn.
+            options: (num_lots, num_agents, ...) given starts of the first episodes;
+                later ones are drawn.
 
         Returns:
             Observations (num_lots, num_agents, ...).
 
         Raises:
-            ValueError: a seed out of range, or not one for each lot, or options with
-                which a lot cannot begin; the lots are as before.
+            ValueError: a seed out of range, a wrong number of seeds, or impossible
+                options; the lots stay as they were.
         """
         if seed is None and self._state is not None:
             keys = self._state.key
@@ -125,10 +125,10 @@ class Batch:
         return observation
 
     def restart(self, due: np.ndarray | jax.Array) -> jax.Array:
-        """Begins some lots anew, `due` (num_lots,) bool, with their own random numbers.
+        """Resets some lots, `due` (num_lots,) bool, with their own random numbers.
 
         Returns:
-            Observations as of `reset`; zeros for the other lots.
+            Observations as `reset` returns; zeros for the other lots.
         """
         self._state, seen = self._programs.restart(self.state, jnp.asarray(due))
         return seen
@@ -140,9 +140,9 @@ class Batch:
             action: of `action_shape`; see `ParkingEnv.step`.
 
         Returns:
-            What the agents get, all (num_lots, num_agents, ...): `observation` is that
-            of the next episode where one has begun, `final_observation` what the agents
-            saw before that.
+            The time step, all (num_lots, num_agents, ...). Where an episode has begun,
+            `observation` is that of the new episode and `final_observation` the last of
+            the old one.
 
         Raises:
             ResetNeeded: before the first `reset`.
@@ -154,11 +154,11 @@ class Batch:
 
 
 class Step(NamedTuple):
-    """What learners get from a step, in the arrays of their library.
+    """A step as learners need it, in the arrays of their library.
 
-    All of the leading shape (num_lots, num_agents); see `TimeStep`, `Batch.step`;
+    All have the leading shape (num_lots, num_agents), see `TimeStep` and `Batch.step`;
     `success` is `Events.success`. There are final observations unless agents respawn
-    without `final_observation`.
+    without `EpisodeConfig.final_observation`.
     """
 
     observation: Any
@@ -185,20 +185,20 @@ class Step(NamedTuple):
 
 
 class NumpyBatch(Batch):
-    """A batch of NumPy arrays, which are the caller's own to keep and change."""
+    """A batch with NumPy arrays, which the caller may keep and change."""
 
     def reset_numpy(
         self, seed: Seeds = None, options: ResetOptions | None = None
     ) -> np.ndarray:
-        """As `reset`."""
+        """See `reset`."""
         return np.array(self.reset(seed, options))
 
     def step_numpy(self, action: Any) -> Step:
-        """As `step`.
+        """See `step`.
 
         Raises:
-            ValueError: also if an action is NaN, no real number, or no integer on the
-                grid.
+            ValueError: also if an action is NaN, not a real number, or not an integer
+                on the grid.
         """
         given = np.asarray(action)
         if not is_real(given):
@@ -274,7 +274,7 @@ def _programs(env: Environment, restart: bool) -> _Programs:
 def _restart(
     env: Environment, state: State, observation: jax.Array, due: jax.Array
 ) -> tuple[State, jax.Array]:
-    """Begins lots anew that are due (num_lots,), some at a time, the rest are kept."""
+    """Resets the lots that are due (num_lots,), some at a time; the rest are kept."""
     num_lots = due.shape[0]
     count = max(1, round(num_lots * _GROUP))
 
@@ -295,7 +295,7 @@ def _restart(
 
 
 def _seeds(seed: Seeds, num_lots: int) -> np.ndarray:
-    """A seed (num_lots,) uint32 for each lot; one that is None is drawn."""
+    """A seed (num_lots,) uint32 for each lot; None is drawn."""
     drawn = np.random.SeedSequence().generate_state(num_lots)
     if seed is None:
         return drawn

@@ -35,7 +35,7 @@ from carpark_mj.wrappers.torchrl import GROUP, TorchRLParking
 class ParkingTaskClass(TaskClass):
     """A `TorchRLParking`; the task's config holds its options.
 
-    Algorithms of continuous actions steer with them, all others choose rows of
+    Algorithms with continuous actions use steer and pedal, all others rows of
     `carpark_mj.wrappers.action_table`.
     """
 
@@ -57,19 +57,19 @@ class ParkingTaskClass(TaskClass):
         )
 
     def supports_continuous_actions(self) -> bool:
-        """Unless some parts of an action are indices."""
+        """True unless some parts of an action are indices."""
         return not action_spec(configure(self.config)).choices
 
     def supports_discrete_actions(self) -> bool:
-        """Always, see `action_table`."""
+        """True, see `action_table`."""
         return True
 
     def max_steps(self, env: EnvBase) -> int:
-        """Control steps after which every lot's episode is over."""
+        """Largest number of control steps of a lot's episode."""
         return configure(self.config).episode.max_steps
 
     def has_render(self, env: EnvBase) -> bool:
-        """Of the first lot."""
+        """True: of the first lot."""
         return True
 
     def group_map(self, env: EnvBase) -> dict[str, list[str]]:
@@ -127,7 +127,7 @@ class ParkingTask(Task):
 
 
 class Rates(Callback):
-    """Logs how evaluated episodes end, and keeps it.
+    """Logs and keeps the outcomes of evaluated episodes.
 
     Attributes:
         history: a row for each evaluation: `frames` collected before it, and the rates
@@ -140,7 +140,7 @@ class Rates(Callback):
         self.history: list[dict[str, float]] = []
 
     def on_evaluation_end(self, rollouts: list[TensorDictBase]) -> None:
-        """Takes the first episode of every lot, to which BenchMARL has cut them."""
+        """Records the first episode of every lot, to which BenchMARL cuts roll-outs."""
         experiment: Any = self.experiment
         rates = ending_rates(torch.cat(rollouts))
         self.history.append({"frames": experiment.total_frames, **rates})
@@ -151,7 +151,7 @@ class Rates(Callback):
 
 
 def ending_rates(batch: TensorDictBase, success: str = "parked") -> dict[str, float]:
-    """Shares of episodes that ended in steps (...) by how they did; NaN of none."""
+    """Shares of outcomes of the episodes that ended in steps (...); NaN if none did."""
     info = batch["next", GROUP, "info"]
     ends = {
         success: info[success],

@@ -19,28 +19,37 @@ from carpark_mj.types import State, TimeStep
 class BraxParking(Env):
     """`num_lots` lots of `env.num_agents` agents each.
 
-    `reset(keys)` takes (num_lots,) keys; observations, rewards, `done` and everything
-    in `info` but the state have the leading dimension num_lots * num_agents. Steps of
-    agents that are absent, where `info["present"]` is 0, are not to be learned from;
-    it is None where all always are present. `info["final_observation"]` is that of
-    `TimeStep`, None unless `EpisodeConfig.final_observation`.
+    `reset(keys)` takes (num_lots,) keys. Observations, rewards, `done` and everything
+    in `info` but the state have the leading dimension num_lots * num_agents. Mask steps
+    of absent agents, where `info["present"]` is 0; it is None if agents are never
+    absent. `info["final_observation"]` is that of `TimeStep`, None unless
+    `EpisodeConfig.final_observation`. Agents auto-reset.
     """
 
     def __init__(self, env: ParkingEnv) -> None:
         """Wraps one lot's environment."""
         self.env = env
 
-    def reset(self, rng: jax.Array, member: jax.Array | None = None) -> BraxState:
+    def reset(
+        self,
+        rng: jax.Array,
+        member: jax.Array | None = None,
+        num_present: jax.Array | None = None,
+    ) -> BraxState:
         """Starts the lots, one per key.
 
         Args:
             rng: (num_lots,) keys, consumed.
             member: (num_lots,) int32 which member of a mixture each lot is of, kept in
                 `info`; drawn if None.
+            num_present: (num_lots,) int32 how many agents each is to have, kept in
+                `info` (some lots have room for fewer only); drawn if None.
         """
         state, observation = jax.vmap(
-            lambda key, member: self.env.reset(key, member=member)
-        )(rng, member)
+            lambda key, member, num_present: self.env.reset(
+                key, member=member, num_present=num_present
+            )
+        )(rng, member, num_present)
         observation = _flatten(observation)
         zero = jnp.zeros(observation.shape[:1], jnp.float32)
         spec = self.env.action_spec
@@ -58,8 +67,9 @@ class BraxParking(Env):
         }
         if lot.final_observation is not None:
             info["final_observation"] = jnp.zeros_like(observation)
-        if member is not None:
-            info["member"] = jnp.repeat(member, self.env.num_agents)
+        for name, given in (("member", member), ("num_present", num_present)):
+            if given is not None:
+                info[name] = jnp.repeat(given, self.env.num_agents)
         return BraxState(
             pipeline_state=state,  # pyright: ignore[reportArgumentType]
             obs=observation,
@@ -75,16 +85,18 @@ class BraxParking(Env):
         lots: jax.Array,
         keys: jax.Array,
         member: jax.Array | None = None,
+        num_present: jax.Array | None = None,
     ) -> BraxState:
-        """Draws some lots anew; the episodes running in them are cut off.
+        """Redraws some lots and cuts off the episodes running in them.
 
         Args:
             state: of all lots.
             lots: (n,) int32 which lots.
             keys: (n,) consumed.
             member: (n,) int32, see `reset`.
+            num_present: (n,) int32, see `reset`.
         """
-        fresh = self.reset(keys, member)
+        fresh = self.reset(keys, member, num_present)
         num_lots = state.done.shape[0] // self.env.num_agents
         is_drawn = jnp.arange(num_lots)[:, None] == lots
         source, due = jnp.argmax(is_drawn, axis=1), jnp.any(is_drawn, axis=1)

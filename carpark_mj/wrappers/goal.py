@@ -1,4 +1,4 @@
-"""Goals as poses that can be relabelled (HER): observations in three parts."""
+"""Goal poses that can be relabelled (HER): observations in three parts."""
 
 import dataclasses
 from typing import Any
@@ -29,8 +29,8 @@ from carpark_mj.types import State, TimeStep
 class GoalParking(ParkingEnv):
     """One agent whose observation ends with its own features and those of its goal.
 
-    It is a vector of three parts, see `split`: what it observes but for its own goal,
-    and `FEATURES` of its car and of its goal, free of noise.
+    The observation is a vector of three parts, see `split`: the fields that do not
+    reveal the goal, and `FEATURES` of the car and of the goal, free of noise.
 
     Attributes:
         fields: of the first part.
@@ -44,9 +44,9 @@ class GoalParking(ParkingEnv):
         """Builds the environment; see `ParkingEnv`.
 
         Raises:
-            ValueError: not one agent that stays where it has finished, a dynamic goal,
-                observations without a field that reveals the goal, or a reward that
-                does not follow from poses and crashes.
+            ValueError: several agents, respawn, a dynamic goal, observations without a
+                field that reveals the goal, or a reward that does not follow from poses
+                and crashes.
         """
         super().__init__(config, physics)
         config = self.config

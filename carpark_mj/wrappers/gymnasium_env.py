@@ -26,8 +26,8 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
     """One agent parks.
 
     - observation: (size,) float32, the fields of `docs/mdp.md`.
-    - action: (2,) float32, steer and pedal in [-1, 1]; numbers beyond are clipped. On
-      the grid indices of an acceleration and a turn.
+    - action: (2,) float32, steer and pedal in [-1, 1]; numbers out of range are
+      clipped. On the grid: indices of an acceleration and a turn.
     - reward: the sum of the terms of `docs/mdp.md`.
     - end: terminated when parked or crashed, truncated when out of time; then `reset`
       draws the next lot.
@@ -47,7 +47,7 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
         Args:
             render_mode: None, `human` or `rgb_array`.
             camera: of pictures, see `carpark_mj.rendering.renderer.camera_names`.
-            **options: see `Options`; there always is one agent.
+            **options: see `Options`; there is always one agent.
 
         Raises:
             TypeError: an unknown option.
@@ -77,7 +77,7 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
         """Begins an episode in another lot.
 
         Args:
-            seed: in [0, 2**32); None = go on with the lot's own random numbers.
+            seed: in [0, 2**32); None = continue with the lot's own random numbers.
             options: `pose`, `speed` and `goal` of the start, drawn where left out;
                 see `carpark_mj.wrappers.reset_options`.
 
@@ -85,8 +85,8 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
             What the agent observes, and an empty info.
 
         Raises:
-            ValueError: a seed out of range, an unknown option, or a start that cannot
-                be: a bay that is not there, a pose on a wall.
+            ValueError: a seed out of range, an unknown option, or an impossible start,
+                such as an unknown bay or a pose on a wall.
         """
         super().reset(seed=seed)
         given = as_reset_options([options], (1, 1))
@@ -131,7 +131,7 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
 
 
 def one_agent(config: EnvConfig) -> EnvConfig:
-    """The same for one agent, whose episodes are whole lots."""
+    """The config for one agent without respawn."""
     episode = dataclasses.replace(
         config.episode, respawn=False, final_observation=False
     )

@@ -17,10 +17,10 @@ Info = Mapping[str, Any]
 
 
 def goal_config(options: Options) -> EnvConfig:
-    """The configuration of one agent that options ask for.
+    """The configuration of one agent from options.
 
-    Unless they say otherwise the reward is `pose`, and the goal pose ends an episode as
-    well as the parked rule.
+    By default the reward is `pose`, and both the goal pose and the parked rule end an
+    episode.
 
     Raises:
         TypeError: an unknown option.
@@ -54,8 +54,8 @@ class _Goals:
         Args:
             achieved_goal: at the end of the step.
             desired_goal: of the same shape.
-            info: of the step, or one for each row; where it says nothing about
-                `crashed`, nothing is deducted.
+            info: of the step, or one for each row; without a key `crashed` there is no
+                crash penalty.
         """
         rows = [info] if isinstance(info, Mapping) else info
         crashed = np.array([row.get("crashed", False) for row in rows], np.float32)
@@ -65,7 +65,7 @@ class _Goals:
 
 
 class ParkGoalEnv(_Goals, ParkEnv):
-    """One agent drives to a pose; as `ParkEnv`, but for these.
+    """One agent drives to a pose; the rest is as in `ParkEnv`.
 
     - observation: a dictionary of `observation` (what the agent observes but for its
       goal), `achieved_goal` and `desired_goal` (6,): x, y, vx, vy, cos and sin of the

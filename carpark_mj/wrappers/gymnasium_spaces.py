@@ -16,7 +16,7 @@ def action_space(spec: ActionSpec) -> spaces.Space[Any]:
     """Numbers in [-1, 1], or indices.
 
     Raises:
-        ValueError: actions of numbers and indices.
+        ValueError: actions have both numbers and indices.
     """
     if spec.continuous and spec.choices:
         raise ValueError(
@@ -27,7 +27,7 @@ def action_space(spec: ActionSpec) -> spaces.Space[Any]:
 
 
 def observation_space(env: ParkingEnv) -> spaces.Space[Any]:
-    """What the agent observes; of a goal environment a dictionary."""
+    """Space of the observation; a dictionary for goal environments."""
     box = partial(agent_spaces.observation_space, env.config)
     if isinstance(env, GoalParking):
         goal = box(env.goal_fields)

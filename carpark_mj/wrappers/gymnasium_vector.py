@@ -25,8 +25,8 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     """`carpark_mj/Park-v0` many times; every environment is a lot with one agent.
 
     Environment i reset with a seed gives the episodes of `ParkEnv` reset with seed + i.
-    One that ends begins its next episode in the same step: `final_obs` and `final_info`
-    of the infos hold what it was, as of Gymnasium's `SyncVectorEnv`.
+    Environments auto-reset in the same step: `final_obs` and `final_info` of the infos
+    hold the end of the episode, as in Gymnasium's `SyncVectorEnv`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -93,14 +93,14 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
         Args:
             seed: lot i gets seed + i, or the i-th of a sequence; see `Batch.reset`.
-            options: of every environment, or of each its own, as of `ParkEnv.reset`;
-                for the episodes that begin now, not for those that follow.
+            options: see `ParkEnv.reset`; one dictionary for all environments, or one
+                for each. They apply to the episodes that begin now only.
 
         Returns:
             Observations (num_envs, ...), and empty infos.
 
         Raises:
-            ValueError: as of `ParkEnv.reset`, or not one dictionary for each.
+            ValueError: see `ParkEnv.reset`, or a wrong number of dictionaries.
         """
         super().reset(seed=seed if isinstance(seed, int) else None)
         each = options if isinstance(options, list) else [options] * self.num_envs
@@ -149,7 +149,7 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._screen.close()
 
     def _split(self, observation: np.ndarray) -> Any:
-        """Observations (num_envs, ...) of those of agents in lots."""
+        """Observations (num_envs, ...) from those of agents in lots."""
         flat = observation.reshape(self.num_envs, -1)
         return split_observation(self._batch.env, flat)
 
@@ -165,9 +165,9 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 class ParkManyVectorEnv(ParkVectorEnv):
     """`carpark_mj/ParkMany-v0`: every environment is an agent, several share a lot.
 
-    Environments k n to k n + n - 1 are the n agents of lot k. An agent whose episode
-    ends begins the next in the same lot and step while the others drive on, so lots
-    keep their layouts until `reset`.
+    Environments k n to k n + n - 1 are the n agents of lot k. Each agent auto-resets in
+    the same lot and step while the others drive on, so lots keep their layouts until
+    `reset`.
     """
 
     def _make(self, options: Options) -> ParkingEnv:
@@ -180,6 +180,6 @@ class ParkManyVectorEnv(ParkVectorEnv):
         episode = dataclasses.replace(
             config.episode, respawn=True, final_observation=True
         )
-        # None and not that number: lots without room for all are refused, not emptier.
+        # None and not that number: lots without room for all are refused.
         config = dataclasses.replace(config, episode=episode, min_agents=None)
         return shared_env(config)

@@ -24,13 +24,13 @@ Arrays = dict[str, jax.Array]
 
 
 class JaxMarlAgents(MultiAgentEnv):
-    """Agents that have one episode each; `step` resets all when all have ended.
+    """Agents with one episode each; `step` auto-resets the lot after the last ends.
 
     Observations (one agent's shape), rewards () and dones () are dicts by agent;
     `dones["__all__"]` is that of the lot. An agent whose episode has ended stays done,
-    observes zeros and earns nothing; but with `rewards.joint` of junctions it earns the
-    sum over all agents, as everybody. Infos are (num_agents,) bool by outcome, True in
-    the step in which an episode ends.
+    observes zeros and earns 0; with `rewards.joint` of junctions it still earns the sum
+    over all agents. Infos are (num_agents,) bool by outcome, True in the step in which
+    an episode ends.
     """
 
     outcomes = ENDINGS
@@ -47,7 +47,7 @@ class JaxMarlAgents(MultiAgentEnv):
                 otherwise numbers in [-1, 1].
 
         Raises:
-            ValueError: continuous actions with parts that are not.
+            ValueError: continuous actions where some parts are indices.
         """
         super().__init__(env.num_agents)
         self._env = env
@@ -76,7 +76,7 @@ class JaxMarlAgents(MultiAgentEnv):
     def step_env(
         self, key: jax.Array, state: Any, actions: Arrays
     ) -> tuple[Arrays, Any, Arrays, Arrays, Arrays]:
-        """A step without reset; `key` is consumed, instead of the state's own.
+        """A step without reset; it consumes `key` instead of the state's own.
 
         Raises:
             ValueError: actions of another shape.
@@ -106,7 +106,7 @@ class JaxMarlAgents(MultiAgentEnv):
 
     @property
     def name(self) -> str:
-        """Of the environment."""
+        """Name of the environment."""
         return "carpark_mj"
 
     @property
@@ -131,7 +131,8 @@ class JaxMarlParking(JaxMarlAgents):
 
         Raises:
             TypeError: unknown option.
-            ValueError: impossible value, or continuous actions with parts that are not.
+            ValueError: impossible value, or continuous actions where some parts are
+                indices.
         """
         config = configure(options)
         env, box = share(JointEnv, config), observation_space(config)

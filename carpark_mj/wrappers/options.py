@@ -17,7 +17,7 @@ from carpark_mj.registry import environment
 
 
 class Options(TypedDict, total=False):
-    """What of an environment can be chosen by keyword.
+    """Options of an environment, by keyword.
 
     Attributes:
         config: everything, an `EnvConfig` or the name of an environment of
@@ -53,11 +53,11 @@ _FIELDS = {
 
 
 def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig:
-    """The configuration that options ask for.
+    """The configuration from options.
 
     Raises:
-        TypeError: an option that is not allowed.
-        ValueError: a value that is not.
+        TypeError: unknown option.
+        ValueError: impossible value.
     """
     for name in options:
         if name not in allowed:
@@ -77,7 +77,7 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
         changes["reward"] = REWARDS[reward] if isinstance(reward, str) else reward
     config = dataclasses.replace(config, **changes)
     if isinstance(config.layout, str) and "." in config.layout:
-        # The content decides, not the name: environments are shared.
+        # Parameters instead of the name: environments are shared.
         config = dataclasses.replace(config, layout=layout_config(config.layout))
     return config
 

@@ -57,12 +57,12 @@ def parallel_env(
 class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
     """Agents `agent_0`... have one episode each and leave when it ends.
 
-    Actions out of range are clipped. Infos say `is_success` in the step in which an
-    agent has parked, or arrived, and `crashed` in that in which it has crashed.
+    Actions out of range are clipped. In infos `is_success` is true in the step in which
+    the agent parks or arrives, `crashed` in the step in which it crashes.
 
     Attributes:
-        agents: who is still driving.
-        possible_agents: everyone; with `EnvConfig.min_agents` a lot may have fewer.
+        agents: agents that are still driving.
+        possible_agents: all agents; with `EnvConfig.min_agents` a lot may have fewer.
         state_space: of `state()`.
     """
 
@@ -112,7 +112,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         self.state_space = spaces.Box(low, high, dtype=box.dtype.type)
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """Of a lot the vector (observation_size,) of `docs/mdp.md`, float32."""
+        """The vector (observation_size,) float32 of `docs/mdp.md`."""
         return self._spaces[agent][0]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
@@ -122,17 +122,17 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Starts the lot anew.
+        """Resets the lot.
 
         Args:
-            seed: of this and all later lots; None continues the last one, and takes one
-                from the operating system if there is none.
+            seed: of this and all later lots; None continues the random numbers of the
+                last seed, or of one from the operating system.
             options: by the names of agents, each with `pose`, `speed` and `goal` of its
                 start, drawn where left out; see `carpark_mj.wrappers.reset_options`.
 
         Raises:
-            ValueError: a seed out of range, no such agent or option, or a start that
-                cannot be: a bay that is not there, a pose on a wall.
+            ValueError: a seed out of range, an unknown agent or option, or an
+                impossible start, such as an unknown bay or a pose on a wall.
         """
         given = self._read_options(options)
         observation = self._lots.reset_numpy(seed, given)[0]
@@ -148,11 +148,12 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
         Args:
             actions: an element of `action_space` for each of `agents`; those of agents
-                that have left are not looked at, as TorchRL sends them.
+                that have left are ignored, because TorchRL sends them.
 
         Raises:
-            AssertionError: before `reset`, a missing agent, a wrong shape, not finite.
-            TypeError: no dictionary.
+            AssertionError: a step before `reset`, a missing agent, a wrong shape, or
+                numbers that are not finite.
+            TypeError: `actions` is not a dictionary.
         """
         require_kind("actions", actions, dict)
         if self._observation is None:
@@ -191,7 +192,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         return observations, rewards, terminations, truncations, infos
 
     def state(self) -> np.ndarray:
-        """All agents' observations, one after the other; zeros of those who have left.
+        """Observations of all agents in a row; zeros for agents that have left.
 
         Returns:
             (num_agents * numbers observed,).
@@ -202,7 +203,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         return self._observation.flatten()
 
     def render(self) -> np.ndarray | None:
-        """Draws the lot: (height, width, 3) uint8 by `rgb_array`, or in the window."""
+        """Draws the lot: (height, width, 3) uint8 in mode `rgb_array`, or a window."""
         if self._observation is None:
             EnvLogger.error_render_before_reset()
         if self.render_mode == "rgb_array":
@@ -214,7 +215,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         return None
 
     def close(self) -> None:
-        """Closes the window, and what draws."""
+        """Closes the window and the renderer."""
         self._screen.close()
 
     def _read_options(self, options: dict[str, Any] | None) -> ResetOptions | None:

@@ -20,12 +20,12 @@ def as_reset_options(
     Args:
         options: of each agent of each lot: `pose`, start pose (x, y, yaw) of the
             footprint's centre in the world frame [m, m, rad]; `speed`, forwards
-            positive [m/s]; `goal`, the index of a bay. What is left out is drawn, but
-            a car without a speed begins at rest.
+            positive [m/s]; `goal`, the index of a bay. Missing poses and goals are
+            drawn; a car without a speed begins at rest.
         shape: lots and agents in a lot.
 
     Raises:
-        TypeError: no dictionaries.
+        TypeError: `options` are not dictionaries.
         ValueError: an unknown key, or an impossible value.
     """
     rows = [_checked(row) for row in options]

@@ -53,7 +53,7 @@ class ParkVecEnv(VecEnv):
     def reset(self) -> VecEnvObs:
         """Begins an episode in every environment.
 
-        With the seeds of `seed` and the options of `set_options`, if any.
+        The seeds of `seed` and the options of `set_options` apply, if any.
         """
         every = self._env.num_envs // self._env.num_lots
         seeds = [None if s is None else s % 2**32 for s in self._seeds[::every]]
@@ -119,7 +119,7 @@ class ParkVecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """What a method of the environments gives, the same for each of `indices`."""
+        """Result of a method of the environments, the same for each of `indices`."""
         result = getattr(self._env, method_name)(*method_args, **method_kwargs)
         return [result for _ in self._get_indices(indices)]
 

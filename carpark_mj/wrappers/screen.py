@@ -28,9 +28,9 @@ class Screen:
         """Opens nothing yet.
 
         Args:
-            env: a `ParkingEnv`; of subclasses what they draw.
+            env: a `ParkingEnv`, or what a subclass draws.
             camera: see `carpark_mj.rendering.renderer.camera_names`.
-            num_cars: that cameras can follow; None = the agents.
+            num_cars: number of cars that cameras can follow; None = the agents.
 
         Raises:
             ValueError: no such camera.
@@ -46,7 +46,7 @@ class Screen:
         self._in_window: Stage | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies open what they show by themselves."""
+        """Copies open their own windows and renderers."""
         opened = ("_stages", "_renderer", "_window", "_in_window")
         return {k: v for k, v in vars(self).items() if k not in opened}
 

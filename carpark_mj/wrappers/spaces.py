@@ -18,11 +18,11 @@ from carpark_mj.vehicle import preset
 def observation_space(
     config: EnvConfig, fields: Sequence[Field] | None = None
 ) -> spaces.Box:
-    """The vector (size,) of some fields, float32; of all an agent observes by default.
+    """The vector (size,) float32 of some fields; by default of the whole observation.
 
-    Bounded by the ranges of the fields. Where these do not hold for lengths and speeds,
-    by what a car can reach in an episode: where nothing keeps cars on the lot, or it is
-    faster than in a car park. Noise of sensors has no bounds.
+    Bounds are the ranges of the fields. If walls do not keep cars on the lot, or cars
+    are faster than in a car park, bounds of lengths and speeds are what a car can reach
+    in an episode. Noise of sensors is unbounded.
     """
     if fields is None:
         fields = make_fields(config)
@@ -71,7 +71,7 @@ def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
     """An element of `action_space` as the vector (size,) that the environment takes.
 
     Raises:
-        AssertionError: another shape, NaN or infinity, or no numbers.
+        AssertionError: another shape, NaN or infinity, or not numbers.
     """
     parts = action if isinstance(action, tuple) else (action,)
     try:

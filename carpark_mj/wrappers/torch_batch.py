@@ -12,18 +12,17 @@ from carpark_mj.wrappers.batch import Batch, Seeds, Step
 
 
 class TorchBatch:
-    """Lots of one environment; tensors share memory with the arrays behind them.
+    """Lots of one environment; tensors share memory with JAX's arrays.
 
-    Nothing that a tensor shows is written again: the batch reuses only the buffers of
-    its own state.
+    Tensors are never overwritten: the batch reuses only the buffers of its own state.
 
     Attributes:
-        batch: the same of JAX arrays.
-        device: of all tensors, that on which JAX computes.
+        batch: the batch with JAX arrays.
+        device: of all tensors, JAX's device.
     """
 
     def __init__(self, env: Environment, num_lots: int, restart: bool = True) -> None:
-        """As of `Batch`."""
+        """See `Batch`."""
         self.batch = Batch(env, num_lots, restart)
         self.device = torch.from_dlpack(jax.numpy.zeros(1)).device
 
@@ -38,14 +37,14 @@ class TorchBatch:
         return torch.from_dlpack(self.batch.reset(seed, options))
 
     def restart(self, due: torch.Tensor) -> torch.Tensor:
-        """Begins some lots anew, `due` (num_lots,) bool; see `Batch.restart`."""
+        """Resets some lots, `due` (num_lots,) bool; see `Batch.restart`."""
         return torch.from_dlpack(self.batch.restart(_to_jax(due, self.device)))
 
     def step(self, action: torch.Tensor) -> Step:
         """Advances all lots by a control step; see `Batch.step`.
 
-        Actions that are NaN or out of range are sanitized and counted on the device
-        (`carpark_mj.mdp.actions`), which a check here would have to wait for.
+        NaN and actions out of range are sanitized and counted on the device
+        (`carpark_mj.mdp.actions`); a check here would have to wait for the device.
 
         Args:
             action: (num_lots, num_agents, size) on `device`; may require gradients,

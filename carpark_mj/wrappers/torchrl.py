@@ -33,15 +33,14 @@ class TorchRLAgents(EnvBase):
     `done`, `terminated` and `truncated` (lots, 1) of the lots, which are done when all
     of their agents are.
 
-    An agent whose episode has ended stays terminated, observes zeros and earns nothing
-    until its lot is reset; but with `rewards.joint` of junctions it earns the sum over
-    all agents, as everybody. All tensors are on the device on which JAX computes, and
-    share memory with its arrays. Actions that are NaN or out of range are sanitized,
-    not refused.
+    An agent whose episode has ended stays terminated, observes zeros and earns 0 until
+    its lot is reset; with `rewards.joint` of junctions it still earns the sum over all
+    agents. All tensors are on JAX's device and share memory with its arrays. NaN and
+    actions out of range are sanitized, not refused.
 
     Attributes:
         group_map: names of the agents of the group.
-        success: what success is called in `info`.
+        success: name of success in `info`.
     """
 
     success = "parked"
@@ -67,8 +66,8 @@ class TorchRLAgents(EnvBase):
             discrete: actions are rows of `action_table`; otherwise numbers in [-1, 1].
 
         Raises:
-            ValueError: another device than JAX's, or continuous actions with parts that
-                are not.
+            ValueError: another device than JAX's, or continuous actions where some
+                parts are indices.
         """
         spec = env.action_spec
         if spec.choices and not discrete:
@@ -130,7 +129,7 @@ class TorchRLAgents(EnvBase):
         tensordict: TensorDictBase | None = None,
         options: ResetOptions | None = None,
     ) -> TensorDict:
-        """Begins the lots that `_reset` (lots, 1) names; without it, all.
+        """Begins the lots that `_reset` (lots, 1) marks; without it, all.
 
         Args:
             tensordict: with `_reset`, or without.
@@ -188,7 +187,7 @@ class TorchRLAgents(EnvBase):
         return TensorDict({k: v[..., None] for k, v in values.items()}, shape)
 
     def _set_seed(self, seed: int | None) -> None:
-        """Takes effect at the next whole reset."""
+        """Takes effect at the next reset of all lots."""
         self._seed = seed
 
     def render(self, lot: int = 0) -> Any:
@@ -196,7 +195,7 @@ class TorchRLAgents(EnvBase):
         return self._screen.picture(self._lots.batch.state, lot)
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """Closes what draws."""
+        """Closes the renderer."""
         self._screen.close()
         super().close(raise_if_closed=raise_if_closed)
 
@@ -218,7 +217,7 @@ class TorchRLParking(TorchRLAgents):
         Args:
             lots: number of lots.
             device: must be JAX's; None = that.
-            seed: of lot 0, the next lot has the next; None = unpredictable.
+            seed: of lot 0; lot i uses seed + i. None = unpredictable.
             discrete: actions are rows of `action_table`; otherwise steer and pedal in
                 [-1, 1].
             **options: see `carpark_mj.wrappers.options.Options`.
@@ -226,7 +225,7 @@ class TorchRLParking(TorchRLAgents):
         Raises:
             TypeError: unknown option.
             ValueError: impossible value, another device than JAX's, or continuous
-                actions with parts that are not.
+                actions where some parts are indices.
         """
         config = configure(options)
         env, box = share(JointEnv, config), observation_space(config)

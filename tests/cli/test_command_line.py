@@ -89,7 +89,7 @@ IDLE = [
     (
         lambda: ExportConfig("square", out="a.npz", seed=1),
         "seed 1",
-        "on a checkpoint, of which no model is made",
+        "with a checkpoint",
     ),
     (lambda: find_driver("zero", deterministic=False), "stochastic", "with zero"),
 ]

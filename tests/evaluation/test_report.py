@@ -71,7 +71,7 @@ def test_the_first_table_tells_outcomes_and_how_parked_episodes_went(
         "0.46 m/s",
     ):
         assert text in printed
-    assert "3.7% of the way driven against the lanes" in printed
+    assert "3.7% of the distance driven against the lanes" in printed
 
 
 def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(

@@ -157,7 +157,7 @@ def test_text_that_is_no_json_names_the_line(tmp_path):
     with pytest.raises(ValueError, match="brackets are nested too deeply"):
         make_layout(str(path))
     path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ValueError, match=r"cannot read .*broken.json: it is no text"):
+    with pytest.raises(ValueError, match=r"cannot read .*broken.json: it is not text"):
         make_layout(str(path))
     with pytest.raises(ValueError, match=r"nowhere.json: No such file or directory"):
         make_layout("nowhere.json")
@@ -169,7 +169,7 @@ def test_text_that_is_no_json_names_the_line(tmp_path):
 def test_a_file_that_never_ends_is_refused(suffix, tmp_path):
     pipe = tmp_path / f"pipe{suffix}"
     os.mkfifo(pipe)
-    with pytest.raises(ValueError, match=f"{suffix}: it is no regular"):
+    with pytest.raises(ValueError, match=f"{suffix}: it is not a regular"):
         make_layout(str(pipe))
 
 
@@ -325,14 +325,14 @@ def test_a_tight_goal_gets_a_smaller_bay(tmp_path):
 
 BAD_CSV = [
     ("1,2,3\n4,5,6\n", 2, r"7 numbers\), not 6"),
-    ("1,2,3\n4,5,pi\n", 2, "'pi' is no number"),
+    ("1,2,3\n4,5,pi\n", 2, "'pi' is not a number"),
     ("0,0,0,5,12,0\n1.5,3\n", 2, "number of obstacles must be a whole number"),
     ("0,0,0,5,12,0\n3,4\n", 2, "3 obstacles need 3 vertex counts, there are 1"),
     ("0,0,0,5,12,0\n1\n2\n", 3, "vertex count of obstacle 0 .* at least 3, not 2"),
     ("0,0,0,5,12,0,1,3\n1,1,2,2,3\n", 2, "make 14 numbers, not 13"),
     ("0,0,1e300\n5,12,0\n0\n", 1, r"heading must be at most 12.57 rad .*, not 1e\+300"),
     ("0,0,0\n5,12,90\n0\n", 2, "heading must be at most 12.57 rad either way, not 90"),
-    ("0,0,0,5,12,0,0,inf\n", 1, "'inf' is no number"),
+    ("0,0,0,5,12,0,0,inf\n", 1, "'inf' is not a number"),
     ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", 2, "at the goal would stand in an"),
     ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", 1, "at the start would stand in an"),
     ("0,0,0\n5,1e30,0\n0\n", 2, r"a coordinate must be at most 1e\+10 m, not 1e\+30"),

@@ -137,7 +137,7 @@ def encoder(names, filled):
 @pytest.mark.parametrize(
     ("names", "filled", "message"),
     [
-        ("ab", {"a": (3, 1)}, r"'wrong' fills no \['b'\]"),
+        ("ab", {"a": (3, 1)}, r"'wrong' does not fill \['b'\]"),
         ("a", {"a": (3, 1), "c": (3, 1)}, r"'wrong' fills \['c'\], which it does not"),
         ("ab", {"a": (3,), "b": (3, 1)}, r"'wrong' fills \['a'\] with \[\(3,\)\]"),
         ("ab", {"a": (3, 2), "b": (3, 1)}, r"\['a'\] with \[\(3, 2\)\] .*\(3, 1\)"),

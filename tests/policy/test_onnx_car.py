@@ -111,7 +111,7 @@ PAST = ContinuousObservation(rings=RingConfig((5.0,), history=2))
 @pytest.mark.parametrize(
     ("env", "reason"),
     [
-        (environment("tanner-dynamic"), "reads all of the lot's state"),
+        (environment("tanner-dynamic"), "reads the whole state"),
         (EnvConfig(observation=PAST), "rings.history"),
     ],
 )

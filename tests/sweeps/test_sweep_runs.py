@@ -100,7 +100,7 @@ def test_rows_of_earlier_values_and_seeds_stay_in_the_table(tmp_path):
 def test_a_damaged_sweep_is_refused_in_a_sentence(text, tmp_path):
     plan, _ = plan_runs("num_agents=1,2")
     (tmp_path / "sweep.json").write_text(text)
-    with pytest.raises(ValueError, match=r"sweep\.json is (damaged|no JSON object)"):
+    with pytest.raises(ValueError, match=r"sweep\.json is (damaged|not a JSON object)"):
         open_sweep(tmp_path, plan, False)
 
 

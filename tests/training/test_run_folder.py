@@ -198,7 +198,7 @@ def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_pa
     deep = '{"config":' * 500 + "{" + "}" * 501
     for damaged in ("{", "[]", "{}", json.dumps(junk), deep):
         path.write_text(damaged)
-        with pytest.raises(CheckpointError, match="is no config of a run"):
+        with pytest.raises(CheckpointError, match="is not the config of a run"):
             read_config(PPOConfig, folder)
 
 

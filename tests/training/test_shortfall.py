@@ -13,7 +13,8 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig, layout_config
 from carpark_mj.layouts.registry import mixture
-from carpark_mj.policy import checkpoints
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.collect import Totals
 from carpark_mj.training.ppo.config import PPOConfig
@@ -21,9 +22,12 @@ from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 from carpark_mj.training.ppo.families import MEMORY, Families, make_families
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.state import TrainingState
+from carpark_mj.training.ppo.train import load_or_init
 from carpark_mj.wrappers.brax import BraxParking
 
-THREE = Families(0.9, {"lot": 0.5, "street": 0.25, "angled": 0.25})
+THREE = Families(0.9, {"lot": 0.5, "street": 0.25, "angled": 0.25}, range(2, 3))
+# Pairs, in this order: lot 1, lot 2, street 1, street 2.
+PAIRS = Families(0.9, {"lot": 0.75, "street": 0.25}, range(1, 3))
 STREETS = mixture(
     [StreetConfig(bays_per_side=(3, 3)), StreetConfig(bays_per_side=(5, 5))]
 )
@@ -60,8 +64,9 @@ def test_half_of_the_probability_is_by_share_and_half_by_shortfall(rates, expect
 
 def test_members_are_drawn_by_these_probabilities():
     rates = jnp.array([0.95, 0.8, 0.6])
-    keys, member = THREE.draw(rates, jax.random.key(0), 4000)
+    keys, member, present = THREE.draw(rates, jax.random.key(0), 4000)
     assert keys.shape == (4000,)
+    assert present is None  # all lots have two agents
     # Deviations 0.7 % and 0.8 %: five of them.
     share = np.bincount(member, minlength=3) / 4000
     np.testing.assert_allclose(share, (0.25, 0.25, 0.5), atol=0.04)
@@ -72,7 +77,7 @@ def updated(rates, member, episodes, parked):
 
     def update(member, episodes, parked):
         totals = Totals(episodes, {"parked": parked}, {})
-        return THREE.update(jnp.array(rates), member, totals, "devices")
+        return THREE.update(jnp.array(rates), {"member": member}, totals, "devices")
 
     numbers = (jnp.asarray(x, jnp.float32) for x in (episodes, parked))
     after = jax.vmap(update, axis_name="devices")(jnp.asarray(member), *numbers)
@@ -95,11 +100,64 @@ def test_rates_are_running_means_by_episodes_of_each_member():
     np.testing.assert_allclose(far, [0.5, 0.5, 0.25], atol=1e-6)
 
 
+def test_where_numbers_of_agents_vary_half_is_by_the_shortfall_of_pairs():
+    rates = jnp.array([0.9, 0.8, 0.95, 0.6])
+    # By share 3/8, 3/8, 1/8, 1/8; shortfalls 0, 0.1, 0 and 0.3.
+    expected = np.array([3 / 16, 3 / 16 + 1 / 8, 1 / 16, 1 / 16 + 3 / 8])
+    np.testing.assert_allclose(PAIRS.probabilities(rates), expected, rtol=1e-5)
+    _, member, present = PAIRS.draw(rates, jax.random.key(0), 4000)
+    pair = 2 * np.asarray(member) + np.asarray(present) - 1
+    share = np.bincount(pair, minlength=4) / 4000
+    np.testing.assert_allclose(share, expected, atol=0.04)  # five deviations
+
+
+def test_rates_of_pairs_are_of_what_was_drawn_and_reported_as_means():
+    many = 20 * MEMORY  # episodes that leave nothing of what was before
+    parked = jnp.array([0.1, 0.2, 0.3, 0.4]) * many
+    totals = Totals(jnp.full(4, many), {"parked": parked}, {})
+    info = {"member": jnp.array([1, 0, 0, 1]), "num_present": jnp.array([2, 2, 1, 1])}
+    update = jax.vmap(PAIRS.update, (0, None, None, None), axis_name="devices")
+    (rates,) = update(PAIRS.init()[None], info, totals, "devices")
+    np.testing.assert_allclose(rates, [0.3, 0.2, 0.4, 0.1], atol=1e-6)
+    found = PAIRS.metrics(rates)
+    expected = {"family/lot": 0.25, "family/street": 0.25}
+    expected |= {"agents/1": 0.35, "agents/2": 0.15}
+    assert found == pytest.approx(expected)
+
+
+def test_new_lots_have_the_numbers_of_agents_that_were_drawn_for_them():
+    config = dataclasses.replace(CONFIG.env, num_agents=3, min_agents=1)
+    env = BraxParking(ParkingEnv(config, SlidePhysics()))
+    keys, member = jax.random.split(jax.random.key(0), 4), jnp.array([0, 1, 1, 0])
+
+    def run():
+        state = env.reset(keys, member, jnp.array([3, 1, 2, 1]))
+        lots, numbers = jnp.array([2, 0]), jnp.array([3, 2])
+        return state, env.renew(state, lots, keys[:2], member[:2], numbers)
+
+    begun, renewed = jax.jit(run)()
+    for state, expected in ((begun, [3, 1, 2, 1]), (renewed, [2, 1, 3, 1])):
+        present = np.asarray(state.pipeline_state.takes_part)
+        np.testing.assert_array_equal(present.sum(axis=1), expected)
+        np.testing.assert_array_equal(state.info["num_present"], np.repeat(expected, 3))
+
+
+def test_a_run_whose_lots_were_drawn_by_family_alone_cannot_go_on(tmp_path):
+    env = dataclasses.replace(CONFIG.env, min_agents=1)
+    learner = Learner(dataclasses.replace(CONFIG, env=env))
+    old = {"family_rates": np.zeros(2), "env": {"info": {"member": np.zeros(2)}}}
+    header = {"config": dataclasses.asdict(learner.config)}
+    runs.save_checkpoint(tmp_path, old, header, 64)
+    with pytest.raises(CheckpointError, match=r"by family .* warm_start") as refusal:
+        load_or_init(learner, [tmp_path])
+    assert "\n" not in str(refusal.value)
+
+
 def test_a_layout_that_is_no_mixture_and_lots_kept_for_ever_are_refused():
     with pytest.raises(
         ValueError, match=r"target_rate 0.9 needs a mixture .* 'street'"
     ):
-        make_families(0.9, layout_config("street"))
+        make_families(0.9, layout_config("street"), range(1, 9))
     with pytest.raises(
         ValueError, match=r"target_rate 0.9 needs lot_life of at least 1"
     ):
@@ -135,11 +193,11 @@ def test_the_member_kept_for_every_agent_is_that_of_its_lot():
 
 def test_the_family_that_falls_short_gets_more_lots():
     """The other one has reached the target: of its lots only half of its share."""
-    families = make_families(0.9, STREETS)
+    families = make_families(0.9, STREETS, range(2, 3))
     env = BraxParking(ParkingEnv(CONFIG.env, SlidePhysics()))
 
     def share(rates):
-        keys, member = families.draw(jnp.array(rates), jax.random.key(3), 400)
+        keys, member, _ = families.draw(jnp.array(rates), jax.random.key(3), 400)
         lots = jax.jit(jax.vmap(env.env.draw_layout, (0, None, 0)), static_argnums=1)
         return (
             np.asarray(lots(keys, "train", member).bay_mask).sum(axis=1) == 10
@@ -165,9 +223,10 @@ def test_a_resumed_training_is_the_same_bit_for_bit(tmp_path):
 
 
 def test_without_a_target_lots_are_drawn_with_the_keys_of_before():
-    families, key = make_families(0.0, STREETS), jax.random.key(5)
-    keys, member = families.draw(families.init(), key, 3)
+    families, key = make_families(0.0, STREETS, range(1, 9)), jax.random.key(5)
+    keys, member, present = families.draw(families.init(), key, 3)
     assert member is None
+    assert present is None
     np.testing.assert_array_equal(
         jax.random.key_data(keys), jax.random.key_data(jax.random.split(key, 3))
     )

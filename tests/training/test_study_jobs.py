@@ -1,6 +1,7 @@
 """Runs side by side: cores, failures, time limits and interrupts."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -87,8 +88,8 @@ def test_a_time_in_which_no_run_begins_is_refused(
     monkeypatch.setattr(script, "run_jobs", lambda *arguments: [])
     flags = [*flags, "--runs-dir", str(tmp_path), "--minutes", minutes]
     assert exit_code(script, flags) == code
-    said = "minutes must be more than 1, or no run begins, or 0 = no limit, not "
-    assert (said + str(float(minutes)) in capsys.readouterr().err) == bool(code)
+    said = re.search(rf"minutes must .*{float(minutes)}", capsys.readouterr().err)
+    assert bool(said) == bool(code)
 
 
 @STUDIES

@@ -187,16 +187,16 @@ def test_contradictions_are_refused_with_file_value_and_what_is_allowed(
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("car.yaml", "length: [4", "line 1: no YAML"),
+        ("car.yaml", "length: [4", "line 1: not YAML"),
         ("car.yaml", "length: 4.28\nlength: 4.3", "has length twice"),
         ("car.yaml", "just words", "must have lines as"),
         ("car.yaml", "", "must have lines as"),
-        ("car.yaml", "!!python/object/apply:os.getcwd []", "no YAML"),
-        ("car.yaml", "- [" * 3000, "no YAML|nested too deeply"),
-        ("car.yaml", "when: 2026-99-99", "no YAML|unknown"),
+        ("car.yaml", "!!python/object/apply:os.getcwd []", "not YAML"),
+        ("car.yaml", "- [" * 3000, "not YAML|nested too deeply"),
+        ("car.yaml", "when: 2026-99-99", "not YAML|unknown"),
         ("car.yaml", "a: &a [*a]", "unknown"),
         ("car.json", "{", "is damaged"),
-        ("car.json", "[]", "is no JSON object"),
+        ("car.json", "[]", "is not a JSON object"),
         ("car.toml", "", r"must end in one of \.json, \.yaml, \.yml, not"),
     ],
 )

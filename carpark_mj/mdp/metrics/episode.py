@@ -40,7 +40,7 @@ def update_stats(
         terms: (num_agents,) its reward by term.
 
     Raises:
-        ValueError: the step has other numbers than `init_stats` has made room for.
+        ValueError: numbers of the step do not match those of `init_stats`.
     """
     before, motion = transition.before, transition.after.motion
     old, path = before.stats, _path(before.motion, motion)

@@ -18,7 +18,7 @@ CHUNK = 2  # pairs per agent whose time to collision is computed at a time
 
 
 def first_safety(kinds: Sequence[ObstacleKind]) -> dict[str, float]:
-    """Names, and values at the start of an episode: at rest, nothing near.
+    """Names, and values at the start of an episode: at rest, no obstacle near.
 
     Args:
         kinds: what agents can hit.
@@ -82,12 +82,12 @@ def _smoothness(ctrl_dt: float, transition: Transition) -> dict[str, jax.Array]:
 def collision_times(motion: Motion, obstacles: Sequence[Group]) -> dict[str, jax.Array]:
     """Times to collision (num_agents,) [s] by the labels of `ObstacleKind`.
 
-    0 where footprints overlap, at most `HORIZON`. As of Hayward 1972 ("Near-miss
-    determination through use of a scale of danger": the time until two cars collide "if
-    they continue at their present speed and on the same path"), in the plane: every car
-    continues with the velocity of its rear axle and its present heading, and footprints
-    are boxes. Turning is ignored, so a car that is steering clear of a wall has a
-    finite time to it.
+    0 where footprints overlap, at most `HORIZON`. The definition is Hayward's (1972,
+    "Near-miss determination through use of a scale of danger"): the time until two cars
+    collide "if they continue at their present speed and on the same path". Here every
+    car continues in the plane with the velocity of its rear axle and its present
+    heading, and footprints are boxes. Turning is ignored, so a car that steers clear of
+    a wall has a finite time to it.
     """
     return least_by_kind(obstacles, lambda group: _contact_time(motion, group))
 

@@ -1,10 +1,9 @@
-"""Tallies: numbers of every step, folded into one per episode by name.
+"""Tallies: numbers of every step, folded into one per episode.
 
-The name says how: `min_...` keeps the least, `peak_...` the largest, `last_...` the
-latest (memory for the next step, not reported), and every other is a sum. Ratios are
+The name selects the fold: `min_...` keeps the least, `peak_...` the largest, `last_...`
+the latest (memory for the next step, not reported); any other name is a sum. Ratios are
 computed later, so that numerators and denominators add up exactly over episodes and
-agents; `carpark_mj.evaluation.catalogue` says which belong together. Metrics that other
-code has registered have a tally each.
+agents; `carpark_mj.evaluation.catalogue` pairs them. Each registered metric has one.
 """
 
 from typing import get_args

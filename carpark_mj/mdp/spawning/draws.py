@@ -1,6 +1,6 @@
 """Random numbers of a start, drawn all at once: one call of the generator is one loop.
 
-What a start may need are uniform numbers in [0, 1), listed as a tree of their shapes.
+A start lists the shapes of its uniform numbers in [0, 1) as a tree.
 """
 
 import math

@@ -26,7 +26,7 @@ from carpark_mj.types import NO_BAY, ParkedCars, Vehicle
 
 @struct.dataclass
 class SpawnInputs:
-    """What stays the same while the agents of a step are placed.
+    """Constants while the agents of a step are placed.
 
     Attributes:
         layout: the lot.
@@ -61,8 +61,8 @@ class Placing:
         waiting: (num_agents,) bool, still to be placed.
         close_bay: (num_agents,) int32 free bay next to which an exploring agent starts,
             else `NO_BAY`.
-        conflict: (num_agents,) bool, an exploring agent is to take another agent's goal
-            if it can.
+        conflict: (num_agents,) bool, an exploring agent takes another agent's goal if
+            possible.
         found: (num_agents,) bool, the agent gets the car drawn for it; if that fits
             into no bay the agent keeps its goal and its car.
         waited: (num_agents,) int32, see `State.waited`; the agent that has waited
@@ -87,7 +87,7 @@ class Placing:
         return self.pose_w[:, :2]
 
     def set(self, agent: jax.Array, **values: jax.Array | bool | int) -> "Placing":
-        """With other values of one agent (), by the names of the attributes."""
+        """Replaces values of one agent (), by the names of the attributes."""
         # A choice joins its neighbours in one GPU kernel, `.at[agent].set` does not.
         own = jnp.arange(self.goal.shape[0]) == agent
         changes = {}

@@ -34,7 +34,7 @@ class SpawnDraws(NamedTuple):
 
 
 class SpawnKind(NamedTuple):
-    """How a start is meant to be; random if it is none of these. (...) bool each.
+    """Kind of a start; random if it is none of these. (...) bool each.
 
     Attributes:
         close: close to a goal.
@@ -55,13 +55,13 @@ def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
 
 
 def at_random_after(tries: jax.Array, draws: SpawnDraws) -> SpawnDraws:
-    """The numbers of a start, which is at random if others () were not free before."""
+    """The numbers of a start, which is random after rejected `tries` ()."""
     # Above all ratios, see `draw_kind`: at random a start can be anywhere.
     return draws._replace(kind=jnp.where(tries > 0, 2.0, draws.kind))
 
 
 def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
-    """How starts (...) are meant to be, of one kind at most; `number` (...) decides."""
+    """Kinds of starts (...), at most one each; `number` (...) decides."""
     rest = number - config.close_ratio
     last = rest - config.conflict_ratio
     return SpawnKind(
@@ -136,7 +136,7 @@ def redraw(
 ) -> jax.Array:
     """Draws a start pose (3,) again, at random, until it keeps `min_distance`.
 
-    It may still not after `max_redraws` rounds of `num_candidates`.
+    After `max_redraws` rounds of `num_candidates` it may still be too near.
 
     Args:
         config: spawning rules.
@@ -176,7 +176,7 @@ def _random_points(
 
 
 def _best(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
-    """The first of poses (n, 3) that keeps its distance, else that of most room."""
+    """The first of poses (n, 3) that keeps its distance, else the one of most room."""
     keeps = _keeps(config, around, pose)
     room = jnp.where(around.touches(pose), -1.0, around.room(pose))
     return pose[jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(room))]
@@ -231,8 +231,8 @@ def close_points(
     Without a spacing each is one straight step from the region's point nearest to the
     goal, its direction and length uniform, clipped to the region. With one it is the
     study's walk: fewer than `close_distance` unit steps along the region's axes, their
-    number uniform, those out of the region drawn anew. So the study's starts lie nearer
-    to the goal: of ten units' walk a root mean square of 2.1, of the step 5.8.
+    number uniform; steps out of the region are redrawn. The study's starts lie nearer
+    to the goal: the root mean square of ten units' walk is 2.1 units, of the step 5.8.
 
     Args:
         config: spawning rules.

@@ -94,7 +94,7 @@ def read_submission(path: Path) -> list[Result]:
     for number, entry in enumerate(found["results"], 1):
         place = f"{what}, result {number}"
         if not isinstance(entry, dict):
-            raise ValueError(f"{place} is no JSON object")
+            raise ValueError(f"{place} is not a JSON object")
         which = {name: found[name] for name in ("rule", "moving_car")}
         results.append(_result(place, which | entry))
     if not results:

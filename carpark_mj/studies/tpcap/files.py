@@ -128,7 +128,9 @@ def _numbers(path: Path) -> tuple[list[float], list[int]]:
             except ValueError:
                 number = math.nan
             if not math.isfinite(number):
-                raise ValueError(f"{path}, line {line}: {cell.strip()!r} is no number")
+                raise ValueError(
+                    f"{path}, line {line}: {cell.strip()!r} is not a number"
+                )
             numbers.append(number)
             lines.append(line)
     return numbers, lines

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.training.ppo.neighbours import neighbours_mean
 from carpark_mj.wrappers.brax import BraxParking
 
 # `(observation, key) -> (action, extras)` with Brax's extras of a stochastic policy.
@@ -62,6 +63,7 @@ def collect(
     key: jax.Array,
     length: int,
     scales: Mapping[str, jax.Array],
+    neighbour_share: jax.Array | None = None,
 ) -> tuple[Any, Rollout, Totals]:
     """Drives all agents for some steps; returns the state after them as well.
 
@@ -73,6 +75,8 @@ def collect(
         length: steps.
         scales: () factors on reward terms, by name, in the rewards to learn from. What
             is reported has none.
+        neighbour_share: () weight of the neighbours' mean reward in the rewards to
+            learn from, see `neighbours_mean`; None = 0.
     """
 
     def step(carry: Any, key: jax.Array) -> tuple[Any, Any]:
@@ -84,11 +88,15 @@ def collect(
         ended = {name: x * done for name, x in info["episode_metrics"].items()}
         sums = Totals(done, ended, info["reward_terms"])
         totals = jax.tree.map(jnp.add, totals, sums)
+        reward = after.reward + _change(scales, info["reward_terms"])
+        if neighbour_share is not None:
+            lots: Any = state.pipeline_state
+            reward += neighbour_share * neighbours_mean(lots, reward)
         taken = (
             state.obs,
             drawn["raw_action"],
             drawn["log_prob"],
-            after.reward + _change(scales, info["reward_terms"]),
+            reward,
             done - info["truncation"],
             info["truncation"],
         )

@@ -46,8 +46,7 @@ class PPOConfig(RunConfig):
             one, else `cpu`.
         warm_start: run whose networks the training starts from instead of random ones:
             folder, checkpoint, or name of a pretrained policy with `critic_steps`.
-        num_steps: agent steps to simulate in all. Those of absent agents count, here
-            and in the other settings of steps: they take as long.
+        num_steps: agent steps to make in all, see `steps_per_update`.
         minutes: time after which training ends before `num_steps` are made, compiling
             included, evaluation and video not [min]; 0 = no limit. Schedules then
             follow steps or time, whichever is further.
@@ -173,8 +172,22 @@ class PPOConfig(RunConfig):
 
     @property
     def steps_per_update(self) -> int:
+        """Agent steps expected of one update, those of present agents.
+
+        What a training reports is counted, not expected.
+        """
+        return round(self.present_share * self.slots_per_update)
+
+    @property
+    def slots_per_update(self) -> int:
         """Steps simulated for one update, those of absent agents included."""
         return self.num_lots * self.env.num_agents * self.unroll_length
+
+    @property
+    def present_share(self) -> float:
+        """Share of the agents that are present if all their numbers are as likely."""
+        counts = self.env.agent_counts
+        return (counts[0] + counts[-1]) / (2 * self.env.num_agents)
 
     @property
     def critic_updates(self) -> int:

@@ -12,7 +12,9 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 
-DISCOUNT_CHANGES = (0.3, 0.8)  # progress at which it begins to, and at which it ends
+# Progress at which a change begins, and at which it ends.
+DISCOUNT_CHANGES = (0.3, 0.8)
+SHARE_RISES = (0.2, 0.6)  # [est]; shared from the start, agents learned later
 
 
 def schedule(start: float, end: float, progress: jax.Array) -> jax.Array:
@@ -33,6 +35,13 @@ def discount(config: PPOConfig, progress: jax.Array) -> jax.Array:
     start, end = 1 / (1 - config.discount), 1 / (1 - changes.discount_end)
     part = _within(progress, *DISCOUNT_CHANGES)
     return 1.0 - 1.0 / schedule(start, end, part)
+
+
+def neighbour_share(config: CurriculumConfig, progress: jax.Array) -> jax.Array | None:
+    """Weight () of the neighbours' mean reward; None if there never is any."""
+    if not config.neighbour_share:
+        return None
+    return schedule(0.0, config.neighbour_share, _within(progress, *SHARE_RISES))
 
 
 def _within(progress: jax.Array, start: float, end: float) -> jax.Array:

@@ -22,7 +22,11 @@ class CurriculumConfig(CheckedConfig):
         reverse_ratio: share of spawns where a car has got to that drove out of the goal
             bay; 0 = as in the environment.
         target_rate: rate of parked episodes by whose shortfall half of a mixture's new
-            lots are drawn (`lot_life`); 0 = all are drawn as the mixture says.
+            lots are drawn (`lot_life`), and their numbers of agents with them; 0 = all
+            are drawn as the mixture says.
+        neighbour_share: weight, at the end, of the mean reward of the other agents
+            within 15 m, which is added to an agent's own in the rewards to learn from.
+            From progress 0.2 to 0.6 it rises linearly from 0: agents begin selfish.
     """
 
     crash_scale: float = 1.0
@@ -31,10 +35,11 @@ class CurriculumConfig(CheckedConfig):
     conflict_ratio: float = 0.0
     reverse_ratio: float = 0.0
     target_rate: float = 0.0
+    neighbour_share: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_at_least(self, 0.0, "crash_scale")
+        require_at_least(self, 0.0, "crash_scale", "neighbour_share")
         require_ratio(
             self, "crash_until", "conflict_ratio", "reverse_ratio", "target_rate"
         )

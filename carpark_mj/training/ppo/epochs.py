@@ -147,9 +147,7 @@ def num_learned(config: PPOConfig, num_agents: int) -> int:
         config: of the training.
         num_agents: of this device, absent ones included.
     """
-    counts = config.env.agent_counts
-    share = (counts[0] + counts[-1]) / 2 / config.env.num_agents
-    size = math.ceil(share * num_agents / config.num_minibatches)
+    size = math.ceil(config.present_share * num_agents / config.num_minibatches)
     return min(size * config.num_minibatches, num_agents)
 
 

@@ -17,7 +17,7 @@ def announcement(config: PPOConfig, update: int, seconds: float) -> str:
         seconds: time they used [s].
     """
     left = _million(config.num_steps - update * config.steps_per_update)
-    steps = f"{left} M steps{_absent(config)}"
+    steps = f"{left} M steps"
     if not config.minutes:
         return f"trains for {steps}{_afterwards(config)[0]}"
     minutes = max(config.minutes - seconds / 60.0, 0.0)
@@ -35,7 +35,7 @@ def estimate(config: PPOConfig, update: int, seconds: float, rate: float) -> str
         config: of the run.
         update: updates made.
         seconds: time used [s].
-        rate: steps simulated per second, those of absent agents included.
+        rate: steps per second, `steps_per_update` an update.
     """
     made, total = update * config.steps_per_update, _million(config.num_steps)
     budget = 60.0 * config.minutes
@@ -45,7 +45,7 @@ def estimate(config: PPOConfig, update: int, seconds: float, rate: float) -> str
         end = f"{config.minutes:.3g} min, {reached} of {total} M steps"
     else:
         end = f"{needed / 60.0:.1f} min, {total} M steps"
-    return f"at {rate:,.0f} steps/s: {end}{_absent(config)}"
+    return f"at {rate:,.0f} steps/s: {end}"
 
 
 def _afterwards(config: PPOConfig) -> tuple[str, float]:
@@ -63,11 +63,6 @@ def _afterwards(config: PPOConfig) -> tuple[str, float]:
     return f", then {' and '.join(verb for verb, _ in parts)}", sum(
         minutes for _, minutes in parts
     )
-
-
-def _absent(config: PPOConfig) -> str:
-    """Of which steps the budget is, where that is not said by their number alone."""
-    return " (absent agents' included)" if config.env.min_agents is not None else ""
 
 
 def _million(steps: float) -> str:

@@ -30,7 +30,11 @@ from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.training.memory import num_bytes
 from carpark_mj.training.ppo.collect import Rollout, Totals, collect
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import crash_scale, training_env
+from carpark_mj.training.ppo.curriculum import (
+    crash_scale,
+    neighbour_share,
+    training_env,
+)
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.families import make_families
 from carpark_mj.training.ppo.state import AXIS, TrainingState, no_steps, state_specs
@@ -78,7 +82,7 @@ class Learner:
         self.env = BraxParking(ParkingEnv(training_env(config)))
         self.renews_lots = config.lot_life > 0 and self.env.env.layout_config.is_random
         lots, target = self.env.env.layout_config, config.curriculum.target_rate
-        self.families = make_families(target, lots)
+        self.families = make_families(target, lots, config.env.agent_counts)
         fields, action = make_fields(config.env), self.env.env.action_spec
         self.inputs = network_inputs(config.networks, fields)
         dtype = jnp.bfloat16 if config.half_precision else jnp.float32
@@ -146,7 +150,7 @@ class Learner:
         """
         config, state = self.config, self.shapes()
         layers = (*config.networks.policy_layers, *config.networks.value_layers)
-        unroll = config.steps_per_update * self.env.observation_size
+        unroll = config.slots_per_update * self.env.observation_size
         activations = config.steps_per_update // config.num_minibatches * sum(layers)
         numbers = len(self.configs) * (unroll + activations)
         return num_bytes((state, state.policy, state.value)) + 4 * numbers
@@ -220,8 +224,7 @@ class Learner:
         )
         rates = state.family_rates
         if self.families.target:
-            member = env_state.info["member"]
-            rates = self.families.update(rates, member, totals, AXIS)
+            rates = self.families.update(rates, env_state.info, totals, AXIS)
         if self.renews_lots:
             key, renew_key = jax.random.split(key)
             renew_key = jax.random.fold_in(renew_key, local)
@@ -279,9 +282,10 @@ class Learner:
             self.networks, state.normalizer, state.policy, deterministic=False
         )
         progress = self.config.progress(state.update, state.seconds)
-        scales = {"crash": crash_scale(self.config.curriculum, progress)}
-        length = self.config.unroll_length
-        return collect(self.env, state.env, actor, key, length, scales)
+        curriculum, length = self.config.curriculum, self.config.unroll_length
+        scales = {"crash": crash_scale(curriculum, progress)}
+        share = neighbour_share(curriculum, progress)
+        return collect(self.env, state.env, actor, key, length, scales, share)
 
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array

@@ -57,7 +57,7 @@ DYNAMIC = dataclasses.replace(
 ANYWHERE = dataclasses.replace(
     SQUARE,
     preset="anywhere",
-    num_steps=4_000_000_000,
+    num_steps=2_250_000_000,
     num_lots=2048,
     num_minibatches=32,
     learning_rate_end=2e-5,

@@ -26,8 +26,8 @@ class TrainingState:
         steps: () agent steps made, of agents that were present.
         skipped: () int32 updates dropped because they were not finite.
         seconds: () float32 of `minutes` used, which the host sets; 0 without them.
-        family_rates: (members,) running rates of parked episodes by member of a
-            mixture; (0,) while its lots are not drawn by shortfall.
+        family_rates: (pairs,) running rates of parked episodes by member of a mixture
+            and number of agents; (0,) while its lots are not drawn by shortfall.
         env: the Brax state of all lots.
     """
 

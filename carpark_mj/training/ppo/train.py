@@ -63,8 +63,24 @@ def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
     found: list[TrainingState] = []
     for path in _checkpoints_of_one_step(folders):
         read_header(path, PPOConfig)
+        _require_pairs(path, learner)
         found.append(TrainingState(**checkpoints.load(path, template)))
     return learner.place(learner.join(found))
+
+
+def _require_pairs(path: Path, learner: Learner) -> None:
+    """Refuses a run whose lots were drawn by member alone where numbers vary, too.
+
+    Raises:
+        CheckpointError: it is of an older version.
+    """
+    families = learner.families
+    drawn = any("num_present" in name for name in checkpoints.names(path))
+    if families.target and len(families.counts) > 1 and not drawn:
+        raise CheckpointError(
+            f"{path} is of a version that drew lots by family and not by number of "
+            "agents: it cannot go on, but another run can begin with it as warm_start"
+        )
 
 
 def _checkpoints_of_one_step(folders: Sequence[Path]) -> list[Path]:
@@ -95,9 +111,9 @@ def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
         "update": update,
         "env_steps": int(count_steps(state)[0]),
     }
-    # Its name counts absent agents too: it is the same for runs side by side.
-    simulated = update * config.steps_per_update
-    return runs.save_checkpoint(folder, vars(state), header, simulated)
+    # Its name counts the steps of absent agents too: the same for runs side by side.
+    slots = update * config.slots_per_update
+    return runs.save_checkpoint(folder, vars(state), header, slots)
 
 
 def train(
@@ -169,8 +185,8 @@ def train(
             if callback is not None:
                 leaving = hosts.largest(asked or leaving)[0]
             if not told and updates and elapsed > MEASURED_SECONDS:
-                simulated = updates * config.steps_per_update / elapsed
-                loop.say(estimate(config, done, seconds, simulated))
+                rate = updates * config.steps_per_update / elapsed
+                loop.say(estimate(config, done, seconds, rate))
                 told = True
             pace = f"{rates.sum():>7,.0f} steps/s  " if updates else ""
             loop.show(

@@ -118,7 +118,7 @@ def test_rates_of_a_table_are_shares(rates, message, tmp_path):
         ({"format": "x 2"}, "format must be 'carpark_mj suite 1', not 'x 2'"),
         ({"rule": "lenient"}, "lenient"),
         ({"results": []}, "has no result"),
-        ({"results": [1]}, "result 1 is no JSON object"),
+        ({"results": [1]}, "result 1 is not a JSON object"),
     ],
 )
 def test_another_file_is_refused(change, message, tmp_path):

@@ -49,7 +49,7 @@ def test_a_phase_ends_by_steps_or_by_episodes():
         ("--phases slots:-3episodes", "at least 1, not 0 steps and -3 episodes"),
         ("--phases slots", "a phase is KINDS:STEPS or KINDS:COUNTepisodes"),
         ("--phases bays:100", "unknown layout 'bays'"),
-        ("--phases square:100", "'square' is no kind of slots; choose from slots"),
+        ("--phases square:100", "'square' is not a kind of slots; choose from slots"),
         ("--phases", "phases and deploy must name one kind of lot or more"),
         ("--goal-slot 12", "goal_slot must be a whole number from 0 to 11"),
         ("--half-corridor 0", "half_corridor must be positive, not 0"),

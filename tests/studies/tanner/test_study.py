@@ -223,7 +223,7 @@ def test_what_exceeds_the_budget_is_not_run(tmp_path, capsys):
         (["--figure", "5.21"], "unknown figure '5.21'; choose from 5.1, 5.2"),
         (
             ["--figure", "5.1"],
-            "figure 5.1 is no sweep; tabular: carpark_mj study",
+            "figure 5.1 is not a sweep; tabular: carpark_mj study",
         ),
         (["--all", "--minutes", "-1"], "minutes must be at least 0, not -1"),
         (["--figure", "5.8", "--set", "num_steps=1,2"], "set takes one value each"),

@@ -155,7 +155,7 @@ class SACConfig(RunConfig):
         config = layout_config(kind)
         if not isinstance(config, SlotsConfig):
             raise ValueError(
-                f"{kind!r} is no kind of slots; choose from slots, slots_diagonal, "
+                f"{kind!r} is not a kind of slots; choose from slots, slots_diagonal, "
                 "slots_parallel, slots_single and slots_single_diagonal"
             )
         config = dataclasses.replace(config, half_corridor=self.half_corridor)

@@ -191,7 +191,7 @@ def experiment_of(figure: str) -> Experiment:
         if figure in experiment.figures:
             return experiment
     if figure in ELSEWHERE:
-        raise ValueError(f"figure {figure} is no sweep; {ELSEWHERE[figure]}")
+        raise ValueError(f"figure {figure} is not a sweep; {ELSEWHERE[figure]}")
     raise ValueError(f"unknown figure {figure!r}; choose from {', '.join(FIGURES)}")
 
 
