@@ -1,5 +1,6 @@
 """Maps become layouts: a known lot comes back from every format, faults are refused."""
 
+import io
 import json
 import math
 
@@ -12,6 +13,7 @@ from carpark_mj.cli.layouts import main
 from carpark_mj.layouts.json_file import read_json
 
 pytest.importorskip("pyproj")
+pytest.importorskip("ezdxf")
 
 from carpark_mj.maps import assemble as assembling
 from carpark_mj.maps.fit import boxes, cut_free
@@ -133,10 +135,39 @@ def geojson(bays=BAYS):
     }
 
 
+def dxf(bays=BAYS, units=4):
+    """A drawing in millimetres, its bays blocks that were inserted."""
+    import ezdxf
+
+    drawing = ezdxf.new("R2000", units=units)
+    model, block = drawing.modelspace(), drawing.blocks.new("BAY")
+    outline = [(0, 0), (1000 * WIDTH, 0), (1000 * WIDTH, 5000), (0, 5000)]
+    block.add_lwpolyline(outline, close=True)
+    turned = math.degrees(TURN)
+
+    def at(points):
+        return [ezdxf.math.Vec2(p).rotate(TURN) * 1000 for p in points]
+
+    for bay in bays:
+        [corner] = at(bay[:1])
+        model.add_blockref("BAY", corner, {"layer": "Parking bays", "rotation": turned})
+    model.add_lwpolyline(at(WALL[:-1]), close=True, dxfattribs={"layer": "A-WALL-EXTR"})
+    model.add_lwpolyline(at(FAR[:-1]), close=True, dxfattribs={"layer": "A-WALL-EXTR"})
+    model.add_lwpolyline(
+        at(LANE[::-1]),
+        dxfattribs={"layer": "LANES_ONE_WAY", "const_width": 1000 * LANE_WIDTH},
+    )
+    model.add_line((0, 0), (1, 1), {"layer": "power"})
+    text = io.StringIO()
+    drawing.write(text)
+    return text.getvalue()
+
+
 TEXTS = {
     "lanelet2.osm": lanelet2,
     "openstreetmap.osm": openstreetmap,
     "lot.geojson": lambda bays=BAYS: json.dumps(geojson(bays)),
+    "lot.dxf": dxf,
 }
 
 
@@ -227,6 +258,8 @@ BROKEN = {
         json.dumps(geojson() | {"crs": {"properties": {"name": "EPSG:0"}}}),
         "EPSG:0",
     ),
+    "no DXF": ("a.dxf", "0\nSECTION\n", "no DXF"),
+    "no unit": ("a.dxf", dxf(units=0), "$INSUNITS"),
     "another format": ("a.svg", "", ".geojson"),
 }
 
