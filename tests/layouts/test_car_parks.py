@@ -7,6 +7,7 @@ import pytest
 from helpers.scenes import polygons
 
 from carpark_mj.layouts import layout_config
+from carpark_mj.layouts.car_park import random_parts
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.routes import make_routes
 
@@ -73,3 +74,19 @@ def test_a_lot_is_first_read_within_a_traced_function(name):
     config = layout_config(name).crop(*CORNERS[:3], 32.0)
     drawn = jax.jit(config.generate)(jax.random.key(0))
     assert np.array_equal(drawn.bay_pose, config.layout.bay_pose)
+
+
+@pytest.mark.parametrize("name", BAYS)
+def test_random_parts_have_bays_enough_and_routes_to_all(name):
+    parts = random_parts(name, (60.0, 45.0), 2, seed=1, min_bays=20)
+    assert parts == random_parts(name, (60.0, 45.0), 2, seed=1, min_bays=20)
+    assert parts[0] != parts[1]
+    for part in parts:
+        assert np.allclose(part.layout.extent, (30.0, 22.5))
+        assert part.min_bays >= 20
+        assert describe_faults(part.layout) == []
+
+
+def test_parts_that_a_car_park_has_not_are_refused():
+    with pytest.raises(ValueError, match="choose another size"):
+        random_parts("san_jose", (60.0, 45.0), 1, min_bays=200)

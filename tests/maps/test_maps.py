@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from helpers.mutating import damaged, with_junk
+from shapely import affinity
 
 from carpark_mj.cli.layouts import main
 from carpark_mj.layouts.json_file import read_json
@@ -343,6 +344,13 @@ def test_rectangles_cover_a_polygon_and_little_else(name):
     cover = shapely.union_all([box.shape for box in boxes(shape)])
     assert shape.difference(cover).area < 1e-3
     assert cover.difference(shape.buffer(0.8)).area == 0
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.6, 1.1, 1.9, 2.6, 3.7])
+def test_right_angles_are_cut_at_their_corners(turn):
+    stair = SHAPES["L"].union(shapely.box(-6, 7, 1, 8))
+    shape = affinity.rotate(stair, turn, use_radians=True)
+    assert len([*boxes(shape)]) == 3
 
 
 def test_a_rectangle_cut_free_keeps_the_most_that_it_can():
