@@ -66,11 +66,11 @@ def run(config: CarParksConfig) -> None:
     """Evaluates, writes the episodes and prints a table for each car park."""
     path = Path(config.out) / "car_parks.csv"
     require_writable(path, new_folders=True)  # refused before the work
-    driver = find_driver(config.policy)
     parts = {
         name: random_parts(name, config.size, config.parts, config.seed)
         for name in CAR_PARKS
     }
+    driver = find_driver(config.policy)
     lots = MixtureConfig(members=tuple(itertools.chain(*parts.values())))
     env = ParkingEnv(
         adapt(
@@ -92,19 +92,25 @@ def run(config: CarParksConfig) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)
     for name in parts:
-        print_groups(f"number of agents in {name}", _by_agents(rows, name))
+        print_groups(f"number of agents in {name}", by_agents(rows, name))
     print(f"wrote {path}")
 
 
-def _by_agents(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
-    """Summaries of a car park by the number of agents present, and of all."""
+def by_agents(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
+    """Summaries of a car park by the number of agents present, and of all.
+
+    Args:
+        rows: episodes, whose `lot` is the number of their part.
+        name: of the car park.
+    """
     own = [row for row in rows if row["family"] == name]
     counts = sorted({int(row["agents_present"]) for row in own})
     groups = {
         str(count): summarize([row for row in own if row["agents_present"] == count])
         for count in counts
     }
-    return {**groups, "all": summarize(own)}
+    # A part is one cluster, whatever the number of agents.
+    return {**groups, "all": summarize([row | {"agents_present": 0} for row in own])}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

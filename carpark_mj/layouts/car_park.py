@@ -108,12 +108,11 @@ def random_parts(
         ValueError: an unknown car park, or hardly any such part in it.
     """
     config, generator = CarParkConfig(name), np.random.default_rng(seed)
-    whole, found = config.layout, []
-    maxima = layout_maxima([whole])
-    room = np.maximum(whole.extent - np.array(size) / 2, 0.0)
-    for _ in range(DRAWS * count):
+    whole, found, half = config.layout, [], np.array(size) / 2
+    maxima, room = layout_maxima([whole]), whole.extent - half
+    for _ in range(DRAWS * count if (room > 0).all() else 0):
         middle = generator.uniform(-room, room)
-        corners = (*(middle - np.array(size) / 2), *(middle + np.array(size) / 2))
+        corners = (*(middle - half), *(middle + half))
         part = config.crop(*map(float, corners))
         try:
             enough = part.min_bays >= min_bays

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.scenes import polygons
 
-from carpark_mj.layouts import layout_config
+from carpark_mj.layouts import car_park, layout_config
 from carpark_mj.layouts.car_park import random_parts
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.routes import make_routes
@@ -87,6 +87,9 @@ def test_random_parts_have_bays_enough_and_routes_to_all(name):
         assert describe_faults(part.layout) == []
 
 
-def test_parts_that_a_car_park_has_not_are_refused():
+@pytest.mark.parametrize("impossible", [{"size": (300.0, 45.0)}, {"min_bays": 200}])
+def test_parts_that_a_car_park_has_not_are_refused(monkeypatch, impossible):
+    monkeypatch.setattr(car_park, "DRAWS", 3)
+    wanted = {"size": (60.0, 45.0), "count": 1, **impossible}
     with pytest.raises(ValueError, match="choose another size"):
-        random_parts("san_jose", (60.0, 45.0), 1, min_bays=200)
+        random_parts("san_jose", **wanted)
