@@ -6,8 +6,10 @@ import dataclasses
 import json
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import pytest
 from helpers.programs import exit_code
 
@@ -17,6 +19,8 @@ from carpark_mj.benchmarking.checkouts import Checkout
 from carpark_mj.benchmarking.records import Job, Measurement
 from carpark_mj.benchmarking.report import Row
 from carpark_mj.programs import benchmark
+from carpark_mj.training.ppo import learner
+from carpark_mj.training.ppo.parts import PRESETS
 
 # Where the tests' own carpark_mj lies: installed, or in the checkout.
 IMPORTED = Path(str(carpark_mj.__file__)).parents[1]
@@ -254,6 +258,24 @@ def test_each_tyre_model_runs_at_the_substep_of_its_physics_report(tyres, ms, su
     subject = worker.physics_subject(dataclasses.replace(JOB, variant=tyres))
     assert subject.what == f"physics {tyres} {ms} ms"
     assert subject.count == 3 * 2 * substeps  # cars, control steps of 0.2 s
+
+
+def test_the_steps_of_a_training_are_those_of_present_agents(monkeypatch):
+    class Learner:
+        def __init__(self, config):
+            self.config = config
+
+        def compile(self):
+            return None
+
+        def init(self):
+            present = jnp.ones(4 * self.config.env.num_agents).at[5:].set(0.0)
+            return SimpleNamespace(env=SimpleNamespace(info={"present": present}))
+
+    monkeypatch.setattr(learner, "Learner", Learner)
+    monkeypatch.setattr(worker, "configure_jax", lambda: None)  # it is running
+    subject = worker.ppo_subject(dataclasses.replace(JOB, variant="anywhere", lots=4))
+    assert subject.count == 5 * PRESETS["anywhere"].unroll_length
 
 
 def test_a_gpu_has_its_own_name_and_its_own_memory(monkeypatch):

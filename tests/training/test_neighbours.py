@@ -1,5 +1,6 @@
 """Shares of the neighbours' rewards: whose they are, and what is learned from."""
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import jax
@@ -9,9 +10,12 @@ import pytest
 from brax.envs.base import State as BraxState
 from flax import struct
 
+from carpark_mj.training.ppo import learner as learner_module
 from carpark_mj.training.ppo.collect import collect
+from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import SHARE_RISES, neighbour_share
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.neighbours import RANGE, neighbours_mean
 
 
@@ -81,6 +85,21 @@ def test_the_share_rises_from_nothing_and_stays_at_its_end():
     found = neighbour_share(config, progress)
     np.testing.assert_allclose(cast(Any, found), [0, 0, 0.25, 0.5, 0.5], atol=1e-6)
     assert neighbour_share(CurriculumConfig(), progress) is None
+
+
+@pytest.mark.parametrize(("done", "expected"), [(0.0, 0.0), (0.4, 0.25), (1.0, 0.5)])
+def test_a_training_shares_by_its_progress(monkeypatch, done, expected):
+    monkeypatch.setattr(learner_module, "collect", lambda *given: given[-1])
+    monkeypatch.setattr(learner_module, "make_policy", lambda *given, **more: None)
+    config = PPOConfig(
+        num_steps=6_400_000, curriculum=CurriculumConfig(neighbour_share=0.5)
+    )
+    update = jnp.int32(done * config.num_updates)
+    state = SimpleNamespace(
+        update=update, seconds=0.0, normalizer=None, policy=None, env=None
+    )
+    share: Any = Learner(config)._collect(cast(Any, state), jax.random.key(0))
+    assert share == pytest.approx(expected, abs=5e-3)  # whole updates
 
 
 class Parting:
