@@ -43,14 +43,15 @@ class ImportConfig:
 
 def make(config: ImportConfig) -> None:
     """Reads the map, writes the layout file and says what was left out."""
+    require_writable(Path(config.out))
     try:
         from carpark_mj.maps.importing import import_map
-    except ImportError as error:
+
+        layout, report = import_map(Path(config.map))
+    except ImportError as error:  # each format imports its own
         raise ValueError(
             f"maps need {error.name}: pip install 'carpark_mj[maps]'"
         ) from None
-    require_writable(Path(config.out))
-    layout, report = import_map(Path(config.map))
     if config.crop is not None:
         layout = crop(layout, config.crop)
     text = layout_text(layout)

@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -276,6 +277,14 @@ def test_what_is_no_map_is_refused_in_one_sentence(tmp_path, capsys, fault):
     assert str(path) in error
     assert "\n" not in error
     assert not out.exists()
+
+
+def test_a_missing_library_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "ezdxf", None)
+    monkeypatch.delitem(sys.modules, "carpark_mj.maps.dxf", raising=False)
+    path = write(tmp_path, "a.dxf", "")
+    assert main(["import", str(path), "--out", str(tmp_path / "lot.json")]) == 2
+    assert "maps need ezdxf: pip install" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", TEXTS)
