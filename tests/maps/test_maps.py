@@ -13,6 +13,7 @@ from shapely import affinity
 
 from carpark_mj.cli.layouts import main
 from carpark_mj.layouts.json_file import read_json
+from carpark_mj.layouts.types import BayKind
 
 pytest.importorskip("pyproj")
 pytest.importorskip("ezdxf")
@@ -331,6 +332,7 @@ def test_a_spot_a_little_too_short_is_lengthened_into_the_aisle(tmp_path):
     lot, report = import_map(write(tmp_path, "a.osm", openstreetmap([*BAYS, short])))
     assert len(report.stretched) == 1
     assert report.stretched[0] in str(report)
+    assert np.asarray(lot.bay_kind).tolist() == [*[0] * COUNT, BayKind.RESERVED]
     # Its end away from the lane, whose line is y = 0 of the drawing, stays.
     [lane] = np.asarray(lot.lane_pose)
     aside = np.array([-math.sin(lane[2]), math.cos(lane[2])])
