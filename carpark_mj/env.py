@@ -64,7 +64,7 @@ class ParkingEnv:
     Attributes:
         config: what was configured.
         vehicle: parameters of the car that `config.vehicle` names, or a custom car.
-        fleet: what the cars are drawn from.
+        fleet: presets that the cars are drawn from.
         layout_config: the lot, or the family it is drawn from.
         goals: how goals are decided.
         physics: the back end.

@@ -173,8 +173,8 @@ class State:
         tracked_bays: (num_agents, num_tracked_bays) int32 free bays each agent tracks,
             `NO_BAY` in empty slots; None while goals are fixed.
         parked_cars: the cars that stand in bays.
-        memory: what agents observe of the past, arrays (num_agents, ...), see
-            `ObservationConfig.init_memory`; None if they observe none of it.
+        memory: past observed by agents, arrays (num_agents, ...), see
+            `ObservationConfig.init_memory`; None if they do not observe the past.
         step: (num_agents,) int32 control steps made in the running episodes.
         active: (num_agents,) bool; False for absent agents and, without respawn, for
             agents that have finished.
@@ -232,8 +232,8 @@ class Events:
     """How each agent's episode stands after a step; all (num_agents,) bool.
 
     `parked`, `crashed`, `timed_out` and `diverged` exclude each other; together they
-    are `done`. The `hit_*` flags say what a crashed agent touched (several can hold),
-    one for each `ObstacleKind`; None where there are none of it.
+    are `done`. The `hit_*` flags name the obstacles that a crashed agent touched
+    (several can hold), one for each `ObstacleKind`; None where the lot has none.
     """
 
     parked: jax.Array
@@ -326,7 +326,7 @@ class Transition:
 
 @struct.dataclass
 class TimeStep:
-    """What agents get from a step; all with leading dimension (num_agents,).
+    """Result of a step for the agents; all with leading dimension (num_agents,).
 
     Attributes:
         observation: (num_agents, observation_size); of the new episode where an agent
@@ -341,9 +341,9 @@ class TimeStep:
         motion: at the end of the step, before any respawn.
         goal: (num_agents,) int32 goals held during the step.
         goal_events: what happened to the goals; None while they are fixed.
-        final_observation: (num_agents, observation_size) what agents that are done saw
-            at the end of the step, before any respawn or relocation; meaningless for
-            the others; None unless `EpisodeConfig.final_observation`.
+        final_observation: (num_agents, observation_size) at the end of the step, before
+            any respawn or relocation, of agents that are done; meaningless for the
+            others; None unless `EpisodeConfig.final_observation`.
     """
 
     observation: jax.Array

@@ -30,8 +30,8 @@ class ReportConfig:
     """Settings of `python eval/physics_report.py`.
 
     Attributes:
-        presets: vehicle presets to test; default: all cars, but none
-            of the boxes of other studies (`tpcap`, `tanner`, `highway`).
+        presets: vehicle presets to test; default: all but those of studies (`tpcap`,
+            `tanner`, `highway`).
         tyres: tyre models to test.
         out: folder of the report.
         quick: run fewer cases, with shorter runs.

@@ -4,10 +4,10 @@ pip install ".[torchrl,eval]"
 python examples/benchmarl_parking.py --algorithm ippo
 python examples/benchmarl_parking.py --algorithm mappo
 
-It prints how evaluated episodes end as training goes on (with the starts of training),
+It prints outcomes of evaluated episodes during training (with the starts of training),
 draws the curve, and measures the rates on held-out lots; Ctrl-C ends the training
 early. Success is `strict`: within the lines, straight, at rest.
-On a GPU JAX and torch share the memory, so JAX must not take all of it at once.
+On a GPU JAX and torch share the memory, so JAX must not preallocate all of it.
 """
 
 import dataclasses
@@ -41,14 +41,15 @@ class Settings:
     """Settings of the example.
 
     Attributes:
-        algorithm: of BenchMARL; the first three have continuous actions.
-        agents: in every lot.
-        parked_cars: in every lot.
-        layout: of the lots.
+        algorithm: algorithm of BenchMARL; the first three have continuous actions.
+        agents: number of agents in a lot.
+        parked_cars: number of parked cars in a lot.
+        layout: layout of the lots.
         frames: steps of lots to train for, each a step of all its agents.
-        lots: simulated at once; default 32, on a GPU 4096 or, off-policy, 1024.
-        evaluations: during training, the last one at its end.
-        seed: of training; the held-out lots have another.
+        lots: number of lots simulated at once; default 32, on a GPU 4096 or,
+            off-policy, 1024.
+        evaluations: number of evaluations, the last one at the end of training.
+        seed: seed of training; the held-out lots have another.
         out: folder of the results.
     """
 
@@ -69,7 +70,7 @@ class Settings:
 
 
 class Curve(Rates):
-    """Prints and draws the rates of evaluations as they come."""
+    """Prints and draws the rates of evaluations."""
 
     def __init__(self, path: Path, title: str) -> None:
         """Draws into `path`."""
@@ -77,7 +78,7 @@ class Curve(Rates):
         self._path, self._title = path, title
 
     def on_evaluation_end(self, rollouts) -> None:
-        """Prints the rates, and draws the curve anew."""
+        """Prints the rates, and redraws the curve."""
         super().on_evaluation_end(rollouts)
         row = self.history[-1]
         print(f"\n{row['frames']:>12,} frames: {words(row)}", flush=True)
@@ -155,7 +156,7 @@ def main(settings: Settings) -> None:
         algorithm.entropy_coef = 1e-3
     title = f"{settings.algorithm.upper()}, {settings.agents} agents, {settings.layout}"
     curve = Curve(folder / "curve.png", title)
-    # Three in ten episodes of training start where a car can get that leaves its bay.
+    # Three in ten episodes of training are reverse starts.
     training = EnvConfig(spawn=SpawnConfig(reverse_ratio=0.3))
     experiment = Experiment(
         task=ParkingTask.PARK.get_task(options | {"config": training}),
@@ -179,7 +180,7 @@ def main(settings: Settings) -> None:
 
 def run() -> None:
     """Trains with the settings on the command line."""
-    with patient_interrupts():  # stopped, it evaluates what has been learnt
+    with patient_interrupts():  # stopped, it evaluates the policy so far
         main(read_flags(Settings, description=__doc__))
 
 

@@ -3,9 +3,9 @@
 pip install ".[eval]" torch
 python examples/cleanrl_ppo.py
 
-Every agent of every lot is an environment of its own; all share one policy. It prints
-and draws the rate of parking as training goes on, and measures it on other seeds.
-Success is `strict`: within the lines, straight, at rest.
+Every agent of every lot is an environment; all share one policy. It prints and draws
+the parked rate during training, and measures it on other seeds. Success is `strict`:
+within the lines, straight, at rest.
 """
 
 import dataclasses
@@ -39,19 +39,19 @@ class Settings:
     """Settings of the example.
 
     Attributes:
-        minutes: of training.
-        lots: simulated at once.
-        agents: in every lot.
-        layout: of the lots.
-        seed: of training; evaluation has another.
+        minutes: duration of training [min].
+        lots: number of lots simulated at once.
+        agents: number of agents in a lot.
+        layout: layout of the lots.
+        seed: seed of training; evaluation has another.
         unroll: steps between updates.
         epochs: passes over the steps of an update.
-        minibatches: in an epoch.
-        learning_rate: at the start; falls to a tenth.
-        discount: per step.
-        gae_lambda: of generalised advantage estimation.
-        clip: of the probability ratio.
-        entropy: weight of the bonus.
+        minibatches: minibatches in an epoch.
+        learning_rate: learning rate at the start; falls to a tenth.
+        discount: discount factor per step.
+        gae_lambda: lambda of generalised advantage estimation.
+        clip: clipping range of the probability ratio.
+        entropy: weight of the entropy bonus.
         out: picture of the learning curve.
     """
 
@@ -136,7 +136,7 @@ def main(settings: Settings) -> None:
                 policy, value = agent.policy(observation), agent.value(observation)
                 action = policy.sample()
                 step = lots.step(action)
-                # What an episode that time has cut would still have earned.
+                # Bootstrap the value of truncated episodes.
                 rest = settings.discount * agent.value(step.final_observation)
             done = step.terminated | step.truncated
             for name, tensor in (

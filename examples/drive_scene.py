@@ -1,9 +1,9 @@
-"""Drives an exported scene with nothing but MuJoCo and prints what the car did.
+"""Drives an exported scene with MuJoCo alone and prints measurements of the car.
 
 python -m carpark_mj.scene --num-agents 1 --num-parked-cars 0 --seed 11 --out scene.xml
 python examples/drive_scene.py scene.xml
 
-The car needs room for a circle to the left; it ends with code 2 if it hits something.
+The car needs room for a circle to the left; exit code 2 means that it hit an obstacle.
 """
 
 import json
@@ -44,7 +44,7 @@ class Car:
         return math.cos(yaw) * vx + math.sin(yaw) * vy
 
     def drive(self, seconds, steer=0.0, speed=None, brake=0.0):
-        """Holds the sliders, or a speed; returns the positions [m] it went through."""
+        """Holds the sliders, or a speed; returns the positions [m] on its way."""
         track = []
         for _ in range(round(seconds / self.model.opt.timestep)):
             self.data.actuator(f"{CAR}steer").ctrl = steer
@@ -66,7 +66,7 @@ def circle_radius(track):
 
 
 def main(path: str) -> dict[str, float]:
-    """Stands, drives a circle, brakes; returns what was measured."""
+    """Stands, drives a circle, brakes; returns the measurements."""
     car = Car(path)
     start = car.position
     car.drive(10.0)

@@ -1,4 +1,4 @@
-"""What the Stable-Baselines3 examples share: a clock, a learning curve, final rates."""
+"""Shared by the Stable-Baselines3 examples: clock, learning curve, final rates."""
 
 import time
 from pathlib import Path
@@ -16,7 +16,7 @@ from matplotlib import pyplot as plt
 
 
 class Curve(BaseCallback):
-    """Notes the rate of success as training goes on, and stops it when time is up.
+    """Records the success rate during training, and stops it when time is up.
 
     Attributes:
         points: minutes, steps, and the rate over the latest episodes.
@@ -46,7 +46,7 @@ class Curve(BaseCallback):
         return minutes < self._minutes
 
     def progress_left(self, _: float) -> float:
-        """Share of the minutes that is left: what learning rates follow."""
+        """Remaining share of the minutes, which learning rates follow."""
         if not self._begun:
             return 1.0
         gone = (time.perf_counter() - self._begun) / 60 / self._minutes
@@ -62,7 +62,7 @@ class Curve(BaseCallback):
 
 
 def rates(model: BaseAlgorithm, env: VecEnv, episodes: int) -> dict[str, float]:
-    """Shares of whole episodes of the deterministic policy that ended so."""
+    """Shares of outcomes of whole episodes of the deterministic policy."""
     ends: list[dict[str, Any]] = []
 
     def note(local: dict[str, Any], _: dict[str, Any]) -> None:

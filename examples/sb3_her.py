@@ -30,12 +30,12 @@ class Settings:
     """Settings of the example.
 
     Attributes:
-        minutes: of training.
-        lots: simulated at once.
-        layout: of the lots.
-        parked_cars: in each lot.
-        seed: of training; evaluation has another.
-        episodes: of the evaluation.
+        minutes: duration of training [min].
+        lots: number of lots simulated at once.
+        layout: layout of the lots.
+        parked_cars: number of parked cars in a lot.
+        seed: seed of training; evaluation has another.
+        episodes: number of episodes of the evaluation.
         out: picture of the learning curve.
     """
 

@@ -31,11 +31,11 @@ class Settings:
     """Settings of the example.
 
     Attributes:
-        minutes: of training.
-        lots: simulated at once.
-        layout: of the lots.
-        seed: of training; evaluation has another.
-        episodes: of the evaluation.
+        minutes: duration of training [min].
+        lots: number of lots simulated at once.
+        layout: layout of the lots.
+        seed: seed of training; evaluation has another.
+        episodes: number of episodes of the evaluation.
         out: picture of the learning curve.
     """
 
@@ -56,7 +56,7 @@ def main(settings: Settings) -> None:
     require_writable(settings.out)  # before the work
     torch.set_num_threads(1)  # JAX has the other core, and theirs would fight
     name, layout = "carpark_mj/Park-v0", settings.layout
-    # Three in ten episodes of training start where a car can get that leaves its bay.
+    # Three in ten episodes of training are reverse starts.
     config = EnvConfig(spawn=SpawnConfig(reverse_ratio=0.3))
     env = ParkVecEnv(name, settings.lots, config=config, layout=layout)
     env = VecNormalize(VecMonitor(env), norm_reward=False)

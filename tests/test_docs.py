@@ -15,12 +15,14 @@ from helpers.rules import LIMITS
 from PIL import Image, ImageSequence
 
 import carpark_mj
+import gallery
 from carpark_mj.cli.analysis import AnalysisConfig
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.map_import import ImportConfig
+from carpark_mj.cli.oracle import OracleConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig, complete
@@ -65,6 +67,7 @@ README, MDP, DEPLOYMENT, VEHICLE = (
     (ROOT / name).read_text()
     for name in ("README.md", "docs/mdp.md", "docs/deployment.md", "docs/vehicle.md")
 )
+CLIPS = gallery.commands(gallery.PAGE.read_text())
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
 # Configs of the commands; those of other scripts in eval are looked up in them.
@@ -84,6 +87,7 @@ COMMANDS = {
     "eval/suite.py": SuiteConfig,
     "-m carpark_mj.scene": SceneConfig,
     "-m carpark_mj.layouts": LayoutsConfig,
+    "-m carpark_mj.oracle": OracleConfig,
     "layouts import": ImportConfig,
     "-m carpark_mj.vehicles": VehiclesConfig,
     "-m carpark_mj.play": PlayConfig,
@@ -117,7 +121,7 @@ SCRIPTS = {
     "study tanner": "train/study.py",
     **{
         f"{name}": f"-m carpark_mj.{name}"
-        for name in ("scene", "play", "layouts", "vehicles")
+        for name in ("scene", "play", "layouts", "oracle", "vehicles")
     },
     **{
         f"{name}": f"eval/{name}.py"
@@ -177,14 +181,23 @@ def test_the_readme_fits_on_two_screens():
     assert f"**{observation_size(EnvConfig())} numbers**" in README
 
 
-def test_the_readme_s_first_command_makes_a_gif_as_large_and_long_as_the_one_shown():
-    line = next(c for c in commands(README) if c.endswith("parking.gif"))
-    config = read_flags(RenderConfig, shlex.split(line)[1:])
-    with Image.open(ROOT / "docs" / "parking.gif") as gif:
+@pytest.mark.parametrize("clip", sorted(CLIPS))
+def test_a_clip_is_as_large_and_long_as_its_command_makes_it(clip):
+    config = read_flags(RenderConfig, CLIPS[clip])
+    path = ROOT / "docs" / clip
+    assert path.stat().st_size < 1e6
+    with Image.open(path) as gif:
         lasts = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
         assert gif.size == (config.width, config.height)
-    assert sum(lasts) == 1000 * config.seconds
+    assert sum(lasts) == pytest.approx(1000 * config.seconds, abs=1000 / config.fps)
     assert min(lasts) == 1000 / config.fps
+
+
+def test_the_pictures_of_the_gallery_are_those_its_commands_make():
+    shown = re.findall(r"\]\((\S+\.gif)\)", (ROOT / "docs" / "gallery.md").read_text())
+    assert sorted(shown) == sorted(CLIPS)
+    assert set(gallery.MOSAIC) <= set(CLIPS)
+    assert (ROOT / "docs" / "mosaic.gif").stat().st_size < 3e6
 
 
 def test_the_parked_rules_are_those_in_force():

@@ -35,6 +35,13 @@ def test_no_page_loads_anything_from_elsewhere(site):
         assert not re.search(f"{loads}|{styles}", text), page
 
 
+def test_search_needs_no_server(site):
+    assert (site / "search" / "search_index.js").read_text().startswith("var __index")
+    for page in site.rglob("*.html"):
+        [script] = re.findall(r'src="([^"]*iframe-worker[^"]*)"', page.read_text())
+        assert page.name == "404.html" or (page.parent / script).is_file()
+
+
 def test_tables_and_lists_are_none_of_them_left_as_text(site):
     for page in site.rglob("*.html"):
         text = re.sub(r"<(pre|code)\b.*?</\1>", "", page.read_text(), flags=re.S)

@@ -1,4 +1,4 @@
-"""An analysis as one HTML page: pictures are in it, videos lie beside it."""
+"""An analysis as one HTML page with embedded pictures and linked videos."""
 
 import base64
 import html
@@ -48,7 +48,7 @@ def write_page(
 
 
 def picture(path: Path) -> str:
-    """A PNG as HTML that holds it."""
+    """A PNG embedded in HTML."""
     data = base64.b64encode(path.read_bytes()).decode()
     name = html.escape(path.stem.replace("_", " "))
     return f'<img alt="{name}" src="data:image/png;base64,{data}">'
@@ -101,7 +101,7 @@ def _link(path: Path, page: Path) -> str:
 
 
 def cell_text(value: Any) -> str:
-    """A value as tables show it; a dash for NaN, as of the interval of one run."""
+    """A value as tables show it; a dash for NaN, such as the interval of one run."""
     if isinstance(value, float):
         return "–" if math.isnan(value) else f"{value:.4g}"
     return str(value)

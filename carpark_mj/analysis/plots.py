@@ -10,12 +10,20 @@ import numpy as np
 from carpark_mj.analysis.points import Point, marked, show
 from carpark_mj.analysis.runs import read_curve
 from carpark_mj.analysis.statistics import spread
+from carpark_mj.evaluation.catalogue import metrics
 from carpark_mj.files import write_atomically
 
 GRID = 200  # points of a mean curve
 MAX_TICKS = 12  # of the horizontal axis; of more values it has round numbers
 MAX_INSIDE = 6  # lines whose legend lies on the plot; that of more is beside it
 _MARKERS = ("o", "x", "s", "^")
+_RING: dict[str, Any] = {
+    "marker": "o",
+    "markersize": 10,
+    "markerfacecolor": "none",
+    "color": "tab:red",
+    "linestyle": "",
+}
 
 
 def plot_metric(
@@ -50,12 +58,14 @@ def plot_metric(
             ]
             style = _style(sources.index(source), shades.index(rest), len(shades))
             names = [show(value) for value in rest]
-            label = ", ".join([source, *names] if len(sources) > 1 else names)
+            label = ", ".join([source, *names] if len(sources) > 1 else names) or None
             _draw_series(axes, own, place, metric, {**style, "label": label})
-        axes.set(xlabel=by[0], ylabel=metric.replace("_", " "))
+        if any(any(mark) for mark in marks):
+            axes.plot([], [], **_RING, label="outlier")
+        axes.set(xlabel=by[0], ylabel=_label(metric))
         if not numeric or len(place) <= MAX_TICKS:
             axes.set_xticks([*place.values()], [show(value) for value in place])
-        if len(series) > 1:
+        if axes.get_legend_handles_labels()[1]:
             where = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
             axes.legend(
                 title=", ".join(by[1:]) or None,
@@ -125,8 +135,7 @@ def _draw_series(
             linestyle="",
         )
         far = [value for value, is_far in zip(numbers, mark, strict=True) if is_far]
-        ring = {"marker": "o", "markersize": 10, "markerfacecolor": "none"}
-        axes.plot([x] * len(far), far, color="tab:red", linestyle="", **ring)
+        axes.plot([x] * len(far), far, **_RING)
         found = spread([numbers])
         line.append((x, found.iqm, found.low, found.high))
     x, iqm, low, high = np.array(line).T
@@ -136,6 +145,13 @@ def _draw_series(
 
 def _curve(record: Any, column: str) -> list[tuple[float, float]]:
     return read_curve(record.folder, column) if record.folder else []
+
+
+def _label(metric: str) -> str:
+    """A metric's name with its unit."""
+    units = {known.name: known.unit for known in metrics()}
+    unit = units.get(metric)
+    return metric.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
 def _style(source: int, shade: int, shades: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Runs of the same settings put together, and tables of them."""
+"""Runs grouped by settings, and tables of them."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -46,9 +46,9 @@ def group(sources: Sources, by: Sequence[str]) -> list[Point]:
 
 
 def plain(value: Any) -> Any:
-    """A setting as it is compared: numbers as floats, everything else as text.
+    """A setting for comparison: numbers as floats, everything else as text.
 
-    Truth values are spelt as flags and tables of published runs spell them.
+    Truth values are spelt as in flags and tables of published runs.
     """
     if isinstance(value, bool):
         return str(value).lower()
@@ -63,7 +63,7 @@ def plain(value: Any) -> Any:
 
 
 def show(value: Any) -> str:
-    """A setting as it is printed."""
+    """A setting as text for tables."""
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.reading import read_csv, read_object, require_entries
 
-# What differs between runs without changing what is trained.
+# Settings that may differ between runs of the same training.
 _INCIDENTAL = ("name", "runs_dir", "resume", "time_limit", "seed", "preset")
 
 
@@ -89,9 +89,9 @@ def run_folders(paths: Sequence[Path]) -> list[Path]:
 
 
 def swept_settings(paths: Sequence[Path], records: Sequence[Record]) -> list[str]:
-    """What the runs differ in: what sweeps say they vary, else what varies.
+    """Settings in which the runs differ: those that sweeps vary, else all that vary.
 
-    Of runs of several presets it is the preset.
+    For runs of several presets it is the preset.
     """
     if len({record.settings.get("preset") for record in records}) > 1:
         return ["preset"]

@@ -1,4 +1,4 @@
-"""What several seeds say of a yes-or-no question."""
+"""Verdicts of several seeds on a yes-or-no question."""
 
 from collections.abc import Sequence
 

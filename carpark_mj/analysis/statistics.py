@@ -82,8 +82,8 @@ def interquartile_mean(values: np.ndarray, axis: int = 0) -> np.ndarray:
 def outliers(strata: Sequence[Sequence[float]]) -> list[list[bool]]:
     """Which numbers are far from the median of their stratum.
 
-    Far is `OUTLIER` robust standard deviations, which are those of all strata together:
-    a point alone has too few runs to tell. Of one or two runs neither is.
+    Far is `OUTLIER` robust standard deviations of all strata together, because a single
+    point has too few runs. One or two runs are never outliers.
     """
     finite = [[value for value in values if not math.isnan(value)] for values in strata]
     centres = [float(np.median(s)) if len(s) > 2 else math.nan for s in finite]

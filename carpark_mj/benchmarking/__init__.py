@@ -1,1 +1,1 @@
-"""What the scripts that measure speed consist of: jobs, worker, checkouts, report."""
+"""Measures speed: jobs, worker, checkouts, report."""

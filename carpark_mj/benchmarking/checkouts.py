@@ -36,13 +36,13 @@ def here() -> Checkout:
 
 @contextlib.contextmanager
 def other_checkout(reference: str) -> Generator[Checkout]:
-    """Another checkout; that of a commit is made for the while and removed after.
+    """Another checkout; that of a commit is temporary.
 
     Args:
         reference: folder of a checkout, or a commit, branch or tag of this repository.
 
     Raises:
-        ValueError: it is neither, or holds no carpark_mj.
+        ValueError: it is neither, or does not hold carpark_mj.
     """
     folder = Path(reference)
     if folder.is_dir():
@@ -65,7 +65,7 @@ def worker_of(folder: Path) -> Path:
     """The script that measures a checkout, in the package or beside `eval`'s scripts.
 
     Raises:
-        ValueError: the folder is no checkout of the project.
+        ValueError: the folder is not a checkout of the project.
     """
     for home in ("carpark_mj", "eval"):
         worker = folder / home / "benchmarking" / "worker.py"

@@ -1,7 +1,7 @@
-"""What adapters cost beside the core, and other gyms beside them, in one session.
+"""Compares adapters with the core, and other gyms with adapters, in one session.
 
-All are compiled first. Then they take turns, so that what else the machine does meets
-all of them alike; of each the best turn counts.
+All are compiled first. Then they take turns, so that other work on the machine affects
+all of them alike; the best turn of each counts.
 """
 
 # Extras that the type checker does without.
@@ -29,7 +29,7 @@ GOAL, MANY = "carpark_mj/ParkGoal-v0", "carpark_mj/ParkMany-v0"
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """Something that is stepped.
+    """A program that steps agents.
 
     Attributes:
         name: in the table.
@@ -54,10 +54,10 @@ class Rates:
 
 @contextlib.contextmanager
 def subjects(peer: Peer, lots: int) -> Generator[list[Subject]]:
-    """What is compared, closed after use.
+    """The compared programs, closed after use.
 
     Args:
-        peer: what the adapters are compared with.
+        peer: peer of the adapters.
         lots: simulated at once, of one agent each.
 
     Raises:

@@ -9,7 +9,7 @@ Clock = Literal["wall", "cpu"]
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """What one process measures.
+    """The measurement of one process.
 
     Attributes:
         what: environment steps, whole PPO updates, or the physics alone.
@@ -37,7 +37,7 @@ class Job:
 
 @dataclasses.dataclass(frozen=True)
 class Measurement:
-    """What a process measured; the columns of the CSV that follow the checkout's.
+    """Results of a process; columns of the CSV after those of the checkout.
 
     Attributes:
         device: the GPU's name, or the number of CPU cores.
@@ -49,7 +49,7 @@ class Measurement:
         agents: in each lot.
         lots: simulated at once.
         rate: units per second of the clock.
-        unit: what is counted, and the second that is meant.
+        unit: counted unit, per second of which clock.
         compile_s: tracing, lowering and compiling the program [s of the clock].
         first_step_s: from the start of the process to that of the first call [s of the
             clock].

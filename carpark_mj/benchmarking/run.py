@@ -1,4 +1,4 @@
-"""Runs jobs in processes of their own; checkouts take turns."""
+"""Runs jobs, each in its own process; checkouts take turns."""
 
 import dataclasses
 import json
@@ -21,7 +21,7 @@ class WorkerError(Exception):
 def measure(
     jobs: Sequence[Job], measured: Sequence[Checkout], repeats: int, out: str = ""
 ) -> list[Row]:
-    """Measures all jobs in all checkouts, which take turns; says so on stderr.
+    """Measures all jobs in all checkouts in turn; prints progress on stderr.
 
     Args:
         jobs: of each round.

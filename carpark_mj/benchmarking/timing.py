@@ -1,4 +1,4 @@
-"""How long compiled programs take."""
+"""Times compiled programs."""
 
 import time
 from collections.abc import Callable

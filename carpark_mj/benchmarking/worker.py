@@ -1,7 +1,7 @@
-"""Measures one job in a process of its own, with the carpark_mj that Python finds.
+"""Measures one job in its own process, with the carpark_mj that Python finds.
 
-`run.py` starts that of a checkout with its code. It takes one JSON object and prints
-another; exit code 2 and one line for bad input.
+`run.py` starts the worker of a checkout with the checkout's code. It takes one JSON
+object and prints another; bad input gives exit code 2 and one line.
 """
 
 import dataclasses
@@ -218,7 +218,7 @@ def measure(job: Job, started: float) -> Measurement:
 
 
 def device_name() -> str:
-    """What JAX computes on: the GPU's name, or the number of CPU cores."""
+    """JAX's device: the GPU's name, or the number of CPU cores."""
     device = jax.devices()[0]
     if device.platform == "cpu":
         return f"{os.cpu_count()} CPU cores"

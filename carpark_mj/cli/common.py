@@ -14,7 +14,7 @@ OUTPUT_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
 EXTRAS = dict.fromkeys(
     ("tyro", "rich", "matplotlib", "tensorboardX", "imageio_ffmpeg", "scipy"),
     "train,eval",
-) | {"vehiclemodels": "test"}
+) | {"submitit": "sweep", "vehiclemodels": "test"}
 
 
 def one_line(error: BaseException) -> str:

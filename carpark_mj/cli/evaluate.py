@@ -99,7 +99,7 @@ class Task:
     Attributes:
         name: of the policy.
         policy: acting function.
-        env: the environment, with what the command line changes.
+        env: the environment, with changes of the command line.
         folder: of the results.
     """
 

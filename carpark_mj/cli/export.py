@@ -88,7 +88,7 @@ class ExportConfig:
         if self.out and Path(self.out).suffix not in (".onnx", ".npz"):
             raise ValueError(f"out must end in .onnx or .npz, not {self.out!r}")
         if self.out.endswith(".npz"):
-            reason = "with a checkpoint as output"
+            reason = "on a checkpoint"
             require_unset(self, reason, "seed", "from_state")
         if not self.from_state:
             require_unset(self, "without --from-state", *COUNTS)
@@ -149,8 +149,8 @@ def _write_car(out: Path, loaded: LoadedPolicy, config: ExportConfig) -> None:
     """Writes a model that acts in lots like its policy, or none.
 
     Raises:
-        ValueError: it acts otherwise, a car outside cannot observe what the policy
-            does, or the lots have more than the counts.
+        ValueError: it acts otherwise, a car outside cannot make the policy's
+            observation, or the lots have more rows than the counts.
     """
     require_outside(loaded.env)
     counts = {name: getattr(config, name) for name in COUNTS}

@@ -150,7 +150,8 @@ class LayoutsConfig:
 
     Attributes:
         layouts: names or layout files; all families if none.
-        plot: picture to write, with two lots of each layout.
+        plot: picture to write, with two lots of each random layout named, or one of
+            every family.
         check: number of keys of each layout to check.
         vehicle: preset or file of the car that must fit into bays and spawn regions of
             the checked lots; by default their design car.
@@ -214,7 +215,9 @@ def look(config: LayoutsConfig) -> bool:
         pictures = [
             (name, drawn)
             for name, layout in shown.items()
-            for drawn in draw(layout, 2, config.seed)
+            for drawn in draw(
+                layout, 2 if config.layouts and layout.is_random else 1, config.seed
+            )
         ]
         print(f"wrote {plot_layouts(pictures, Path(config.plot))}")
     sound = True

@@ -153,7 +153,7 @@ def vehicle(config: SceneConfig) -> VehicleParameters:
 
 
 def default_env(config: SceneConfig) -> EnvConfig:
-    """Two agents and sixteen parked cars, or what the lot leaves room for."""
+    """Two agents and sixteen parked cars, or as many as fit into the lot."""
     name = config.layout or "square"
     lot = layout_config(name)
     agents = config.num_agents or min(EnvConfig.num_agents, lot.min_goals)

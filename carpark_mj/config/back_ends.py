@@ -1,4 +1,4 @@
-"""Physics back ends by name, and what the task asks of each.
+"""Physics back ends by name, and their traits.
 
 The core's own are registered by `carpark_mj.physics.back_ends`, others by extensions.
 """

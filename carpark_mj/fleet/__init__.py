@@ -1,1 +1,1 @@
-"""Which cars there are: presets drawn, randomized and checked."""
+"""The cars of an environment: presets drawn, randomized and checked."""

@@ -25,7 +25,7 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
     """Refuses more cars or tracked bays than the lot has bays for.
 
     Raises:
-        ValueError: naming the number and the most there can be.
+        ValueError: naming the number and the maximum.
     """
     bays, agents = lot.min_bays, _num_goals(config)
     if config.goals.dynamic:
@@ -51,7 +51,7 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
 
 
 def check_exits(config: EnvConfig, lot: LayoutConfig) -> None:
-    """Refuses cars that drive out where there are no exits, and exits for others.
+    """Refuses `goals.drive_out` without exits, and exits without `goals.drive_out`.
 
     Args:
         config: of the environment.
@@ -97,7 +97,7 @@ def check_occupancy(config: EnvConfig, lot: LayoutConfig) -> None:
 
 
 def parked_cars_needed(occupancy: Range, lot: LayoutConfig) -> int:
-    """How many parked cars an occupancy takes; of random lots, in the smallest."""
+    """Number of parked cars for an occupancy; for random lots, in the smallest."""
     return math.floor(occupancy[1] * lot.min_bays + 1e-6)
 
 
@@ -106,8 +106,8 @@ def check_cars(
 ) -> None:
     """Refuses cars that cannot start, enter a bay from the aisle, or fit into one.
 
-    A single kind of car must fit into all bays of a lot that is not random, a fleet's
-    into one. What does not steer needs no room to turn into a bay.
+    A single kind of car must fit into all bays of a fixed lot, each car of a fleet into
+    at least one. Cars that do not steer need no room to turn into a bay.
 
     Args:
         config: of the environment.
@@ -192,7 +192,7 @@ def _sample(lot: LayoutConfig) -> list[Layout]:
 def _require_entry(
     name: str, params: VehicleParameters, entries: Sequence[Entry]
 ) -> None:
-    """Refuses a car that can enter no bay of a lot, as families refuse their own."""
+    """Refuses a car that cannot enter any bay of a lot, as families do."""
     car = DesignCar(
         params.length,
         params.width,
@@ -213,7 +213,7 @@ def _require_entry(
 def _require_start(
     name: str, params: VehicleParameters, lot: LayoutConfig, layout: Layout
 ) -> None:
-    """Refuses a car that touches something wherever it could start."""
+    """Refuses a car that touches an obstacle at every possible start."""
     if is_made_for(lot, params):
         return
     # Along, across and in heading, out to the bounds of every region.
@@ -236,7 +236,7 @@ def _require_start(
 def _count_bays(
     kind: str, name: str, size: np.ndarray, slack: float, lots: Sequence[np.ndarray]
 ) -> int:
-    """In how many bays of the roomiest lot a car fits; refuses 0."""
+    """Number of bays of the roomiest lot that a car fits into; refuses 0."""
     count = max(int((size + slack <= bays).all(axis=1).sum()) for bays in lots)
     if not count:
         longest, widest = np.concatenate(lots).max(axis=0)

@@ -1,5 +1,6 @@
 """Plans of layouts, drawn with matplotlib."""
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,14 @@ WALL_COLOURS = {
 }
 DISC_COLOURS = {DiscKind.PILLAR: "#333333", DiscKind.BOLLARD: "#e08a1e"}
 ARROW = 8.0  # m between the arrows of a lane
+SHEET = 7.0  # inches, the width of a picture
+WIDE = 130.0  # m across it, of many lots
+EDGE = 0.5  # m beyond a lot's extent
+GAP = 0.015  # of it, between lots
+LINE, LETTER = 0.15, 0.072  # inches, of a title
+LETTERS = 24  # in a title's line
+FONT = 8.0  # points
+DPI = 160
 
 
 def draw_layout(axes: Any, layout: Layout) -> None:
@@ -69,9 +78,9 @@ def draw_layout(axes: Any, layout: Layout) -> None:
             if not plan.lane_one_way[row]:
                 _arrow(axes, *place, yaw + np.pi, 1.5, "#b9770e")
     half_x, half_y = plan.extent
-    axes.set(xlim=(-half_x - 1, half_x + 1), ylim=(-half_y - 1, half_y + 1))
+    axes.set(xlim=(-half_x - EDGE, half_x + EDGE), ylim=(-half_y - EDGE, half_y + EDGE))
     axes.set_aspect("equal")
-    axes.tick_params(labelsize=6)
+    axes.set_axis_off()
 
 
 def _arrow(axes: Any, x: float, y: float, yaw: float, size: float, colour: str) -> None:
@@ -88,20 +97,93 @@ def _arrow(axes: Any, x: float, y: float, yaw: float, size: float, colour: str) 
 
 
 def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
-    """Writes a picture of titled layouts, two a row of the sheet's four columns."""
+    """Writes a picture of titled layouts, all to one scale, with a legend."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    columns = 4
-    rows = -(-len(layouts) // columns)
-    figure = Figure(figsize=(5 * columns, 4 * rows), layout="constrained")
+    layouts = sorted(layouts, key=lambda lot: -float(lot[1].extent[1]))
+    sizes = [2.0 * (np.asarray(layout.extent, float) + EDGE) for _, layout in layouts]
+    row = GAP * WIDE + sum(size[0] + GAP * WIDE for size in sizes)
+    wide = max(min(WIDE, row), (1 + 2 * GAP) * max(size[0] for size in sizes))
+    metre = SHEET / wide  # inches
+    lines = [
+        textwrap.wrap(f"{name}, {int(layout.bay_mask.sum())} bays", LETTERS)
+        for name, layout in layouts
+    ]
+    cells = [
+        (max(x * metre, LETTER * max(map(len, told))), y * metre + LINE * len(told))
+        for (x, y), told in zip(sizes, lines, strict=True)
+    ]
+    places, high = _pack(cells, GAP * SHEET)
+    foot = 5 * LINE
+    figure = Figure(figsize=(SHEET, high + foot))
     FigureCanvasAgg(figure)
-    grid = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for axes in grid:
-        axes.set_axis_off()
-    for axes, (title, layout) in zip(grid, layouts, strict=False):
-        axes.set_axis_on()
-        draw_layout(axes, layout)
-        axes.set_title(f"{title}, {int(layout.bay_mask.sum())} bays", fontsize=9)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110))
+    for (_, layout), size, told, (x, y) in zip(
+        layouts, sizes, lines, places, strict=True
+    ):
+        width, height = size * metre
+        top = 1 - y / (high + foot)
+        text: dict[str, Any] = {"fontsize": FONT, "va": "top", "linespacing": 1.1}
+        figure.text(x / SHEET, top, "\n".join(told), **text)
+        low = top - (height + LINE * len(told)) / (high + foot)
+        box = (x / SHEET, low, width / SHEET, height / (high + foot))
+        draw_layout(figure.add_axes(box), layout)
+    _legend(figure, layouts, metre)
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=DPI))
     return path
+
+
+def _pack(
+    cells: Sequence[tuple[float, float]], gap: float
+) -> tuple[list[tuple[float, float]], float]:
+    """Left upper corners of cells in rows across the sheet, and the rows' height."""
+    places: list[tuple[float, float]] = []
+    x, y, tall = gap, gap, 0.0
+    for width, height in cells:
+        if x > gap and x + width + gap > SHEET:
+            x, y, tall = gap, y + tall + gap, 0.0
+        places.append((x, y))
+        x, tall = x + width + gap, max(tall, height)
+    return places, y + tall + gap
+
+
+def _legend(figure: Any, layouts: Sequence[tuple[str, Layout]], metre: float) -> None:
+    """Names what the colours of these layouts mean, and draws a bar of 10 m."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    entries: list[Any] = []
+    for part, colours in (
+        ("bay", BAY_COLOURS),
+        ("wall", WALL_COLOURS),
+        ("disc", DISC_COLOURS),
+    ):
+        found = {
+            int(kind)
+            for _, layout in layouts
+            for kind in np.asarray(getattr(layout, f"{part}_kind"))[
+                np.asarray(getattr(layout, f"{part}_mask"))
+            ]
+        }
+        for kind, colour in colours.items():
+            if int(kind) in found:
+                name = kind.name.lower() + " bay" * (part == "bay")
+                entries.append(Patch(fc=colour, ec="#444444", lw=0.6, label=name))
+    arrow: dict[str, Any] = {"marker": ">", "lw": 0.8, "ms": 3}
+    if any(np.any(layout.spawn_mask) for _, layout in layouts):
+        start: dict[str, Any] = {"fc": "#2e86c1", "ec": "#1b4f72", "alpha": 0.25}
+        entries.append(Patch(**start, label="start region"))
+    if any(np.any(layout.lane_mask) for _, layout in layouts):
+        entries.append(Patch(fc="#d9d9d9", label="lane"))
+        entries.append(
+            Line2D([], [], color="#b9770e", label="driving direction", **arrow)
+        )
+    entries.append(Line2D([], [], color="#888888", label="parked heading", **arrow))
+    high = figure.get_figheight()
+    y = 4.2 * LINE / high
+    bar = [GAP, GAP + 10 * metre / SHEET]
+    figure.add_artist(Line2D(bar, [y, y], color="black", lw=2))
+    figure.text(bar[1] + 0.01, y, "10 m", fontsize=FONT, va="center")
+    figure.legend(
+        handles=entries, loc="lower center", ncols=5, fontsize=FONT, frameon=False
+    )

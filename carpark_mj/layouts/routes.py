@@ -160,8 +160,8 @@ def route_to(
 def _own_lanes(routes: Routes, layout: Layout, xy: jax.Array) -> jax.Array:
     """Lanes (cars, lanes) bool that cars are in: the nearest, and all at a crossing.
 
-    A crossing reaches as far as both lanes are wide. Were a car in the first lane alone
-    until it has left it, its route would grow again behind the crossing.
+    A crossing reaches as far as both lanes are wide. If a car counted as in the first
+    lane only until it leaves that lane, its route would grow again behind the crossing.
     """
     gap = lane_distance(layout, xy)
     own = gap <= jnp.min(gap, axis=1, keepdims=True) + INSIDE

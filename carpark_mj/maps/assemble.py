@@ -1,4 +1,4 @@
-"""From the features of a map to a layout, with a report of what was left out."""
+"""From the features of a map to a layout, with a report of omitted features."""
 
 import dataclasses
 import itertools
@@ -24,7 +24,7 @@ WORST_FIT = 0.6  # m between the outlines of a spot and its rectangle
 TWICE = 0.5  # share of a spot that another covers, for it to be the same one
 DETAIL = 0.25  # m, smaller bends of walls are straightened
 STRETCH = 0.1  # m by which a spot may be too short for the car
-SLIVER = 0.08  # m, thinner walls are none
+SLIVER = 0.08  # m, thinner walls are dropped
 THINNEST = 0.02  # m, of a wall
 LEAST_START = 0.05  # m that a start is long and wide
 MARGIN = 1.0  # m around everything
@@ -32,12 +32,12 @@ MARGIN = 1.0  # m around everything
 
 @dataclasses.dataclass
 class Report:
-    """What became of a map.
+    """Report of an import.
 
     Attributes:
-        spots: how many there are in it.
+        spots: number of spots in the map.
         lost: spots without a bay, with the reason, by their names.
-        unknown: what was not understood, with how often.
+        unknown: numbers of unknown elements by kind.
         outside: shapes left out because they lie outside the drivable part, by tag.
         errors: between the outlines of spots and of their bays [m].
         stretched: names of spots lengthened into the aisle to hold the car, and left to
@@ -54,7 +54,7 @@ class Report:
     turned: float = 0.0
 
     def __str__(self) -> str:
-        """A line for each thing to know."""
+        """The report as lines of text."""
         worst, mean = max(self.errors), float(np.mean(self.errors))
         lines = [
             f"{len(self.errors)} of {self.spots} spots imported; their rectangles are "
@@ -213,7 +213,7 @@ _Disc = tuple[float, float, float]
 def _solids(
     features: list[Feature], ground: Any, taken: list[Any], report: Report
 ) -> tuple[list[tuple[Box, WallKind]], list[_Disc]]:
-    """Boxes and discs of what stands within reach of the ground."""
+    """Boxes and discs of walls, kerbs and columns within reach of the ground."""
     within = ground.buffer(REACH, join_style="mitre")
     occupied = shapely.union_all(taken).buffer(0.001)
     tree = shapely.STRtree(taken)

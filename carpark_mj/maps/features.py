@@ -1,4 +1,4 @@
-"""What maps have in common: tagged shapes in metres."""
+"""Features of maps in any format: tagged shapes in metres."""
 
 import dataclasses
 from collections import Counter
@@ -16,9 +16,9 @@ class Feature:
     """One shape of a map.
 
     Attributes:
-        tag: what it is.
+        tag: its meaning.
         shape: a shapely polygon, of a lane the centre line in its direction [m].
-        name: by which the map knows it.
+        name: its name in the map.
         kind: of a bay.
         width: of a lane [m].
         one_way: whether a lane is driven along its line only.
@@ -38,7 +38,7 @@ class Plan:
 
     Attributes:
         features: in the map's order, metres.
-        unknown: what was not understood, with how often.
+        unknown: numbers of unknown elements by kind.
         lost: spots that cannot become shapes, with the reason, by their names.
     """
 

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from shapely import affinity, ops
 
-SLACK = 0.5  # m thick may be what the rectangle of a wall has beyond it
+SLACK = 0.5  # m by which the rectangle of a wall may be thicker than the wall
 EPSILON = 1e-4  # m by which a cut reaches beyond the polygon
 DEEPEST = 16  # cuts of one polygon within each other
 REFLEX = math.radians(5.0)  # beyond 180 deg, of a corner worth a cut
@@ -164,7 +164,7 @@ def _line(x: float, y: float, yaw: float, reach: float, both: bool = False) -> A
 
 
 def cut_free(box: Box, others: Iterable[Any], gap: float = 0.002) -> Box | None:
-    """The rectangle less what meets other shapes; None if nothing is left.
+    """The rectangle less its overlap with other shapes; None if it vanishes.
 
     Each shape costs the side that loses the least area.
 

@@ -23,7 +23,7 @@ def geojson_features(path: Path) -> Plan:
     """Reads a file.
 
     Raises:
-        ValueError: it is no GeoJSON, or its coordinates are none.
+        ValueError: not GeoJSON, or invalid coordinates.
         OSError: the file cannot be read.
     """
     data = parse_object(read_text(path), "the GeoJSON", features=list)

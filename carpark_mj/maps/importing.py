@@ -13,7 +13,7 @@ def import_map(path: Path) -> tuple[Layout, Report]:
     """Reads a map: Lanelet2 or OpenStreetMap in OSM XML, GeoJSON, or DXF.
 
     Raises:
-        ValueError: no such map, or no lot comes of it; the message names the file.
+        ValueError: no such map, or no valid lot in it; the message names the file.
     """
     try:
         return assemble(read_plan(path))

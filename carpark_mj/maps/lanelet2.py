@@ -49,7 +49,7 @@ def is_lanelet2(osm: OsmXml) -> bool:
 
 
 def _tag(tags: Tags) -> Tag | None:
-    """What an element is by its subtype, or else by its type."""
+    """Tag of an element by its subtype, or else by its type."""
     for key in ("subtype", "type"):
         if found := _TAGS.get(tags.get(key, "").lower()):
             return found

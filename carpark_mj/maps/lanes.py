@@ -16,8 +16,8 @@ GAP = 8.0  # m between their ends, for one to cross a junction
 def joined_lanes(features: list[Feature]) -> list[tuple[Box, bool]]:
     """Rectangles of lanes, and whether they are driven along their heading only.
 
-    Lanes in line are one, and so are two on the same ground in opposite directions,
-    which may then be driven both ways.
+    Lanes in line are joined. Two opposite lanes on the same ground become one two-way
+    lane.
     """
     rest = sorted(
         ((_box(one), one.one_way) for one in features if one.shape.length > 0.1),

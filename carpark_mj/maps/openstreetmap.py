@@ -56,7 +56,7 @@ def osm_features(osm: OsmXml) -> Plan:
 
 
 def add_by_tags(plan: Plan, name: str, tags: Mapping[str, Any], shape: Any) -> None:
-    """Adds what a shape is by its tags, or counts it as not understood."""
+    """Adds a shape with the meaning of its tags, or counts it as unknown."""
     if shape is None or shape.is_empty:
         if tags.get("amenity") == "parking_space":
             plan.lost[name] = "its lines close no polygon"

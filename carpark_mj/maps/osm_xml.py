@@ -33,7 +33,7 @@ class Way:
 
 @dataclasses.dataclass(frozen=True)
 class Relation:
-    """Ways by their role, and tags; how many members are missing or are no ways."""
+    """Ways by their role, tags, and the number of other or missing members."""
 
     members: list[tuple[str, str]]
     tags: Tags
@@ -53,7 +53,7 @@ def read_osm_xml(path: Path) -> OsmXml:
     """Reads a file.
 
     Raises:
-        ValueError: no such XML, or coordinates that are none.
+        ValueError: not such XML, or invalid coordinates.
         OSError: the file cannot be read.
     """
     data = read_bytes(path)
@@ -139,7 +139,7 @@ def _places(elements: list[Any], tags: list[Tags]) -> np.ndarray:
 
 
 def joined(pieces: list[Any]) -> Any:
-    """The polygon that lines close together; None if they close none.
+    """The polygon that lines form together; None if they do not form one.
 
     Args:
         pieces: shapely lines and polygons.

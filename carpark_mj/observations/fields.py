@@ -35,7 +35,7 @@ class Field:
         low: smallest value.
         high: largest value; the ranges hold while cars stay on the lot and within
             their speed limits.
-        meaning: what the numbers are, with scale and unit.
+        meaning: description of the numbers, with scale and unit.
         group: the repeated entity it describes, as `agent`, `parked_car` or `bay`; ""
             if it describes none. All entities of a group have the same fields in the
             same order, next to each other.

@@ -179,7 +179,7 @@ def run_substeps(
     Args:
         sim: time steps.
         substep: advances the carry by one substep.
-        carry: what the substeps change.
+        carry: variables that the substeps change.
         pose: poses of the carry.
 
     Returns:
@@ -187,8 +187,8 @@ def run_substeps(
         spaced instants, the last at the end.
     """
     stride = sim.num_substeps // sim.num_traces
-    # A gradient keeps what the substeps carry and computes the rest again: it takes
-    # less memory, and half as long to compile.
+    # A gradient stores only the carry and recomputes the rest: it takes less memory,
+    # and half as long to compile.
     substep = jax.checkpoint(substep, prevent_cse=False)
 
     def stretch(carry: Tree, _: None) -> tuple[Tree, jax.Array]:

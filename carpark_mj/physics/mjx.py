@@ -161,7 +161,7 @@ def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarS
 
     Args:
         before: the cars before the step.
-        car: what the step computed.
+        car: result of the step.
         trace_w: (..., k, 3) poses within the step.
     """
     at_rest = dataclasses.replace(

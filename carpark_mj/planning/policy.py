@@ -88,6 +88,18 @@ def planner_policy(
         ValueError: OMPL is not installed, or agents choose their goals, or cars do not
             obey a pedal.
     """
+    require_plannable(env)
+    planner = Planner(env.config.sim.ctrl_dt, seed, config)
+    return StatePolicy(_callback(planner.act)), planner
+
+
+def require_plannable(env: ParkingEnv) -> None:
+    """Refuses environments that the planner cannot drive in.
+
+    Raises:
+        ValueError: OMPL is not installed, or agents choose their goals, or cars do not
+            obey a pedal.
+    """
     physics = env.config.physics_config
     if not (physics.steers and physics.actuated):
         raise ValueError(
@@ -97,8 +109,18 @@ def planner_policy(
     if env.config.goals.dynamic:
         raise ValueError("the planner needs fixed goals, goals.dynamic = False")
     require_ompl()
-    planner = Planner(env.config.sim.ctrl_dt, seed, config)
-    return StatePolicy(_callback(planner.act)), planner
+
+
+def sights(state: State) -> list[list[Sight]]:
+    """What the present agents of lots see; of a state (lots, ...)."""
+    seen = jax.tree.map(np.asarray, _look(state))
+    return [
+        [
+            _sight(seen, lot, int(agent), _solids(seen, lot))
+            for agent in np.flatnonzero(active)
+        ]
+        for lot, active in enumerate(seen["active"])
+    ]
 
 
 def _callback(act: Callable[[dict[str, Any]], np.ndarray]) -> Any:

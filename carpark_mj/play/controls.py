@@ -22,7 +22,7 @@ STICK, LEFT_TRIGGER, RIGHT_TRIGGER = 0, 4, 5
 
 @dataclasses.dataclass(frozen=True)
 class Controls:
-    """What a driver does.
+    """Controls of a driver.
 
     Attributes:
         steer: left is 1.

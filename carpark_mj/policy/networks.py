@@ -78,6 +78,9 @@ class Arithmetic:
     dtype: Any = jnp.float32
 
 
+PLAIN = Arithmetic()
+
+
 class SetNetwork(linen.Module):
     """The set encoder and hidden layers.
 
@@ -133,7 +136,7 @@ def make_networks(
     config: NetworkConfig,
     fields: Sequence[Field],
     action: ActionSpec,
-    arithmetic: Arithmetic = Arithmetic(),
+    arithmetic: Arithmetic = PLAIN,
 ) -> ppo_networks.PPONetworks:
     """Builds actor and critic over observations with the given fields.
 

@@ -61,7 +61,7 @@ def control_step(
 
     Args:
         env: the environment; a batch of lots is stepped with `jax.vmap`.
-        act: what the agents do.
+        act: acting function of all agents.
         carry: before the step.
         key: of what is random in the policy, consumed.
     """
@@ -84,10 +84,10 @@ def roll_out(
 
     Args:
         env: the environment.
-        act: what the agents do.
+        act: acting function of all agents.
         carry: before the first step.
         keys: (steps,), consumed.
-        report: what to keep of a step.
+        report: values to keep of a step.
 
     Returns:
         The carry after the last step, and the reports, with a leading axis (steps,).

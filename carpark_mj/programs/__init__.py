@@ -18,6 +18,9 @@ COMMANDS = {
     "vehicles": Entry(
         "carpark_mj.cli.vehicles:main", "show a vehicle and its estimated parameters"
     ),
+    "oracle": Entry(
+        "carpark_mj.cli.oracle:main", "say which agents of held-out lots can park"
+    ),
     "suite": Entry(
         "carpark_mj.programs.suite:run",
         "compare policies on the held-out hard cases",

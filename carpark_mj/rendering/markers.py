@@ -17,7 +17,7 @@ class Markers:
     """Adds geoms to an `MjvScene` for one frame."""
 
     def __init__(self, scene: Any) -> None:
-        """Draws into `scene`, after what the model has put there."""
+        """Draws into `scene`, on top of the model's geoms."""
         self._scene = scene
 
     def _add(self, kind: Any, rgba: Rgba, position: Sequence[float]) -> Any:

@@ -40,13 +40,24 @@ def fit_eye(
     return axes @ np.append((high - low) / 2, back)
 
 
+def view_yaw(extent: np.ndarray, aspect: float = LEAST_ASPECT) -> float:
+    """Direction [rad] that is to the right in the frames of `LOT_CAMERAS`.
+
+    The lot is seen from the south, or from the west if its longer side then lies along
+    the frame's.
+
+    Args:
+        extent: (2,) half widths of the lot [m].
+        aspect: width over height of the frame.
+    """
+    x, y = extent if aspect >= 1.0 else extent[::-1]
+    return -math.pi / 2 if y > _LONG * x else 0.0
+
+
 def frame_lot(
     camera: str, extent: np.ndarray, aspect: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where `topdown` or `overview` stands to fill a frame with the lot.
-
-    From the south, or from the west if the lot's longer side then lies along the
-    frame's.
 
     Args:
         camera: name of the camera.
@@ -58,8 +69,7 @@ def frame_lot(
     """
     corners = np.array(list(itertools.product((-1, 1), (-1, 1), (0, 1))))
     corners = corners * [*(np.asarray(extent, float) + _MARGIN), _TALL]
-    x, y = extent if aspect >= 1.0 else extent[::-1]
-    yaw = -math.pi / 2 if y > _LONG * x else 0.0  # of the camera's right
+    yaw = view_yaw(extent, aspect)
     rise = _ELEVATION[camera]
     right = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     behind = np.array([right[1], -right[0], 0.0])

@@ -147,7 +147,7 @@ def scene_xml(
     Args:
         spec: the scene.
         params: the vehicle of the cars to drive.
-        place: what the guide calls the scene.
+        place: name of the scene in the guide.
     """
     spec.compile()
     agents = sum(body.name.startswith("agent") for body in spec.worldbody.bodies)

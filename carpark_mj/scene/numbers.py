@@ -8,6 +8,7 @@ import trimesh
 
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import materials
+from carpark_mj.scene.cameras import view_yaw
 from carpark_mj.scene.mesh import add_mesh, merge
 
 HEIGHT, WIDTH = 0.42, 0.24  # m, of a digit
@@ -56,7 +57,8 @@ def digit_mesh(digit: int) -> trimesh.Trimesh:
 
 
 def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:
-    """Paints every bay's index at its open end, to be read from the aisle."""
+    """Paints every bay's index at its open end, upright for the lot's cameras."""
+    right = view_yaw(np.asarray(layout.extent, float))
     for digit in range(10):
         mesh = digit_mesh(digit)
         add_mesh(spec, f"digit{digit}", mesh)
@@ -64,8 +66,9 @@ def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:
         x, y, yaw = np.asarray(layout.bay_pose[bay], float)
         reach = float(layout.bay_size[bay, 0]) / 2 - EDGE_DISTANCE
         x, y = x + reach * math.cos(yaw), y + reach * math.sin(yaw)
-        # Up on the page is into the bay, against its heading.
-        turn = yaw + math.pi / 2
+        turn = yaw + math.pi / 2  # read from the aisle
+        if math.cos(turn - right) < -1e-3:  # upside down
+            turn += math.pi
         text = str(bay)
         for place, digit in enumerate(text):
             along = (place - (len(text) - 1) / 2) * SPACING

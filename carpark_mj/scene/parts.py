@@ -119,8 +119,8 @@ def add_verge(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
 def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Walls, kerbs, islands and gates as boxes `wall0`..., all of them solid.
 
-    Kerbs and islands are lower than a car's hull: the visible box is low, the one that
-    collides is invisible and taller.
+    Kerbs and islands are lower than a car's hull: the visible box is low, the colliding
+    box is invisible and taller.
     """
     for wall in np.flatnonzero(np.asarray(layout.wall_mask)):
         x, y, yaw = np.asarray(layout.wall_pose[wall], float)
@@ -167,7 +167,7 @@ def add_discs(spec: mujoco.MjSpec, layout: Layout) -> None:
 def add_movers(spec: mujoco.MjSpec, groups: Sequence[Group]) -> None:
     """Boxes and upright cylinders `mover0`... for every obstacle of some groups.
 
-    They go where they are put, and push what they meet.
+    They are kinematic: contacts do not move them, and they push cars.
     """
     number = 0
     for group in groups:
@@ -188,7 +188,7 @@ def add_movers(spec: mujoco.MjSpec, groups: Sequence[Group]) -> None:
 
 
 def mover_places(group: Group) -> list[tuple[list[float], list[float]]]:
-    """Where the obstacles of a group are drawn, and their sizes as of geoms.
+    """Poses and geom sizes of the obstacles of a group.
 
     Returns:
         For each the position and quaternion (7,), below the ground if it is absent, and

@@ -72,7 +72,7 @@ def _by_checkpoint(runs: list[Run], sweep: Path) -> list[list[Run]]:
 
 
 def _settings(run: Run, sweep: Path) -> PPOConfig:
-    """The settings of a run, or of the one that goes on."""
+    """The settings of a new run, or of the run to continue."""
     folder = run_folder(sweep, run)
     if checkpoint_files(folder):
         words = ["--resume", str(folder)]

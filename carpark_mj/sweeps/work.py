@@ -1,4 +1,4 @@
-"""What a job of a sweep does: it trains some runs side by side.
+"""A job of a sweep: it trains some runs side by side.
 
 What starts MuJoCo is imported when the job runs, in its own process.
 """

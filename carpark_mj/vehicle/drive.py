@@ -134,7 +134,7 @@ def close_hold(
     wanted = ~driven | (pedal * speed < 0.0)
     closes = wanted & ((jnp.abs(speed) < HOLD_SPEED) | (hold > 0.0))
     closed = hold + (hold + HOLD_START) * (dt * (1.0 / HOLD_TIME))
-    # It takes over what the pedal brakes with, for the moment the pedal is released.
+    # It takes over the pedal's deceleration, for the moment the pedal is released.
     service = strength * vehicle.max_deceleration * (1.0 / HOLD_RAMP)
     closed = jnp.where(driven, jnp.maximum(closed, service), closed)
     closed = jnp.minimum(closed, vehicle.hold_deceleration)

@@ -67,9 +67,9 @@ class _Goals:
 class ParkGoalEnv(_Goals, ParkEnv):
     """One agent drives to a pose; the rest is as in `ParkEnv`.
 
-    - observation: a dictionary of `observation` (what the agent observes but for its
-      goal), `achieved_goal` and `desired_goal` (6,): x, y, vx, vy, cos and sin of the
-      heading in the world frame, see `carpark_mj.tasks.goal_pose`.
+    - observation: a dictionary of `observation` (fields that do not reveal the goal),
+      `achieved_goal` and `desired_goal` (6,): x, y, vx, vy, cos and sin of the heading
+      in the world frame, see `carpark_mj.tasks.goal_pose`.
     - reward: `compute_reward(achieved_goal, desired_goal, info)`, by default that of
       `carpark_mj.config.REWARDS["pose"]`.
     - end: terminated when the goal is reached, parked or crashed.

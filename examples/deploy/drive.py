@@ -17,7 +17,7 @@ FULL, HOLD = 0.3, 0.2  # brake of a full pedal, and of a car that is to stand
 
 
 def park(scene_file: str, model_file: str, seconds: float = 60.0) -> dict[str, float]:
-    """Drives to the nearest free bay; returns how the car stands there."""
+    """Drives to the nearest free bay; returns the car's final offset and speed."""
     session = onnxruntime.InferenceSession(model_file)
     about = json.loads(session.get_modelmeta().custom_metadata_map["carpark_mj"])
     inputs = {x["name"]: np.zeros(x["dims"], x["dtype"]) for x in about["inputs"]}

@@ -1,16 +1,18 @@
 """Errors of the user's making are one line that names the culprit."""
 
+import importlib.metadata
 import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 from helpers.disks import largest_file
 
 from carpark_mj.cli import evaluate, layouts, render
-from carpark_mj.cli.common import USER_ERRORS, one_line, run_command
+from carpark_mj.cli.common import EXTRAS, USER_ERRORS, one_line, run_command
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.export import ExportConfig
@@ -89,7 +91,7 @@ IDLE = [
     (
         lambda: ExportConfig("square", out="a.npz", seed=1),
         "seed 1",
-        "with a checkpoint",
+        "on a checkpoint",
     ),
     (lambda: find_driver("zero", deterministic=False), "stochastic", "with zero"),
 ]
@@ -182,6 +184,21 @@ def test_ctrl_c_while_a_command_imports_is_one_line(tmp_path):
         )
         ended = done.returncode, done.stdout, done.stderr
         assert ended == (130, "", f"{name}: interrupted\n")
+
+
+@pytest.mark.parametrize("package", EXTRAS)
+def test_a_missing_package_is_in_the_extra_to_install(package, capsys):
+    def command():
+        raise ModuleNotFoundError("missing", name=package)
+
+    assert run_command("any", command) == 2
+    [extras] = re.findall(r"pip install \"\.\[(.+)\]\"", capsys.readouterr().err)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    installed = " ".join(
+        " ".join(project["optional-dependencies"][extra]) for extra in extras.split(",")
+    )
+    known = importlib.metadata.packages_distributions().get(package, [package])
+    assert any(name.lower().replace("_", "-") in installed for name in known)
 
 
 def test_other_missing_modules_are_mistakes_of_ours():

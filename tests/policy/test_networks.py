@@ -1,6 +1,7 @@
 """Networks that read sets of cars: neither their order nor their number matters."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,13 @@ from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.sets import OWN, ObservationSets
-from carpark_mj.policy.networks import NetworkConfig, make_networks, network_inputs
+from carpark_mj.policy import entities_kernel
+from carpark_mj.policy.networks import (
+    Arithmetic,
+    NetworkConfig,
+    make_networks,
+    network_inputs,
+)
 from carpark_mj.policy.normalizer import init_normalizer, update_normalizer
 
 CONFIG = NetworkConfig((16,), (16,), own_size=12, entity_size=8)
@@ -19,15 +26,21 @@ MANY = EnvConfig(num_agents=4, num_parked_cars=3, goals=GoalConfig(True, 2))
 FEW = dataclasses.replace(MANY, num_agents=2, num_parked_cars=1)
 ALONE = dataclasses.replace(MANY, num_agents=1, num_parked_cars=0)
 KINDS = ("agent", "parked_car")
+PLAIN = Arithmetic()
 
 
 class Net:
     """Actor and critic of an environment."""
 
-    def __init__(self, env: EnvConfig) -> None:
+    def __init__(
+        self,
+        env: EnvConfig,
+        config: NetworkConfig = CONFIG,
+        arithmetic: Arithmetic = PLAIN,
+    ) -> None:
         fields = make_fields(env)
-        self.inputs = network_inputs(CONFIG, fields)
-        self.networks = make_networks(CONFIG, fields, action_spec(env))
+        self.inputs = network_inputs(config, fields)
+        self.networks = make_networks(config, fields, action_spec(env), arithmetic)
         self.run = jax.jit(self.__call__)
         self.init = jax.jit(self._init)
 
@@ -165,3 +178,22 @@ def test_impossible_networks_are_refused(changes, message):
     with pytest.raises(ValueError, match=message) as refusal:
         NetworkConfig(**changes)
     assert "\n" not in str(refusal.value)
+
+
+def test_arithmetic_of_training_changes_no_parameter(monkeypatch):
+    calls = []
+    kernel = functools.partial(entities_kernel.largest, interpret=True)
+    monkeypatch.setattr(
+        entities_kernel, "largest", lambda *args: calls.append(args) or kernel(*args)
+    )
+    config = dataclasses.replace(CONFIG, entity_size=16)
+    plain = Net(MANY, config)
+    fast = Net(MANY, config, Arithmetic(in_kernel=True, dtype=jnp.bfloat16))
+    weights = plain.init()
+    jax.tree.map(np.testing.assert_array_equal, fast.init(), weights)
+    vector = joined(plain.inputs, seen(plain.inputs))
+    expected, found = plain(weights, vector), fast(weights, vector)
+    assert len(calls) == 4 * 2  # kinds of cars, actor and critic, init and run
+    assert found.dtype == jnp.float32
+    error = np.abs(found - expected).max() / np.abs(expected).max()
+    assert 0.0 < error < 2.0**-4

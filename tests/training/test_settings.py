@@ -34,9 +34,9 @@ def test_a_preset_gives_the_defaults_and_flags_change_them():
 
 
 def test_settings_need_to_fit_the_named_preset_only():
-    # 128 lots x 7 agents divide by 28, the default's 64 x 2 do not.
+    # 128 lots x 7 agents divide by 28, the default's 128 x 2 do not.
     assert read("--preset", "tanner-fixed", "--num-minibatches", "28").num_lots == 128
-    with pytest.raises(ValueError, match="128 must be a multiple of"):
+    with pytest.raises(ValueError, match="256 must be a multiple of"):
         read("--num-minibatches", "28")
 
 
@@ -45,6 +45,11 @@ def test_agents_that_stay_put_are_refused():
     still = EnvConfig(episode=EpisodeConfig(respawn=False))
     with pytest.raises(ValueError, match=r"PPO needs env\.episode\.respawn = True"):
         PPOConfig(env=still)
+
+
+def test_half_precision_of_a_flat_encoder_is_refused():
+    with pytest.raises(ValueError, match=r"half_precision needs .*'set', not 'flat'"):
+        PPOConfig(half_precision=True, networks=NetworkConfig(encoder="flat"))
 
 
 def test_other_trainers_have_their_own_presets():

@@ -73,7 +73,7 @@ def course_pose(
     Args:
         config: spawning rules.
         layout: the lot.
-        around: what to keep away from.
+        around: obstacles to keep away from.
         goal_xy: (2,) centre of the agent's goal [m].
         targets: agents to collide with.
         draws: random numbers.

@@ -70,7 +70,7 @@ def place_exploring(
         config: spawning rules.
         inputs: the lot.
         placing: all agents, this one exploring.
-        around: what the agent keeps away from, and which it is.
+        around: obstacles to keep away from, and the agent's index.
         key: consumed.
     """
     layout = inputs.layout

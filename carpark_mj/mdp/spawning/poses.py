@@ -91,7 +91,7 @@ def spawn_pose(
     Args:
         config: spawning rules.
         layout: the lot.
-        around: what to keep away from.
+        around: obstacles to keep away from.
         goal_pose: (3,) pose of the agent's goal.
         draws: random numbers.
 
@@ -141,7 +141,7 @@ def redraw(
     Args:
         config: spawning rules.
         layout: the lot.
-        around: what to keep away from.
+        around: obstacles to keep away from.
         pose: (3,) drawn so far.
         key: consumed.
     """

@@ -70,7 +70,7 @@ def reverse_pose(
     Args:
         inputs: the lot, and the parameters of the cars.
         placing: all agents; of this one the goal is drawn.
-        around: what to keep away from, parked cars as they will stand.
+        around: obstacles to keep away from, parked cars as they will stand.
         agent: () int32 index.
         draws: random numbers.
 

@@ -1,4 +1,4 @@
-"""Measures agent steps per second at the road junction, episodes begun anew in between.
+"""Measures agent steps per second at the road junction, auto-resets included.
 
 carpark_mj study junction_speed
 carpark_mj study junction_speed --cars mjx --observations image --junctions 1024

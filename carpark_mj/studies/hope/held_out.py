@@ -1,9 +1,9 @@
-"""The held-out cases of HOPE's levels: 1,000 each, the same for everybody.
+"""The held-out cases of HOPE's levels: 1,000 each, the same for all users.
 
-They are data in the package, drawn once by `HopeConfig` from lots of the
-test split (`carpark_mj.layouts.splits`), in whole millimetres and 1e-4 rad. Cases of
-`normal` and `complex` are perpendicular and parallel in turn, those of `extreme` are
-parallel. `write` draws the same bytes again.
+The package stores them, drawn once by `HopeConfig` from lots of the test split
+(`carpark_mj.layouts.splits`), in whole millimetres and 1e-4 rad. Cases of `normal` and
+`complex` are perpendicular and parallel in turn, those of `extreme` are parallel.
+`write` draws the same bytes again.
 """
 
 import functools

@@ -55,7 +55,7 @@ class HopeConfig(LayoutConfig):
     Attributes:
         level: how much room there is, see `standards.tight_bay`.
         orientation: of the bay to the aisle; `extreme` exists for `parallel` only.
-        car: the car that the case is for; by default HOPE's and TPCAP's.
+        car: the design car of the case; by default HOPE's and TPCAP's.
         family: fixed.
     """
 
@@ -181,7 +181,7 @@ def _setback(key: jax.Array) -> jax.Array:
 
 
 def _draw_room(config: HopeConfig, key: jax.Array):
-    """The goal and what stands about it: (whether it is a case, (goal, boxes))."""
+    """The goal and its surroundings: (whether it is a case, (goal, boxes))."""
     tilt_key, setback_key, left_key, right_key = jax.random.split(key, 4)
     size = jnp.array(config.car.size, float)
     low, high = config.room.excess
@@ -219,7 +219,7 @@ def _draw_side(
     gap: tuple[jax.Array | float, jax.Array | float],
     key: jax.Array,
 ) -> _Boxes:
-    """What stands left (way -1) or right (1) of the goal, at a gap from a range."""
+    """Obstacles left (way -1) or right (1) of the goal, at a gap from a range."""
     solid_key, block_key, cars_key = jax.random.split(key, 3)
     solid = jax.random.bernoulli(solid_key, SOLID)
     block = _draw_block(config, goal, way, gap, block_key)
@@ -281,7 +281,7 @@ def _draw_cars(config, way, gap, key: jax.Array) -> _Boxes:
 
 
 def _draw_above(config: HopeConfig, edge: jax.Array, key: jax.Array) -> _Boxes:
-    """What stands beyond the aisle, whose near edge is at y = `edge`."""
+    """Obstacles beyond the aisle, whose near edge is at y = `edge`."""
     wall_key, centre_key, yaw_key, size_key = jax.random.split(key, 4)
     walled = jax.random.bernoulli(wall_key, WALLED)
     count, far = SCATTERED[config.level], edge + config.room.aisle

@@ -1,4 +1,4 @@
-"""Results of the suite that others can check, `suite.json`, and the leaderboard.
+"""Results of the suite in a file that others can check, and the leaderboard.
 
 A file has a result for each policy and level. Its `outcomes` have a string for each
 seed with a letter for each case, in order: p parked, c crashed, t timed out, d
@@ -32,7 +32,7 @@ class Result(NamedTuple):
     Attributes:
         entry: of the file: policy, level, seeds and means.
         rates: shares of episodes, by `RATES`.
-        cases: how many of the level were driven; no seed makes another one of a case.
+        cases: how many of the level were driven; further seeds do not add cases.
         checked: whether the rates are counted from outcomes.
     """
 
@@ -81,8 +81,8 @@ def read_submission(path: Path) -> list[Result]:
     """Reads and checks a file of results.
 
     Raises:
-        ValueError: it is malformed, about other cases than this version has, or its
-            numbers contradict each other.
+        ValueError: it is malformed, has other cases than this version, or its numbers
+            contradict each other.
         OSError: it cannot be read.
     """
     what = str(path)
@@ -150,7 +150,7 @@ def _is_number(value: Any, low: float, high: float) -> bool:
 
 
 def check_submission(path: Path) -> list[Result]:
-    """Reads a file that the leaderboard takes: with outcomes of every case of a level.
+    """Reads an entry of the leaderboard: outcomes of every case of a level.
 
     Raises:
         ValueError: see `read_submission`; or outcomes are missing.
@@ -170,7 +170,7 @@ def check_submission(path: Path) -> list[Result]:
 
 
 def leaderboard(results: Iterable[Result]) -> str:
-    """The results as a Markdown table: by level, then who parks most."""
+    """The results as a Markdown table, by level and then by parked rate."""
     lines = [
         "| level | policy | rule | parked [%] | crashed [%] | timed out [%] "
         "| gear changes | path [m] | time [s] | seeds |",

@@ -1,11 +1,11 @@
 """A car that drives through the aisle of a hard case while another one parks.
 
 HOPE's program has no moving cars, so the numbers are ours. The car keeps to the far
-side of the aisle and drives straight through at 1 m/s. It stops for a car ahead
-of it, and if that stays there backs off to where it came from and tries again: in
-aisles of 3.5 to 4.5 m two cars cannot pass each other, and one that stopped for nobody,
-or for ever, would make cases that nobody can solve. It is an ordinary agent: its start
-and its goal, the two ends of the aisle, are a spawn region and a bay of the lot.
+side of the aisle and drives straight through at 1 m/s. It stops for a car ahead. If
+that car stays, it backs off to its start and tries again: in aisles of 3.5 to 4.5 m two
+cars cannot pass each other, so a car that never stopped, or stopped for ever, would
+make some cases unsolvable. It is an ordinary agent: its start and its goal, the two
+ends of the aisle, are a spawn region and a bay of the lot.
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ SPEED = 1.0  # m/s
 ACCELERATION = 1.0  # m/s², to either side: `tpcap` cannot speed up faster
 GAP = 0.3  # m to the far edge of the aisle, and kept free on both sides of its way
 LOOK_AHEAD = 1.0  # m of its way that must be free: a step, the braking way and `GAP`
-PATIENCE = 5.0  # s that it waits; the planner's cars plan anew after 4 s
+PATIENCE = 5.0  # s that it waits; the planner's cars replan after 4 s
 STOPPING = 0.5  # m before the goal: from there it brakes
 
 

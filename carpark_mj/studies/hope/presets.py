@@ -11,8 +11,10 @@ HOPE = dataclasses.replace(
     SQUARE,
     preset="hope",
     num_steps=800_000_000,
-    num_lots=8192,
-    num_minibatches=32,
+    lot_life=16,
+    unroll_length=64,
+    num_epochs=4,
+    half_precision=False,
     curriculum=dataclasses.replace(
         SQUARE.curriculum,
         crash_scale=2.0,

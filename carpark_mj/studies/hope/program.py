@@ -1,6 +1,6 @@
 """Policies in the held-out cases of HOPE's levels, or TPCAP's: a table (md, CSV, HTML).
 
-docs/hard_cases.md says what the cases are and what the numbers mean.
+docs/hard_cases.md defines the cases and the numbers.
 
 carpark_mj suite planner anywhere
 carpark_mj suite planner runs/gpu-0 --levels extreme --rule precise --videos 3

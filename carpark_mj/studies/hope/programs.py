@@ -1,4 +1,4 @@
-"""What the study trains with, by name."""
+"""Presets and programs of the study, by name."""
 
 from carpark_mj.extensions import Entry
 from carpark_mj.training.ppo.parts import PRESET_ENTRIES

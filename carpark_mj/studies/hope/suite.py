@@ -53,13 +53,13 @@ def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvCo
     """The environment of a policy with the suite's lots, car and rules.
 
     Args:
-        env: that it was trained in.
+        env: of its training.
         rule: when the car counts as parked.
-        with_moving_car: of two agents, the second of which is the moving car.
+        with_moving_car: add a second agent, the moving car.
 
     Raises:
-        ValueError: the policy steers no car; or it chooses its goals, and the
-            moving car has its own.
+        ValueError: the policy does not steer a car, or it chooses its goals and a
+            moving car is requested.
     """
     if not env.physics_config.steers:
         raise ValueError(
@@ -96,10 +96,10 @@ def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvCo
 
 
 class Drives(NamedTuple):
-    """How the cars of n cases drove, t control steps with k poses in each.
+    """Driven paths of n cases, t control steps with k poses in each.
 
-    What comes after the last step of an episode means nothing. Of the agents, a, the
-    first is the one that parks.
+    Values after the last step of an episode are meaningless. The first of the a agents
+    parks.
 
     Attributes:
         pose_w: (n, t, a, k, 3) footprint centres.
@@ -113,9 +113,9 @@ class Drives(NamedTuple):
 
 
 class CaseEvaluator:
-    """Drives cases with programs that a policy compiles once for all of one shape.
+    """Drives cases; a policy's programs compile once per shape of the cases.
 
-    Cases of HOPE's levels have the same shapes if there are as many of each.
+    Equal numbers of cases of HOPE's levels have the same shape.
     """
 
     def __init__(self, env: ParkingEnv) -> None:
@@ -132,11 +132,11 @@ class CaseEvaluator:
 
         Args:
             policy: acting function; a planner must have been reset.
-            cases: where to park, with a moving car if the environment has one.
-            seed: of what is random in a policy.
+            cases: to drive, with a moving car if the environment has one.
+            seed: of the policy's random numbers.
 
         Returns:
-            A row for each, see `evaluation.catalogue`, and how they were driven.
+            A row for each, see `evaluation.catalogue`, and the driven paths.
         """
         count, moving = len(cases.number), self.env.num_agents > 1
         ctrl_dt = self.env.config.sim.ctrl_dt
@@ -166,7 +166,7 @@ class CaseEvaluator:
         return [row for row in rows if row is not None], drives
 
     def decision_time(self, policy: AnyPolicy, cases: Cases) -> float:
-        """How long a policy takes for one decision of one car [s]."""
+        """Time of a policy for one decision of one car [s]."""
         key = jax.random.key(0)
         starts = self._reset(cases.layouts, jax.random.split(key, len(cases.number)))
         state, observation = jax.tree.map(lambda x: x[0], starts)
@@ -185,7 +185,7 @@ def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array], Any]:
 
 
 def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) -> Any:
-    """Drives on by a control step for every key; what happened in each of them."""
+    """Makes a control step for every key; returns a report of each."""
     drive_on = functools.partial(moving_car.drive, ctrl_dt=env.config.sim.ctrl_dt)
 
     def act(state: State, observation: jax.Array, memory: Any, key: jax.Array) -> Any:
@@ -206,7 +206,7 @@ def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) ->
 def _choose_action(
     policy: AnyPolicy, state: State, observation: jax.Array, key: jax.Array
 ) -> jax.Array:
-    """Actions (..., 1, size) of the agents that park; a policy drives nobody else."""
+    """Actions (..., 1, size) of the agents that park; a policy drives only these."""
     own = jnp.arange(state.active.shape[-1]) == 0
     state = dataclasses.replace(state, active=state.active & own)
     action = choose_actions(policy, state, observation[..., :1, :], key)

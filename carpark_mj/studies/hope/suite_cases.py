@@ -37,7 +37,7 @@ def case_numbers(level: SuiteLevel) -> range:
 
 
 def fingerprint(level: SuiteLevel) -> str:
-    """The beginning of the SHA-256 of the data that a level's cases are from."""
+    """The first digits of the SHA-256 of the data of a level's cases."""
     return (tpcap if level == TPCAP_LEVEL else held_out).SHA256[:16]
 
 
@@ -49,7 +49,7 @@ def require_aisle(level: SuiteLevel) -> None:
     """
     if level == TPCAP_LEVEL:
         raise ValueError(
-            f"moving_car needs an aisle, which the cases of level {level} lack"
+            f"moving_car needs an aisle; the cases of level {level} have none"
         )
 
 

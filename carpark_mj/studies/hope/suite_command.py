@@ -69,19 +69,19 @@ class SuiteConfig:
     Attributes:
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
             or `random`.
-        levels: which levels, `tpcap` being TPCAP's 20 published cases.
-        cases: how many of each level; all from `first_case` on if None.
-        first_case: of each level, from 0 (of TPCAP's, numbered from 1, 0 is the first).
+        levels: levels to drive; `tpcap` has TPCAP's 20 published cases.
+        cases: number of cases of each level; None = all from `first_case` on.
+        first_case: first case of each level, from 0.
         rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
-            rule that is registered.
-        moving_car: in every case another car drives through the aisle meanwhile.
-        seeds: of the planner's searches, and of policies that draw; each drives all
-            cases.
-        videos: of how many of the worst cases of every policy and level, at most 10;
+            registered rule.
+        moving_car: another car drives through the aisle of every case.
+        seeds: of the planner's searches and of stochastic policies; each seed drives
+            all cases.
+        videos: number of worst cases to film for every policy and level, at most 10;
             needs off-screen OpenGL.
-        combine: folders that this command has written; nothing is driven, their
-            episodes make one table.
-        check: a `suite.json`; nothing is driven, it is checked as an entry of the
+        combine: folders of this command; drives no case and combines their episodes in
+            one table.
+        check: a `suite.json`; drives no case and checks the file as an entry of the
             leaderboard.
         out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
             `suite.html`, `videos/` and, of the planner, `paths.png`.
@@ -152,7 +152,7 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
 
     Raises:
         CheckpointError: a run cannot be read.
-        RenderingError: videos are asked for, and there is no OpenGL.
+        RenderingError: videos are requested without OpenGL.
         ValueError: impossible settings, or malformed results to combine.
         OSError: the output folder cannot be written.
     """
@@ -195,7 +195,7 @@ _Drawn = list[tuple[str, Layout, PlannedPath | None]]
 
 
 def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Drawn]:
-    """Episodes, how the worst ones were driven, and the planner's first paths."""
+    """Episodes, the driven paths of the worst ones, and the planner's first paths."""
     drivers = {name: find_driver(name) for name in config.policies}
     first, moving = config.first_case, config.moving_car
     for driver in drivers.values():  # all are refused before one of them drives
@@ -247,7 +247,7 @@ def _policy(
 
 
 def _worst_drives(rows: list[Row], driven: Drives) -> dict[Key, Drives]:
-    """How the worst of some episodes were driven; these are numbered as the drives."""
+    """Driven paths of the worst of some episodes, which are numbered as the drives."""
     numbers = {key_of(row): number for number, row in enumerate(rows)}
     kept: dict[Key, Drives] = {}
     for row in worst_first(rows)[:WORST]:
@@ -257,7 +257,7 @@ def _worst_drives(rows: list[Row], driven: Drives) -> dict[Key, Drives]:
 
 
 def _plans(planner: Planner, lots: int) -> list[Row]:
-    """What the planner's first search found in every lot."""
+    """Results of the planner's first search in every lot."""
     found: list[Row] = []
     for lot in range(lots):
         first = planner.searches(lot, 0)[0]

@@ -1,7 +1,7 @@
-"""Results of the suite that another process reads: every episode, and the worst drives.
+"""Results of the suite for other processes: every episode, and the worst drives.
 
-`cases.csv` has a row for each episode, which also says under which rule it was driven
-and with what; `worst.npz` has how the cars of the worst ones drove.
+`cases.csv` has a row for each episode, with its rule and the versions of packages;
+`worst.npz` has the driven paths of the worst ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ Key = tuple[str, str, int, int]  # of an episode: policy, level, seed, case
 
 
 def key_of(row: Row) -> Key:
-    """Which episode a row is."""
+    """Key of a row's episode."""
     return row["policy"], row["level"], row["seed"], row["case"]
 
 
@@ -75,12 +75,12 @@ def _pad(array: np.ndarray, length: int) -> np.ndarray:
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
-    """What `write_run` wrote into folders, together.
+    """Reads and combines what `write_run` wrote into folders.
 
     Raises:
-        ValueError: a file is malformed, or has an episode that another one has too, or
-            other cases than this version, or another rule, or some a moving car, or a
-            policy's episodes were driven with different versions of packages.
+        ValueError: a file is malformed, repeats an episode, or has other cases than
+            this version; or rules, moving cars or a policy's versions of packages
+            differ.
         OSError: a file cannot be read.
     """
     episodes: dict[Key, Row] = {}

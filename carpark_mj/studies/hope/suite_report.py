@@ -1,4 +1,4 @@
-"""The results of the suite as a table on the screen and as files."""
+"""The results of the suite as a table on the terminal and as files."""
 
 import importlib.metadata
 import itertools
@@ -176,7 +176,7 @@ def _outcome(row: Row) -> str:
 
 
 def _told(row: Row) -> str:
-    """What a video shows."""
+    """Caption of a video."""
     return f"case {row['case']}, seed {row['seed']}: {_outcome(row)}"
 
 

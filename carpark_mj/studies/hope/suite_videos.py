@@ -54,12 +54,12 @@ def require_gl() -> None:
 def make_videos(
     folder: Path, rows: Sequence[Row], drives: Mapping[Key, Drives]
 ) -> list[Video]:
-    """Draws episodes from above, `FASTER` than they were driven.
+    """Draws episodes from above, `FASTER` times as fast as driven.
 
     Args:
         folder: the videos' folder is made in it.
         rows: the episodes.
-        drives: how they were driven.
+        drives: their driven paths.
 
     Raises:
         RenderingError: there is no OpenGL.

@@ -5,8 +5,8 @@ acceleration are those asked for, forwards and backwards alike, and a substep is
 explicit Euler: everything moves on with the speed and heading at its start. Beyond a
 speed limit the car slows down by as many m/s^2 as it is too fast in m/s.
 
-Read of a car's parameters are the footprint, `max_steering`, `max_acceleration` and the
-speed limits; the preset `highway` has highway-env's. Its `sim_dt` is 1 / 15 s.
+It uses the footprint, `max_steering`, `max_acceleration` and the speed limits of a
+car's parameters; the preset `highway` has highway-env's. Its `sim_dt` is 1 / 15 s.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ class HighwayPhysics(BicyclePhysics):
     config = PHYSICS["highway"]
 
     def read(self, state: BicycleState) -> Motion:
-        """What the task may know; velocities leave the slip angle out, as its own."""
+        """The motion; velocities leave the slip angle out, as in highway-env."""
         speed, vehicle = state.speed, state.vehicle
         return dataclasses.replace(
             super().read(state),

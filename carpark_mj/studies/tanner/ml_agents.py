@@ -1,4 +1,4 @@
-"""The details of PPO as ML-Agents 0.27 has them, which Tanner 2022 used.
+"""The details of PPO in ML-Agents 0.27, which Tanner 2022 used.
 
 They are `PPOConfig.variant = "ml-agents"`: generalised advantage estimation as it was
 published (Brax applies lambda a step late), computed and normalised once, over the
@@ -31,11 +31,11 @@ LAST_LAYER = 0.1  # factor on the initial weights of the actor's last layer
 
 @struct.dataclass
 class Steps:
-    """Steps (..., size) to learn from, with what the networks said of them before.
+    """Steps (..., size) to learn from, with outputs of the networks before the update.
 
     Attributes:
-        observation: what the agents saw.
-        raw_action: what they did.
+        observation: of the agents.
+        raw_action: of the agents.
         log_prob: (..., k) log-probabilities of its branches before the update.
         advantage: of the action, normalised.
         target: of the critic.
@@ -94,9 +94,10 @@ def ml_agents_loss(
     weights: Weights,
     key: jax.Array,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """The loss of a minibatch, and what of it is reported, as `ppo_loss`.
+    """The loss of a minibatch and its reported parts, like `ppo_loss`.
 
-    Branches are averaged in the policy's loss and added in the entropy, as there.
+    As in ML-Agents, branches are averaged in the policy's loss and summed in the
+    entropy.
 
     Args:
         params: actor and critic.
@@ -141,7 +142,7 @@ def ml_agents_loss(
 
 
 def initial_weights(params: PPONetworkParams, key: jax.Array) -> PPONetworkParams:
-    """Weights drawn anew for networks of dense layers; biases are 0.
+    """New weights for networks of dense layers; biases are 0.
 
     Hidden layers are normal with variance 1 / inputs; so is the actor's last layer,
     times `LAST_LAYER`. The critic's last layer is uniform with variance 2 / (inputs +
@@ -180,7 +181,7 @@ class MLAgents(Variant):
     normalizes = False
 
     def check(self, config: PPOConfig) -> None:
-        """Refuses other actions than choices, encoders, and absent agents."""
+        """Refuses continuous actions, set encoders and absent agents."""
         if config.env.physics_config.continuous:
             raise ValueError(
                 "variant 'ml-agents' needs actions of choices only, env.physics "
@@ -198,7 +199,7 @@ class MLAgents(Variant):
             )
 
     def initial_weights(self, params: Any, key: jax.Array) -> tuple[Any, jax.Array]:
-        """Draws all weights anew."""
+        """Redraws all weights."""
         key, weights_key = jax.random.split(key)
         return initial_weights(params, weights_key), key
 

@@ -241,7 +241,7 @@ class TannerObservation(ObservationConfig):
 
 
 def _scale(part: str) -> dict[str, Any]:
-    """What a part that has no bounds of its own is measured in, see `Field`."""
+    """Scale of a part without bounds of its own, see `Field`."""
     if part == "speed":
         return {"speed": math.inf}
     far = part.endswith("distance") or part in ("nearest_agent", "claim")

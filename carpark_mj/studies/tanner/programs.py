@@ -32,5 +32,5 @@ for _name, _summary in {
     )
 VARIANTS.register(
     "ml-agents",
-    Entry("carpark_mj.studies.tanner.ml_agents:ML_AGENTS", "as ML-Agents 0.27 has it"),
+    Entry("carpark_mj.studies.tanner.ml_agents:ML_AGENTS", "PPO of ML-Agents 0.27"),
 )

@@ -54,7 +54,7 @@ class TpcapConfig(LayoutConfig):
 
     @property
     def is_random(self) -> bool:
-        """Whether other keys give other cases."""
+        """Whether the case depends on the key."""
         return self.case is None
 
     def generate(self, key: jax.Array) -> Layout:

@@ -65,7 +65,8 @@ class PPOConfig(RunConfig):
         discount: discount factor per control step, at the start.
         gae_lambda: lambda of generalised advantage estimation.
         max_grad_norm: global norm to which gradients are clipped.
-        half_precision: compute the networks' inner layers in bfloat16 during training.
+        half_precision: compute the networks' inner layers in bfloat16 in training; set
+            encoder only.
         variant: whose details: `brax`, or of a study, as `ml-agents`.
         averaged_updates: the policy that is evaluated is the exponential moving average
             over about this many updates; 1 = the last one.
@@ -152,6 +153,11 @@ class PPOConfig(RunConfig):
             )
         if not self.env.episode.respawn:
             raise ValueError("PPO needs env.episode.respawn = True")
+        if self.half_precision and self.networks.encoder != "set":
+            raise ValueError(
+                "half_precision needs networks.encoder 'set', not "
+                f"{self.networks.encoder!r}"
+            )
         VARIANTS[self.variant].load().check(self)
         if self.curriculum.target_rate and not self.lot_life:
             raise ValueError(

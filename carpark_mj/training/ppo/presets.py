@@ -21,17 +21,24 @@ CPU = PPOConfig(
     preset="cpu",
     num_steps=50_000_000,
     minutes=12.0,
+    num_lots=128,
     num_epochs=2,
     curriculum=_CURRICULUM,
     networks=NetworkConfig(
         (64, 64), (64, 64), own_size=64, entity_size=32, min_std=0.1
     ),
 )
+# Lots in plenty and short unrolls: an update has as many steps, and simulates them in
+# fewer steps of more cars, which take a GPU hardly longer.
 SQUARE = PPOConfig(
     preset="square",
-    num_steps=1_500_000_000,
-    num_lots=1024,
-    num_minibatches=64,
+    num_steps=6_000_000_000,
+    num_lots=8192,
+    lot_life=32,
+    unroll_length=32,
+    num_minibatches=32,
+    num_epochs=2,
+    half_precision=True,
     learning_rate=1e-3,
     learning_rate_end=3e-5,
     entropy_cost_end=3e-4,
@@ -48,18 +55,15 @@ GPU = dataclasses.replace(SQUARE, preset="gpu", minutes=8.0)
 DYNAMIC = dataclasses.replace(
     SQUARE,
     preset="dynamic",
-    num_steps=1_000_000_000,
+    num_steps=2_700_000_000,
     curriculum=dataclasses.replace(_CURRICULUM, conflict_ratio=0.0),
     networks=NetworkConfig((256, 256), (256, 256)),
     env=environment("dynamic"),
 )
-# 2,048 lots fill one GPU; two train with twice as many (docs/policies.md).
 ANYWHERE = dataclasses.replace(
     SQUARE,
     preset="anywhere",
-    num_steps=2_250_000_000,
-    num_lots=2048,
-    num_minibatches=32,
+    num_steps=4_500_000_000,
     learning_rate_end=2e-5,
     curriculum=dataclasses.replace(
         _CURRICULUM,

@@ -1,4 +1,4 @@
-"""What BenchMARL needs of a configuration: task, algorithm, networks, settings."""
+"""BenchMARL's parts from a configuration: task, algorithm, networks, settings."""
 
 # Its types do not fit its own use, and it may be absent.
 # pyright: basic, reportMissingImports=false, reportArgumentType=false
@@ -31,10 +31,10 @@ REWARD_SCALE = 20.0
 
 
 class HeldActions(TorchRLJunction):
-    """Junctions at which an action is done for some control steps on end."""
+    """Junctions at which an action is held for some control steps."""
 
     def __init__(self, junctions: int, *, repeat: int, **options: Any) -> None:
-        """Takes how many, and what `TorchRLJunction` takes."""
+        """Takes the number of junctions, and options of `TorchRLJunction`."""
         super().__init__(junctions, **options)
         self._repeat = repeat
 
@@ -48,7 +48,7 @@ class HeldActions(TorchRLJunction):
 
 
 class ScaledJunctionTask(JunctionTaskClass):
-    """The junction with observations of the size that networks like.
+    """The junction with observations of order 1.
 
     Attributes:
         repeat: control steps for which an action is held in training.
@@ -72,7 +72,7 @@ class ScaledJunctionTask(JunctionTaskClass):
 
 
 class ScaledRewardsTask(ScaledJunctionTask):
-    """The same with rewards of a size that a critic learns within few updates."""
+    """The same with rewards that a critic learns within few updates."""
 
     def get_reward_sum_transform(self, env: EnvBase) -> Transform:
         """Sums rewards as they are, then divides them by `REWARD_SCALE`."""

@@ -26,14 +26,14 @@ class BenchMARLConfig(JunctionRunConfig):
         updates: passes over these steps (`ippo`, `mappo`), or gradient steps on batches
             of the buffer after them.
         batch_size: transitions of a gradient step.
-        buffer_size: transitions that the buffer holds; not of `ippo`, `mappo`.
-        random_steps: before learning begins; not of `ippo`, `mappo`.
-        learning_rate: of Adam.
-        critic_learning_rate: the same of MADDPG's critic.
+        buffer_size: size of the buffer [transitions]; not of `ippo`, `mappo`.
+        random_steps: random steps before learning begins; not of `ippo`, `mappo`.
+        learning_rate: Adam's learning rate.
+        critic_learning_rate: that of MADDPG's critic.
         max_gradient: norm to which gradients are clipped.
         discount: discount factor per decision, of `repeat` control steps.
         gae_lambda: trade-off of bias and variance of advantages (`ippo`, `mappo`).
-        clip: most that a probability ratio counts above or below 1 (`ippo`, `mappo`).
+        clip: range about 1 to which probability ratios are clipped (`ippo`, `mappo`).
         entropy: weight of the entropy bonus at the beginning, from which it falls
             linearly to 0 (`ippo`, `mappo`).
         tau: share of the target network that an update replaces; not of `ippo`,
@@ -74,8 +74,8 @@ class BenchMARLConfig(JunctionRunConfig):
         super().__post_init__()
         if self.preset == "cederle" and self.on_policy:
             raise ValueError(
-                f"the study has no {self.algorithm}: choose --preset parallel, or "
-                "another algorithm"
+                f"the study does not have {self.algorithm}: choose --preset parallel, "
+                "or another algorithm"
             )
         if self.algorithm == "maddpg":
             self.require_action("scalar")
@@ -85,7 +85,7 @@ class BenchMARLConfig(JunctionRunConfig):
             self.require_action("index")
         if self.observation != "vector":
             raise ValueError(
-                f"{self.algorithm} observes vectors here, no {self.observation}: give "
+                f"{self.algorithm} observes vectors here, not {self.observation}: give "
                 "--observation vector"
             )
         require_whole(
@@ -127,7 +127,7 @@ class BenchMARLConfig(JunctionRunConfig):
 
     @property
     def decisions(self) -> int:
-        """What an agent decides between updates, in all junctions together."""
+        """Decisions of an agent between updates, in all junctions together."""
         return self.num_junctions * self.unroll
 
     @property

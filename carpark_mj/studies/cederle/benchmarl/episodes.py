@@ -23,9 +23,9 @@ from carpark_mj.wrappers.torchrl import GROUP
 
 
 class GreedyPolicy:
-    """A policy of BenchMARL on JAX's arrays, for the episodes of a batch from start on.
+    """A policy of BenchMARL on JAX's arrays, from the start of a batch of episodes.
 
-    Recurrent ones keep in mind what they have seen.
+    Recurrent policies carry their memory.
     """
 
     def __init__(self, policy: Callable[[Any], Any], first: TensorDictBase) -> None:

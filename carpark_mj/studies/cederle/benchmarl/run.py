@@ -16,7 +16,7 @@ from carpark_mj.studies.cederle.benchmarl.train import Training
 
 
 def train_run(config: BenchMARLConfig) -> tuple[Path, bool]:
-    """Trains a run; its folder, and whether it came to its end.
+    """Trains a run; returns its folder and whether it is finished.
 
     Raises:
         ValueError: impossible settings.

@@ -44,14 +44,14 @@ class Stopped(KeyboardInterrupt):
 
 
 class Training(Experiment):
-    """BenchMARL's experiment; after each iteration comes what the trainers here do.
+    """BenchMARL's experiment, with our log and evaluations after each iteration.
 
     Attributes:
         evaluations: rows of `evaluations.csv`.
     """
 
     def __init__(self, config: BenchMARLConfig, folder: Path) -> None:
-        """Builds it, or takes up the newest checkpoint of the run.
+        """Builds it, or continues with the newest checkpoint of the run.
 
         Raises:
             CheckpointError: a damaged checkpoint.
@@ -109,7 +109,7 @@ class Training(Experiment):
         return finished
 
     def _save_experiment(self) -> None:
-        """What BenchMARL calls at the end of an iteration."""
+        """Called by BenchMARL at the end of an iteration."""
         config, done = self._run, self.n_iters_performed
         finished = done >= config.iterations
         if config.on_policy:  # what is best must end up most likely, too
@@ -168,7 +168,7 @@ class Training(Experiment):
 
 
 class Monitor(Callback):
-    """Takes what a row of `metrics.csv` is made of."""
+    """Collects the values of a row of `metrics.csv`."""
 
     def __getstate__(self) -> dict[str, Any]:
         """Nothing: BenchMARL pickles callbacks, and with them the experiment."""

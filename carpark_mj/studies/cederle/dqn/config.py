@@ -25,13 +25,13 @@ class DQNConfig(JunctionRunConfig):
     The settings of `JunctionRunConfig` come first.
 
     Attributes:
-        checkpoint_minutes: time between checkpoints, which hold the buffer [min].
+        checkpoint_minutes: time between checkpoints, which include the buffer [min].
         updates: gradient steps of every network after each step of all junctions.
         batch_size: transitions of a gradient step.
-        buffer_size: transitions that a network's buffer holds.
-        random_steps: before learning begins.
+        buffer_size: size of a network's buffer [transitions].
+        random_steps: random steps before learning begins.
         optimizer: `adam` or `rmsprop`.
-        learning_rate: of the optimiser.
+        learning_rate: learning rate of the optimiser.
         discount: discount factor per control step.
         target_period: gradient steps between copies to the target network.
         epsilon_end: share of random actions at the end of their decay from 1.
@@ -85,7 +85,7 @@ class DQNConfig(JunctionRunConfig):
 
     @property
     def networks(self) -> int:
-        """How many learn."""
+        """Number of networks that learn."""
         return 1 if self.shared else len(self.junction.traffic.missions)
 
     @property

@@ -50,7 +50,7 @@ def make_network(config: DQNConfig) -> QNetwork:
 
 
 def to_learners(x: jax.Array, networks: int) -> jax.Array:
-    """Sorts what agents have (batch, agents, ...) by network.
+    """Sorts arrays of agents (batch, agents, ...) by network.
 
     Returns:
         (networks, batch * agents / networks, ...).

@@ -12,7 +12,7 @@ from carpark_mj.training.run_folder import open_run
 
 
 def train_run(config: DQNConfig) -> tuple[Path, bool]:
-    """Trains a run; its folder, and whether it came to its end.
+    """Trains a run; returns its folder and whether it is finished.
 
     Raises:
         ValueError: impossible settings, or more than fits into memory.

@@ -1,4 +1,4 @@
-"""What a deep Q-learning run carries from step to step, and what it reports."""
+"""The state of a deep Q-learning run, and its reports."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ class Training:
 
 @struct.dataclass
 class Report:
-    """What happened in a chunk.
+    """Report of a chunk.
 
     Attributes:
         episodes: () int32 that ended.

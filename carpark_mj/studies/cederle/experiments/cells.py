@@ -1,4 +1,4 @@
-"""Tables 6.1 to 6.4 of Cederle 2023, cell by cell, and what is trained beside them."""
+"""Tables 6.1 to 6.4 of Cederle 2023, cell by cell, and further trainings."""
 
 import dataclasses
 from typing import get_args
@@ -16,7 +16,7 @@ BESIDE: tuple[Algorithm, ...] = ("ippo", "mappo")
 
 @dataclasses.dataclass(frozen=True)
 class Published:
-    """What a table says of a run, a single one.
+    """The published result of a single run.
 
     Attributes:
         solved: whether an evaluation reached the scenario's threshold.
@@ -96,7 +96,7 @@ def cells_of(table: str) -> tuple[Cell, ...]:
     """The cells of a table.
 
     Raises:
-        ValueError: there is none of this number.
+        ValueError: unknown table.
     """
     if table not in SCENARIOS:
         raise ValueError(f"unknown table {table!r}; choose from {', '.join(SCENARIOS)}")

@@ -1,4 +1,4 @@
-"""What Cederle 2023 concludes, as comparisons of cells that seeds can decide.
+"""Conclusions of Cederle 2023 as comparisons of cells that seeds can decide.
 
 A comparison is the probability that a run of one cell does better than one of another,
 ties counted as halves, the mean over pairs of cells; its interval comes from resampling
@@ -29,7 +29,7 @@ class Claim:
     Attributes:
         text: in its words, shortened.
         metric: of `Outcome`, by which it is judged.
-        pairs: of cells; the first is said to do better.
+        pairs: of cells; the thesis says that the first does better.
     """
 
     text: str
@@ -111,11 +111,11 @@ class Comparison:
 
 
 def compare(claim: Claim, runs: Runs) -> Comparison:
-    """Judges a claim by the runs of its cells, those that are done.
+    """Judges a claim by the finished runs of its cells.
 
     Args:
-        claim: which.
-        runs: finished ones by cell.
+        claim: the claim.
+        runs: finished runs by cell.
     """
     sign = 1.0 if claim.metric in GREATER else -1.0
     found = {

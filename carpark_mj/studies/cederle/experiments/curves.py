@@ -47,7 +47,7 @@ def draw_curves(runs: Mapping[Cell, Sequence[Outcome]]) -> Figure:
     """Return over the steps: a line per run, the published one black.
 
     Args:
-        runs: finished ones of the cells of a table.
+        runs: finished runs of the cells of a table.
     """
     figure, panels = make_panels(
         len(runs),

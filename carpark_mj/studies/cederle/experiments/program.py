@@ -1,12 +1,12 @@
-"""Repeats tables 6.1 to 6.4 of Cederle 2023 over seeds, beside what the thesis says.
+"""Repeats tables 6.1 to 6.4 of Cederle 2023 over seeds, beside the thesis's results.
 
     carpark_mj study junction_tables --list
     carpark_mj study junction_tables --table 6.1
     carpark_mj study junction_tables --all --minutes 30     # the same command continues
     carpark_mj study junction_tables --all --preset cederle # the thesis's settings
 
-Every training is a run of `carpark_mj study junction` in `runs/junction_study`, on a
-core of its own; `report.md` there has tables and conclusions of all runs done,
+Every training is a run of `carpark_mj study junction` in `runs/junction_study`, on its
+own core. `report.md` there has tables and conclusions of all finished runs,
 `curves-SCENARIO.png` the learning curves over the published ones.
 """
 
@@ -26,14 +26,15 @@ class JunctionStudyConfig:
     """Settings of `carpark_mj study junction_tables`.
 
     Attributes:
-        table: its number in the thesis.
+        table: number of a table in the thesis.
         all: all tables.
-        list: say what there is, and train nothing.
+        list: list the cells and train none.
         seeds: runs of every cell.
-        preset: of `carpark_mj study junction`; `ippo` and `mappo` have `parallel` only.
-        minutes: after which runs save and stop [min], more than 1; 0 = no limit.
-        workers: runs at a time, each on one core; 0 = one for every core.
-        runs_dir: where runs are kept.
+        preset: preset of `carpark_mj study junction`; `ippo` and `mappo` have
+            `parallel` only.
+        minutes: time after which runs save and stop [min], more than 1; 0 = no limit.
+        workers: number of runs at a time, each on one core; 0 = one for every core.
+        runs_dir: folder of the runs.
     """
 
     table: str = ""
@@ -64,7 +65,7 @@ def describe() -> None:
 
 
 def report(config: JunctionStudyConfig) -> Path:
-    """Writes tables and learning curves of what is done, of any table."""
+    """Writes tables and learning curves of all finished runs."""
     from carpark_mj.studies.cederle.experiments.curves import write_curves
     from carpark_mj.studies.cederle.experiments.report import write_report
     from carpark_mj.studies.cederle.experiments.runs import make_job, read_outcome

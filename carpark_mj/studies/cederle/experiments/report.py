@@ -1,4 +1,4 @@
-"""The junction's tables as markdown: the thesis, what is found, verdicts."""
+"""The junction's tables as markdown: the thesis, our results, verdicts."""
 
 import math
 from collections.abc import Sequence
@@ -35,9 +35,9 @@ _HEAD = (
 def verdict(published: Published | None, outcomes: Sequence[Outcome]) -> str:
     """Whether the seeds agree with a cell of the thesis.
 
-    They agree if at least `CLEAR` of them solve where its run did, or do not where it
-    did not, and the same of convergence; `earlier` or `later` if all seeds that
-    converge do so before its run did, or after.
+    They agree if at least `CLEAR` of them solve, or do not, as its run did, and the
+    same of convergence; `earlier` or `later` if all converging seeds converge before
+    or after its run.
     """
     if published is None:
         safe = sum(
@@ -70,7 +70,7 @@ def write_report(path: Path, runs: Runs) -> None:
 
     Args:
         path: file.
-        runs: finished ones by cell.
+        runs: finished runs by cell.
     """
     lines: list[str] = []
     for table, name in SCENARIOS.items():
@@ -112,7 +112,7 @@ def _steps(outcomes: Sequence[Outcome]) -> tuple[list[float], list[float]]:
 
 
 def thesis(published: Published | None) -> str:
-    """What the thesis says of a cell."""
+    """The thesis's result of a cell."""
     if published is None:
         return "–"
     if published.converged_at is not None:

@@ -1,4 +1,4 @@
-"""The trainings behind the cells of the junction's tables, and what came of them."""
+"""The trainings behind the cells of the junction's tables, and their outcomes."""
 
 import dataclasses
 import math
@@ -43,7 +43,7 @@ class Outcome:
 def make_job(cell: Cell, preset: JunctionPreset, seed: int, folder: Path) -> Job:
     """The training of a cell with a seed, in a folder below `folder`.
 
-    Of algorithms that the preset is not for, `parallel`.
+    Algorithms without the preset use `parallel`.
     """
     known = preset if preset in presets_of(cell.algorithm) else "parallel"
     name = f"{known}-{cell.scenario}-{cell.name}-{seed}"
@@ -55,7 +55,7 @@ def make_job(cell: Cell, preset: JunctionPreset, seed: int, folder: Path) -> Job
 
 def is_finished(folder: Path) -> bool:
     """Whether a run has been evaluated after its last step."""
-    path = folder / "evaluation.json"  # written anew at every evaluation
+    path = folder / "evaluation.json"  # rewritten at every evaluation
     if not path.exists():
         return False
     config = read_object(folder / "config.json", config=dict)["config"]

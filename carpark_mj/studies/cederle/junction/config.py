@@ -25,14 +25,14 @@ QUEUE_GAP = 5.0  # m between the centres of cars on a lane; the longest has 4.90
 
 @dataclasses.dataclass(frozen=True)
 class RewardRules(CheckedConfig):
-    """What agents earn; `carpark_mj.studies.cederle.junction.rewards` has the formula.
+    """Rewards of agents, see `carpark_mj.studies.cederle.junction.rewards`.
 
     Attributes:
-        events: `added`: the value of an event is added to that of the way (the study's
-            text). `replaced`: it takes its place, and only the first event counts (its
-            program).
-        joint: every agent earns the sum over all agents, as VDN and QMIX need it; one
-            that has finished too, while others drive on.
+        events: `added`: the value of an event is added to that of the distance (the
+            study's text). `replaced`: it replaces that, and only the first event counts
+            (its program).
+        joint: every agent earns the sum over all agents, as VDN and QMIX need it;
+            finished agents too, while others drive on.
     """
 
     events: EventRule = "added"
@@ -44,9 +44,9 @@ class RasterConfig(CheckedConfig):
     """The bird's-eye image.
 
     Attributes:
-        pixels: of a side.
-        extent: what a side shows [m].
-        frames: images of the last control steps that an agent sees.
+        pixels: width and height of the image.
+        extent: length of a side on the ground [m].
+        frames: number of images of the last control steps that an agent observes.
     """
 
     pixels: int = 84
@@ -77,9 +77,9 @@ class JunctionConfig(CheckedConfig):
             leave one by one.
         max_steps: control steps after which it is truncated; the study has 50 to 75.
         shuffle: missions are dealt out to the agents at random.
-        probe: episodes begin one joint `slow_down` in, as the study's program does.
-        jitter: starts vary by up to this way along their lanes [m].
-        respawn: whether an episode that ends begins anew in the same step.
+        probe: episodes begin after one joint `slow_down`, as in the study's program.
+        jitter: starts vary by up to this distance along their lanes [m].
+        respawn: whether episodes auto-reset in the same step.
         sim: time steps of the cars' physics; its control step is the junction's.
     """
 
@@ -120,7 +120,7 @@ class JunctionConfig(CheckedConfig):
 
     @property
     def traffic(self) -> Scenario:
-        """Who drives where.
+        """Missions and human-driven cars.
 
         Raises:
             ValueError: there is no such scenario.

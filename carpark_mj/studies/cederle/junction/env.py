@@ -70,7 +70,7 @@ class JunctionEnv:
         entry = [SPEED_LIMIT] * len(missions)
         self._speed = jnp.array(entry + [human.speed for human in humans])
         self._cars = make_cars(config)
-        # What episodes begin with is drawn once where all of them begin alike.
+        # The start is drawn once where all episodes begin alike.
         self._first_image: np.ndarray | None = None
         if config.observation == "image" and not (config.shuffle or config.jitter):
             state = jax.jit(self._begin)(jax.random.key(0))
@@ -156,8 +156,8 @@ class JunctionEnv:
 
         Args:
             state: current state.
-            action: (num_agents,) or (num_agents, 1); of agents that have finished it
-                does not matter.
+            action: (num_agents,) or (num_agents, 1); that of finished agents is
+                ignored.
 
         Returns:
             The next state, and what agents get from the step.
@@ -205,7 +205,7 @@ class JunctionEnv:
         return own_buffers(state), timestep
 
     def _move(self, state: State, action: jax.Array) -> State:
-        """The state when the cars have moved; who had finished before has left."""
+        """The state after the cars have moved; agents that had finished have left."""
         n, routes = self.num_agents, state.task.routes
         keep = jnp.full(self.num_cars - n, actions.KEEP_LANE, action.dtype)
         action = jnp.where(state.active, action, actions.SLOW_DOWN)

@@ -1,8 +1,7 @@
 """Whole episodes of a policy at a junction, for learners of any library.
 
-The study's return ends with the first agent that is done, and so does the one here,
-whatever the training's episodes end with. To see whether everybody gets through, the
-cars drive on until all are done.
+The return ends with the first agent that is done, as in the study, whatever ends the
+training's episodes. The cars drive on until all are done, to count how many arrive.
 """
 
 import dataclasses
@@ -22,13 +21,13 @@ from carpark_mj.studies.cederle.junction.types import State
 Policy = Callable[[jax.Array], jax.Array]  # observations to actions, of all agents
 
 RETURN_STEPS = 75  # the most that the return counts, the study's
-MAX_STEPS = 150  # of an episode, so that who waited gets through as well
+MAX_STEPS = 150  # of an episode, so that cars that waited get through as well
 NEVER = 2**31 - 1  # of `Outcomes.passed`
 
 
 @struct.dataclass
 class Outcomes:
-    """What came of episodes (episodes,).
+    """Outcomes of episodes (episodes,).
 
     Attributes:
         returns: undiscounted rewards of all agents together, to the study's end: the
@@ -155,7 +154,7 @@ def evaluate(env: JunctionEnv, policy: Policy, keys: jax.Array) -> Outcomes:
 
 
 def car_names(traffic: Scenario) -> list[str]:
-    """What tables call the cars: the arms that agents come from, and `human`.
+    """Names of cars in tables: the arms that agents come from, and `human`.
 
     Several from the same arm are numbered.
     """
@@ -170,12 +169,12 @@ def car_names(traffic: Scenario) -> list[str]:
 def summarize(outcomes: Outcomes, traffic: Scenario) -> dict[str, float]:
     """Means over episodes, as a row of `evaluations.csv`.
 
-    Who gives way to whom is `A_before_B`, for every pair of cars whose ways cross: the
-    share of episodes in which A got across the junction and B later or not at all.
+    `A_before_B`, for every pair of cars whose routes cross, is the share of episodes in
+    which A crossed the junction and B crossed it later or not at all.
 
     Args:
         outcomes: of one evaluation.
-        traffic: who drove where.
+        traffic: missions and human-driven cars.
     """
     returns = np.asarray(outcomes.returns, float)
     passed = np.asarray(outcomes.passed)

@@ -1,4 +1,4 @@
-"""What agents observe as a vector, un-normalised.
+"""The vector observation, un-normalised.
 
 In this order, human-driven cars among the others: position less the goal's (2) [m],
 distance to the goal (1) [m], position less that of every other car (2 each) [m],

@@ -52,7 +52,7 @@ class Cars(Protocol):
         ...
 
     def read(self, state: Any) -> Motion:
-        """What the task may know of the state."""
+        """The motion, as the task reads it."""
         ...
 
 

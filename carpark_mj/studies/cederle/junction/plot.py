@@ -19,6 +19,7 @@ from carpark_mj.studies.cederle.junction.routes import Route
 from carpark_mj.studies.cederle.junction.scenarios import SCENARIOS, scenario
 from carpark_mj.studies.cederle.junction.terminations import GOAL_RADIUS
 
+LONG = 42.0  # m shown of the arms
 GRASS, ASPHALT, PATH = "#dfe8d8", "#b9b9b9", "#888888"
 
 
@@ -50,11 +51,12 @@ def draw_scenario(axes: Any, name: str) -> None:
         axes.add_patch(Circle(way[-1], GOAL_RADIUS, fc="none", ec=colour))
     for car in traffic.human_cars:
         way = _way(car.route, car.start, np.inf)
-        axes.plot(*way.T, color="black", lw=1.0)
+        axes.plot(*way.T, color="black", lw=1.2, ls="--")
         axes.plot(*way[0], "s", color="black")
     axes.set_aspect("equal")
+    axes.set(xlim=(-LONG, LONG), ylim=(-LONG, 6.0))
     axes.set_title(name, fontsize=9)
-    axes.tick_params(labelsize=6)
+    axes.tick_params(labelsize=7)
 
 
 def _way(route: Route, start: float, end: float) -> np.ndarray:
@@ -69,10 +71,34 @@ def write_plan(path: Path) -> Path:
     """Writes a picture of the four scenarios."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
-    figure = Figure(figsize=(10, 6.2), layout="constrained")
+    figure = Figure(figsize=(7, 4.7), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, name in zip(figure.subplots(2, 2).flat, SCENARIOS, strict=True):
+    panels = figure.subplots(2, 2, sharex=True, sharey=True)
+    for axes, name in zip(panels.flat, SCENARIOS, strict=True):
         draw_scenario(axes, name)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110))
+    for axes in panels[-1]:
+        axes.set_xlabel("x [m]", fontsize=8)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("y [m]", fontsize=8)
+    agents = max(len(scenario(name).missions) for name in SCENARIOS)
+    ring: dict[str, Any] = {"marker": "o", "lw": 0, "mfc": "none", "ms": 9}
+    figure.legend(
+        handles=[
+            *(
+                Line2D([], [], color=agent_colour(k), marker="o", label=f"agent {k}")
+                for k in range(agents)
+            ),
+            Line2D([], [], color="black", label="reach of a goal", **ring),
+            Line2D(
+                [], [], color="black", ls="--", marker="s", label="human-driven car"
+            ),
+        ],
+        loc="outside lower center",
+        ncols=5,
+        fontsize=8,
+        frameon=False,
+    )
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=160))
     return path

@@ -1,10 +1,10 @@
 """The bird's-eye image: grey, the agent's car in the middle, its heading up.
 
-Every thing is a rectangle (the road's corners lack a disc), and a pixel's grey the
-mixture by the areas that things cover in it: exact where an edge is parallel to the
-pixels, within a few percent where not. Things are painted over each other: grass,
-asphalt, paint, other cars, the own car. The study shows SMARTS's top-down camera, whose
-colours are not recorded: the levels here are five evenly spaced ones.
+All objects are rectangles (the road's corners lack a disc). A pixel's grey is the mean
+over the areas that objects cover in it: exact where an edge is parallel to the pixels,
+within a few percent elsewhere. Objects are painted over each other: grass, asphalt,
+paint, other cars, the own car. The study shows SMARTS's top-down camera, whose colours
+are not recorded; here five levels are evenly spaced.
 """
 
 import jax

@@ -16,7 +16,7 @@ EVENT = 10.0
 
 
 def pay_progress(unpaid: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """What progress (num_agents,) [m] since the last payments earns.
+    """Rewards for progress (num_agents,) [m] since the last payments.
 
     Returns:
         Rewards, and the progress that stays unpaid.

@@ -1,4 +1,4 @@
-"""The roads: lanes as paths, how they connect, and what is asphalt.
+"""The roads: lanes as paths, their connections, and the asphalt.
 
 An unsignalised T-junction with one lane per direction; arms to the west, east and
 south; traffic keeps to the right. It is SMARTS's scenario `zoo_intersection`

@@ -12,7 +12,7 @@ from carpark_mj.studies.cederle.junction.routes import Route
 
 @dataclasses.dataclass(frozen=True)
 class Mission:
-    """Where an automated car starts and where it shall go.
+    """Start and destination of an automated car.
 
     Attributes:
         route: the lanes.
@@ -46,7 +46,7 @@ class Mission:
 
 @dataclasses.dataclass(frozen=True)
 class HumanCar:
-    """A human-driven car: it keeps its lane and ignores everybody.
+    """A human-driven car: it keeps its lane and ignores all others.
 
     Attributes:
         route: the lanes; it leaves at the end of the last one.
@@ -61,7 +61,7 @@ class HumanCar:
 
 @dataclasses.dataclass(frozen=True)
 class Scenario:
-    """Who drives where.
+    """Missions and human-driven cars.
 
     Attributes:
         missions: of the automated cars.

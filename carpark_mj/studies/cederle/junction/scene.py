@@ -64,7 +64,7 @@ def plan() -> Layout:
 
 
 def add_paint(spec: mujoco.MjSpec) -> None:
-    """Adds what a layout lacks: lines between directions, and rounded corners."""
+    """Adds paint beyond a layout: lines between directions, and rounded corners."""
     still = {"contype": 0, "conaffinity": 0, "group": 1, "castshadow": False}
     for k, ((x, y), (length, width)) in enumerate(MARKINGS):
         spec.worldbody.add_geom(

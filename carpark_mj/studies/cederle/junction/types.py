@@ -37,7 +37,7 @@ class State:
 
     Attributes:
         cars: of the back end, any pytree.
-        motion: (cars,) what the cars do.
+        motion: (cars,) motion of the cars.
         along: (cars,) distances of the cars along their routes [m].
         task: of the episode.
         present: (cars,) bool; cars that have left are nobody's obstacle. Agents leave

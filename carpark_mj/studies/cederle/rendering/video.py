@@ -1,4 +1,4 @@
-"""A video of episodes at the junction, with what the agents intend beside them."""
+"""A video of episodes at the junction, labelled with the agents' intentions."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence

@@ -1,1 +1,1 @@
-"""What all trainers of the junction share."""
+"""Shared parts of the junction's trainers."""

@@ -1,4 +1,4 @@
-"""Settings that every trainer of the junction has."""
+"""Settings of every trainer of the junction."""
 
 import dataclasses
 from typing import Literal
@@ -69,28 +69,28 @@ class JunctionRunConfig(RunConfig):
     of them together.
 
     Attributes:
-        preset: settings the other flags start from.
-        algorithm: Q-learning on one's own is `idqn`, `double` (the online network
-            chooses the action whose value the target network gives), `dueling` (a value
+        preset: settings that give the defaults of the other flags.
+        algorithm: independent Q-learning is `idqn`, `double` (the online network
+            chooses the action, the target network gives its value), `dueling` (a value
             and advantages make the Q-values) or `double-dueling`. The others are
             BenchMARL's.
-        scenario: who drives where.
+        scenario: missions and human-driven car.
         cars: `path`, `bicycle` or `mjx`.
-        observation: `vector`; Q-learning on one's own also takes the `image`.
-        pixels: of a side of the image.
+        observation: `vector`; independent Q-learning also takes the `image`.
+        pixels: width and height of the image.
         action: `index` of one of four actions, or a `scalar`.
         shared: one network for all agents instead of one for each.
-        events: `added` to the reward for the way, or `replaced`: in its place.
+        events: `added` to the reward for the distance, or `replaced`: instead of it.
         end: an episode ends when `any` agent is done, or when `all` are.
         max_steps: control steps of an episode.
-        probe: episodes begin one joint `slow_down` in.
-        jitter: starts vary by up to this way in training [m].
-        num_junctions: simulated at once.
-        total_steps: of the training.
+        probe: episodes begin after one joint `slow_down`.
+        jitter: starts vary by up to this distance in training [m].
+        num_junctions: number of junctions simulated at once.
+        total_steps: steps of the training.
         eval_period: steps between evaluations.
-        eval_episodes: of each, with greedy actions.
-        eval_jitter: starts vary by up to this way in evaluations [m].
-        video_episodes: of the last policy, shown in `video.mp4`; 0 = no video.
+        eval_episodes: episodes of each evaluation, with greedy actions.
+        eval_jitter: starts vary by up to this distance in evaluations [m].
+        video_episodes: episodes of the last policy in `video.mp4`; 0 = no video.
     """
 
     preset: JunctionPreset = "parallel"
@@ -129,7 +129,7 @@ class JunctionRunConfig(RunConfig):
         dataclasses.replace(self.junction, jitter=self.eval_jitter)  # refuses too much
 
     def require_action(self, *kinds: ActionKind) -> None:
-        """Refuses actions of a kind that the algorithm has no use for."""
+        """Refuses kinds of actions that the algorithm does not support."""
         if self.action not in kinds:
             raise ValueError(
                 f"{self.algorithm} chooses actions by {' or '.join(kinds)}, not by "
@@ -137,15 +137,15 @@ class JunctionRunConfig(RunConfig):
             )
 
     def evaluation_keys(self) -> jax.Array:
-        """Of the episodes of an evaluation.
+        """Keys of the episodes of an evaluation.
 
-        Always the same: the curve shows the policy, not their luck.
+        They are always the same, so that the curve shows the policy only.
         """
         return jax.random.split(evaluation_key(self.seed), self.eval_episodes)
 
     @property
     def default_name(self) -> str:
-        """Of the run's folder."""
+        """Default name of the run's folder."""
         return f"{self.algorithm}-{self.scenario}-{self.seed}"
 
     @property

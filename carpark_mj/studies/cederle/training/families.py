@@ -18,7 +18,7 @@ from carpark_mj.studies.cederle.training.config import (
 from carpark_mj.training.settings import named, read_settings, stored
 
 DQN: tuple[Algorithm, ...] = ("idqn", "double", "dueling", "double-dueling")
-# Extras of a loop, and what the message names if one is missing.
+# Extras of a loop, and the name in the message if one is missing.
 EXTRAS = {
     "dqn": (("rlax", "flashbax"), "junction"),
     "benchmarl": (("torch", "benchmarl", "torchrl", "tensordict"), "torchrl"),
@@ -38,7 +38,7 @@ def presets_of(algorithm: Any) -> Mapping[str, JunctionRunConfig]:
 def read_junction_settings(
     arguments: Sequence[str], description: str | None
 ) -> JunctionRunConfig:
-    """Reads the flags; which there are depends on the algorithm.
+    """Reads the flags, which depend on the algorithm.
 
     Raises:
         ValueError: impossible settings.

@@ -1,13 +1,13 @@
-"""Repeats the experiments of Pandita 2022 over seeds, beside what the thesis says.
+"""Repeats the experiments of Pandita 2022 over seeds, beside the thesis's results.
 
     carpark_mj study slots --list
     carpark_mj study slots --experiment 10
     carpark_mj study slots --all --minutes 9      # continues with the same command
     carpark_mj study slots --all --preset pandita # the thesis's settings
 
-Every training is a run of `carpark_mj study sac` in `runs/slots_study`, on a core of
-its own; `report.md` there has what is done, `matrix-NAME.png` success by phase and kind
-of lot, `curves.png` success in training.
+Every training is a run of `carpark_mj study sac` in `runs/slots_study`, on its own
+core. `report.md` there has the finished runs, `matrix-NAME.png` success by phase and
+kind of lot, `curves.png` success in training.
 """
 
 import dataclasses
@@ -31,15 +31,15 @@ class SlotsStudyConfig:
     """Settings of `carpark_mj study slots`.
 
     Attributes:
-        experiment: its number, or the name of one beyond the thesis.
+        experiment: number of an experiment, or name of one beyond the thesis.
         all: all experiments.
-        list: say what there is, and train nothing.
+        list: list the experiments and train none.
         seeds: runs of every training.
-        preset: of `carpark_mj study sac`.
+        preset: preset of `carpark_mj study sac`.
         scale: factor on the thesis's budgets of steps.
-        minutes: after which runs save and stop [min], more than 1; 0 = no limit.
-        workers: runs at a time, each on one core; 0 = one for every core.
-        runs_dir: where runs are kept.
+        minutes: time after which runs save and stop [min], more than 1; 0 = no limit.
+        workers: number of runs at a time, each on one core; 0 = one for every core.
+        runs_dir: folder of the runs.
     """
 
     experiment: str = ""
@@ -70,7 +70,7 @@ def describe() -> None:
 
 
 def report(folder: Path, jobs: dict[SlotsExperiment, list[Job]]) -> Path:
-    """Writes the table, the matrices and the learning curves of what is done."""
+    """Writes the table, the matrices and the learning curves of finished runs."""
     from carpark_mj.studies.pandita.experiments.curves import write_curves
     from carpark_mj.studies.pandita.experiments.report import (
         read_deployments,

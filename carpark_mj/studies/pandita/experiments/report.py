@@ -1,4 +1,4 @@
-"""The experiments in slots as a table: the thesis, what is found, a verdict."""
+"""The experiments in slots as a table: the thesis, our results, a verdict."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ Results = Mapping[SlotsExperiment, Sequence[Sequence[dict[str, Any]]]]
 
 
 def read_deployments(job: Job) -> list[dict[str, Any]]:
-    """Rows of a run that is done, with numbers as numbers."""
+    """Rows of a finished run, with numbers parsed."""
     return [
         {
             name: text if name in ("kind", "policy") else row.number(name)
@@ -40,7 +40,7 @@ def read_deployments(job: Job) -> list[dict[str, Any]]:
 
 
 def verdict(claims: Sequence[Claim], success: Mapping[str, Sequence[float]]) -> str:
-    """Whether the seeds agree with what is claimed of every kind.
+    """Whether the seeds agree with the claims about every kind.
 
     Args:
         claims: of the thesis.

@@ -1,4 +1,4 @@
-"""The twelve experiments of Pandita 2022, chapter 5, and what goes beyond them."""
+"""The twelve experiments of Pandita 2022, chapter 5, and further ones."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ THREE = f"{TWO},{PARALLEL}"
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """What the thesis says of a policy at the end of its training.
+    """A claim of the thesis about a policy at the end of its training.
 
     Attributes:
         kind: of lot on which it is deployed.
@@ -23,14 +23,14 @@ class Claim:
 
 @dataclasses.dataclass(frozen=True)
 class SlotsExperiment:
-    """A training, and what is said of it.
+    """A training, and the claims about it.
 
     Attributes:
         name: number in the thesis, or a word.
-        title: what is trained.
+        title: of the training.
         stages: kinds of lots and the thesis's episodes of `EPISODE` steps, in order.
-        claims: of the thesis; none of what it has not tried.
-        statement: in its words, shortened.
+        claims: of the thesis; none beyond its experiments.
+        statement: claims in its words, shortened.
         replay: `SACConfig.replay`.
         flags: further settings, as words of a command line.
     """

@@ -50,31 +50,31 @@ class SACConfig(RunConfig):
     The settings of `RunConfig` come first.
 
     Attributes:
-        preset: settings the other flags start from.
-        checkpoint_minutes: time between checkpoints, which hold the buffer [min].
-        phases: one after the other, `KINDS:STEPS` or `KINDS:COUNTepisodes`: names of
-            layouts, with commas if they are interleaved, and how long.
+        preset: settings that give the defaults of the other flags.
+        checkpoint_minutes: time between checkpoints, which include the buffer [min].
+        phases: phases in order, `KINDS:STEPS` or `KINDS:COUNTepisodes`: names of
+            layouts, with commas if they are interleaved, and the length.
         deploy: kinds of lots on which the policy is deployed after every phase.
         goal_slot: number of the goal's slot; `random` = any, `own` = that of the kind.
         half_corridor: `SlotsConfig.half_corridor` of all kinds [m].
-        environment: `pandita`, highway-env's car, or `slots`, a real one.
+        environment: `pandita`, highway-env's car, or `slots`, a rigid-body car.
         replay: `her`, `plain`, or `none`: a buffer of the latest transitions only.
         hindsight_goals: relabelled transitions for each real one.
         rehearsal: share of the episodes on kinds of earlier phases.
-        at_switch: what becomes of the buffer at the beginning of a phase: `keep`,
-            `clear`, or `balance`: kept, and all phases have equal shares of a sample.
-        num_cars: simulated at once.
-        gradient_steps: after each step of all cars.
+        at_switch: the buffer at the beginning of a phase: `keep`, `clear`, or
+            `balance`: kept, with equal shares of all phases in a sample.
+        num_cars: number of cars simulated at once.
+        gradient_steps: gradient steps after each step of all cars.
         batch_size: transitions of a gradient step.
-        buffer_size: transitions.
-        random_steps: of every car, before the policy acts and learns.
-        learning_rate: Adam's, at the beginning of every phase.
-        learning_rate_end: at its end; linear in between.
+        buffer_size: size of the buffer [transitions].
+        random_steps: random steps of every car before the policy acts and learns.
+        learning_rate: Adam's learning rate at the beginning of every phase.
+        learning_rate_end: that at the end of the phase; linear in between.
         discount: discount factor per control step.
         tau: share of the networks in the update of their targets.
-        target_entropy: of the policy [nat].
+        target_entropy: target entropy of the policy [nat].
         hidden: widths of the hidden layers of actor and critics.
-        eval_episodes: on every kind of `deploy`, after every phase.
+        eval_episodes: episodes on every kind of `deploy` after every phase.
         video_seconds: length of the video at the end, 0 = none.
     """
 
@@ -150,7 +150,7 @@ class SACConfig(RunConfig):
         """The lot of a kind.
 
         Raises:
-            ValueError: no kind of slots, or a goal slot or corridor it cannot have.
+            ValueError: not a kind of slots, or an impossible goal slot or corridor.
         """
         config = layout_config(kind)
         if not isinstance(config, SlotsConfig):

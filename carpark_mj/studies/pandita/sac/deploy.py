@@ -28,9 +28,9 @@ def choose_action(
     vector: jax.Array,
     key: jax.Array,
 ) -> jax.Array:
-    """Actions (1, 2) for what the agent of a lot observes (1, 18), drawn or likeliest.
+    """Actions (1, 2) for an observation (1, 18), sampled or deterministic.
 
-    Its parts follow each other as in the dictionary of which sbx makes its input.
+    Its parts have the order of the dictionary from which sbx makes its input.
     """
     choices = actor(params, vector)
     return jnp.where(sampled, choices.sample(seed=key), choices.mode())
@@ -83,7 +83,7 @@ def deploy(
         actor: the network.
         params: its weights.
         kind: of lot.
-        sampled: draw actions instead of taking the likeliest.
+        sampled: sample actions instead of taking the deterministic policy.
     """
     env = share(GoalParking, config.env_of(config.layout(kind)))
     keys = jax.random.split(evaluation_key(config.seed), config.eval_episodes)

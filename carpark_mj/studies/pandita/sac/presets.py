@@ -5,8 +5,8 @@ from carpark_mj.studies.pandita.sac.config import SACConfig
 SAC_PRESETS: dict[str, SACConfig] = {
     "slots": SACConfig(),
     # The budgets of Pandita 2022 with smaller networks and batches than his, but twice
-    # as many gradient steps, and learning rates that fall: the likeliest actions of
-    # policies trained at a constant rate park or crash from one update to the next.
+    # as many gradient steps, and falling learning rates: at a constant rate the
+    # deterministic policy parks or crashes from one update to the next.
     "study": SACConfig(
         preset="study",
         phases=("slots:15000",),

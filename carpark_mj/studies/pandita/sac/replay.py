@@ -1,4 +1,4 @@
-"""Replay buffers of Stable-Baselines3: what a phase's end and a checkpoint need."""
+"""Replay buffers of Stable-Baselines3, with ends of phases and checkpoints."""
 
 # An extra that the type checker does without.
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false
@@ -22,33 +22,33 @@ _EPISODES = ("ep_start", "ep_length", "_current_ep_start", "phase_of_row")
 class PhasedHer(HerReplayBuffer):
     """Hindsight replay whose samples are in random order, from all phases if asked.
 
-    Stable-Baselines3 gives first the real transitions, then all relabelled ones, and
-    sbx cuts a sample into the batches of several gradient steps: without this the first
-    batches would be real, the others relabelled.
+    Stable-Baselines3 returns first the real transitions, then all relabelled ones, and
+    sbx cuts a sample into the batches of several gradient steps. Unshuffled, the first
+    batches would be real and the others relabelled.
 
     Attributes:
         phase: number of the phase of which transitions are added.
     """
 
     def __init__(self, *args: Any, balance: bool = False, **kwargs: Any) -> None:
-        """As of `HerReplayBuffer`.
+        """See `HerReplayBuffer`.
 
         Args:
-            *args: of that.
-            balance: give all phases equal shares of a sample, however long they are.
-            **kwargs: of that.
+            *args: of `HerReplayBuffer`.
+            balance: give all phases equal shares of a sample, whatever their lengths.
+            **kwargs: of `HerReplayBuffer`.
         """
         super().__init__(*args, **kwargs)
         self.phase, self._balance = 0, balance
         self.phase_of_row = np.zeros(self.buffer_size, np.int64)
 
     def add(self, *args: Any, **kwargs: Any) -> None:
-        """As of `HerReplayBuffer`."""
+        """See `HerReplayBuffer`."""
         self.phase_of_row[self.pos] = self.phase
         super().add(*args, **kwargs)
 
     def sample(self, batch_size: int, env: Any = None) -> DictReplayBufferSamples:
-        """As of `HerReplayBuffer`."""
+        """See `HerReplayBuffer`."""
         if self._balance:
             sample = _join(self._sample_phases(batch_size, env))
         else:

@@ -1,4 +1,4 @@
-"""SAC runs from start to end: the folder, the training, and what it leaves."""
+"""SAC runs from start to end: the folder, the training and its files."""
 
 import sys
 from pathlib import Path
@@ -55,7 +55,7 @@ def _words(found: Transfer) -> str:
 
 
 def train_run(config: SACConfig) -> tuple[Path, bool]:
-    """Trains and finishes a run; its folder, and whether it came to its end.
+    """Trains and finishes a run; returns its folder and whether it is finished.
 
     Raises:
         ValueError: impossible settings.

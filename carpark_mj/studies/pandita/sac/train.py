@@ -29,9 +29,9 @@ class Training:
 
     Attributes:
         config: its settings.
-        folder: where it is kept.
-        progress: where it stands.
-        agent: what learns.
+        folder: of the run.
+        progress: steps and phases so far.
+        agent: the learner.
         deployments: rows of `deploy_everywhere` so far.
     """
 

@@ -1,4 +1,4 @@
-"""What a policy keeps and gains from phase to phase: the success matrix.
+"""Forgetting and transfer from phase to phase: the success matrix.
 
 Backward and forward transfer are those of Lopez-Paz & Ranzato 2017, "Gradient Episodic
 Memory for Continual Learning", section 2 (arXiv 1706.08840).

@@ -1,4 +1,4 @@
-"""What a run does between the steps of sbx's loop: rows of metrics, when to stop."""
+"""Metrics and stopping between the steps of sbx's loop."""
 
 # An extra that the type checker does without.
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false
@@ -20,7 +20,7 @@ _LOSSES = ("actor_loss", "critic_loss", "ent_coef")
 
 @dataclasses.dataclass
 class Progress:
-    """Where a run stands.
+    """Progress of a run.
 
     Attributes:
         phase: number of the phase, from 0; the number of phases after the last.

@@ -1,4 +1,4 @@
-"""How long experiments take, and which fit a budget."""
+"""Durations of experiments, and the choice that fits a budget."""
 
 import dataclasses
 import statistics
@@ -17,14 +17,14 @@ STEPS_PER_SECOND = 110_000.0
 
 @dataclasses.dataclass(frozen=True)
 class Cost:
-    """What an experiment still takes.
+    """Remaining cost of an experiment.
 
     Attributes:
-        experiment: which.
-        runs: of it, in all.
-        left: that are not done.
-        programs: that train these, several side by side.
-        minutes: estimated for these, one at a time [min].
+        experiment: the experiment.
+        runs: number of its runs.
+        left: number of unfinished runs.
+        programs: number of programs that train these, several side by side.
+        minutes: estimated time of these, one at a time [min].
     """
 
     experiment: Experiment
@@ -69,7 +69,7 @@ def measured_rate(sweeps: Sequence[tuple[Path, Sequence[Run]]]) -> float:
 def choose(
     costs: Sequence[Cost], minutes: float, at_once: int = 1
 ) -> tuple[list[Cost], list[Cost]]:
-    """What fits a budget, what has the fewest programs first, and what is left out.
+    """Experiments that fit a budget, fewest programs first, and those left out.
 
     Args:
         costs: of the experiments.

@@ -15,17 +15,18 @@ class StudyConfig:
     Attributes:
         figure: number of a figure, `5.8`.
         all: all figures, those of the fewest programs first.
-        list: say what there is, and train nothing.
-        minutes: budget [min]; what does not fit is named and left out. 0 = no limit.
+        list: list the figures and train none.
+        minutes: budget [min]; figures that do not fit are named and left out. 0 = no
+            limit.
         repeats: runs of every combination; 0 = as many as are published.
         seed: first seed.
-        set: settings of all runs, `FIELD=VALUE` as of `carpark_mj sweep`, instead of
-            the study's.
-        runs_dir: where sweeps are kept.
-        cluster: as of `carpark_mj sweep`.
-        jobs: as of `carpark_mj sweep`.
-        side_by_side: as of `carpark_mj sweep`.
-        slurm: what to ask Slurm for.
+        set: settings of all runs instead of the study's, `FIELD=VALUE` as in
+            `carpark_mj sweep`.
+        runs_dir: folder of the sweeps.
+        cluster: see `carpark_mj sweep`.
+        jobs: see `carpark_mj sweep`.
+        side_by_side: see `carpark_mj sweep`.
+        slurm: resources to request from Slurm.
     """
 
     figure: str = ""
@@ -49,5 +50,5 @@ class StudyConfig:
 
     @property
     def where(self) -> Where:
-        """Where and how it runs; the study samples actions."""
+        """Settings of the executor; the study samples actions."""
         return Where(self.cluster, self.jobs, self.side_by_side, self.slurm, True)

@@ -1,4 +1,4 @@
-"""The figures of Tanner 2022, chapter 5: what is trained for each, and what it shows.
+"""The figures of Tanner 2022, chapter 5: trainings and metrics of each.
 
 The values of the swept settings are those of the published runs, `tanner_2022.csv`.
 """
@@ -26,10 +26,10 @@ class Experiment:
         title: what is varied.
         base: preset.
         fields: settings that are swept; the first is the horizontal axis.
-        metrics: what the figures show.
+        metrics: metrics of the figures.
         repeats: published runs of every combination.
         fixed: settings that differ from the preset.
-        note: reading taken where the study does not say.
+        note: our interpretation where the study is silent.
     """
 
     figures: tuple[str, ...]
@@ -172,7 +172,7 @@ EXPERIMENTS = (
     ),
 )
 
-# What is no sweep of PPO runs.
+# Figures that are not sweeps of PPO runs.
 ELSEWHERE = {
     "5.1": "tabular: carpark_mj study q_learning (docs/q_learning.md)",
     "5.2": "tabular: carpark_mj study q_learning --preset tanner-qlearning-rings",
@@ -185,7 +185,7 @@ def experiment_of(figure: str) -> Experiment:
     """The experiment of a figure.
 
     Raises:
-        ValueError: unknown figure, or one that is no sweep.
+        ValueError: unknown figure, or a figure that is not a sweep.
     """
     for experiment in EXPERIMENTS:
         if figure in experiment.figures:

@@ -47,7 +47,7 @@ def describe() -> None:
 
 
 def report(experiment: "Experiment", folder: Path) -> Path | None:
-    """Writes the page and the verdicts of what is done; None if nothing is."""
+    """Writes the page and the verdicts of finished runs; None without any."""
     from carpark_mj.cli.analysis import analyse, read_records
 
     records, missing = read_records(run_folders([folder]))
@@ -70,7 +70,7 @@ def report(experiment: "Experiment", folder: Path) -> Path | None:
 def say_budget(
     chosen: "Sequence[Cost]", rest: "Sequence[Cost]", minutes: float
 ) -> None:
-    """Says what will be run, and what is left out."""
+    """Prints which experiments run and which are left out."""
     for words, costs in (("runs", chosen), ("leaves out", rest)):
         for one in costs:
             print(

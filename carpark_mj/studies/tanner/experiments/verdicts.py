@@ -12,10 +12,10 @@ ENOUGH = 3  # runs for an interval
 
 
 def verdict(ours: Sequence[float], theirs: Sequence[float]) -> str:
-    """Whether runs agree: intervals of the interquartile mean that meet.
+    """Whether runs agree: intervals of the interquartile mean overlap.
 
-    Of fewer than three published runs, whether they lie among ours; that decides
-    nothing.
+    Fewer than three published runs are not decided; the verdict says whether they lie
+    among ours.
     """
     ours, theirs = ([x for x in xs if not math.isnan(x)] for xs in (ours, theirs))
     if not ours or not theirs:

@@ -36,9 +36,9 @@ class QLearningConfig(RunConfig):
     5.1.1; names follow its table C.6.
 
     Attributes:
-        preset: experiment the other flags start from: `tanner-qlearning`, figure 5.1 as
-            the study's tables have it, `tanner-qlearning-recorded`, as its runs were
-            recorded, or `tanner-qlearning-rings`, figure 5.2.
+        preset: experiment that sets the defaults: `tanner-qlearning`, figure 5.1 by the
+            study's tables; `tanner-qlearning-recorded`, figure 5.1 as recorded;
+            `tanner-qlearning-rings`, figure 5.2.
         num_seeds: independent trainings in parallel, each with its own table.
         num_lots: lots that share a table; 1 as in the study, more is faster.
         episodes: training episodes per seed, over which the rates decay.

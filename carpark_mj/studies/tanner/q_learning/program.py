@@ -6,8 +6,8 @@
     carpark_mj study q_learning --resume runs/tanner-qlearning-0   # continues a run
     carpark_mj study q_learning --help-all                         # every setting
 
-Independent Q-learning with one table for all agents, several seeds side by side. In
-`runs/<name>/` lie `config.json`, checkpoints, `metrics.csv` and `learning_curve.png`.
+Independent Q-learning with one table for all agents, several seeds side by side.
+`runs/<name>/` has `config.json`, checkpoints, `metrics.csv` and `learning_curve.png`.
 Ctrl-C saves a checkpoint and stops.
 """
 

@@ -1,4 +1,4 @@
-"""A Q-learning run: the loop over chunks of steps, and what it leaves."""
+"""A Q-learning run: the loop over chunks of steps, and its files."""
 
 import dataclasses
 from pathlib import Path
@@ -26,7 +26,7 @@ from carpark_mj.training.run_folder import read_header
 
 @dataclasses.dataclass
 class Run:
-    """A training with what it has made so far.
+    """A training and its results so far.
 
     Attributes:
         training: of all seeds.

@@ -1,0 +1,294 @@
+"""Which agents of a lot can park in time, by a planner that sees and moves all of them.
+
+Prioritised planning: cars drive in turn, each past those that still stand at their
+starts and those that have parked, which stay in their bays. Every car pulls away as
+early as those before it let it (`carpark_mj.planning.schedule`). A car in the way of
+others first moves aside along its lane. Several orders are tried. What is found is a
+witness; what is not found may still exist.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from carpark_mj.planning.driving import Sight
+from carpark_mj.planning.obstacles import FreeSpace, Solids
+from carpark_mj.planning.paths import SHIFT_TIME, STEP, make_path, rear_axle
+from carpark_mj.planning.schedule import DT, MARGIN, Drive, instants, meet, schedule
+from carpark_mj.planning.search import SearchConfig, search
+
+ORDERS = 6
+BREADTH = 3  # cars of an order among which the one that parks first is next
+WAYS = 2  # of every car in a lot without others
+# Long steps: most of a lot is open, and a search that fails is soon given up.
+ALONE = SearchConfig(
+    clearances=(0.08, 0.02, 0.0),
+    step=1.0,
+    paths=2,
+    more_paths=0,
+    max_tests=2500,
+    shorten_tests=1000,
+)
+AROUND = dataclasses.replace(ALONE, clearances=(0.02,), paths=1, max_tests=1000)
+ASIDE = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0, 9.0, -9.0, 12.0, -12.0)  # m along its heading
+MOVES = 2  # aside, of every car
+
+
+class Answer(NamedTuple):
+    """What is possible in a lot.
+
+    Attributes:
+        drives: of every agent; who does not park stands at its start or aside.
+        parks: (agents,) bool, whether the drive ends in the goal.
+        alone: (agents,) bool, whether there is a path in a lot without other agents.
+    """
+
+    drives: list[Drive]
+    parks: np.ndarray
+    alone: np.ndarray
+
+    @property
+    def arrival(self) -> np.ndarray:
+        """(agents,) when they are parked [s]; inf where no way was found."""
+        seconds = [drive.seconds for drive in self.drives]
+        return np.where(self.parks, seconds, np.inf)
+
+
+def solve(sights: Sequence[Sight], seconds: float, seed: int = 0) -> Answer:
+    """Plans how all agents of a lot park.
+
+    Args:
+        sights: what the agents see, at rest.
+        seconds: of an episode.
+        seed: of searches and orders.
+    """
+    return _Lot(sights, seed).solve(seconds)
+
+
+class _Turns(NamedTuple):
+    """Cars that have driven so far.
+
+    Attributes:
+        standing: where each stands.
+        back: the poses of each from there to its start.
+        drives: of each.
+        moves: how often each has moved aside.
+        parks: (agents,) bool, who has parked.
+    """
+
+    standing: list[np.ndarray]
+    back: list[np.ndarray]
+    drives: list[Drive]
+    moves: np.ndarray
+    parks: np.ndarray
+
+
+class _Lot:
+    def __init__(self, sights: Sequence[Sight], seed: int) -> None:
+        self._sights, self._seed = sights, seed
+        self._size = [np.array([s.car.length, s.car.width]) for s in sights]
+        self._wide = [size + 2 * MARGIN for size in self._size]
+        self._starts = [np.asarray(sight.pose, float) for sight in sights]
+        self._space = [
+            FreeSpace(s.solids, tuple(size), s.extent)
+            for s, size in zip(sights, self._size, strict=True)
+        ]
+        self._ways = [self._find_ways(k) for k in range(len(sights))]
+        # Ways past the others where they stand, and with which effort they were sought.
+        self._found: dict[Any, tuple[int, list[np.ndarray]]] = {}
+        self._effort = 1
+        self._numbers = np.random.default_rng(seed)
+
+    def solve(self, seconds: float) -> Answer:
+        alone = np.array([bool(ways) for ways in self._ways])
+        lengths = [len(ways[0]) if ways else np.inf for ways in self._ways]
+        order, breadth = list(np.argsort(lengths, kind="stable")), len(lengths)
+        answers: list[tuple[int, int, Answer]] = []
+        for attempt in range(ORDERS):
+            self._effort = 1 + attempt // 3
+            turns = self._in_turn(order, breadth)
+            answer = Answer(turns.drives, turns.parks, alone)
+            late = answer.arrival > seconds
+            answers.append((int((~late).sum()), int(turns.parks.sum()), answer))
+            if not (late & alone).any():
+                break
+            if attempt % 2:
+                order, breadth = list(self._numbers.permutation(len(order))), BREADTH
+            else:  # who comes too late goes first
+                order, breadth = sorted(order, key=lambda k: not late[k]), 1
+        return max(answers, key=lambda answer: answer[:2])[2]
+
+    def _in_turn(self, order: list[int], breadth: int) -> _Turns:
+        """All cars drive; next is the first to park of some first in an order."""
+        count, still = len(order), np.zeros(1, int)
+        turns = _Turns(
+            list(self._starts),
+            [np.zeros((0, 3))] * count,
+            [
+                Drive(pose[None], still, size)
+                for pose, size in zip(self._starts, self._size, strict=True)
+            ],
+            np.zeros(count, int),
+            np.zeros(count, bool),
+        )
+        while True:
+            left = [k for k in order if not turns.parks[k] and self._ways[k]]
+            drives = self._past_nobody(turns, left, breadth)
+            drives = drives or self._past_others(turns, left)
+            if not drives:
+                if self._make_way(turns, left):
+                    continue
+                return turns
+            k = min(drives, key=lambda k: len(drives[k].point))
+            self._drive(turns, k, drives[k])
+            turns.parks[k] = True
+
+    def _drive(self, turns: _Turns, k: int, drive: Drive) -> None:
+        turns.drives[k] = drive
+        turns.standing[k] = drive.pose[-1]
+
+    def _past_nobody(
+        self, turns: _Turns, left: list[int], breadth: int
+    ) -> dict[int, Drive]:
+        """Drives of cars whose way no standing car blocks, of so many at most."""
+        found: dict[int, Drive] = {}
+        for k in left:
+            ways = [np.concatenate([turns.back[k], way]) for way in self._ways[k]]
+            free = [way for way in ways if not self._hits(turns, k, way)]
+            found |= self._first(turns, k, free)
+            if len(found) == breadth:
+                break
+        return found
+
+    def _past_others(self, turns: _Turns, left: list[int]) -> dict[int, Drive]:
+        """The drive of the first car for which a way around the others is found."""
+        for k in left:
+            found = self._first(turns, k, self._around(turns, k))
+            if found:
+                return found
+        return {}
+
+    def _make_way(self, turns: _Turns, left: list[int]) -> bool:
+        """Moves a car that is in the way of another; whether it did."""
+        blocked = [
+            (other, np.concatenate([turns.back[k], way]), self._wide[k])
+            for k in left
+            for way in self._ways[k]
+            for other in self._hits(turns, k, np.concatenate([turns.back[k], way]))
+            if not turns.parks[other] and turns.moves[other] < MOVES
+        ]
+        if any(self._move_aside(turns, *block, ASIDE) for block in blocked):
+            return True
+        # At least elsewhere: there may be a way around it.
+        nowhere = np.zeros((0, 3))
+        return any(
+            self._move_aside(
+                turns, k, nowhere, size, self._numbers.permutation(ASIDE).tolist()
+            )
+            for k, _, size in blocked
+        )
+
+    def _move_aside(
+        self,
+        turns: _Turns,
+        k: int,
+        way: np.ndarray,
+        size: np.ndarray,
+        distances: Sequence[float],
+    ) -> bool:
+        """Moves car k straight on or back off the way of one of a size."""
+        here, car = turns.standing[k], self._sights[k].car
+        ahead = np.array([np.cos(here[2]), np.sin(here[2]), 0.0])
+        for distance in distances:
+            steps = np.linspace(0.0, distance, round(abs(distance) / STEP) + 1)
+            path = make_path(rear_axle(car, here + steps[:, None] * ahead), car)
+            if path is None:
+                continue
+            pose = instants(path, car)
+            if meet(pose[-1:], self._wide[k], way, size).any():
+                continue
+            free = all(self._space[k].is_free(*place) for place in pose)
+            if not free or self._hits(turns, k, pose):
+                continue
+            found = self._first(turns, k, [pose])
+            if found:
+                self._drive(turns, k, found[k])
+                pause = np.repeat(pose[:1], round(SHIFT_TIME / DT), axis=0)
+                turns.back[k] = np.concatenate([pose[::-1], pause, turns.back[k]])
+                turns.moves[k] += 1
+                return True
+        return False
+
+    def _hits(self, turns: _Turns, k: int, path: np.ndarray) -> list[int]:
+        """The other cars that stand on a path of car k."""
+        return [
+            other
+            for other, pose in enumerate(turns.standing)
+            if other != k
+            and meet(path, self._wide[k], pose[None], self._size[other]).any()
+        ]
+
+    def _first(
+        self, turns: _Turns, k: int, paths: list[np.ndarray]
+    ) -> dict[int, Drive]:
+        """The drive of car k that arrives first; none if others block all paths."""
+        others = [drive for other, drive in enumerate(turns.drives) if other != k]
+        own = turns.drives[k]
+        begin, found = len(own.point) - 1, []
+        for path in paths:
+            index = schedule(path, self._wide[k], others, begin)
+            if index is not None:
+                index = np.concatenate([own.point, index[begin + 1 :] + len(own.pose)])
+                pose = np.concatenate([own.pose, path])
+                found.append(Drive(pose, index, self._size[k]))
+        return {k: min(found, key=lambda drive: len(drive.point))} if found else {}
+
+    def _find_ways(self, k: int) -> list[np.ndarray]:
+        """Ways of car k in the lot without others, the quickest first."""
+        sight, ways = self._sights[k], []
+        # Through no other's bay, so that parked cars are in nobody's way.
+        others = [other for other in range(len(self._sights)) if other != k]
+        goals = [np.atleast_2d(self._sights[other].goal)[0] for other in others]
+        full = self._with_cars(k, others, np.array(goals))
+        for number in range(WAYS):
+            ways += self._search(k, sight.pose, full, ALONE, number)
+            if not ways:
+                break
+        ways = ways or self._search(k, sight.pose, sight.solids, ALONE)
+        return sorted(ways, key=len)
+
+    def _around(self, turns: _Turns, k: int) -> list[np.ndarray]:
+        """A way of car k past the others where they stand; empty if none is found."""
+        others = [other for other in range(len(self._sights)) if other != k]
+        standing = np.array([turns.standing[other] for other in others])
+        key = k, turns.standing[k].tobytes(), standing.tobytes()
+        tried, ways = self._found.get(key, (0, []))
+        if not ways and tried < self._effort:
+            solids = self._with_cars(k, others, standing)
+            tests = self._effort * AROUND.max_tests
+            config = dataclasses.replace(AROUND, max_tests=tests)
+            ways = self._search(k, turns.standing[k], solids, config, self._effort)
+            self._found[key] = self._effort, ways
+        return ways
+
+    def _with_cars(self, k: int, others: list[int], pose: np.ndarray) -> Solids:
+        """What stands still about car k, and others at poses (n, 3)."""
+        size = np.array([self._size[other] for other in others]).reshape(-1, 2)
+        return self._sights[k].solids.with_boxes(pose.reshape(-1, 3), size)
+
+    def _search(
+        self,
+        k: int,
+        start: np.ndarray,
+        solids: Solids,
+        config: SearchConfig,
+        number: int = 0,
+    ) -> list[np.ndarray]:
+        """A path of car k to its goal as `instants`, or none."""
+        sight, seeds = self._sights[k], (self._seed, k, number)
+        path = search(
+            start, sight.goal, solids, sight.car, sight.extent, seeds, config
+        ).path
+        return [] if path is None else [instants(path, sight.car)]

@@ -1,0 +1,144 @@
+// Draws a lot: light, ground, cars, the bays that they head for, and three cameras.
+
+import * as THREE from "three";
+import { OrbitControls } from "./built/three/OrbitControls.js";
+import { Geoms } from "./geoms.js";
+import { ground } from "./ground.js";
+
+export const CAMERAS = ["overview", "follow", "plan"];
+const SKY = 0xb9cbd8;
+const COARSE = 0.6; // pixels for each of the screen's points on slow machines
+const MARK = 0.014; // m, height of a bay's mark above the ground
+
+THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
+
+export class View {
+  constructor(canvas) {
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.renderer.toneMapping = THREE.ACESFilmicToneMapping;
+    this.scene = new THREE.Scene();
+    this.scene.background = new THREE.Color(SKY);
+    this.scene.fog = new THREE.Fog(SKY, 90, 260);
+    this.camera = new THREE.PerspectiveCamera(40, 1, 1, 800);
+    this.orbit = new OrbitControls(this.camera, canvas);
+    this.orbit.maxPolarAngle = 1.45;
+    this.orbit.enableDamping = true;
+    this.kind = CAMERAS[0];
+    this.addLight();
+    this.scene.add(ground());
+    this.you = new THREE.Mesh(new THREE.ConeGeometry(0.55, 1.1, 4).rotateX(-Math.PI / 2),
+      new THREE.MeshBasicMaterial({ color: 0xffffff }));
+    this.scene.add(this.you);
+  }
+
+  addLight() {
+    this.scene.add(new THREE.HemisphereLight(0xdfeaf5, 0x4a4d45, 1.6));
+    this.sun = new THREE.DirectionalLight(0xfff1dc, 2.6);
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(2048, 2048);
+    this.sun.shadow.bias = -0.0004;
+    this.sun.shadow.normalBias = 0.03;
+    this.scene.add(this.sun, this.sun.target);
+    const [pmrem, sky] = [new THREE.PMREMGenerator(this.renderer), new THREE.Scene()];
+    sky.background = new THREE.Color(0xaec2d2);
+    const lamp = new THREE.Mesh(new THREE.BoxGeometry(20, 20, 0.1),
+      new THREE.MeshBasicMaterial({ color: new THREE.Color(5, 5, 5) }));
+    lamp.position.set(0, 4, 12);
+    sky.add(lamp);
+    this.scene.environment = pmrem.fromScene(sky, 0.05).texture;
+    this.scene.environmentIntensity = 0.55;
+  }
+
+  // Shows a scene of the simulation in place of the last.
+  show(look, lot) {
+    if (this.geoms) {
+      this.scene.remove(this.geoms.group, ...this.marks);
+      this.geoms.delete();
+    }
+    this.geoms = new Geoms(look);
+    this.lot = lot;
+    this.marks = lot.start.map((_, car) => mark(this.geoms.paint(car), car ? 0.28 : 0.75));
+    this.scene.add(this.geoms.group, ...this.marks);
+    const [x, y] = lot.extent;
+    const reach = Math.hypot(x, y) + 2;
+    this.sun.position.set(-0.45 * reach, -0.6 * reach, reach);
+    Object.assign(this.sun.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 1, far: 4 * reach });
+    this.sun.shadow.camera.updateProjectionMatrix();
+    this.look(this.kind);
+  }
+
+  // Places everything as in a report of the simulation.
+  move({ places, cars, time }) {
+    this.geoms.move(places);
+    cars.forEach((car, k) => {
+      const [x, y, yaw] = this.lot.bay_pose[car.goal];
+      const [length, width] = this.lot.bay_size[car.goal];
+      this.marks[k].position.set(x, y, MARK);
+      this.marks[k].rotation.z = yaw;
+      this.marks[k].scale.set(length - 0.3, width - 0.3, 1);
+    });
+    const [x, y] = cars[0].pose;
+    this.you.position.set(x, y, 3 + 0.15 * Math.sin(4 * time));
+    this.you.rotation.z = time;
+    this.car = cars[0].pose;
+  }
+
+  // Chooses a camera.
+  look(kind) {
+    this.kind = kind;
+    this.orbit.enabled = kind === "overview";
+    this.you.visible = kind !== "follow";
+    if (!this.lot || kind === "follow") return;
+    const [x, y] = this.lot.extent;
+    const turned = x !== y && x > y !== this.camera.aspect > 1; // its long side along the screen's
+    const [across, up] = turned ? [y, x] : [x, y];
+    const half = Math.tan((this.camera.fov * Math.PI) / 360);
+    const margin = this.camera.aspect > 1 ? 1.12 : 1.25; // of an upright screen the buttons take more
+    const far = margin * Math.max(up, across / this.camera.aspect) / half;
+    const [back, height] = kind === "plan" ? [0.01, far] : [0.6 * far, 0.86 * far];
+    this.camera.position.set(turned ? back : 0, turned ? 0 : -back, height);
+    this.orbit.target.set(0, 0, 0);
+    this.camera.lookAt(this.orbit.target);
+    Object.assign(this.scene.fog, { near: Math.max(90, 1.3 * far), far: Math.max(260, 4 * far) });
+  }
+
+  draw(seconds) {
+    if (!this.geoms || !this.car) return;
+    if (this.kind === "follow") this.follow(1 - Math.exp(-3 * seconds));
+    else if (this.kind === "overview") this.orbit.update();
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  // Draws the camera a share of the way towards its place behind the visitor's car.
+  follow(share) {
+    const [x, y, yaw] = this.car;
+    const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
+    const back = this.camera.aspect < 1 ? 13 : 10;
+    const wanted = new THREE.Vector3(x - back * c, y - back * s, 0.55 * back);
+    this.camera.position.lerp(wanted, this.camera.position.distanceTo(wanted) > 40 ? 1 : share);
+    this.camera.lookAt(x + 2.5 * c, y + 2.5 * s, 0.5);
+  }
+
+  // Draws less, for slow machines: first no finer than the screen's points, then without
+  // shadows, then coarser.
+  simplify() {
+    if (this.renderer.getPixelRatio() > 1) this.renderer.setPixelRatio(1);
+    else if (this.sun.castShadow) this.sun.castShadow = false;
+    else this.renderer.setPixelRatio(COARSE);
+  }
+
+  resize(width, height) {
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.look(this.kind);
+  }
+}
+
+function mark(color, opacity) {
+  const material = new THREE.MeshBasicMaterial({ color, opacity, transparent: true, depthWrite: false, toneMapped: false });
+  return new THREE.Mesh(new THREE.PlaneGeometry(1, 1), material);
+}

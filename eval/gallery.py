@@ -1,0 +1,110 @@
+"""Makes the clips of docs/gallery.md by the commands there, and the README's mosaic.
+
+python eval/gallery.py                    # all
+python eval/gallery.py street mosaic.gif  # those whose path has one of the words
+
+A policy that is trained again drives otherwise: look at the clips, and choose seeds.
+"""
+
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("gallery", "gallery:main")
+
+import dataclasses
+import os
+import re
+import shlex
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from PIL import Image, ImageDraw, ImageOps, ImageSequence
+
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.programs import render
+from carpark_mj.rendering.overlays import font
+from carpark_mj.rendering.video import write_video
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = DOCS / "gallery.md"
+# Clips of the mosaic and their captions, in rows of `COLUMNS`.
+MOSAIC = {
+    "parking.gif": "square: seven cars in one lot",
+    "dead_end.gif": "anywhere: four cars at a dead end",
+    "gallery/street.gif": "anywhere: a street",
+    "gallery/chase.gif": "square: behind a car",
+}
+COLUMNS = 2
+WIDTH, HEIGHT, CAPTION = 400, 300, 24  # pixels, of a tile and what is below it
+SECONDS, FPS = 9, 5
+
+
+@dataclasses.dataclass(frozen=True)
+class GalleryConfig:
+    """Settings of `python eval/gallery.py`.
+
+    Attributes:
+        clips: words in the paths of the clips to make; all if none.
+    """
+
+    clips: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CLIP ...")
+    ] = ()
+
+
+def commands(page: str) -> dict[str, list[str]]:
+    """Arguments of `carpark_mj render` by the clip they make."""
+    lines = re.findall(r"^carpark_mj render (.*--out \S+\.gif)$", page, re.MULTILINE)
+    return {line.split()[-1]: shlex.split(line) for line in lines}
+
+
+def make(config: GalleryConfig) -> None:
+    """Makes what is asked for, in `docs/`."""
+    os.chdir(DOCS)
+    words = config.clips or ("",)
+    for clip, arguments in commands(PAGE.read_text()).items():
+        if any(word in clip for word in words):
+            render.run(arguments)
+    if any(word in "mosaic.gif" for word in words):
+        tiles = [_tiles(Path(clip), caption) for clip, caption in MOSAIC.items()]
+        sheets = (_sheet(row) for row in zip(*tiles, strict=True))
+        print(f"wrote mosaic.gif: {write_video(Path('mosaic.gif'), sheets, FPS)}")
+
+
+def _tiles(clip: Path, caption: str) -> Iterator[Image.Image]:
+    """What a clip shows every `1 / FPS` seconds, with a caption below."""
+    with Image.open(clip) as film:
+        lasts = [frame.info["duration"] for frame in ImageSequence.Iterator(film)]
+        ends = np.cumsum(lasts)
+        for now in range(0, 1000 * SECONDS, 1000 // FPS):
+            film.seek(min(int(np.searchsorted(ends, now, "right")), len(lasts) - 1))
+            tile = Image.new("RGB", (WIDTH, HEIGHT + CAPTION), "white")
+            shown = ImageOps.pad(film.convert("RGB"), (WIDTH, HEIGHT), color="white")
+            tile.paste(shown, (0, 0))
+            place = (WIDTH / 2, HEIGHT + CAPTION / 2)
+            draw = ImageDraw.Draw(tile)
+            draw.text(place, caption, "black", font=font(15), anchor="mm")
+            yield tile
+
+
+def _sheet(tiles: Sequence[Image.Image]) -> np.ndarray:
+    """One frame of the mosaic."""
+    high = HEIGHT + CAPTION
+    size = (COLUMNS * WIDTH, len(tiles) // COLUMNS * high)
+    sheet = Image.new("RGB", size, "white")
+    for number, tile in enumerate(tiles):
+        row, column = divmod(number, COLUMNS)
+        sheet.paste(tile, (column * WIDTH, row * high))
+    return np.asarray(sheet)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command(
+        "gallery",
+        lambda: make(read_flags(GalleryConfig, arguments, description=__doc__)),
+    )

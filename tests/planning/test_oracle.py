@@ -1,0 +1,135 @@
+"""What is possible in a lot: lanes worked out by hand, and random lots."""
+
+import itertools
+import math
+
+import jax
+import numpy as np
+import pytest
+from shapely import affinity
+from shapely.geometry import box
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.planning.driving import Sight
+from carpark_mj.planning.impossible import impossible
+from carpark_mj.planning.obstacles import Solids
+from carpark_mj.planning.oracle import solve
+from carpark_mj.planning.policy import sights
+from carpark_mj.planning.schedule import CRUISE, DT
+from carpark_mj.vehicle import COMPACT
+
+SECONDS = 60.0
+TIGHT = EnvConfig(layout="dead_end,garage_row", num_agents=3, num_parked_cars=1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ompl():
+    pytest.importorskip("ompl")
+
+
+def outline(pose, size):
+    x, y, yaw = pose
+    shape = box(-size[0] / 2, -size[1] / 2, size[0] / 2, size[1] / 2)
+    return affinity.translate(
+        affinity.rotate(shape, yaw, (0, 0), use_radians=True), x, y
+    )
+
+
+def lane(cars, blocks):
+    """What cars, starts and goals, see in a lane 2.6 m wide, blind at x = -15 and 15.
+
+    Beside it is solid ground from y = -6 to 6 at the given x, of one side or both.
+    """
+    boxes = [(-16, -7, -15, 7), (15, -7, 16, 7), *blocks]
+    pose = [[(a + c) / 2, (b + d) / 2, 0.0] for a, b, c, d in boxes]
+    size = [[c - a, d - b] for a, b, c, d in boxes]
+    none = np.zeros((0, 2)), np.zeros(0)
+    solids = Solids(np.array(pose, float), np.array(size, float), *none)
+    poses = np.array([start for start, _ in cars], float)
+    sizes = np.full((len(cars), 2), (COMPACT.length, COMPACT.width))
+    found = []
+    for k, (start, goal) in enumerate(cars):
+        others = np.delete(poses, k, axis=0), np.delete(sizes, k, axis=0)
+        start, goal = np.array(start, float), np.array(goal, float)
+        extent = np.array([16.0, 7.0])
+        found.append(
+            Sight(True, start, 0.0, 0.0, goal, COMPACT, solids, others, extent)
+        )
+    return found
+
+
+def check_witness(seen, answer):
+    """Cars drive from their starts to their goals and touch nothing and nobody."""
+    solids = seen[0].solids
+    walls = [outline(*wall) for wall in zip(solids.pose, solids.size, strict=True)]
+    last = max(len(drive.point) for drive in answer.drives)
+    for sight, drive, parks in zip(seen, answer.drives, answer.parks, strict=True):
+        assert drive.pose[0] == pytest.approx(sight.pose)
+        moved = np.hypot(*np.diff(drive.pose[drive.point, :2], axis=0).T)
+        # The rear axle keeps to the speed; the car's middle swings out.
+        curvature = math.tan(sight.car.max_steering) / sight.car.wheelbase
+        swing = math.hypot(1.0, sight.car.centre_offset * curvature)
+        assert moved.max(initial=0.0) <= CRUISE * DT * swing + 1e-6
+        if parks:
+            goal = np.atleast_2d(sight.goal)[0]
+            assert drive.pose[-1, :2] == pytest.approx(goal[:2], abs=0.02)
+            assert abs(math.sin(drive.pose[-1, 2] - goal[2])) < 0.01
+        for pose in drive.pose:
+            car = outline(pose, drive.size).buffer(-1e-6)
+            assert not any(car.intersects(wall) for wall in walls)
+    for instant in range(last):
+        cars = [
+            outline(d.pose[int(d.at(np.array(instant)))], d.size).buffer(-1e-6)
+            for d in answer.drives
+        ]
+        assert not any(a.intersects(b) for a, b in itertools.combinations(cars, 2))
+
+
+def test_cars_nose_to_nose_in_a_blind_lane_cannot_change_places():
+    blocks = [(-15, 1.3, 15, 6), (-15, -6, 15, -1.3)]
+    seen = lane([((-5, 0, 0), (8, 0, 0)), ((5, 0, math.pi), (-8, 0, 0))], blocks)
+    assert impossible(seen).all()
+    answer = solve(seen, SECONDS)
+    assert answer.alone.all()
+    assert not answer.parks.any()
+
+
+def test_a_car_lets_another_pass_that_pulls_into_its_bay():
+    # The bay of the second lies beside the lane's end, behind it.
+    blocks = [(-15, 1.3, 15, 6), (-15, -6, 5, -1.3)]
+    seen = lane([((-5, 0, 0), (10, 0, 0)), ((3, 0, math.pi), (11, -4, 0))], blocks)
+    answer = solve(seen, SECONDS)
+    assert not impossible(seen).any()
+    assert answer.parks.all()
+    assert (answer.arrival <= SECONDS).all()
+    check_witness(seen, answer)
+
+
+def test_a_car_behind_walls_cannot_park():
+    blocks = [(-15, 1.3, 15, 6), (-15, -6, 15, -1.3), (2, -1.3, 2.2, 1.3)]
+    seen = lane([((-5, 0, 0), (8, 0, 0)), ((-11, 0, 0), (-7, 0, 0))], blocks)
+    assert impossible(seen).tolist() == [True, False]
+    answer = solve(seen, SECONDS)
+    assert answer.alone.tolist() == [False, True]
+    assert not answer.parks[0]
+
+
+@pytest.fixture(scope="module")
+def tight():
+    env = ParkingEnv(TIGHT)
+    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 24))
+    return sights(state)
+
+
+def test_no_start_in_a_tight_lot_is_impossible(tight):
+    assert {len(seen) for seen in tight} == {3}
+    assert not any(impossible(seen).any() for seen in tight)
+
+
+def test_drives_in_random_lots_touch_nothing(tight):
+    answers = [solve(seen, SECONDS) for seen in tight[:3]]
+    for seen, answer in zip(tight, answers, strict=False):
+        check_witness(seen, answer)
+    parks = np.concatenate([answer.parks for answer in answers])
+    assert parks.mean() > 0.8
