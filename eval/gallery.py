@@ -34,12 +34,15 @@ PAGE = DOCS / "gallery.md"
 # Clips of the mosaic and their captions, in rows of `COLUMNS`.
 MOSAIC = {
     "parking.gif": "square: seven cars in one lot",
-    "dead_end.gif": "anywhere: four cars at a dead end",
-    "gallery/street.gif": "anywhere: a street",
+    "gallery/lot.gif": "anywhere: a lot with aisles",
+    "dead_end.gif": "anywhere: a dead end",
     "gallery/chase.gif": "square: behind a car",
+    "gallery/street.gif": "anywhere: a street",
+    "gallery/hope.gif": "hope: a tight bay",
 }
-COLUMNS = 2
-WIDTH, HEIGHT, CAPTION = 400, 300, 24  # pixels, of a tile and what is below it
+COLUMNS = 3
+WIDTH, HEIGHT, CAPTION = 320, 240, 24  # pixels, of a tile and what is below it
+GRASS = "#5e7150"  # beyond the lots
 SECONDS, FPS = 9, 5
 
 
@@ -83,7 +86,7 @@ def _tiles(clip: Path, caption: str) -> Iterator[Image.Image]:
         for now in range(0, 1000 * SECONDS, 1000 // FPS):
             film.seek(min(int(np.searchsorted(ends, now, "right")), len(lasts) - 1))
             tile = Image.new("RGB", (WIDTH, HEIGHT + CAPTION), "white")
-            shown = ImageOps.pad(film.convert("RGB"), (WIDTH, HEIGHT), color="white")
+            shown = ImageOps.pad(film.convert("RGB"), (WIDTH, HEIGHT), color=GRASS)
             tile.paste(shown, (0, 0))
             place = (WIDTH / 2, HEIGHT + CAPTION / 2)
             draw = ImageDraw.Draw(tile)

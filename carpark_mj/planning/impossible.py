@@ -7,6 +7,7 @@ that discs pass wherever cars do; cars may still fail where discs pass.
 
 import heapq
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -86,21 +87,22 @@ class _Disc:
 
 def _both_reach(a: _Disc, b: _Disc) -> bool:
     """Whether two discs get to their goals without touching each other."""
-    # The farthest that points of two cells can be from each other.
-    gap = np.abs(a.centre[:, None] - b.centre) + CELL
-    free = np.hypot(gap[..., 0], gap[..., 1]) > a.radius + b.radius
+    here, there, apart = a.centre.tolist(), b.centre.tolist(), a.radius + b.radius
     assert a.start is not None
     assert b.start is not None
     edge = [(a.left[a.start] + b.left[b.start], a.start, b.start)]
-    free[a.start, b.start] = False  # as is what has been reached
+    reached = {(a.start, b.start)}
     while edge:  # nearest to both goals first
         left, one, two = heapq.heappop(edge)
         if left == 0:
             return True
         moves = [(near, two) for near in a.beside[one]]
         for cells in moves + [(one, near) for near in b.beside[two]]:
-            if free[cells]:
-                free[cells] = False
+            (x, y), (u, v) = here[cells[0]], there[cells[1]]
+            # The farthest that points of the two cells can be from each other.
+            gap = math.hypot(abs(x - u) + CELL, abs(y - v) + CELL)
+            if cells not in reached and gap > apart:
+                reached.add(cells)
                 left = a.left[cells[0]] + b.left[cells[1]]
                 heapq.heappush(edge, (left, *cells))
     return False

@@ -31,6 +31,8 @@ ALONE = SearchConfig(
     max_tests=2500,
     shorten_tests=1000,
 )
+# Short steps, for tight bays.
+PATIENT = SearchConfig((0.02,), paths=2, more_paths=0, max_tests=4000)
 AROUND = dataclasses.replace(ALONE, clearances=(0.02,), paths=1, max_tests=1000)
 ASIDE = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0, 9.0, -9.0, 12.0, -12.0)  # m along its heading
 MOVES = 2  # aside, of every car
@@ -256,7 +258,8 @@ class _Lot:
             ways += self._search(k, sight.pose, full, ALONE, number)
             if not ways:
                 break
-        ways = ways or self._search(k, sight.pose, sight.solids, ALONE)
+        for config in (ALONE, PATIENT):
+            ways = ways or self._search(k, sight.pose, sight.solids, config)
         return sorted(ways, key=len)
 
     def _around(self, turns: _Turns, k: int) -> list[np.ndarray]:

@@ -118,7 +118,7 @@ def test_a_car_behind_walls_cannot_park():
 @pytest.fixture(scope="module")
 def tight():
     env = ParkingEnv(TIGHT)
-    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 24))
+    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 12))
     return sights(state)
 
 

@@ -10,8 +10,9 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.scene.cameras import fit_eye, frame_lot
+from carpark_mj.scene.cameras import fit_eye, frame_lot, view_yaw
 from carpark_mj.scene.materials import ASPHALT, ZENITH, agent_colour
+from carpark_mj.scene.numbers import add_bay_numbers
 from carpark_mj.vehicle import PRESETS
 
 LAYOUT = make_layout("square")
@@ -146,3 +147,13 @@ def test_other_cameras_see_the_roof_again():
         np.testing.assert_array_equal(renderer.model.geom_group, before)
     finally:
         renderer.close()
+
+
+@pytest.mark.parametrize("name", ["square", "slots_parallel"])
+def test_bay_numbers_are_upright_for_the_cameras_of_the_lot(name):
+    layout, spec = make_layout(name), mujoco.MjSpec()
+    add_bay_numbers(spec, layout)
+    right = view_yaw(np.asarray(layout.extent))
+    turns = [2 * np.arctan2(geom.quat[3], geom.quat[0]) for geom in spec.geoms]
+    assert len(turns) >= int(layout.bay_mask.sum())
+    assert (np.cos(np.array(turns) - right) > -0.01).all()

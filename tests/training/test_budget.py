@@ -149,7 +149,8 @@ def test_a_run_says_before_how_long_it_takes(tmp_path, capsys):
     )
     resumed = announcement(cpu, 1000, 90.0)
     left = cpu.minutes - 1.5
-    assert resumed.startswith(f"trains for at most {left:g} min or 41.8 M steps, ")
+    steps = (cpu.num_steps - 1000 * cpu.steps_per_update) / 1e6
+    assert resumed.startswith(f"trains for at most {left:g} min or {steps:.1f} M steps")
     assert estimate(cpu, 0, 30.0, 80_000.0) == "at 80,000 steps/s: 10.9 min, 50 M steps"
 
 

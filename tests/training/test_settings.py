@@ -7,6 +7,7 @@ import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.files import write_json
+from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.studies.tanner.environments import TANNER_FIXED
 from carpark_mj.studies.tanner.q_learning.presets import Q_PRESETS, Q_SUMMARIES
 from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
@@ -77,7 +78,7 @@ def test_the_short_help_lists_the_run_and_names_the_rest(capsys):
         assert printed.count("\n") < 70
         for field in dataclasses.fields(PRESETS["cpu"]):
             assert f"--{field.name.replace('_', '-')}" in printed
-        assert "where runs are kept" in printed
+        assert printed.count("(default: ") == len(RUN_SETTINGS) + 1 - 2
         assert all(f"\n    {name} " in printed for name in PRESETS)
         assert "--env.num-agents" not in printed
 
