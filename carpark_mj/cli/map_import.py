@@ -25,8 +25,8 @@ class ImportConfig:
     """Settings of `carpark_mj layouts import`.
 
     Attributes:
-        map: file to read: Lanelet2 or OpenStreetMap (`.osm`, `.xml`), or GeoJSON
-            (`.geojson`, `.json`).
+        map: file to read: Lanelet2 or OpenStreetMap (`.osm`, `.xml`), GeoJSON
+            (`.geojson`, `.json`), or a drawing (`.dxf`).
         out: layout file to write.
         crop: x and y of two opposite corners [m] of the part to take, in the frame of
             the whole lot.
@@ -43,14 +43,15 @@ class ImportConfig:
 
 def make(config: ImportConfig) -> None:
     """Reads the map, writes the layout file and says what was left out."""
+    require_writable(Path(config.out))
     try:
         from carpark_mj.maps.importing import import_map
-    except ImportError as error:
+
+        layout, report = import_map(Path(config.map))
+    except ImportError as error:  # each format imports its own
         raise ValueError(
             f"maps need {error.name}: pip install 'carpark_mj[maps]'"
         ) from None
-    require_writable(Path(config.out))
-    layout, report = import_map(Path(config.map))
     if config.crop is not None:
         layout = crop(layout, config.crop)
     text = layout_text(layout)

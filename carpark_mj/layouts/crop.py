@@ -6,18 +6,19 @@ from typing import Any
 import jax
 import numpy as np
 
-from carpark_mj.geometry import box_corners
+from carpark_mj.geometry import box_corners, point_box_distance
 from carpark_mj.layouts.types import ROWS, Layout
 
 SHORTEST = 1.0  # m of what is left of a lane
+ASIDE = 1.0  # m that the lane in front of a bay may be farther away in the part
 THINNEST = 0.05  # m of what is left of a wall or a spawn region
 
 
 def crop(layout: Layout, corners: tuple[float, float, float, float]) -> Layout:
     """The part of a lot between two corners, its middle at the origin.
 
-    Bays and discs are kept whole or not at all; walls, lanes and spawn regions end
-    where their centre lines leave the part.
+    Bays and discs are kept whole or not at all, bays only with the lane in front of
+    them; walls, lanes and spawn regions end where their centre lines leave the part.
 
     Args:
         layout: no batch dimension.
@@ -52,6 +53,10 @@ def crop(layout: Layout, corners: tuple[float, float, float, float]) -> Layout:
         pose[:, :2] += ahead * ((back + front) / 2)[:, None]
         masks[row] = front - back > np.minimum(least, size[:, 0] / 2)
         size[:, 0] = front - back
+    if len(plan.lane_mask):
+        cut = fields["lane_pose"], fields["lane_size"], masks["lane"] & plan.lane_mask
+        before = _to_lane(plan, plan.lane_pose, plan.lane_size, plan.lane_mask)
+        masks["bay"] = masks["bay"] & (_to_lane(plan, *cut) < before + ASIDE)
     for row in ROWS:
         keep = fields[f"{row}_mask"] & masks[row]
         for name in fields:
@@ -69,6 +74,15 @@ def crop(layout: Layout, corners: tuple[float, float, float, float]) -> Layout:
                 f"{(-plan.extent).tolist()} to {plan.extent.tolist()}"
             )
     return Layout(**fields)
+
+
+def _to_lane(plan: Any, pose: Any, size: Any, mask: np.ndarray) -> np.ndarray:
+    """Distance (bays,) from the front end of each bay to the nearest lane [m]."""
+    bays = plan.bay_pose
+    ahead = np.stack([np.cos(bays[:, 2]), np.sin(bays[:, 2])], axis=-1)
+    front = bays[:, :2] + plan.bay_size[:, :1] / 2 * ahead
+    gap = np.asarray(point_box_distance(front, pose[:, None], size[:, None]))
+    return np.where(mask[:, None], gap, np.inf).min(axis=0)
 
 
 def _within(

@@ -40,7 +40,8 @@ class Report:
         unknown: numbers of unknown elements by kind.
         outside: shapes left out because they lie outside the drivable part, by tag.
         errors: between the outlines of spots and of their bays [m].
-        stretched: names of spots lengthened into the aisle to hold the car.
+        stretched: names of spots lengthened into the aisle to hold the car, and left to
+            parked cars.
         turned: angle by which the map was turned to the rows of its bays [rad].
     """
 
@@ -64,7 +65,8 @@ class Report:
         if self.stretched:
             lines.append(
                 f"{len(self.stretched)} spots lengthened by at most {STRETCH:g} m into "
-                f"the aisle to hold the car: {', '.join(self.stretched)}"
+                f"the aisle to hold the car, for parked cars only: "
+                f"{', '.join(self.stretched)}"
             )
         for what, counts in (
             ("outside the drivable part", self.outside),
@@ -190,7 +192,7 @@ def _bays(
         if short:
             report.stretched.append(one.name)
         taken.append(free.shape)
-        found.append((free, one.kind))
+        found.append((free, BayKind.RESERVED if short else one.kind))
     return found
 
 

@@ -137,10 +137,13 @@ def _cuts(polygon: Any) -> Iterator[Any]:
     before, after = corners - np.roll(corners, 1, 0), np.roll(corners, -1, 0) - corners
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     turn = np.arctan2(cross, (before * after).sum(axis=1))
+    bisector = (
+        before / np.hypot(*before.T)[:, None] - after / np.hypot(*after.T)[:, None]
+    )
     found = []
     for corner in np.flatnonzero(turn < -REFLEX):
         x, y = corners[corner]
-        for dx, dy in (before[corner], -after[corner]):
+        for dx, dy in (before[corner], -after[corner], bisector[corner]):
             ray = _line(x, y, math.atan2(dy, dx), reach)
             inside = shapely.get_parts(ray.intersection(polygon))
             inside = inside[shapely.length(inside) > EPSILON]
@@ -151,8 +154,8 @@ def _cuts(polygon: Any) -> Iterator[Any]:
                 found.append((first.length, x, y, math.atan2(dy, dx)))
     if found:
         length, x, y, yaw = min(found)
-        x, y = x - EPSILON * math.cos(yaw), y - EPSILON * math.sin(yaw)
-        yield _line(x, y, yaw, length + 2 * EPSILON)
+        # From the corner itself: beside an edge it would not meet the polygon.
+        yield _line(x, y, yaw, length + EPSILON)
 
 
 def _line(x: float, y: float, yaw: float, reach: float, both: bool = False) -> Any:

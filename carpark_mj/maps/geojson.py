@@ -7,16 +7,15 @@ member `crs` names.
 
 import json
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import shapely
 from shapely.errors import ShapelyError
 
-from carpark_mj.maps.features import LINE_THICKNESS, Plan, Tag
-from carpark_mj.maps.features import Feature as MapFeature
+from carpark_mj.maps.features import Plan
 from carpark_mj.maps.frame import WGS84, to_metres
-from carpark_mj.maps.openstreetmap import add_by_tags
+from carpark_mj.maps.tagged import add_tagged
 from carpark_mj.reading import parse_object, read_text
 
 
@@ -55,7 +54,7 @@ def geojson_features(path: Path) -> Plan:
     )
     plan = Plan()
     for name, shape, tags in zip(names, placed, properties, strict=True):
-        _add(plan, name, shape, tags)
+        add_tagged(plan, name, shape, tags)
     return plan
 
 
@@ -68,24 +67,3 @@ def _system(data: dict[str, Any]) -> str:
         return str(crs["properties"]["name"])
     except (TypeError, KeyError):
         raise ValueError(f"crs must have properties with a name, not {crs}") from None
-
-
-def _add(plan: Plan, name: str, shape: Any, tags: dict[str, Any]) -> None:
-    tag = tags.get("tag")
-    if tag is None:
-        add_by_tags(plan, name, tags, shape)
-    elif tag not in get_args(Tag):
-        plan.unknown[f"tag={tag}"] += 1
-    elif tag == "lane":
-        road = {"highway": "service", "width": tags.get("width")}
-        road["oneway"] = "yes" if tags.get("one_way") else "no"
-        add_by_tags(plan, name, road, shape)
-    else:
-        if not shape.area and tag in ("wall", "kerb", "pillar"):
-            shape = shape.buffer(LINE_THICKNESS / 2)
-        if shape.area:
-            plan.features.append(MapFeature(tag, shapely.make_valid(shape), name))
-        elif tag == "bay":
-            plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
-        else:
-            plan.unknown[f"{tag} that is no area"] += 1

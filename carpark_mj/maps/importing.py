@@ -6,11 +6,11 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.maps.assemble import Report, assemble
 from carpark_mj.maps.features import Plan
 
-FORMATS = (".osm", ".xml", ".geojson", ".json")
+FORMATS = (".osm", ".xml", ".geojson", ".json", ".dxf")
 
 
 def import_map(path: Path) -> tuple[Layout, Report]:
-    """Reads a map, Lanelet2 or OpenStreetMap in OSM XML, or GeoJSON.
+    """Reads a map: Lanelet2 or OpenStreetMap in OSM XML, GeoJSON, or DXF.
 
     Raises:
         ValueError: no such map, or no valid lot in it; the message names the file.
@@ -37,6 +37,10 @@ def read_plan(path: Path) -> Plan:
         from carpark_mj.maps.geojson import geojson_features
 
         return geojson_features(path)
+    if suffix == ".dxf":
+        from carpark_mj.maps.dxf import dxf_features
+
+        return dxf_features(path)
     from carpark_mj.maps.lanelet2 import is_lanelet2, lanelet2_features
     from carpark_mj.maps.openstreetmap import osm_features
     from carpark_mj.maps.osm_xml import read_osm_xml

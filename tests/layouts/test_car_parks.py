@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from helpers.scenes import polygons
 
-from carpark_mj.layouts import layout_config
+from carpark_mj.layouts import car_park, layout_config
+from carpark_mj.layouts.car_park import random_parts
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.routes import make_routes
 
@@ -46,9 +47,25 @@ def test_a_crop_holds_the_bays_between_its_corners(name):
 
     region = shapely.box(*CORNERS)
     inside = region.covers(polygons(whole.bay_pose, whole.bay_size))
-    moved = part.bay_pose[:, :2] + (low + high) / 2
-    assert np.allclose(moved, whole.bay_pose[inside, :2], atol=1e-4)
+    # Bays of lanes outside are left out; none has a lane that is farther away.
+    before = dict(zip(map(tuple, _places(whole)), _gaps(whole), strict=True))
+    drawn = {tuple(place) for place in _places(whole)[inside]}
+    moved = _places(part, (low + high) / 2)
+    assert {*map(tuple, moved)} <= drawn
     assert 0 < len(moved) < BAYS[name]
+    for place, gap in zip(moved, _gaps(part), strict=True):
+        assert gap < before[tuple(place)] + 1.01
+    assert len(moved) > 0.5 * len(drawn)
+
+
+def _places(lot, shift=(0.0, 0.0)):
+    return np.round(lot.bay_pose[:, :2] + np.array(shift), 2)
+
+
+def _gaps(lot):
+    ahead = np.stack([np.cos(lot.bay_pose[:, 2]), np.sin(lot.bay_pose[:, 2])], axis=-1)
+    fronts = lot.bay_pose[:, :2] + ahead * lot.bay_size[:, :1] / 2
+    return _to_lanes(fronts, polygons(lot.lane_pose, lot.lane_size))
 
 
 @pytest.mark.parametrize(
@@ -73,3 +90,22 @@ def test_a_lot_is_first_read_within_a_traced_function(name):
     config = layout_config(name).crop(*CORNERS[:3], 32.0)
     drawn = jax.jit(config.generate)(jax.random.key(0))
     assert np.array_equal(drawn.bay_pose, config.layout.bay_pose)
+
+
+@pytest.mark.parametrize("name", BAYS)
+def test_random_parts_have_bays_enough_and_routes_to_all(name):
+    parts = random_parts(name, (60.0, 45.0), 2, seed=1, min_bays=20)
+    assert parts == random_parts(name, (60.0, 45.0), 2, seed=1, min_bays=20)
+    assert parts[0] != parts[1]
+    for part in parts:
+        assert np.allclose(part.layout.extent, (30.0, 22.5))
+        assert part.min_bays >= 20
+        assert describe_faults(part.layout) == []
+
+
+@pytest.mark.parametrize("impossible", [{"size": (300.0, 45.0)}, {"min_bays": 200}])
+def test_parts_that_a_car_park_has_not_are_refused(monkeypatch, impossible):
+    monkeypatch.setattr(car_park, "DRAWS", 3)
+    wanted = {"size": (60.0, 45.0), "count": 1, **impossible}
+    with pytest.raises(ValueError, match="choose another size"):
+        random_parts("san_jose", **wanted)

@@ -1,17 +1,22 @@
 """Maps become layouts: a known lot comes back from every format, faults are refused."""
 
+import io
 import json
 import math
+import sys
 
 import numpy as np
 import pytest
 import shapely
 from helpers.mutating import damaged, with_junk
+from shapely import affinity
 
 from carpark_mj.cli.layouts import main
 from carpark_mj.layouts.json_file import read_json
+from carpark_mj.layouts.types import BayKind
 
 pytest.importorskip("pyproj")
+pytest.importorskip("ezdxf")
 
 from carpark_mj.maps import assemble as assembling
 from carpark_mj.maps.fit import boxes, cut_free
@@ -133,10 +138,39 @@ def geojson(bays=BAYS):
     }
 
 
+def dxf(bays=BAYS, units=4):
+    """A drawing in millimetres, its bays blocks that were inserted."""
+    import ezdxf
+
+    drawing = ezdxf.new("R2000", units=units)
+    model, block = drawing.modelspace(), drawing.blocks.new("BAY")
+    outline = [(0, 0), (1000 * WIDTH, 0), (1000 * WIDTH, 5000), (0, 5000)]
+    block.add_lwpolyline(outline, close=True)
+    turned = math.degrees(TURN)
+
+    def at(points):
+        return [ezdxf.math.Vec2(p).rotate(TURN) * 1000 for p in points]
+
+    for bay in bays:
+        [corner] = at(bay[:1])
+        model.add_blockref("BAY", corner, {"layer": "Parking bays", "rotation": turned})
+    model.add_lwpolyline(at(WALL[:-1]), close=True, dxfattribs={"layer": "A-WALL-EXTR"})
+    model.add_lwpolyline(at(FAR[:-1]), close=True, dxfattribs={"layer": "A-WALL-EXTR"})
+    model.add_lwpolyline(
+        at(LANE[::-1]),
+        dxfattribs={"layer": "LANES_ONE_WAY", "const_width": 1000 * LANE_WIDTH},
+    )
+    model.add_line((0, 0), (1, 1), {"layer": "power"})
+    text = io.StringIO()
+    drawing.write(text)
+    return text.getvalue()
+
+
 TEXTS = {
     "lanelet2.osm": lanelet2,
     "openstreetmap.osm": openstreetmap,
     "lot.geojson": lambda bays=BAYS: json.dumps(geojson(bays)),
+    "lot.dxf": dxf,
 }
 
 
@@ -227,6 +261,8 @@ BROKEN = {
         json.dumps(geojson() | {"crs": {"properties": {"name": "EPSG:0"}}}),
         "EPSG:0",
     ),
+    "no DXF": ("a.dxf", "0\nSECTION\n", "no DXF"),
+    "no unit": ("a.dxf", dxf(units=0), "$INSUNITS"),
     "another format": ("a.svg", "", ".geojson"),
 }
 
@@ -242,6 +278,14 @@ def test_what_is_no_map_is_refused_in_one_sentence(tmp_path, capsys, fault):
     assert str(path) in error
     assert "\n" not in error
     assert not out.exists()
+
+
+def test_a_missing_library_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "ezdxf", None)
+    monkeypatch.delitem(sys.modules, "carpark_mj.maps.dxf", raising=False)
+    path = write(tmp_path, "a.dxf", "")
+    assert main(["import", str(path), "--out", str(tmp_path / "lot.json")]) == 2
+    assert "maps need ezdxf: pip install" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", TEXTS)
@@ -288,6 +332,7 @@ def test_a_spot_a_little_too_short_is_lengthened_into_the_aisle(tmp_path):
     lot, report = import_map(write(tmp_path, "a.osm", openstreetmap([*BAYS, short])))
     assert len(report.stretched) == 1
     assert report.stretched[0] in str(report)
+    assert np.asarray(lot.bay_kind).tolist() == [*[0] * COUNT, BayKind.RESERVED]
     # Its end away from the lane, whose line is y = 0 of the drawing, stays.
     [lane] = np.asarray(lot.lane_pose)
     aside = np.array([-math.sin(lane[2]), math.cos(lane[2])])
@@ -310,6 +355,13 @@ def test_rectangles_cover_a_polygon_and_little_else(name):
     cover = shapely.union_all([box.shape for box in boxes(shape)])
     assert shape.difference(cover).area < 1e-3
     assert cover.difference(shape.buffer(0.8)).area == 0
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.6, 1.1, 1.9, 2.6, 3.7])
+def test_right_angles_are_cut_at_their_corners(turn):
+    stair = SHAPES["L"].union(shapely.box(-6, 7, 1, 8))
+    shape = affinity.rotate(stair, turn, use_radians=True)
+    assert len([*boxes(shape)]) == 3
 
 
 def test_a_rectangle_cut_free_keeps_the_most_that_it_can():

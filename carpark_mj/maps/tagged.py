@@ -1,0 +1,38 @@
+"""Shapes that name what they are by a tag of ours."""
+
+from collections.abc import Mapping
+from typing import Any, get_args
+
+import shapely
+
+from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan, Tag
+from carpark_mj.maps.openstreetmap import add_by_tags
+
+
+def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> None:
+    """Adds a shape by its `tag`, or by the tags of OpenStreetMap if it has none.
+
+    Args:
+        plan: to add to.
+        name: of the shape.
+        shape: of shapely [m].
+        tags: `tag`, one of `features.Tag`; of lanes `width` [m] and `one_way` too.
+    """
+    tag = tags.get("tag")
+    if tag is None:
+        add_by_tags(plan, name, tags, shape)
+    elif tag not in get_args(Tag):
+        plan.unknown[f"tag={tag}"] += 1
+    elif tag == "lane":
+        road = {"highway": "service", "width": tags.get("width")}
+        road["oneway"] = "yes" if tags.get("one_way") else "no"
+        add_by_tags(plan, name, road, shape)
+    else:
+        if not shape.area and tag in ("wall", "kerb", "pillar"):
+            shape = shape.buffer(LINE_THICKNESS / 2)
+        if shape.area:
+            plan.features.append(Feature(tag, shapely.make_valid(shape), name))
+        elif tag == "bay":
+            plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
+        else:
+            plan.unknown[f"{tag} that is no area"] += 1
