@@ -24,7 +24,7 @@ if sys.argv[:1] == ["-m"]:
 
         prepare(command[1])
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _HOMES = {
     "ContinuousObservation": "carpark_mj.observations",
