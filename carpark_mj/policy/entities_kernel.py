@@ -54,7 +54,7 @@ def largest(
     there = jnp.pad(there, ((0, 0), (0, more)))
     (kernel, bias), norm, second = layers
     kernel = jnp.pad(kernel, ((0, width - size), (0, 0)))
-    found = _largest(
+    found: Any = _largest(
         _How(dtype, interpret), rows, there, (kernel, bias, *norm, *second)
     )
     return found[:samples].reshape(*lead, -1)
