@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Generator
 from typing import Any
 
+from rich import get_console
 from rich.progress import (
     BarColumn,
     Progress,
@@ -65,6 +66,7 @@ class Loop:
         self._config = config
         self._clock = clock
         self._started = self._saved = self._printed = clock()
+        console = get_console()
         self._bar = Progress(
             TextColumn(f"[bold]{title}"),
             BarColumn(bar_width=24),
@@ -73,6 +75,10 @@ class Loop:
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(),
+            console=console,
+            # A bar redirects what is printed. In a notebook, showing a line flushes
+            # that, and so itself, for ever once a callback has printed part of a line.
+            disable=console.is_jupyter,
         )
 
     @contextlib.contextmanager
