@@ -12,10 +12,8 @@ from typing import get_args
 import pytest
 from helpers.cars import ROAD_CARS
 from helpers.rules import LIMITS
-from PIL import Image, ImageSequence
 
 import carpark_mj
-import gallery
 from carpark_mj.cli.analysis import AnalysisConfig
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.export import ExportConfig
@@ -67,7 +65,6 @@ README, MDP, DEPLOYMENT, VEHICLE = (
     (ROOT / name).read_text()
     for name in ("README.md", "docs/mdp.md", "docs/deployment.md", "docs/vehicle.md")
 )
-CLIPS = gallery.commands(gallery.PAGE.read_text())
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
 # Configs of the commands; those of other scripts in eval are looked up in them.
@@ -179,25 +176,6 @@ def test_the_readme_has_rows_of_the_physics_table():
 def test_the_readme_fits_on_two_screens():
     assert len(README.splitlines()) <= 120
     assert f"**{observation_size(EnvConfig())} numbers**" in README
-
-
-@pytest.mark.parametrize("clip", sorted(CLIPS))
-def test_a_clip_is_as_large_and_long_as_its_command_makes_it(clip):
-    config = read_flags(RenderConfig, CLIPS[clip])
-    path = ROOT / "docs" / clip
-    assert path.stat().st_size < 1e6
-    with Image.open(path) as gif:
-        lasts = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
-        assert gif.size == (config.width, config.height)
-    assert sum(lasts) == pytest.approx(1000 * config.seconds, abs=1000 / config.fps)
-    assert min(lasts) == 1000 / config.fps
-
-
-def test_the_pictures_of_the_gallery_are_those_its_commands_make():
-    shown = re.findall(r"\]\((\S+\.gif)\)", (ROOT / "docs" / "gallery.md").read_text())
-    assert sorted(shown) == sorted(CLIPS)
-    assert set(gallery.MOSAIC) <= set(CLIPS)
-    assert (ROOT / "docs" / "mosaic.gif").stat().st_size < 3e6
 
 
 def test_the_parked_rules_are_those_in_force():

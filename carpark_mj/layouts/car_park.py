@@ -12,6 +12,7 @@ import numpy as np
 from carpark_mj.config.layouts import LayoutConfig, register_layout
 from carpark_mj.layouts.crop import crop
 from carpark_mj.layouts.dragon_lake import dragon_lake
+from carpark_mj.layouts.fixed import FixedLayoutConfig
 from carpark_mj.layouts.json_file import read_json
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
@@ -26,7 +27,7 @@ CAR_PARKS: dict[str, Callable[[], Layout]] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class CarParkConfig(LayoutConfig):
+class CarParkConfig(FixedLayoutConfig):
     """A real car park, read when it is first used.
 
     Attributes:
@@ -59,26 +60,6 @@ class CarParkConfig(LayoutConfig):
     def layout(self) -> Layout:
         """The lot, as numpy arrays."""
         return _made(self.name, self.corners)
-
-    @property
-    def is_enclosed(self) -> bool:
-        """No: not all of the ground is within walls."""
-        return False
-
-    @property
-    def min_bays(self) -> int:
-        """The fewest bays that any key gives."""
-        return int(self.layout.bay_mask.sum())
-
-    @property
-    def is_random(self) -> bool:
-        """Whether other keys give other lots."""
-        return False
-
-    def generate(self, key: jax.Array) -> Layout:
-        """The lot; the key is unused."""
-        del key
-        return jax.tree.map(jnp.asarray, self.layout)
 
 
 @functools.cache

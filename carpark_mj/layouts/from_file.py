@@ -6,21 +6,20 @@ import hashlib
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 
-from carpark_mj.config import LayoutConfig
 from carpark_mj.config.layouts import (
     FAMILIES,
     LAYOUT_FORMATS,
     layout_format,
     require_layout_file,
 )
+from carpark_mj.layouts.fixed import FixedLayoutConfig
 from carpark_mj.layouts.types import Layout
 from carpark_mj.reading import read_bytes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class FromFileConfig(LayoutConfig):
+class FromFileConfig(FixedLayoutConfig):
     """A layout file, read when the config is made.
 
     Configs are equal if paths and contents are equal; a changed file gives another
@@ -62,31 +61,6 @@ class FromFileConfig(LayoutConfig):
     def layout(self) -> Layout:
         """As the file had it when the config was made."""
         return _read(self.path, self._content)
-
-    @property
-    def is_enclosed(self) -> bool:
-        """False, because it is unknown."""
-        return False
-
-    @property
-    def min_bays(self) -> int:
-        """The fewest bays that any key gives."""
-        return int(self.layout.bay_mask.sum())
-
-    @property
-    def min_goals(self) -> int:
-        """The fewest bays that any key gives that are not reserved for parked cars."""
-        return int(self.layout.goal_mask.sum())
-
-    @property
-    def is_random(self) -> bool:
-        """False: the lot does not depend on the key."""
-        return False
-
-    def generate(self, key: jax.Array) -> Layout:
-        """The layout of the file; the key is unused."""
-        del key
-        return jax.tree.map(jnp.asarray, self.layout)
 
 
 @functools.cache

@@ -109,3 +109,10 @@ def test_parts_that_a_car_park_has_not_are_refused(monkeypatch, impossible):
     wanted = {"size": (60.0, 45.0), "count": 1, **impossible}
     with pytest.raises(ValueError, match="choose another size"):
         random_parts("san_jose", **wanted)
+
+
+def test_reserved_bays_are_no_goals():
+    """Ten spots of the map are too short for a car to park strictly in them."""
+    config = layout_config("san_jose")
+    assert config.min_goals == config.min_bays - 10
+    assert layout_config("dragon_lake").min_goals == BAYS["dragon_lake"]

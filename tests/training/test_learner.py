@@ -23,7 +23,6 @@ from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import OWN
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import MIN_STD
-from carpark_mj.training.ppo import learner as learners
 from carpark_mj.training.ppo.advantages import compute_advantages
 from carpark_mj.training.ppo.collect import Rollout
 from carpark_mj.training.ppo.epochs import learn, network_params
@@ -393,15 +392,3 @@ def test_a_non_finite_update_is_dropped_whole(learner, update):
         np.testing.assert_allclose(same, first, atol=1e-7)
         np.testing.assert_allclose(mean, first + (last - first) / 3, atol=1e-7)
         assert np.abs(mean - last).max() > 1e-5
-
-
-@pytest.mark.parametrize("half", [False, True])
-def test_on_a_gpu_sets_are_encoded_in_the_kernel(monkeypatch, half):
-    monkeypatch.setattr(learners, "has_triton", lambda: True)
-    networks = NetworkConfig((16,), (16,), own_size=8, entity_size=16)
-    config = dataclasses.replace(TINY, networks=networks, half_precision=half)
-    learner = Learner(config)
-    traced = learner.compile().trace(learner.shapes())
-    program = str(traced.jaxpr)
-    assert "name=entities_gradient" in program
-    assert ("bf16" in program) == half

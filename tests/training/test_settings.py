@@ -7,7 +7,6 @@ import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.files import write_json
-from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.studies.tanner.environments import TANNER_FIXED
 from carpark_mj.studies.tanner.q_learning.presets import Q_PRESETS, Q_SUMMARIES
 from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
@@ -46,11 +45,6 @@ def test_agents_that_stay_put_are_refused():
     still = EnvConfig(episode=EpisodeConfig(respawn=False))
     with pytest.raises(ValueError, match=r"PPO needs env\.episode\.respawn = True"):
         PPOConfig(env=still)
-
-
-def test_half_precision_of_a_flat_encoder_is_refused():
-    with pytest.raises(ValueError, match=r"half_precision needs .*'set', not 'flat'"):
-        PPOConfig(half_precision=True, networks=NetworkConfig(encoder="flat"))
 
 
 def test_other_trainers_have_their_own_presets():
