@@ -23,7 +23,7 @@ FLOORS = (
     ("obstacles",),
     ("observations", "scene"),
     ("mdp", "physics"),
-    ("fleet",),
+    ("fleet", "identification"),
     ("episodes",),
     ("env",),
     ("tasks",),
