@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
@@ -108,7 +108,8 @@ def run(config: IdentificationConfig) -> None:
 
 def _print(rows: list[dict], kind: str) -> None:
     """The first seed's numbers, and how many of all intervals cover the truth."""
-    table = Table("parameter", "true", "found", "95 % interval", "told", "covered")
+    names = "parameter", "true", "found", "95 % interval", "told", "covered"
+    table = Table(*(Column(name, no_wrap=True) for name in names))
     for name in Sought._fields:
         mine = [row for row in rows if row["parameter"] == name]
         told = [row for row in mine if row["told"]]

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import tyro
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
@@ -76,9 +76,8 @@ def look(config: IdentifyConfig) -> None:
 
 
 def _print(found: Identification, log: DriveLog) -> None:
-    table = Table("parameter", "value", "95 % interval", "belongs to")
-    for column in table.columns[:3]:
-        column.no_wrap = True
+    names = "parameter", "value", "95 % interval", "belongs to"
+    table = Table(*(Column(name, no_wrap=name != names[-1]) for name in names))
     for name, estimate in found.estimates.items():
         low, high = (estimate.value + s * estimate.error for s in (-1, 1))
         table.add_row(
