@@ -1,6 +1,6 @@
 // The editor: buttons, keys, the panel of fields, and the server, which checks and saves.
 
-import { Lot, place, poseOf, resize } from "./lot.js";
+import { Lot } from "./lot.js";
 import { Pointers, TOOLS } from "./tools.js";
 import { View } from "./view.js";
 
@@ -8,6 +8,7 @@ const AGAIN = 2000; // ms until a lost server is tried again
 const GRID = 0.5; // m, if it is switched on
 const ANGLES = [90, 75, 60, 45, 30, 0]; // of bays to the aisle [degrees]
 const MOST_PLACES = 3; // that a fault names
+const ENDED = "The editor's server has ended: changes are not kept";
 const byId = (id) => document.getElementById(id);
 const element = (name, properties, ...children) => {
   const made = Object.assign(document.createElement(name), properties);
@@ -45,7 +46,7 @@ async function send(action) {
   }
   [busy, waiting, sent] = [true, "", lot.text];
   const answer = await fetch(action, { method: "POST", body: sent }).catch(() => null);
-  const { faults, error } = (await answer?.json()) ?? { error: "The editor's server has ended: changes are not kept" };
+  const { faults, error } = (await answer?.json()) ?? { error: ENDED };
   if (error) say(error, true);
   else report(action, faults);
   if (!answer) {
@@ -82,37 +83,38 @@ function showFaults(faults) {
   byId("faults").replaceChildren(...(entries.length ? entries : [element("li", {}, "No faults.")]));
 }
 
-// What the panel shows of a row: a title, and how to read and to change it.
-const pose = (k, unit = 1) => [(row) => poseOf(row)[k] * unit, (row, value) => place(row, poseOf(row).with(k, value / unit))];
-const side = (k) => [(row) => row.size?.[k], (row, value) => resize(row, row.size.with(k, value))];
-const ground = (k) => [(lot) => lot.extent && 2 * lot.extent[k], (lot, value) => { lot.extent = lot.extent.with(k, value / 2); }];
-const part = (name) => [(row) => row[name], (row, value) => { row[name] = value; }];
+// What the panel shows of a row: a title, where the value is, and its unit.
 const FIELDS = {
-  x: ["x [m]", ...pose(0)], y: ["y [m]", ...pose(1)], heading: ["heading [°]", ...pose(2, 180 / Math.PI)],
-  angle: ["angle to the aisle [°]", ...part("angle")], length: ["length [m]", ...side(0)], width: ["width [m]", ...side(1)],
-  radius: ["radius [m]", ...part("radius")], kind: ["kind", ...part("kind")], end: ["end", ...part("end")],
-  along_x: ["along x [m]", ...ground(0)], along_y: ["along y [m]", ...ground(1)],
-  one_way: ["one way", ...part("one_way")], spread: ["spread [rad]", ...part("spread")],
+  x: ["x [m]", "pose", 0], y: ["y [m]", "pose", 1], u: ["x [m]", "centre", 0], v: ["y [m]", "centre", 1],
+  heading: ["heading [°]", "pose", 2, Math.PI / 180], angle: ["angle to the aisle [°]", "angle"],
+  length: ["length [m]", "size", 0], width: ["width [m]", "size", 1], radius: ["radius [m]", "radius"],
+  kind: ["kind", "kind"], end: ["end", "end"], one_way: ["one way", "one_way"], spread: ["spread [rad]", "spread"],
+  along_x: ["along x [m]", "extent", 0, 0.5], along_y: ["along y [m]", "extent", 1, 0.5],
 };
+const valueOf = (row, [, part, k, unit = 1]) => (k === undefined ? row[part] : row[part] && row[part][k] / unit);
+function write(row, [, part, k, unit = 1], value) {
+  row[part] = k === undefined ? value : row[part].with(k, Number((value * unit).toFixed(6)));
+}
 
 // The panel: fields of what is selected, of what the tool draws, or of the ground.
-function field(name, value, set, choices) {
-  const kind = typeof value === "boolean" ? { type: "checkbox", checked: value } : { type: "number", step: "any", value: Number(value).toFixed(4) / 1 };
+function field(title, value, set, choices) {
   const options = choices?.map((choice) => element("option", { selected: choice === value }, choice));
-  const input = choices ? element("select", {}, ...options) : element("input", kind);
+  const input = choices ? element("select", {}, ...options) : element("input", { type: "number", step: "any" });
+  if (typeof value === "boolean") Object.assign(input, { type: "checkbox", checked: value });
+  else if (!choices) input.value = Number(value.toFixed(4));
   input.addEventListener("change", () => {
-    const given = choices ? choices[input.selectedIndex] : input.type === "checkbox" ? input.checked : input.valueAsNumber;
+    const typed = input.type === "checkbox" ? input.checked : input.valueAsNumber;
+    const given = choices ? choices[input.selectedIndex] : typed;
     if (Number.isNaN(given)) showFields();
     else set(given);
   });
-  return element("label", {}, name, input);
+  return element("label", {}, title, input);
 }
 function fieldsOf(list, rows, names, done) {
-  const shown = names.filter((name) => FIELDS[name][1](rows[0]) !== undefined);
-  return shown.map((name) => {
-    const [title, read, write] = FIELDS[name];
+  return names.filter((name) => valueOf(rows[0], FIELDS[name]) !== undefined).map((name) => {
     const choices = name === "angle" ? ANGLES : opened.choices[list]?.[name];
-    return field(title, read(rows[0]), (given) => { rows.forEach((row) => write(row, given)); done(); }, choices);
+    const set = (given) => { rows.forEach((row) => write(row, FIELDS[name], given)); done(); };
+    return field(FIELDS[name][0], valueOf(rows[0], FIELDS[name]), set, choices);
   });
 }
 function showFields() {
@@ -121,7 +123,7 @@ function showFields() {
   let [title, shown] = ["Ground", ["ground", [lot.document], ["along_x", "along_y"], () => lot.commit()]];
   if (ids.length) {
     title = ids.length === 1 ? nameOf(ids[0]) : `${ids.length} selected`;
-    const names = Object.keys(FIELDS).slice(ids.length === 1 ? 0 : 2); // without x and y
+    const names = Object.keys(FIELDS).slice(ids.length === 1 ? 0 : 4); // without x and y
     shown = [list, rows, ids.every((id) => id.startsWith(list)) ? names : [], () => lot.commit()];
   } else if (tool.make) [title, shown] = [tool.name, [tool.list, [tool.model], tool.fields, () => {}]];
   const inputs = () => [...byId("fields").querySelectorAll("input, select")];
@@ -170,7 +172,10 @@ addEventListener("keydown", (event) => {
   work();
 });
 for (const button of document.querySelectorAll("[data-do]")) button.addEventListener("click", act[button.dataset.do]);
-TOOLS.forEach(({ name }, k) => byId("tools").append(element("button", { onclick: () => choose(k) }, name, element("kbd", {}, k + 1))));
+TOOLS.forEach(({ name }, k) => {
+  byId("tools").append(element("button", { onclick: () => choose(k) }, name, element("kbd", {}, k + 1)));
+});
 byId("grid").addEventListener("change", () => { editor.grid = Number(byId("grid").value); });
 new ResizeObserver(() => { view.show(view.box); draw(); }).observe(byId("plan"));
+say("Checking …");
 choose(0);

@@ -44,18 +44,22 @@ const pillar = (a, b, model) => [like(model, [...a, 0], [2 * model.radius])];
 
 const box = (size, rest) => ({ pose: [0, 0, -Math.PI / 2], size, ...rest });
 const BAY = { kind: "standard", end: "either" };
+const SIDES = ["length", "width", "kind", "end"];
+// `fields` of the model are in the panel; `point`: drawn where the pointer is pressed.
 export const TOOLS = [
   { name: "Select", hint: "Click or drag a frame to select, drag to move, pull handles to resize and turn." },
-  { name: "Row of bays", list: "bays", make: bays, model: box([5, 2.5], { ...BAY, angle: 90 }), fields: ["angle", "length", "width", "kind", "end"],
-    hint: "Drag along the edge of the aisle: bays fill the left of the line." },
-  { name: "Bay", list: "bays", make: bay, point: true, model: box([5, 2.5], BAY), fields: ["heading", "length", "width", "kind", "end"],
-    hint: "Press at the bay's centre and drag towards the aisle." },
-  { name: "Wall", list: "walls", make: strip, model: box([1, 0.2], { kind: "wall" }), fields: ["width", "kind"], hint: "Drag from end to end." },
-  { name: "Kerb", list: "walls", make: strip, model: box([1, 0.2], { kind: "kerb" }), fields: ["width", "kind"], hint: "Drag from end to end." },
-  { name: "Pillar", list: "discs", make: pillar, point: true, model: { centre: [0, 0], radius: 0.25, kind: "pillar" }, fields: ["radius", "kind"],
-    hint: "Click at the centre." },
-  { name: "Lane", list: "lanes", make: strip, model: box([1, 6], { one_way: false }), fields: ["width", "one_way"],
-    hint: "Drag along the centre line, in the direction of travel." },
+  { name: "Row of bays", list: "bays", make: bays, model: box([5, 2.5], { ...BAY, angle: 90 }),
+    fields: ["angle", ...SIDES], hint: "Drag along the edge of the aisle: bays fill the left of the line." },
+  { name: "Bay", list: "bays", make: bay, point: true, model: box([5, 2.5], BAY),
+    fields: ["heading", ...SIDES], hint: "Press at the bay's centre and drag towards the aisle." },
+  { name: "Wall", list: "walls", make: strip, model: box([1, 0.2], { kind: "wall" }),
+    fields: ["width", "kind"], hint: "Drag from end to end." },
+  { name: "Kerb", list: "walls", make: strip, model: box([1, 0.2], { kind: "kerb" }),
+    fields: ["width", "kind"], hint: "Drag from end to end." },
+  { name: "Pillar", list: "discs", make: pillar, point: true, model: { centre: [0, 0], radius: 0.25, kind: "pillar" },
+    fields: ["radius", "kind"], hint: "Click at the centre." },
+  { name: "Lane", list: "lanes", make: strip, model: box([1, 6], { one_way: false }),
+    fields: ["width", "one_way"], hint: "Drag along the centre line, in the direction of travel." },
   { name: "Spawn region", list: "spawns", make: strip, model: box([1, 2], { spread: 0.1 }), fields: ["width", "spread"],
     hint: "Drag in the direction of travel. Centres of cars start inside; keep half a car free around it." },
 ];
@@ -86,6 +90,7 @@ export class Pointers {
     this.editor.lot.restore();
   }
 
+  made = (a, b) => this.editor.tool.make(a, b, this.editor.tool.model).map((row) => [this.editor.tool.list, row]);
   grid = (event) => (event.altKey ? 0 : this.editor.grid);
   snap = (event, point) => point.map((x) => snapTo(x, this.grid(event)));
 
@@ -106,7 +111,7 @@ export class Pointers {
     const at = this.snap(event, point);
     show(at);
     if (this.drag) draw(this.drag(event, point));
-    else if (tool.point && event.pointerType === "mouse") draw({ pairs: tool.make(at, at, tool.model).map((row) => [tool.list, row]) });
+    else if (tool.point && event.pointerType === "mouse") draw({ pairs: this.made(at, at) });
   }
 
   up(event) {
@@ -143,7 +148,7 @@ export class Pointers {
       const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
       const along = Math.hypot(dx, dy);
       if (event.shiftKey) b = world([along, 0], [...a, snapTo(Math.atan2(dy, dx), TURN)]);
-      pairs = tool.make(a, b, tool.model).map((row) => [tool.list, row]);
+      pairs = this.made(a, b);
       const count = pairs.length === 1 ? "" : `${pairs.length} bays, `;
       return tool.point ? { pairs } : { pairs, band: [a, b], label: `${count}${along.toFixed(2)} m`, at: b };
     };

@@ -74,9 +74,10 @@ export class View {
       const id = `${list}/${k}`;
       return shape(list, row, `${looks[id] ?? ""} ${lot.selected.has(id) ? "selected" : ""}`);
     }));
-    rows.push(...pairs.map(([list, row]) => shape(list, row, "sketch")), `<polygon class="band" points="${band.join(" ")}"/>`);
+    const sketch = pairs.map(([list, row]) => shape(list, row, "sketch"));
+    sketch.push(`<polygon class="band" points="${band.join(" ")}"/>`);
     const knob = ({ at: [x, y] }) => `<circle class="handle" cx="${x}" cy="${y}" r="${KNOB / this.scale}"/>`;
-    this.drawing.innerHTML = [...rows, ...this.handles(lot).map(knob)].join("");
+    this.drawing.innerHTML = [...rows, ...sketch, ...this.handles(lot).map(knob)].join("");
     const word = ([x, y], text, look) => `<text x="${x}" y="${-y}" class="${look}">${escaped(text)}</text>`;
     const words = labels.slice(0, MOST_LABELS).map(({ text, id, look }) => word(poseOf(lot.row(id)), text, look));
     this.words.innerHTML = words.join("") + (label ? word(at, label, "size") : "");
