@@ -141,5 +141,5 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, document: dict[str, Any]) -> None:
-    text = document_text(document)
+    text = document_text(complete(document))
     write_atomically(path, lambda file: file.write_text(text))

@@ -2,6 +2,7 @@
 
 import http
 import json
+import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -42,6 +43,11 @@ class EditorServer(ThreadingHTTPServer):
             raise OSError(
                 f"cannot serve on port {port}: {error.strerror}; choose one with --port"
             ) from None
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Prints the error unless the browser has only dropped a connection."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
     def opened(self) -> dict[str, Any]:
         """What the page begins with."""

@@ -135,6 +135,9 @@ def test_a_lot_is_kept_while_drawn_and_saved_when_it_is_sound(server):
     assert kept.exists()
     ask(server, "POST", "/check", json.dumps(LOT))  # undone
     assert not kept.exists()
+    least = {name: LOT[name] for name in ("format", "bays", "spawns", "extent")}
+    ask(server, "POST", "/save", json.dumps(least))
+    assert Draft(out, out).document == LOT | {"walls": []}
 
 
 def test_a_file_is_saved_as_it_was_opened(tmp_path):

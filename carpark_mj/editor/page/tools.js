@@ -49,7 +49,8 @@ const SIDES = ["length", "width", "kind", "end"];
 export const TOOLS = [
   { name: "Select", hint: "Click or drag a frame to select, drag to move, pull handles to resize and turn." },
   { name: "Row of bays", list: "bays", make: bays, model: box([5, 2.5], { ...BAY, angle: 90 }),
-    fields: ["angle", ...SIDES], hint: "Drag along the edge of the aisle: bays fill the left of the line." },
+    fields: ["angle", ...SIDES],
+    hint: "Drag along the edge of the aisle: bays fill the left of the line, so drag the other way for its other side." },
   { name: "Bay", list: "bays", make: bay, point: true, model: box([5, 2.5], BAY),
     fields: ["heading", ...SIDES], hint: "Press at the bay's centre and drag towards the aisle." },
   { name: "Wall", list: "walls", make: strip, model: box([1, 0.2], { kind: "wall" }),
