@@ -4,7 +4,7 @@ import { local, place, poseOf, resize, sizeOf, snapTo, world } from "./lot.js";
 
 const TURN = Math.PI / 12; // a step of angles
 const [LEAST, STEP] = [0.1, 0.05]; // m of a side; of a radius
-const [MOUSE, TOUCH, KNOB] = [6, 14, 10]; // px around what they hit
+const [MOUSE, TOUCH, KNOB] = [6, 14, 4]; // px around what they hit, and more around handles
 const length = (a, b) => Math.hypot(b[0] - a[0], b[1] - a[1]);
 const heading = (a, b) => Math.atan2(b[1] - a[1], b[0] - a[0]);
 
@@ -50,7 +50,7 @@ export const TOOLS = [
   { name: "Select", hint: "Click or drag a frame to select, drag to move, pull handles to resize and turn." },
   { name: "Row of bays", list: "bays", make: bays, model: box([5, 2.5], { ...BAY, angle: 90 }),
     fields: ["angle", ...SIDES],
-    hint: "Drag along the edge of the aisle: bays fill the left of the line, so drag the other way for its other side." },
+    hint: "Drag along the edge of the aisle: bays fill its left; drag the other way for the other side." },
   { name: "Bay", list: "bays", make: bay, point: true, model: box([5, 2.5], BAY),
     fields: ["heading", ...SIDES], hint: "Press at the bay's centre and drag towards the aisle." },
   { name: "Wall", list: "walls", make: strip, model: box([1, 0.2], { kind: "wall" }),
@@ -69,19 +69,13 @@ export class Pointers {
   // `editor` has lot, view, tool, grid, draw(sketch) and show(point).
   constructor(svg, editor) {
     Object.assign(this, { editor, fingers: new Map(), drag: null }); // drag(event, point) returns a sketch
-    const listen = (name, work) => svg.addEventListener(name, work, { passive: false });
-    listen("pointerdown", (event) => {
-      svg.setPointerCapture(event.pointerId);
-      svg.focus();
-      this.down(event, [event.clientX, event.clientY]);
-    });
-    listen("pointermove", (event) => this.move(event, [event.clientX, event.clientY]));
-    listen("pointerup", (event) => this.up(event));
+    const listen = (name, work) => svg.addEventListener(name, (event) => work(event, [event.clientX, event.clientY]));
+    for (const name of ["down", "move", "up"]) listen(`pointer${name}`, (event, pixel) => this[name](event, pixel));
     listen("pointercancel", (event) => { this.cancel(); this.up(event); });
     listen("contextmenu", (event) => event.preventDefault());
-    listen("wheel", (event) => {
+    listen("wheel", (event, pixel) => {
       event.preventDefault();
-      editor.view.zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), [event.clientX, event.clientY]);
+      editor.view.zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), pixel);
       editor.draw();
     });
   }
@@ -97,6 +91,8 @@ export class Pointers {
 
   down(event, pixel) {
     const { view, tool } = this.editor;
+    view.svg.setPointerCapture(event.pointerId);
+    view.svg.focus();
     this.fingers.set(event.pointerId, pixel);
     const point = view.world(pixel);
     if (this.fingers.size > 1) this.pinch();
@@ -116,11 +112,11 @@ export class Pointers {
   }
 
   up(event) {
-    const { drag } = this;
+    const { drag, editor: { lot } } = this;
     this.fingers.delete(event.pointerId);
     this.drag = null;
-    drag?.end?.();
-    this.editor.draw();
+    if (drag?.pairs?.length) lot.add(drag.pairs);
+    else lot.commit();
   }
 
   // Two fingers move and zoom the view.
@@ -142,26 +138,21 @@ export class Pointers {
   }
 
   drawing(a) {
-    const { tool, lot } = this.editor;
-    let pairs = [];
+    const { tool } = this.editor;
     const drag = (event, point) => {
       let b = this.snap(event, point);
-      const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
-      const along = Math.hypot(dx, dy);
-      if (event.shiftKey) b = world([along, 0], [...a, snapTo(Math.atan2(dy, dx), TURN)]);
-      pairs = this.made(a, b);
+      if (event.shiftKey) b = world([length(a, b), 0], [...a, snapTo(heading(a, b), TURN)]);
+      const pairs = (drag.pairs = this.made(a, b));
       const count = pairs.length === 1 ? "" : `${pairs.length} bays, `;
-      return tool.point ? { pairs } : { pairs, band: [a, b], label: `${count}${along.toFixed(2)} m`, at: b };
+      return tool.point ? { pairs } : { pairs, band: [a, b], label: `${count}${length(a, b).toFixed(2)} m`, at: b };
     };
-    drag.end = () => pairs.length && lot.add(pairs);
     return drag;
   }
 
   selecting(event, start) {
     const { lot, view } = this.editor;
-    const near = (px) => ({ at: [x, y] }) => Math.hypot(x - start[0], y - start[1]) * view.scale < px;
     const reach = event.pointerType === "touch" ? TOUCH : MOUSE;
-    const handle = view.handles(lot).find(near(reach + KNOB - MOUSE));
+    const handle = view.handles(lot).find(({ at }) => length(at, start) * view.scale < reach + KNOB);
     if (handle) return this.pulling(lot.rows()[0], handle);
     const id = lot.at(start, reach / view.scale);
     const kept = event.shiftKey ? [...lot.selected] : [];
@@ -173,22 +164,18 @@ export class Pointers {
   }
 
   moving(start) {
-    const { lot } = this.editor;
-    const origins = lot.rows().map((row) => [row, poseOf(row)]);
-    const drag = (event, point) => {
+    const origins = this.editor.lot.rows().map((row) => [row, poseOf(row)]);
+    return (event, point) => {
       const [dx, dy] = this.snap(event, [point[0] - start[0], point[1] - start[1]]);
       for (const [row, [x, y, yaw]] of origins) place(row, [x + dx, y + dy, yaw]);
     };
-    drag.end = () => lot.commit();
-    return drag;
   }
 
   pulling(row, { axis, sign, turns }) {
     const [pose, size] = [poseOf(row), sizeOf(row)];
-    const drag = (event, point) => {
+    return (event, point) => {
       if (turns) {
-        const angle = Math.atan2(point[1] - pose[1], point[0] - pose[0]);
-        place(row, [pose[0], pose[1], snapTo(angle, this.grid(event) && TURN)]);
+        place(row, [pose[0], pose[1], snapTo(heading(pose, point), this.grid(event) && TURN)]);
         return { label: `${((poseOf(row)[2] * 180) / Math.PI).toFixed(1)}°`, at: point };
       }
       const to = sign * local(point, pose)[axis];
@@ -197,16 +184,14 @@ export class Pointers {
       if (!row.centre) place(row, [...world([0, 0].with(axis, (sign * (side - size[axis])) / 2), pose), pose[2]]);
       return { label: `${(row.centre ? side / 2 : side).toFixed(2)} m`, at: point };
     };
-    drag.end = () => this.editor.lot.commit();
-    return drag;
   }
 
   framing([x, y], kept, clicked) {
     const { lot, view } = this.editor;
     lot.select([...kept, ...clicked]);
     const between = (value, a, b) => value >= Math.min(a, b) && value <= Math.max(a, b);
-    const drag = (event, [u, v]) => {
-      if (Math.hypot(u - x, v - y) * view.scale < MOUSE) return {};
+    return (event, [u, v]) => {
+      if (length([x, y], [u, v]) * view.scale < MOUSE) return {};
       const framed = lot.ids().filter((id) => {
         const [p, q] = poseOf(lot.row(id));
         return between(p, x, u) && between(q, y, v);
@@ -214,7 +199,5 @@ export class Pointers {
       lot.selected = new Set([...kept, ...framed]);
       return { band: [[x, y], [u, y], [u, v], [x, v]] };
     };
-    drag.end = () => lot.changed();
-    return drag;
   }
 }
