@@ -32,7 +32,7 @@ FLOORS = (
     ("evaluation",),
     ("analysis",),
     ("rendering",),
-    ("wrappers", "play", "maps"),
+    ("wrappers", "play", "maps", "editor"),
     ("cli",),
     ("training",),
     ("sweeps", "benchmarking"),
