@@ -202,15 +202,21 @@ def require_plain_ground(sim: SimConfig, name: str) -> None:
     """Refuses settings that a kinematic back end does not model.
 
     Raises:
-        ValueError: a slope, a slippery surface or contact tyres.
+        ValueError: a slope, a slippery surface, contact tyres or delays.
     """
-    plain = {"grade_x": 0.0, "surface": "dry", "tyres": "brush"}
+    plain = {
+        "grade_x": 0.0,
+        "surface": "dry",
+        "tyres": "brush",
+        "steering_delay": 0.0,
+        "pedal_delay": 0.0,
+    }
     for setting, default in plain.items():
         value = getattr(sim, setting)
         if value != default:
             raise ValueError(
-                f"{name} physics has no tyres and no ground: {setting} must stay "
-                f"{default!r}, not {value!r}"
+                f"{name} physics has no tyres, no delays and no ground: {setting} must "
+                f"stay {default!r}, not {value!r}"
             )
 
 

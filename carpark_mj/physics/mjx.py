@@ -25,6 +25,7 @@ from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.conditions import on_surface
+from carpark_mj.vehicle.delay import make_lines, send
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.vehicle import Vehicle
@@ -107,7 +108,9 @@ class MjxPhysics(FactoredPhysics[CarState]):
             tyres=jax.tree.map(
                 lambda leaf: jnp.broadcast_to(leaf, (*lead, 4)), init_tyres(dtype)
             ),
-            actuators=drive.init_actuators(vehicle),
+            actuators=dataclasses.replace(
+                drive.init_actuators(vehicle), lines=make_lines(self.sim, zero)
+            ),
             vehicle=vehicle,
             trace_w=jnp.broadcast_to(pose[..., None, :], shape),
             finite=jnp.ones(lead, bool),
@@ -134,7 +137,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
         """
         with jax.named_scope("physics"):
             vehicle = on_surface(state.vehicle, self.sim.surface)
-            car = CarDynamics(state.qpos, state.qvel, state.tyres, state.actuators)
+            car = started(self.sim, state, controls)
             return contain_cars(state, *self._step(vehicle, car, controls))
 
     def read(self, state: CarState) -> Motion:
@@ -151,6 +154,13 @@ class MjxPhysics(FactoredPhysics[CarState]):
             trace_w=state.trace_w,
             finite=state.finite,
         )
+
+
+def started(sim: SimConfig, state: CarState, controls: jax.Array) -> CarDynamics:
+    """Cars (...) at the start of a control step, its controls (..., 2) on their way."""
+    lines = send(sim, state.actuators.lines, controls)
+    actuators = dataclasses.replace(state.actuators, lines=lines)
+    return CarDynamics(state.qpos, state.qvel, state.tyres, actuators)
 
 
 def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarState:

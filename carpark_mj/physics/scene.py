@@ -22,7 +22,7 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import run_substeps
 from carpark_mj.physics.coordinates import CarDynamics, centre_pose, unpack_coordinates
 from carpark_mj.physics.forces import substep_forces
-from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars
+from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars, started
 from carpark_mj.physics.scene_model import Masses, Moving, SceneModel
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
@@ -181,7 +181,7 @@ class ScenePhysics:
             self.sim,
             substep,
             (
-                CarDynamics(cars.qpos, cars.qvel, cars.tyres, cars.actuators),
+                started(self.sim, cars, controls),
                 state.parked_qpos,
                 state.parked_qvel,
                 jnp.zeros_like(state.touched),

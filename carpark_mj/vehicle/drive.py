@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.geometry.gradients import finite_slope
+from carpark_mj.vehicle.delay import Lines, receive
 from carpark_mj.vehicle.vehicle import Vehicle
 
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
@@ -48,11 +49,13 @@ class Actuators:
         drive: (...) drive torque, all driven wheels together [N m].
         hold: (...) how far the holding brake has closed, as the deceleration with
             which it holds a standing car [m/s^2]; 0 is open.
+        lines: commands under way; None where they arrive at once.
     """
 
     steering: jax.Array
     drive: jax.Array
     hold: jax.Array
+    lines: Lines | None = None
 
 
 class WheelTorques(NamedTuple):
@@ -224,7 +227,7 @@ def press_pedal(
     hold = close_hold(vehicle, actuators.hold, pedal, speed, dt)
     drive, brake = demanded_torques(vehicle, pedal, hold, speed, wheel_speed)
     drive = approach(actuators.drive, drive, vehicle.drive_lag, dt)
-    return Actuators(actuators.steering, drive, hold), brake
+    return dataclasses.replace(actuators, drive=drive, hold=hold), brake
 
 
 def actuate(
@@ -240,7 +243,7 @@ def actuate(
     Args:
         vehicle: cars (...).
         actuators: at the start of the substep.
-        controls: steer and pedal (...) in [-1, 1].
+        controls: steer and pedal (...) in [-1, 1], before their delay.
         speed: (...) forward speed of the rear axle [m/s].
         wheel_speed: (...) mean circumferential speed of the driven wheels [m/s].
         dt: substep [s].
@@ -250,11 +253,12 @@ def actuate(
         angles (...) of the left and right front wheels [rad]; the brake torque (...)
         of all wheels together [N m].
     """
-    steer, pedal = controls
+    lines, (steer, pedal) = receive(actuators.lines, controls, dt)
     steering = steer_towards(vehicle, actuators.steering, steer, dt)
     angles = ackermann(vehicle, steering + vehicle.steering_offset)
     actuators, brake = press_pedal(vehicle, actuators, pedal, speed, wheel_speed, dt)
-    return dataclasses.replace(actuators, steering=steering), angles, brake
+    actuators = dataclasses.replace(actuators, steering=steering, lines=lines)
+    return actuators, angles, brake
 
 
 def stopping_action(speed: jax.Array) -> jax.Array:

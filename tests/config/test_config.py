@@ -53,6 +53,8 @@ IMPOSSIBLE = [
     (SimConfig, {"ctrl_dt": 0.205}, "ctrl_dt must be a multiple of sim_dt, not 0.205"),
     (SimConfig, {"ctrl_dt": 0.004}, "ctrl_dt must be a multiple of sim_dt, not 0.004"),
     (SimConfig, {"trace_dt": 0.005}, "trace_dt must be at least sim_dt .* not 0.005"),
+    (SimConfig, {"steering_delay": 0.015}, r"steering_delay must .* sim_dt .* 0.015"),
+    (SimConfig, {"pedal_delay": -0.1}, r"pedal_delay must .* \[0, 2.0\] s, not -0.1"),
     (SimConfig, {"grade_x": 1.0}, "grade_x must lie within .* not 1.0"),
     (SimConfig, {"grade_x": math.nan}, "grade_x must lie within .* not nan"),
     (SpawnConfig, {"close_ratio": 1.5}, "close_ratio must lie in .* not 1.5"),

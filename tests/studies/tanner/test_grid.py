@@ -296,5 +296,7 @@ def test_impossible_grids_and_grounds_are_refused_in_a_sentence():
         GridPhysics(FINE, SimConfig(grade_x=0.1))
     with pytest.raises(ValueError, match="surface must stay 'dry', not 'ice'"):
         ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(surface="ice")))
+    with pytest.raises(ValueError, match=r"no delays .* pedal_delay must stay 0.0"):
+        ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(pedal_delay=0.1)))
     with pytest.raises(ValueError, match="unknown environment 'tokyo'; choose from"):
         environment("tokyo")

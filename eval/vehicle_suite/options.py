@@ -1,0 +1,85 @@
+"""What `SimConfig` can add to a car, against formulas and against the plain car.
+
+`MjxPhysics` and its driver run as in training; options are off elsewhere.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config import SimConfig
+from carpark_mj.physics.mjx import CarState, MjxPhysics
+from carpark_mj.types import Motion
+from carpark_mj.vehicle import VehicleParameters, make_vehicle
+from vehicle_suite.table import Study, relative
+from vehicle_suite.testbed import Testbed
+
+STEERING_DELAY, PEDAL_DELAY = 0.24, 0.1  # s, `simple_planning_simulator` of Autoware
+
+
+def drive_option(
+    sim: SimConfig,
+    params: VehicleParameters,
+    controls: np.ndarray,
+    pose: Sequence[float] = (0.0, 0.0, 0.0),
+    speed: float = 0.0,
+) -> Motion:
+    """The motion (T,) of one car after each of T control steps.
+
+    Args:
+        sim: the options, and the control step.
+        params: the car.
+        controls: (T, 2) steer and pedal.
+        pose: at the start.
+        speed: at the start, wheels rolling [m/s].
+    """
+    physics = MjxPhysics(sim)
+    state = physics.init(jnp.array(pose, jnp.float32), make_vehicle(params))
+    if speed:
+        state = physics.set_speed(state, jnp.float32(speed))
+
+    def step(state: CarState, command: jax.Array) -> tuple[CarState, Motion]:
+        state = physics.step(state, command)
+        return state, physics.read(state)
+
+    drive = jax.jit(lambda state, commands: jax.lax.scan(step, state, commands)[1])
+    return jax.device_get(drive(state, jnp.array(controls, jnp.float32)))
+
+
+def delays(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
+    """Late commands: when the wheels turn, and the way of commands given later."""
+    study = Study(name, bed.tyres)
+    late = SimConfig(steering_delay=STEERING_DELAY, pedal_delay=PEDAL_DELAY)
+    steps = 10 if quick else 30
+    controls = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, 2))
+    controls[:, 1] = np.abs(controls[:, 1])
+    driven = drive_option(late, params, controls)
+    every = SimConfig(ctrl_dt=late.sim_dt, trace_dt=late.sim_dt)
+    held = np.repeat(controls, late.num_substeps, axis=0)
+    for column, delay in enumerate((STEERING_DELAY, PEDAL_DELAY)):
+        count = round(delay / late.sim_dt)
+        held[:, column] = np.concatenate([np.zeros(count), held[:-count, column]])
+    given = drive_option(every, params, held)
+    ends = slice(late.num_substeps - 1, None, late.num_substeps)
+    apart = driven.pose_w[:, :2] - given.pose_w[ends, :2]
+    study.row(
+        f"steering {STEERING_DELAY:g} s and pedal {PEDAL_DELAY:g} s late, way",
+        "that of the commands given so much later",
+        "m",
+        float(np.abs(apart).max()),
+        0.0,
+        1e-4,
+    )
+    lock = np.tile([1.0, 0.0], (2, 1))
+    turned = drive_option(late, params, lock).steering[-1]
+    study.row(
+        "steering late, full lock at standstill",
+        "t - delta / rate",
+        "s",
+        2 * late.ctrl_dt - float(turned) / params.steering_rate,
+        STEERING_DELAY,
+        relative(STEERING_DELAY, 0.001),
+    )
+    return study
