@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import CheckedConfig, require_positive
+from carpark_mj.config.checks import CheckedConfig, require_positive, require_within
 
 Surface = Literal["dry", "wet", "ice"]
 TyresName = Literal["brush", "contact"]
@@ -13,6 +13,7 @@ CONTACT_SIM_DT = 0.004  # s; beyond it a locked wheel throws the car
 BRUSH_SIM_DT = 0.02  # s; bristles and wheels ring from 0.04 s on
 MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
 MAX_DELAY = 2.0  # s, of an actuator
+MAX_CREEP = 2.0  # m/s^2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +36,8 @@ class SimConfig(CheckedConfig):
             it is 0.24, and 0.1 of the acceleration (defaults of Autoware's
             `simple_planning_simulator`).
         pedal_delay: the same of drive and brakes.
+        creep: acceleration from rest of an automatic whose engine idles, no pedal
+            pressed [m/s^2]; 0 = none, about 0.4 in real cars (`docs/vehicle.md`).
     """
 
     sim_dt: float = 0.01
@@ -47,6 +50,7 @@ class SimConfig(CheckedConfig):
     surface: Surface = "dry"
     steering_delay: float = 0.0
     pedal_delay: float = 0.0
+    creep: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,6 +91,7 @@ class SimConfig(CheckedConfig):
                     f"{name} must be a multiple of sim_dt {self.sim_dt} s within "
                     f"[0, {MAX_DELAY}] s, not {delay}"
                 )
+        require_within(self, 0.0, MAX_CREEP, "m/s^2", "creep")
         if not abs(self.grade_x) < 1.0:
             raise ValueError(f"grade_x must lie within (-1, 1), not {self.grade_x}")
 

@@ -202,7 +202,7 @@ def require_plain_ground(sim: SimConfig, name: str) -> None:
     """Refuses settings that a kinematic back end does not model.
 
     Raises:
-        ValueError: a slope, a slippery surface, contact tyres or delays.
+        ValueError: a slope, a slippery surface, contact tyres, delays or creep.
     """
     plain = {
         "grade_x": 0.0,
@@ -210,13 +210,14 @@ def require_plain_ground(sim: SimConfig, name: str) -> None:
         "tyres": "brush",
         "steering_delay": 0.0,
         "pedal_delay": 0.0,
+        "creep": 0.0,
     }
     for setting, default in plain.items():
         value = getattr(sim, setting)
         if value != default:
             raise ValueError(
-                f"{name} physics has no tyres, no delays and no ground: {setting} must "
-                f"stay {default!r}, not {value!r}"
+                f"{name} physics has no tyres, no options of real cars and no ground: "
+                f"{setting} must stay {default!r}, not {value!r}"
             )
 
 

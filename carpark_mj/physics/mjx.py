@@ -24,7 +24,7 @@ from carpark_mj.physics.vectors import column, dot
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
-from carpark_mj.vehicle.conditions import on_surface
+from carpark_mj.vehicle.conditions import in_conditions
 from carpark_mj.vehicle.delay import make_lines, send
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.presets import COMPACT
@@ -136,7 +136,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
         back at rest to its pose before the step.
         """
         with jax.named_scope("physics"):
-            vehicle = on_surface(state.vehicle, self.sim.surface)
+            vehicle = in_conditions(state.vehicle, self.sim)
             car = started(self.sim, state, controls)
             return contain_cars(state, *self._step(vehicle, car, controls))
 

@@ -142,6 +142,7 @@ ABSENT = (
             "time-step error, 10 against 1 ms",
             "steering 0.24 s and pedal 0.1 s late",
             "steering late",
+            "automatic creeping",
         ),
         "contact",
         "The driver's law is the same on any tyres; it is driven on those of training.",

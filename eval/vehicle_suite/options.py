@@ -13,9 +13,13 @@ from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import VehicleParameters, make_vehicle
+from carpark_mj.vehicle.drive import CREEP_SPEED
+from carpark_mj.vehicle.parameters import GRAVITY
+from vehicle_suite.formulas import rolling_mass
 from vehicle_suite.table import Study, relative
 from vehicle_suite.testbed import Testbed
 
+CREEP = 0.4  # m/s^2, 14 N m at the clutch through 15:1 in a car of 1.4 t
 STEERING_DELAY, PEDAL_DELAY = 0.24, 0.1  # s, `simple_planning_simulator` of Autoware
 
 
@@ -82,4 +86,30 @@ def delays(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> S
         STEERING_DELAY,
         relative(STEERING_DELAY, 0.001),
     )
+    return study
+
+
+def automatic(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
+    """The pedal released at a walk: the speed goes to where the creep is resistance.
+
+    m_eff v' = m (a (1 - v / v_creep) - g c_rr), so that v approaches its last value
+    exponentially.
+    """
+    study = Study(name, bed.tyres)
+    seconds = 4.0 if quick else 12.0
+    sim = SimConfig(creep=CREEP)
+    controls = np.zeros((round(seconds / sim.ctrl_dt), 2))
+    speed = drive_option(sim, params, controls, speed=0.5).speed
+    last = CREEP_SPEED * (1.0 - GRAVITY * params.tyre.rolling_resistance / CREEP)
+    rate = CREEP / CREEP_SPEED * params.mass / rolling_mass(params)
+    for time in (1.0, seconds):
+        expected = last + (0.5 - last) * np.exp(-rate * time)
+        study.row(
+            f"automatic creeping from 0.5 m/s, after {time:g} s",
+            "v_e + (v - v_e) exp(-k t), v_e = v_creep (1 - g c_rr / a)",
+            "m/s",
+            float(speed[round(time / sim.ctrl_dt) - 1]),
+            float(expected),
+            relative(float(expected), 0.002),
+        )
     return study

@@ -53,6 +53,7 @@ SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
         standstill.speed_control,
         standstill.reversing,
         options.delays,
+        options.automatic,
     ),
     "contact": (*COMMON, handling.rolling_turns, contact_engines, suspension),
 }

@@ -191,6 +191,7 @@ def check(study: Study) -> None:
         standstill.speed_control,
         standstill.reversing,
         options.delays,
+        options.automatic,
     ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )

@@ -296,7 +296,9 @@ def test_impossible_grids_and_grounds_are_refused_in_a_sentence():
         GridPhysics(FINE, SimConfig(grade_x=0.1))
     with pytest.raises(ValueError, match="surface must stay 'dry', not 'ice'"):
         ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(surface="ice")))
-    with pytest.raises(ValueError, match=r"no delays .* pedal_delay must stay 0.0"):
+    with pytest.raises(ValueError, match=r"pedal_delay must stay 0.0, not 0.1"):
         ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(pedal_delay=0.1)))
+    with pytest.raises(ValueError, match=r"creep must stay 0.0, not 0.4"):
+        ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(creep=0.4)))
     with pytest.raises(ValueError, match="unknown environment 'tokyo'; choose from"):
         environment("tokyo")
