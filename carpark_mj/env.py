@@ -322,9 +322,7 @@ class ParkingEnv:
             memory=memory,
             movers=self._episodes.step_movers(state, keys),
             step=state.step + state.active,
-            sensors=sensors.measure(
-                config.sensors, state.sensors, motion, keys.reading
-            ),
+            sensors=sensors.measure(config.sensors, state, motion, keys.reading),
         )
 
     def _stop_finished(self, state: State, action: jax.Array) -> jax.Array:

@@ -228,13 +228,15 @@ def add_creep(
     and falls to none at `CREEP_SPEED`, as that of a converter does.
 
     Args:
-        vehicle: cars (...), whose `creep` is not None.
+        vehicle: cars (...); without `creep` the drive stays what it is.
         actuators: with the hold after the substep, and the drive before it.
         drive: (...) torque that the pedal demands [N m].
         pedal: (...) in [-1, 1].
         speed: (...) forward speed of the rear axle [m/s].
         wheel_speed: (...) mean circumferential speed of the driven wheels [m/s].
     """
+    if vehicle.creep is None:
+        return drive
     driven = jnp.abs(pedal) >= HOLD_PEDAL
     last = jnp.where(actuators.drive == 0.0, speed, actuators.drive)
     way = jnp.sign(jnp.where(driven, pedal, last))
@@ -260,11 +262,10 @@ def press_pedal(
     """
     hold = close_hold(vehicle, actuators.hold, pedal, speed, dt)
     drive, brake = demanded_torques(vehicle, pedal, hold, speed, wheel_speed)
-    if vehicle.creep is not None:
-        closed = dataclasses.replace(actuators, hold=hold)
-        drive = add_creep(vehicle, closed, drive, pedal, speed, wheel_speed)
+    actuators = dataclasses.replace(actuators, hold=hold)
+    drive = add_creep(vehicle, actuators, drive, pedal, speed, wheel_speed)
     drive = approach(actuators.drive, drive, vehicle.drive_lag, dt)
-    return dataclasses.replace(actuators, drive=drive, hold=hold), brake
+    return dataclasses.replace(actuators, drive=drive), brake
 
 
 def actuate(

@@ -143,6 +143,7 @@ ABSENT = (
             "steering 0.24 s and pedal 0.1 s late",
             "steering late",
             "automatic creeping",
+            "odometry, ",
         ),
         "contact",
         "The driver's law is the same on any tyres; it is driven on those of training.",

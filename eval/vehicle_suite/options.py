@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import SimConfig
+from carpark_mj.observations.odometry import reckon
 from carpark_mj.physics.mjx import CarState, MjxPhysics
-from carpark_mj.types import Motion
+from carpark_mj.types import Motion, Odometry
 from carpark_mj.vehicle import VehicleParameters, make_vehicle
 from carpark_mj.vehicle.drive import CREEP_SPEED
 from carpark_mj.vehicle.parameters import GRAVITY
@@ -20,6 +21,7 @@ from vehicle_suite.table import Study, relative
 from vehicle_suite.testbed import Testbed
 
 CREEP = 0.4  # m/s^2, 14 N m at the clutch through 15:1 in a car of 1.4 t
+ERROR = (0.01, 1.3e-3, 0.01)  # m/m, rad/m and rad/rad of the odometry
 STEERING_DELAY, PEDAL_DELAY = 0.24, 0.1  # s, `simple_planning_simulator` of Autoware
 
 
@@ -111,5 +113,47 @@ def automatic(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -
             float(speed[round(time / sim.ctrl_dt) - 1]),
             float(expected),
             relative(float(expected), 0.002),
+        )
+    return study
+
+
+def odometry(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
+    """What a car with wrong wheels believes, ahead and on full lock."""
+    study = Study(name, bed.tyres)
+    steps = 20 if quick else 50
+    offset = jnp.float32(params.centre_offset)
+
+    def believe(steer: float, error: tuple[float, ...]) -> tuple[np.ndarray, float]:
+        """What it believes too much of its pose (3,), and the way of its rear axle."""
+        controls = np.tile([steer, 0.5], (steps, 1))
+        poses = drive_option(SimConfig(), params, controls).pose_w
+        start = Odometry(jnp.zeros(3), jnp.array(error))
+
+        def step(carry: tuple[Odometry, jax.Array], pose: jax.Array):
+            odometry, before = carry
+            return (reckon(odometry, before, pose, offset), pose), None
+
+        first = start, jnp.zeros(3)
+        (after, _), _ = jax.jit(lambda p: jax.lax.scan(step, first, p))(poses)
+        turned = np.unwrap(np.append(0.0, poses[:, 2]))[-1]
+        wrong = np.asarray(after.pose_w) - poses[-1]
+        wrong[2] = (wrong[2] + np.pi) % (2 * np.pi) - np.pi
+        return wrong, turned if steer else float(poses[-1, 0])
+
+    scale, veer, turn = ERROR
+    for row, formula, unit, steer, error, place, size in (
+        ("distance ahead", "e_s s", "m", 0.0, (scale, 0.0, 0.0), 0, scale),
+        ("heading ahead", "e_v s", "rad", 0.0, (0.0, veer, 0.0), 2, veer),
+        ("heading on full lock", "e_t phi", "rad", 1.0, (0.0, 0.0, turn), 2, turn),
+    ):
+        wrong, way = believe(steer, error)
+        expected = size * way
+        study.row(
+            f"odometry, {row}",
+            formula,
+            unit,
+            float(wrong[place]),
+            expected,
+            relative(expected, 0.002),
         )
     return study

@@ -54,6 +54,7 @@ SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
         standstill.reversing,
         options.delays,
         options.automatic,
+        options.odometry,
     ),
     "contact": (*COMMON, handling.rolling_turns, contact_engines, suspension),
 }

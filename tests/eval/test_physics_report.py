@@ -192,6 +192,7 @@ def check(study: Study) -> None:
         standstill.reversing,
         options.delays,
         options.automatic,
+        options.odometry,
     ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )
