@@ -99,6 +99,22 @@ class RollingStarts(Protocol[S]):
         ...
 
 
+@runtime_checkable
+class Halting(Protocol[S]):
+    """A back end whose cars an obstacle can stop; for `EpisodeConfig.kerb_speed`."""
+
+    def halt(self, state: S, mask: jax.Array, trace_w: jax.Array) -> S:
+        """Stops some cars dead, their steering as it is, and leaves the others alone.
+
+        Args:
+            state: at the end of a control step.
+            mask: (...) bool, which cars.
+            trace_w: (..., k, 3) where they were in the step instead, and stand at its
+                end.
+        """
+        ...
+
+
 class FactoredPhysics(abc.ABC, Generic[S]):
     """Base of back ends in which every car has a world of its own.
 

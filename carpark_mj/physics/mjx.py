@@ -15,7 +15,11 @@ from flax import struct
 
 from carpark_mj.config import PHYSICS, SimConfig
 from carpark_mj.geometry import wrap_angle
-from carpark_mj.physics.base import FactoredPhysics, contain_non_finite
+from carpark_mj.physics.base import (
+    FactoredPhysics,
+    contain_non_finite,
+    where_cars,
+)
 from carpark_mj.physics.coordinates import CarDynamics, CarIndex, unpack_coordinates
 from carpark_mj.physics.gravity import gravity_vector
 from carpark_mj.physics.tyres import TyreState, init_tyres
@@ -127,6 +131,24 @@ class MjxPhysics(FactoredPhysics[CarState]):
         qvel = qvel.at[..., self.index.spin_dof].set(spin)
         actuators = drive.roll_freely(state.actuators, speed)
         return dataclasses.replace(state, qvel=qvel, actuators=actuators)
+
+    @full_float32
+    def halt(self, state: CarState, mask: jax.Array, trace_w: jax.Array) -> CarState:
+        """Stops cars dead, on the hold; see `Halting`."""
+        still = self.init(trace_w[..., -1, :], state.vehicle)
+        steer = self.index.steer_qpos
+        actuators = dataclasses.replace(
+            still.actuators,
+            steering=state.actuators.steering,
+            lines=state.actuators.lines,
+        )
+        still = dataclasses.replace(
+            still,
+            qpos=still.qpos.at[..., steer].set(state.qpos[..., steer]),
+            actuators=actuators,
+            trace_w=trace_w,
+        )
+        return where_cars(mask, still, state)
 
     @full_float32
     def step(self, state: CarState, controls: jax.Array) -> CarState:

@@ -144,6 +144,7 @@ ABSENT = (
             "steering late",
             "automatic creeping",
             "odometry, ",
+            "wheel stop",
         ),
         "contact",
         "The driver's law is the same on any tyres; it is driven on those of training.",

@@ -9,7 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import SimConfig
+from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.geometry import move_forward
+from carpark_mj.layouts import make_layout
+from carpark_mj.mdp.kerbs import HEIGHT
+from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations.odometry import reckon
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.types import Motion, Odometry
@@ -156,4 +161,46 @@ def odometry(bed: Testbed, name: str, params: VehicleParameters, quick: bool) ->
             expected,
             relative(expected, 0.002),
         )
+    return study
+
+
+def wheel_stop(
+    bed: Testbed, name: str, params: VehicleParameters, quick: bool
+) -> Study:
+    """A car reverses into a bay until a wheel stop stops its rear tyres."""
+    del quick
+    study = Study(name, bed.tyres)
+    distance = 0.9
+    config = EnvConfig(
+        num_agents=1,
+        num_parked_cars=0,
+        episode=EpisodeConfig(
+            parked_rule="precise", kerb_speed=0.6, wheel_stops=distance, respawn=False
+        ),
+    )
+    env = ParkingEnv(config, vehicle=params)
+    layout = make_layout(env.layout_config)
+    bay, (length, _) = layout.bay_pose[0], layout.bay_size[0]
+    start = move_forward(bay, 1.0)
+    options = ResetOptions(pose=start[None], goal=jnp.zeros(1, jnp.int32))
+    state, _ = jax.jit(env.reset)(jax.random.key(0), options=options)
+    step, speed = jax.jit(env.step), 0.0
+    for _ in range(60):  # drives back at a walk
+        pedal = np.clip(2.0 * (-0.4 - speed), -1.0, 1.0)
+        state, timestep = step(state, jnp.array([[0.0, pedal]]))
+        speed = float(timestep.motion.speed[0])
+    to_end = jnp.dot(
+        (state.motion.xy[0] - bay[:2]), jnp.array([jnp.cos(bay[2]), jnp.sin(bay[2])])
+    )
+    found = float(to_end) + float(length) / 2 - params.centre_offset
+    radius = params.wheel_radius
+    expected = distance + np.sqrt(2 * radius * HEIGHT - HEIGHT**2)
+    study.row(
+        f"wheel stop {100 * HEIGHT:g} cm high, touched at 0.4 m/s, rear axle",
+        "d + sqrt(2 r h - h^2)",
+        "m",
+        found,
+        float(expected),
+        (0.4 * config.sim.trace_dt, "it stands at the last instant before the touch"),
+    )
     return study

@@ -55,6 +55,7 @@ SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
         options.delays,
         options.automatic,
         options.odometry,
+        options.wheel_stop,
     ),
     "contact": (*COMMON, handling.rolling_turns, contact_engines, suspension),
 }

@@ -55,6 +55,8 @@ IMPOSSIBLE = [
     (SimConfig, {"trace_dt": 0.005}, "trace_dt must be at least sim_dt .* not 0.005"),
     (SimConfig, {"steering_delay": 0.015}, r"steering_delay must .* sim_dt .* 0.015"),
     (SimConfig, {"pedal_delay": -0.1}, r"pedal_delay must .* \[0, 2.0\] s, not -0.1"),
+    (EpisodeConfig, {"kerb_speed": -1.0}, "kerb_speed must be at least 0.0, not -1.0"),
+    (EpisodeConfig, {"wheel_stops": 0.9}, "wheel_stops 0.9 needs a kerb_speed above 0"),
     (SimConfig, {"creep": -0.4}, r"creep must lie within \[0, 2\] m/s\^2, not -0.4"),
     (SimConfig, {"grade_x": 1.0}, "grade_x must lie within .* not 1.0"),
     (SimConfig, {"grade_x": math.nan}, "grade_x must lie within .* not nan"),

@@ -193,6 +193,7 @@ def check(study: Study) -> None:
         options.delays,
         options.automatic,
         options.odometry,
+        options.wheel_stop,
     ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )

@@ -1,5 +1,7 @@
 """Control steps of 20 substeps: traces, batches and broken numbers."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from helpers.drives import VAN, Drive, make_recorder, stack
 
 from carpark_mj.config import SimConfig
+from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
@@ -143,6 +146,30 @@ def test_cars_with_delays_do_what_others_did_so_much_earlier(
     sent = np.asarray(lines.pedal.sent[0])
     assert not sent[:3].any()
     np.testing.assert_array_equal(sent[3:], CONTROLS[3:, 0])
+
+
+@pytest.mark.parametrize("back_end", [MjxPhysics, BicyclePhysics])
+def test_cars_that_are_halted_stand_where_they_are_told_and_steer_on(back_end):
+    physics = back_end(SimConfig())
+    vehicles = stack([make_vehicle(COMPACT)] * NUM_COPIES)
+    start = physics.set_speed(
+        physics.init(jnp.array(POSES), vehicles), jnp.full(NUM_COPIES, 1.0)
+    )
+    turned = dataclasses.replace(
+        start.actuators, steering=jnp.full(NUM_COPIES, 0.2, jnp.float32)
+    )
+    start = dataclasses.replace(start, actuators=turned)
+    trace = np.repeat(POSES[:, None], 4, axis=1)
+    trace[:, :2, 0] += 0.1
+    mask = np.arange(NUM_COPIES) < 2
+    state = physics.halt(start, jnp.array(mask), jnp.array(trace))
+    seen = see(physics, state)
+    np.testing.assert_allclose(seen.pose_w, POSES, atol=1e-6)
+    np.testing.assert_allclose(seen.trace_w[:2], trace[:2], atol=1e-6)
+    np.testing.assert_array_equal(seen.speed != 0.0, ~mask)
+    np.testing.assert_allclose(seen.steering, 0.2, atol=1e-6)
+    held = np.where(mask, COMPACT.hold_deceleration, 0.0)
+    np.testing.assert_allclose(state.actuators.hold, held)
 
 
 def test_any_leading_batch_shape_gives_the_same_motion(
