@@ -13,6 +13,7 @@ from carpark_mj.cameras.hits import fold
 from carpark_mj.cameras.rig import BODY, Seen
 from carpark_mj.cameras.trace import Seat, seat
 from carpark_mj.config.checks import CheckedConfig, require_positive, require_whole
+from carpark_mj.layouts.dimensions import LINE_WIDTH
 from carpark_mj.types import State
 
 _ANY_HEIGHT = Heights((1.0,), (1.0,))
@@ -39,6 +40,8 @@ class BirdsEye(CheckedConfig):
 def see_from_above(config: BirdsEye, state: State) -> jax.Array:
     """Pictures (num_agents, pixels, pixels) uint8 `Seen`, rows from the front.
 
+    Lines are at least as wide as a pixel.
+
     Args:
         config: the picture, static.
         state: of one lot.
@@ -46,11 +49,12 @@ def see_from_above(config: BirdsEye, state: State) -> jax.Array:
     boxes, cylinders = lot_blocks(state, _ANY_HEIGHT, of_cars=(BODY,))
     side = config.span * (0.5 - (np.arange(config.pixels) + 0.5) / config.pixels)
     x, y = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
+    line_width = max(LINE_WIDTH, config.span / config.pixels)
     ahead, left = jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32)
 
     def look(agent: jax.Array, goal: jax.Array, pose_w: jax.Array) -> jax.Array:
         place = Place(pose_w[:2], pose_w[2])
-        kind = cover(state.layout, goal, place, ahead, left)
+        kind = cover(state.layout, goal, place, ahead, left, line_width)
         seen = jnp.array(SHOWS, jnp.int32)[kind]
         for blocks, inside in ((boxes, _in_box), (cylinders, _in_disc)):
             if blocks.low.shape[0]:

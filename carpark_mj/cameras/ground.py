@@ -1,5 +1,7 @@
 """The ground: asphalt with bays, lines and arrows, and grass around the lot."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -60,7 +62,12 @@ class _Patches:
 
 
 def cover(
-    layout: Layout, goal: jax.Array, place: Place, x: jax.Array, y: jax.Array
+    layout: Layout,
+    goal: jax.Array,
+    place: Place,
+    x: jax.Array,
+    y: jax.Array,
+    line_width: float = LINE_WIDTH,
 ) -> jax.Array:
     """What covers points on the ground, int32 (...).
 
@@ -70,12 +77,13 @@ def cover(
         place: about which the points are given.
         x: (...) ahead of the place along the car's axis [m].
         y: (...) to the left [m].
+        line_width: of bays [m].
     """
     own = jnp.arange(layout.num_bays) == goal
     kinds = jnp.where(own, OWN_BAY, BAY)
     best = jnp.full(jnp.shape(x), ASPHALT, jnp.int32)
     bays = _patches(layout.bay_pose, layout.bay_size, layout.bay_mask, kinds, place)
-    best = _lay(best, bays, x, y, _in_bay)
+    best = _lay(best, bays, x, y, functools.partial(_in_bay, line_width))
     if count := layout.lane_mask.shape[-1]:
         mask = layout.lane_mask & layout.lane_one_way
         kinds = jnp.full(count, ARROW)
@@ -117,12 +125,14 @@ def _lay(best: jax.Array, patches: _Patches, x: jax.Array, y: jax.Array, fill):
     return fold(best, patches, nothing, meet)
 
 
-def _in_bay(bay: _Patches, along: jax.Array, across: jax.Array) -> jax.Array:
+def _in_bay(
+    line_width: float, bay: _Patches, along: jax.Array, across: jax.Array
+) -> jax.Array:
     """A bay has lines about both long sides and within its far end."""
     beyond, aside = jnp.abs(along) - bay.half[0], jnp.abs(across) - bay.half[1]
     inside = jnp.maximum(beyond, aside) <= 0.0
-    side = (jnp.abs(aside) <= LINE_WIDTH / 2) & (beyond <= 0.0)
-    end = inside & (along + bay.half[0] <= LINE_WIDTH)
+    side = (jnp.abs(aside) <= line_width / 2) & (beyond <= 0.0)
+    end = inside & (along + bay.half[0] <= line_width)
     return jnp.where(side | end, LINE, jnp.where(inside, bay.cover, ASPHALT))
 
 

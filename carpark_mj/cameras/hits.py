@@ -29,6 +29,11 @@ def encode(
     return (bits & ~_LOW) | (shade << SEEN_BITS) | seen
 
 
+def sky_hit(seen: int) -> int:
+    """The hit of a ray that meets nothing."""
+    return _INFINITY | (SHADES << SEEN_BITS) | seen
+
+
 def decode(hit: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Distances [m], what is seen, and shades."""
     far = hit >= _INFINITY

@@ -96,12 +96,14 @@ class Rig(CheckedConfig):
         width: of a picture [pixels].
         height: of a picture [pixels].
         reach: depths are at most this [m], that of the sky is.
+        shaded: tell how bright the sun makes what is seen.
     """
 
     cameras: tuple[Camera, ...]
     width: int = 64
     height: int = 48
     reach: float = 50.0
+    shaded: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

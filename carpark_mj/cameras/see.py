@@ -16,12 +16,13 @@ from carpark_mj.cameras.ground import (
     cover,
     is_grass,
 )
-from carpark_mj.cameras.hits import SHADES, decode, encode
+from carpark_mj.cameras.hits import SHADES, decode, encode, sky_hit
 from carpark_mj.cameras.rig import Rig, Seen
 from carpark_mj.cameras.trace import AMBIENT, DIFFUSE, SUN, seat, trace
 from carpark_mj.geometry.se2 import rotate
 from carpark_mj.types import State
 
+_SKY = sky_hit(int(Seen.SKY))
 _LEAST_DROP = 1e-6  # of a ray that meets the ground
 _BRIGHT = round(SHADES * (AMBIENT + DIFFUSE * SUN[2]))  # of what lies flat
 
@@ -33,7 +34,8 @@ class Pictures:
     Attributes:
         depth: from the camera along the pixel's ray [m], at most the rig's reach.
         seen: uint8, `Seen`.
-        shade: uint8 brightness in [0, `SHADES`].
+        shade: uint8 brightness in [0, `SHADES`], the same for all unless the rig is
+            `shaded`.
     """
 
     depth: jax.Array
@@ -58,7 +60,7 @@ def see(
         faults: of the cameras; None = none.
     """
     boxes, cylinders = lot_blocks(state, heights)
-    rays = jnp.asarray(rig.directions.reshape(len(rig.cameras), -1, 3))
+    rays = rig.directions.reshape(len(rig.cameras), -1, 3)
     motion = state.motion
     ratio = jnp.array(heights.agents, jnp.float32)
     ratio = ratio[0] if state.kind is None else ratio[state.kind]
@@ -66,21 +68,26 @@ def see(
     scale = jnp.stack([length / 2, width / 2, length * ratio], axis=-1)
     mounts = jnp.array([camera.position for camera in rig.cameras])
     eyes = mounts * scale[:, None]  # (agents, cameras, 3)
-    if faults is not None:
-        eyes = eyes + faults.shift
-        rays = jnp.einsum("acij,cpj->acpi", faults.turn, rays)
 
     def look(
         agent: jax.Array, goal: jax.Array, pose_w: jax.Array, eye: jax.Array, rays
     ):
-        hit = _ground(state, goal, pose_w, eye, rays)
-        seats = (seat(blocks, agent, pose_w, eye) for blocks in (boxes, cylinders))
-        return trace(hit, rays, *seats)
+        hit = _ground(state, goal, pose_w, eye, rays[above:])
+        hit = jnp.concatenate([jnp.full(above, _SKY), hit])
+        around = [seat(blocks, agent, pose_w, eye) for blocks in (boxes, cylinders)]
+        return trace(hit, rays, around[0], around[1], rig.shaded)
 
+    # No pixel before this one looks down.
+    down = np.flatnonzero((rays[..., 2] < 0.0).any(axis=0))
+    above = int(down[0]) if faults is None and down.size else 0
+    aims, axis = jnp.asarray(rays), None
+    if faults is not None:
+        eyes = eyes + faults.shift
+        aims, axis = jnp.einsum("acij,cpj->acpi", faults.turn, rays), 0
     of_camera = jax.vmap(look, in_axes=(None, None, None, 0, 0))
-    of_car = jax.vmap(of_camera, in_axes=(0, 0, 0, 0, None if faults is None else 0))
+    of_car = jax.vmap(of_camera, in_axes=(0, 0, 0, 0, axis))
     agents = jnp.arange(eyes.shape[0])
-    hit = of_car(agents, state.goal, motion.pose_w, eyes, rays)
+    hit = of_car(agents, state.goal, motion.pose_w, eyes, aims)
     hit = hit.reshape(*hit.shape[:2], rig.height, rig.width)
     if faults is not None and faults.spots.shape[-2]:
         dirt = encode(jnp.float32(0.0), int(Seen.OWN_CAR), 0)
@@ -115,5 +122,4 @@ def _ground(
         jnp.where(kind == k, int(show), 0) for k, show in enumerate(SHOWS) if show
     )
     ground = encode(down_to(height), shows, _BRIGHT)
-    sky = encode(jnp.float32(np.inf), int(Seen.SKY), SHADES)
-    return jnp.where(drop > _LEAST_DROP, ground, sky)
+    return jnp.where(drop > _LEAST_DROP, ground, _SKY)

@@ -1,5 +1,7 @@
 """Rays from a camera to upright boxes and cylinders."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -65,7 +67,9 @@ def seat(blocks: Blocks, agent: jax.Array, pose_w: jax.Array, eye: jax.Array) ->
     )
 
 
-def trace(hit: jax.Array, rays: jax.Array, boxes: Seat, cylinders: Seat) -> jax.Array:
+def trace(
+    hit: jax.Array, rays: jax.Array, boxes: Seat, cylinders: Seat, shaded: bool
+) -> jax.Array:
     """Hits (...) int32 of rays, of what is nearer than the hits so far.
 
     Args:
@@ -73,13 +77,21 @@ def trace(hit: jax.Array, rays: jax.Array, boxes: Seat, cylinders: Seat) -> jax.
         rays: (..., 3) unit vectors in the car's frame.
         boxes: what they can meet.
         cylinders: the same.
+        shaded: whether hits tell their shades.
     """
-    rays = [_off_zero(rays[..., k]) for k in range(3)]
-    for blocks, meet in ((boxes, _meet_box), (cylinders, _meet_cylinder)):
-        if blocks.cos.shape[0]:
-            nothing = jax.tree.map(lambda x: jnp.full_like(x[0], -1), blocks)
-            hit = fold(hit, blocks, nothing, lambda h, b: jnp.minimum(h, meet(rays, b)))  # noqa: B023
-    return hit
+    slopes = [_off_zero(rays[..., k]) for k in range(3)]
+
+    def nearest(
+        hit: jax.Array, blocks: Seat, meet: Callable[..., jax.Array]
+    ) -> jax.Array:
+        if not blocks.cos.shape[0]:
+            return hit
+        nothing = jax.tree.map(lambda x: jnp.full_like(x[0], -1), blocks)
+        return fold(
+            hit, blocks, nothing, lambda h, b: jnp.minimum(h, meet(slopes, b, shaded))
+        )
+
+    return nearest(nearest(hit, boxes, _meet_box), cylinders, _meet_cylinder)
 
 
 def _off_zero(slope: jax.Array) -> jax.Array:
@@ -99,7 +111,7 @@ def _storey(rays: list[jax.Array], block: Seat):
     return _slab(block.eye[2] - block.span[0] - half, half, rays[2])
 
 
-def _meet_box(rays: list[jax.Array], box: Seat) -> jax.Array:
+def _meet_box(rays: list[jax.Array], box: Seat, shaded: bool) -> jax.Array:
     """Hits of rays with the outside of a box."""
     dx = _off_zero(box.cos * rays[0] + box.sin * rays[1])
     dy = _off_zero(box.cos * rays[1] - box.sin * rays[0])
@@ -108,6 +120,8 @@ def _meet_box(rays: list[jax.Array], box: Seat) -> jax.Array:
     enter_z, leave_z = _storey(rays, box)
     enter = jnp.maximum(jnp.maximum(enter_x, enter_y), enter_z)
     leave = jnp.minimum(jnp.minimum(leave_x, leave_y), leave_z)
+    if not shaded:
+        return _hit(enter, leave, box)
     aside = jnp.where(
         enter == enter_x, -jnp.sign(dx) * box.light[0], -jnp.sign(dy) * box.light[1]
     )
@@ -115,7 +129,7 @@ def _meet_box(rays: list[jax.Array], box: Seat) -> jax.Array:
     return _hit(enter, leave, box, light)
 
 
-def _meet_cylinder(rays: list[jax.Array], cylinder: Seat) -> jax.Array:
+def _meet_cylinder(rays: list[jax.Array], cylinder: Seat, shaded: bool) -> jax.Array:
     """Hits of rays with the outside of an upright cylinder."""
     dx = cylinder.cos * rays[0] + cylinder.sin * rays[1]
     dy = cylinder.cos * rays[1] - cylinder.sin * rays[0]
@@ -128,15 +142,21 @@ def _meet_cylinder(rays: list[jax.Array], cylinder: Seat) -> jax.Array:
     enter_z, leave_z = _storey(rays, cylinder)
     enter = jnp.maximum(nearest - chord, enter_z)
     leave = jnp.where(missed, -1.0, jnp.minimum(nearest + chord, leave_z))
+    if not shaded:
+        return _hit(enter, leave, cylinder)
     at_x, at_y = x + enter * dx, y + enter * dy
     aside = (at_x * cylinder.light[0] + at_y * cylinder.light[1]) / radius
     light = jnp.where(enter == enter_z, -jnp.sign(rays[2]) * SUN[2], aside)
     return _hit(enter, leave, cylinder, light)
 
 
-def _hit(enter: jax.Array, leave: jax.Array, block: Seat, light: jax.Array):
+def _hit(
+    enter: jax.Array, leave: jax.Array, block: Seat, light: jax.Array | None = None
+) -> jax.Array:
     """Hits of what a ray enters; from inside it sees nothing of a block."""
-    level = AMBIENT + DIFFUSE * jnp.maximum(light, 0.0)
-    shade = jnp.round(SHADES * level).astype(jnp.int32)
+    shade = SHADES
+    if light is not None:
+        level = AMBIENT + DIFFUSE * jnp.maximum(light, 0.0)
+        shade = jnp.round(SHADES * level).astype(jnp.int32)
     met = (enter <= leave) & (enter > 0.0)
     return jnp.where(met, encode(enter, block.seen, shade), MISS)

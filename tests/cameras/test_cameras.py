@@ -219,6 +219,7 @@ def test_faults_of_no_size_change_nothing():
     assert (same.seen == pictures.seen).mean() > 0.999
     np.testing.assert_allclose(same.depth, pictures.depth, rtol=1e-4)
     rgb = colours(pictures)
+    assert (pictures.shade == pictures.shade.max()).all()
     assert rgb.shape == (1, 4, 48, 64, 3)
     assert 0.0 <= float(rgb.min()) <= float(rgb.max()) <= 1.0
 
