@@ -79,7 +79,8 @@ def speed(config: CamerasConfig) -> None:
     from camera_suite.speed import speeds
 
     batch = config.batch or (64 if jax.default_backend() == "cpu" else 4096)
-    print(f"{jax.devices()[0].device_kind}, {batch} lots")
+    second = "a core's" if jax.default_backend() == "cpu" else "the wall clock's"
+    print(f"{jax.devices()[0].device_kind}, {batch} lots, {second} seconds")
     print("| layout | what | pixels/s | agent steps/s |")
     print("|---|---|---|---|")
     for name in config.layouts or ("lot",):
@@ -93,7 +94,6 @@ def speed(config: CamerasConfig) -> None:
 
 def run(config: CamerasConfig) -> int:
     """Does what is asked for; returns the exit code."""
-    choose_gl()  # before MuJoCo is imported
     if config.what == "truth":
         return truth(config)
     if config.what == "speed":
@@ -110,6 +110,7 @@ def run(config: CamerasConfig) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
+    choose_gl()  # before a layout's study imports MuJoCo
     return run_command(
         "cameras",
         lambda: run(read_flags(CamerasConfig, arguments, description=__doc__)),

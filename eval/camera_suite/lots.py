@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj import EnvConfig, ParkingEnv
-from carpark_mj.config import LAYOUTS, Mover
-from carpark_mj.layouts import layout_config
+from carpark_mj.config import LAYOUTS, GoalConfig, Mover
+from carpark_mj.layouts import BayKind, layout_config, make_layout
 from carpark_mj.obstacles import Boxes, Discs
 
 AGENTS, PARKED_CARS, PEOPLE = 2, 8, 3
@@ -45,14 +45,21 @@ def families() -> list[str]:
 
 
 def environment(layout: str, people: bool = True, agents: int = AGENTS) -> ParkingEnv:
-    """An environment with as many of the cars as its lots have bays for."""
-    bays = layout_config(layout).min_bays
-    agents = min(agents, bays)
+    """An environment with as many of the cars as its lots have bays for.
+
+    Where lots have exits, agents drive out and nobody is parked.
+    """
+    lot = layout_config(layout)
+    kinds = make_layout(lot, jax.random.key(0)).bay_kind
+    exits = bool((kinds == BayKind.EXIT).any())
+    agents = min(agents, lot.min_goals)
+    parked_cars = 0 if exits else min(PARKED_CARS, lot.min_bays - agents)
     return ParkingEnv(
         EnvConfig(
             layout=layout,
             num_agents=agents,
-            num_parked_cars=min(PARKED_CARS, bays - agents),
+            num_parked_cars=parked_cars,
+            goals=GoalConfig(drive_out=exits),
             movers=(Bystanders(),) if people else (),
         )
     )

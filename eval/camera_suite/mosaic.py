@@ -35,9 +35,11 @@ def mosaic(layouts: Sequence[str], seed: int = 0) -> np.ndarray:
         env = environment(layout)
         state = jax.jit(lambda key: env.reset(key)[0])(jax.random.key(seed))  # noqa: B023
         rig = dataclasses.replace(RIGS["surround"], shaded=True)
-        pictures = see(rig, state, Heights.of(env.fleet))
+        heights = Heights.of(env.fleet)
+        pictures = jax.jit(see, static_argnums=(0, 2))(rig, state, heights)
         own = jax.tree.map(lambda x: x[0], pictures)
-        above = see_from_above(BirdsEye(3 * rig.height + 2 * GAP), state)[0]
+        config = BirdsEye(3 * rig.height + 2 * GAP)
+        above = jax.jit(see_from_above, static_argnums=0)(config, state)[0]
         rows = np.concatenate([_row(images) for images in _channels(own)])[:-GAP]
         sheets.append(np.concatenate([rows, _framed(_palette()[above])[:-GAP]], axis=1))
         sheets.append(np.full((2 * GAP, sheets[0].shape[1], 3), 255, np.uint8))
