@@ -21,6 +21,7 @@ FLOORS = (
     ("layouts",),
     ("types", "vehicle"),
     ("obstacles",),
+    ("cameras",),
     ("observations", "scene"),
     ("mdp", "physics", "movers"),
     ("fleet",),
@@ -49,6 +50,7 @@ WITHOUT_MUJOCO = (
     "layouts",
     "types",
     "obstacles",
+    "cameras",
     *TASK,
 )
 AROUND_TASK = {"vehicle", "scene", "physics"}
