@@ -9,10 +9,10 @@ from carpark_mj.identification.fit import PARAMETERS, Estimate, Identification
 from carpark_mj.identification.log import DriveLog
 from carpark_mj.vehicle.sheet import Sheet
 
-# Numbers of a log that a vehicle does not have, and the settings nearest to them.
+# Settings of an environment for numbers that a vehicle does not have.
 PLACES = {
-    "steering_delay": "steering_lag, roughly",
-    "pedal_delay": "drive_lag, roughly",
+    "steering_delay": "sim.steering_delay",
+    "pedal_delay": "sim.pedal_delay",
     "steering_offset": "randomization.steering_offset",
 }
 
@@ -38,7 +38,7 @@ def vehicle_text(name: str, sheet: Sheet, found: Identification, log: DriveLog) 
     origins = dict.fromkeys(sheet.estimated, "estimated")
     lines = [
         "# Identified from the log of a test drive; intervals are at 95 %. What is not",
-        "# marked is the vehicle's that was given.",
+        "# marked is the vehicle's that was given. Settings of the environment:",
     ]
     for key, estimate in found.estimates.items():
         if place(key, log) != "vehicle file":
