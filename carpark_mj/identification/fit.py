@@ -36,7 +36,8 @@ class Parameter(NamedTuple):
         step: for derivatives, which moves events, such as the closing of the holding
             brake, by several substeps; less would take them for fixed.
         doubt: standard deviation of the vehicle's value.
-        widest: half the longest interval with which the log tells it.
+        widest: half the longest interval with which the log tells it, a share of the
+            value found.
         needs: what tells it in a drive.
     """
 
@@ -134,7 +135,7 @@ def identify(
             fit.sought,
             fit.own,
             errors,
-            errors <= fit.scaled("widest"),
+            errors <= fit.scaled("widest", fit.sought),
             strict=True,
         )
     }
@@ -173,10 +174,11 @@ class _Fit:
         self.noise = np.array([_NOISE[name] for name in replay.channels])
         self._residual, self._normal = self._look(self.sought, self.starts)
 
-    def scaled(self, what: str) -> np.ndarray:
-        """A quantity (p,) of `PARAMETERS`, absolute."""
+    def scaled(self, what: str, values: np.ndarray | None = None) -> np.ndarray:
+        """A quantity (p,) of `PARAMETERS`, absolute: shares are of `own` by default."""
         relative = np.array([p.relative for p in PARAMETERS.values()])
-        return np.where(relative, self.own, 1.0) * [
+        of = self.own if values is None else values
+        return np.where(relative, of, 1.0) * [
             getattr(p, what) for p in PARAMETERS.values()
         ]
 
