@@ -6,7 +6,8 @@ variance of its quantity, which is that of the residuals of the last fit. Deriva
 are central differences in float64; the starts are eliminated piece by piece.
 
 The covariance of the parameters is the inverse of what the normal equations leave for
-them without the starts (Fisher's information). Where successive residuals of a quantity
+them without the starts (Fisher's information); combinations whose share of it is within
+the precision of the derivatives have none. Where successive residuals of a quantity
 correlate by r, its variance counts (1 + r) / (1 - r) times: errors of the model and
 slow errors of sensors do not average out as white noise does.
 
@@ -24,6 +25,7 @@ from carpark_mj.identification.log import DriveLog
 from carpark_mj.identification.simulation import SIM_DT, Replay, Sought
 from carpark_mj.vehicle.parameters import VehicleParameters
 
+RANK = 1e-4  # eigenvalue of the scaled information that derivatives can make of none
 QUANTILE = 1.96  # standard deviations, 95 % of a normal distribution
 
 
@@ -208,7 +210,13 @@ class _Fit:
         _, normal = self._look(self.sought, self.starts)
         self.noise = noise
         _, curvature, _ = _without_starts(normal, 0.0)
-        return QUANTILE * np.sqrt(np.diag(np.linalg.inv(curvature)))
+        known = np.diag(self.scaled("doubt") ** -2.0)
+        information = curvature - known
+        size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        values, vectors = np.linalg.eigh(information / np.outer(size, size))
+        values[values < RANK] = 0.0
+        information = (vectors * values) @ vectors.T * np.outer(size, size)
+        return QUANTILE * np.sqrt(np.diag(np.linalg.inv(information + known)))
 
     def _redundancy(self) -> np.ndarray:
         """Residuals (channels,) that tell as much as an independent one."""

@@ -35,9 +35,11 @@ LARGEST = {
     "steering": (1.2, "rad"),
     "pedal": (1.0, ""),
     "acceleration": (15.0, "m/s^2"),
-    "speed": (60.0, "m/s"),
+    "yaw": (1000.0, "rad"),
+    "yaw_rate": (10.0, "rad/s"),
 }
 SHORTEST, LONGEST = 10.0, 300.0  # s
+SLOWEST, FASTEST = 0.5, 60.0  # m/s, the top speed of a drive; poses may not jump
 WIDEST_GAP = 0.25  # s between rows, for commands are interpolated
 
 
@@ -189,5 +191,9 @@ def _check(path: Path, log: DriveLog, values: dict[str, np.ndarray]) -> None:
     for name, column in log.measured.items():
         if np.isfinite(column).sum() < 2 * lasts:
             raise ValueError(f"{path}: {name} must have at least 2 values per second")
-    if np.abs(log.speed).max() < 0.5:
-        raise ValueError(f"{path}: the car must drive 0.5 m/s or more, it stands")
+    speed = np.abs(log.speed)
+    if not SLOWEST <= speed.max() <= FASTEST:
+        raise ValueError(
+            f"{path}: the car must reach {SLOWEST:g} to {FASTEST:g} m/s, not "
+            f"{speed.max():.3g} (at {log.time[speed.argmax()]:g} s)"
+        )
