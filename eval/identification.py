@@ -109,7 +109,7 @@ def run(config: IdentificationConfig) -> None:
 def _print(rows: list[dict], kind: str) -> None:
     """The first seed's numbers, and how many of all intervals cover the truth."""
     names = "parameter", "true", "found", "95 % interval", "told", "covered"
-    table = Table(*(Column(name, no_wrap=True) for name in names))
+    table = Table(*(Column(name, no_wrap=name == names[0]) for name in names))
     for name in Sought._fields:
         mine = [row for row in rows if row["parameter"] == name]
         told = [row for row in mine if row["told"]]
