@@ -21,8 +21,9 @@ FLOORS = (
     ("layouts",),
     ("types", "vehicle"),
     ("obstacles",),
+    ("cameras",),
     ("observations", "scene"),
-    ("mdp", "physics"),
+    ("mdp", "physics", "movers"),
     ("fleet",),
     ("episodes",),
     ("env",),
@@ -32,7 +33,7 @@ FLOORS = (
     ("evaluation",),
     ("analysis",),
     ("rendering",),
-    ("wrappers", "play", "maps"),
+    ("wrappers", "play", "maps", "editor"),
     ("cli",),
     ("training",),
     ("sweeps", "benchmarking"),
@@ -49,6 +50,7 @@ WITHOUT_MUJOCO = (
     "layouts",
     "types",
     "obstacles",
+    "cameras",
     *TASK,
 )
 AROUND_TASK = {"vehicle", "scene", "physics"}

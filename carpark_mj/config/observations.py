@@ -204,6 +204,37 @@ class RayConfig(CheckedConfig):
 
 
 @dataclasses.dataclass(frozen=True)
+class UltrasoundConfig(CheckedConfig):
+    """Twelve ultrasonic sensors around the car; off by default.
+
+    Attributes:
+        on: observe them.
+        reach: longest distance measured [m].
+        dead_zone: shortest distance measured [m]; what is nearer reads as this.
+        cone: angle of a sensor's cone [rad].
+        noise: standard deviation of the white noise [m].
+    """
+
+    on: bool = False
+    reach: float = 5.0
+    dead_zone: float = 0.15
+    cone: float = math.radians(60.0)
+    noise: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "reach", "cone")
+        require_at_least(self, 0.0, "dead_zone", "noise")
+        if self.cone >= math.pi:
+            raise ValueError(f"cone must be less than pi rad, not {self.cone}")
+        if self.dead_zone >= self.reach:
+            raise ValueError(
+                f"dead_zone must be less than the reach {self.reach} m, not "
+                f"{self.dead_zone}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
 class SensorConfig(CheckedConfig):
     """Errors of what agents observe of the cars' motion; none by default.
 

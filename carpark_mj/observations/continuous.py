@@ -13,6 +13,7 @@ from carpark_mj.config.observations import (
     RingConfig,
     ShareConfig,
     Tracked,
+    UltrasoundConfig,
 )
 from carpark_mj.observations import bay_fields, ego
 from carpark_mj.observations.fields import Field
@@ -21,7 +22,9 @@ from carpark_mj.observations.rays import rays_part
 from carpark_mj.observations.rings import init_history, rings_part, update_history
 from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tracked_cars import agents_part, parked_cars_part
+from carpark_mj.observations.tracked_movers import movers_part
 from carpark_mj.observations.tracking import mark, track_agents, track_parked_cars
+from carpark_mj.observations.ultrasound import ultrasound_part
 from carpark_mj.types import State
 
 
@@ -42,8 +45,11 @@ class ContinuousObservation(ObservationConfig):
         lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
         rays: bearings along which the free distance is observed.
+        ultrasound: sensors in the bumpers and sides.
         lane: observe the lane the car is in, or the nearest.
         route: observe the route along the lanes to the goal; fixed goals only.
+        tracked_movers: how many of the nearest movers, people among them, are observed.
+        in_sight: observe only movers that no car or wall hides.
         encoding: name of the encoder; as a flag it chooses another.
     """
 
@@ -57,13 +63,20 @@ class ContinuousObservation(ObservationConfig):
         default_factory=lambda: RingConfig((5.0, 6.2, 8.0))
     )
     rays: RayConfig = dataclasses.field(default_factory=lambda: RayConfig(24))
+    ultrasound: UltrasoundConfig = dataclasses.field(default_factory=UltrasoundConfig)
     lane: bool = False
     route: bool = False
+    tracked_movers: int = 0
+    in_sight: bool = False
     encoding: str = "continuous"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(self, 0, "tracked_agents", "tracked_parked_cars")
+        require_whole(
+            self, 0, "tracked_agents", "tracked_parked_cars", "tracked_movers"
+        )
+        if self.in_sight and not self.tracked_movers:
+            raise ValueError("in_sight needs tracked_movers, at least 1, not 0")
 
     def parts(self, env: EnvConfig) -> list[Part]:
         """All that is observed, in order. An extension adds to it.
@@ -90,10 +103,14 @@ class ContinuousObservation(ObservationConfig):
             parts.append(agents_part(agents, self.share, num_bays))
         if parked_cars:
             parts.append(parked_cars_part(parked_cars))
+        if self.tracked_movers:
+            parts.append(movers_part(self.tracked_movers, self.in_sight))
         if self.rings.diameters:
             parts.append(rings_part(self.rings))
         if self.rays.count:
             parts.append(rays_part(self.rays))
+        if self.ultrasound.on:
+            parts.append(ultrasound_part(self.ultrasound))
         if self.lane:
             parts.append(ego.LANE)
         return parts

@@ -24,6 +24,8 @@ class HandCar:
     steering_rate: jax.Array
     wheel_radius: jax.Array
     track_width: jax.Array
+    max_acceleration: jax.Array
+    max_deceleration: jax.Array
 
 
 @struct.dataclass
@@ -44,6 +46,8 @@ def hand_cars(motion: Motion, **parameters: Any) -> HandCar:
         "steering_rate": 0.5,
         "wheel_radius": 0.3,
         "track_width": 1.5,
+        "max_acceleration": 2.0,
+        "max_deceleration": 4.0,
     } | parameters
     lead = motion.yaw_rate.shape
     full = {
