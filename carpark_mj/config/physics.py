@@ -121,6 +121,11 @@ class SimConfig(CheckedConfig):
             )
 
     @property
+    def has_delays(self) -> bool:
+        """Whether commands arrive late."""
+        return bool(self.steering_delay or self.pedal_delay)
+
+    @property
     def has_ramp(self) -> bool:
         """Whether the slope depends on the place."""
         return self.ramp[2] != 0.0
