@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj import EnvConfig, ParkingEnv
-from carpark_mj.config import LAYOUTS, GoalConfig, Mover
+from carpark_mj.config import LAYOUTS, GoalConfig, Mover, SpawnConfig
 from carpark_mj.layouts import BayKind, layout_config, make_layout
 from carpark_mj.obstacles import Boxes, Discs
 
+AT_RANDOM = SpawnConfig(close_ratio=0.0, conflict_ratio=0.0, reverse_ratio=0.0)
 AGENTS, PARKED_CARS, PEOPLE = 2, 8, 3
 
 
@@ -60,6 +61,7 @@ def environment(layout: str, people: bool = True, agents: int = AGENTS) -> Parki
             num_agents=agents,
             num_parked_cars=parked_cars,
             goals=GoalConfig(drive_out=exits),
+            spawn=AT_RANDOM if exits else SpawnConfig(),
             movers=(Bystanders(),) if people else (),
         )
     )
