@@ -5,6 +5,7 @@ carpark_mj layouts --check 1000 --run 20
 carpark_mj layouts street my_lot.json --check 1000
 carpark_mj layouts lot --seed 3 --save lot.json
 carpark_mj layouts import car_park.osm --out lot.json
+carpark_mj layouts edit lot.json
 """
 
 import dataclasses
@@ -244,6 +245,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from carpark_mj.cli import map_import
 
         return map_import.main(given[1:])
+    if given and given[0] == "edit":
+        from carpark_mj.cli import layout_editor
+
+        return layout_editor.main(given[1:])
 
     def command() -> int:
         config = read_flags(LayoutsConfig, arguments, description=__doc__, prog=PROGRAM)

@@ -247,6 +247,11 @@ class SensorConfig(CheckedConfig):
             left [m/s].
         delay_min: shortest delay of a car's measurements [control steps].
         delay_max: longest delay [control steps]; the delay is drawn at every spawn.
+        odometry_scale: standard deviation, over episodes, of the relative error of the
+            distance that the wheels measure [m/m]. Where this or one of the next two
+            is not 0, a car knows its pose by dead reckoning from its start.
+        odometry_veer: the same of the heading per distance [rad/m], positive left.
+        odometry_turn: the same of the heading per turn [rad/rad].
     """
 
     position_noise: float = 0.0
@@ -254,10 +259,14 @@ class SensorConfig(CheckedConfig):
     speed_noise: float = 0.0
     delay_min: int = 0
     delay_max: int = 0
+    odometry_scale: float = 0.0
+    odometry_veer: float = 0.0
+    odometry_turn: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
+        require_at_least(self, 0.0, "odometry_scale", "odometry_veer", "odometry_turn")
         require_whole(self, 0, "delay_min")
         require_whole(self, self.delay_min, "delay_max")
 
@@ -265,3 +274,8 @@ class SensorConfig(CheckedConfig):
     def is_on(self) -> bool:
         """Whether observations differ from the true motion."""
         return self != SensorConfig()
+
+    @property
+    def dead_reckons(self) -> bool:
+        """Whether cars know their poses by odometry only."""
+        return bool(self.odometry_scale or self.odometry_veer or self.odometry_turn)

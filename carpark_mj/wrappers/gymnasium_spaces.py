@@ -43,8 +43,9 @@ def observation_space(env: ParkingEnv) -> spaces.Space[Any]:
     vector, arrays = _arrays(env.config)
     if not arrays:
         return box()
-    shaped = {field.name: _shaped(box([field]), field.shape) for _, field in arrays}
-    return spaces.Dict(vector=box([field for _, field in vector]), **shaped)
+    parts = {"vector": box([field for _, field in vector])}
+    parts |= {field.name: _shaped(box([field]), field.shape) for _, field in arrays}
+    return spaces.Dict(parts)
 
 
 def _shaped(row: spaces.Box, shape: tuple[int, ...]) -> spaces.Box:
