@@ -43,7 +43,9 @@ def observation_space(env: ParkingEnv) -> spaces.Space[Any]:
     vector, arrays = _arrays(env.config)
     if not arrays:
         return box()
-    parts = {"vector": box([field for _, field in vector])}
+    parts: dict[str, spaces.Space[Any]] = {
+        "vector": box([field for _, field in vector])
+    }
     parts |= {field.name: _shaped(box([field]), field.shape) for _, field in arrays}
     return spaces.Dict(parts)
 
