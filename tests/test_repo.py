@@ -21,8 +21,8 @@ FLOORS = (
     ("layouts",),
     ("types", "vehicle"),
     ("obstacles",),
-    ("cameras",),
     ("observations", "scene"),
+    ("cameras",),
     ("mdp", "physics", "movers"),
     ("fleet", "identification"),
     ("episodes",),
@@ -50,7 +50,6 @@ WITHOUT_MUJOCO = (
     "layouts",
     "types",
     "obstacles",
-    "cameras",
     *TASK,
 )
 AROUND_TASK = {"vehicle", "scene", "physics"}
