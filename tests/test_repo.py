@@ -21,10 +21,10 @@ FLOORS = (
     ("layouts",),
     ("types", "vehicle"),
     ("obstacles",),
-    ("cameras",),
     ("observations", "scene"),
+    ("cameras",),
     ("mdp", "physics", "movers"),
-    ("fleet",),
+    ("fleet", "identification"),
     ("episodes",),
     ("env",),
     ("tasks",),
@@ -50,7 +50,6 @@ WITHOUT_MUJOCO = (
     "layouts",
     "types",
     "obstacles",
-    "cameras",
     *TASK,
 )
 AROUND_TASK = {"vehicle", "scene", "physics"}
