@@ -19,6 +19,7 @@ from carpark_mj.mdp.people import HARD_BRAKING
 from carpark_mj.mdp.rewards import reward_terms
 
 LOT = lot([(30.0, 0.0, 0.0)])
+STILL = cars([(0.0, 0.0, 0.0)])
 RADIUS = 0.3
 METRICS = tuple(MetricsConfig.everything().extra)
 CONFIG = EnvConfig(
@@ -108,10 +109,8 @@ def test_lots_without_people_measure_nothing_of_it():
     assert set(METRICS) <= first_tallies(CONFIG).keys()
     few = dataclasses.replace(CONFIG, metrics=MetricsConfig(extra=("person_speed",)))
     with pytest.raises(ValueError, match="min_person_gap"):
-        update_stats(few, transition(few, LOT, *[cars([(0, 0, 0)])] * 2), no_terms(few))
+        update_stats(few, transition(few, LOT, STILL, STILL), no_terms(few))
     np.testing.assert_array_equal(
-        reward_terms(CONFIG, transition(CONFIG, LOT, *[cars([(0, 0, 0)])] * 2))[
-            "comfort"
-        ],
+        reward_terms(CONFIG, transition(CONFIG, LOT, STILL, STILL))["comfort"],
         0.0,
     )

@@ -134,7 +134,9 @@ def test_density_and_shares_are_those_asked_for(drive):
 
 def test_they_begin_in_the_aisles():
     people = PEOPLE.init(jax.random.key(3), LOT)
-    bays = box_disc_overlap(LOT.bay_pose, LOT.bay_size, people.xy[:, None], 0.35)
+    bays = box_disc_overlap(
+        LOT.bay_pose, LOT.bay_size, people.xy[:, None], jnp.array(0.35)
+    )
     alone = people.leader == jnp.arange(PEOPLE.number)
     assert not bays[alone].any()
 

@@ -126,7 +126,8 @@ def test_no_such_things(choice):
 
 def test_lots_without_lanes_have_no_barrier_and_no_car_on_a_rail():
     square = make_layout("square")
-    for mover in (Barrier(), RailCar()):
+    movers: tuple[Any, ...] = (Barrier(), RailCar())
+    for mover in movers:
         [boxes] = mover.obstacles(mover.init(jax.random.key(0), square))
         assert not boxes.mask.any()
     assert dataclasses.asdict(Cart())["mover"] == "cart"

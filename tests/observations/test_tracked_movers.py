@@ -1,5 +1,7 @@
 """Tracked movers: what is observed of them, and which are hidden."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -77,7 +79,7 @@ def test_the_nearest_come_first_in_the_own_frame_and_padding_is_zero():
 
 
 def test_what_stands_behind_a_car_or_a_wall_is_hidden_if_sight_is_asked_for():
-    hiding = {"walls": [(0.0, 4.0, 0.0)], "parked": [(5.0, 0.0, 1.0)]}
+    hiding: Any = {"walls": [(0.0, 4.0, 0.0)], "parked": [(5.0, 0.0, 1.0)]}
     assert places(see(4, **hiding)) == [(0, 3), (6, 0), (0, -8), (0, 9)]
     assert places(see(4, True, **hiding)) == [(0, 3), (0, 9)]
     assert places(see(1, in_sight=True, walls=[(-1.5, 0.0, 0.0)])) == [(6, 0)]
@@ -97,7 +99,7 @@ def test_they_are_a_group_of_the_set_encoder_and_none_by_default():
     parts = sets.split(vector)
     weights = encoder.init(jax.random.key(0), parts, sets.present(parts))
     assert "mover_0" in weights["params"]
-    found = encoder.apply(weights, parts, sets.present(parts))
+    found: Any = encoder.apply(weights, parts, sets.present(parts))
     assert np.isfinite(found).all()
 
 
