@@ -24,7 +24,7 @@ FLOORS = (
     ("observations", "scene"),
     ("cameras",),
     ("mdp", "physics", "movers"),
-    ("fleet",),
+    ("fleet", "identification"),
     ("episodes",),
     ("env",),
     ("tasks",),

@@ -106,8 +106,8 @@ def _named(choice: str) -> Mover:
                 f"the mover {name!r} has no setting {setting!r}: its settings are "
                 f"{', '.join(known)}"
             )
-        numbers = tuple(_number(setting, part) for part in value.split(".."))
-        values[setting] = numbers if len(numbers) > 1 else numbers[0]
+        first, *others = (_number(setting, part) for part in value.split(".."))
+        values[setting] = (first, *others) if others else first
     return dataclasses.replace(mover, **values)
 
 

@@ -1,5 +1,9 @@
 """The library's movers by name: pedestrians, and things that move."""
 
+from carpark_mj.movers.barrier import Barrier
+from carpark_mj.movers.cart import Cart
+from carpark_mj.movers.door import Door
 from carpark_mj.movers.pedestrians import Pedestrians
+from carpark_mj.movers.rail_car import RailCar
 
-__all__ = ["Pedestrians"]
+__all__ = ["Barrier", "Cart", "Door", "Pedestrians", "RailCar"]
