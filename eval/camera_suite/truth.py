@@ -61,7 +61,7 @@ class Agreement:
 
 
 def compare(env: ParkingEnv, states: Sequence[State], meshes: bool = True) -> Agreement:
-    """Compares the pictures of all agents in some lots.
+    """Compares the pictures of all agents that are in some lots.
 
     Args:
         env: the environment.
@@ -77,7 +77,7 @@ def compare(env: ParkingEnv, states: Sequence[State], meshes: bool = True) -> Ag
         for name in RIG_NAMES:
             rig = RIGS[name]
             pictures = pictures_of(rig, state, heights)
-            for agent in range(env.config.num_agents):
+            for agent in _present(env, state):
                 own = jax.tree.map(lambda x: x[agent], pictures)  # noqa: B023
                 total.add(rig, own, drawn[0].show(rig, agent))
                 for renderer in drawn[1:]:
@@ -86,6 +86,12 @@ def compare(env: ParkingEnv, states: Sequence[State], meshes: bool = True) -> Ag
         for renderer in drawn:
             renderer.close()
     return total
+
+
+def _present(env: ParkingEnv, state: State) -> list[int]:
+    """The agents in the lot: absent ones stand far away."""
+    agents = range(env.config.num_agents)
+    return [k for k in agents if state.present is None or bool(state.present[k])]
 
 
 def compare_layout(layout: str, lots: int) -> Agreement:
