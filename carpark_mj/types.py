@@ -244,6 +244,7 @@ class Events:
     hit_parked_car: jax.Array
     hit_wall: jax.Array
     hit_mover: jax.Array | None = None
+    hit_person: jax.Array | None = None
 
     @property
     def success(self) -> jax.Array:

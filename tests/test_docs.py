@@ -206,7 +206,15 @@ def test_the_reward_terms_are_all_there_with_their_weights():
         {name: getattr(REWARDS[set_], name) for name in TERMS} | REWARDS[set_].extra
         for set_ in ("shaped", "tanner")
     ]
-    names = (*TERMS, "approach", "smoothness", "reverse", "yielding")
+    names = (
+        *TERMS,
+        "approach",
+        "smoothness",
+        "reverse",
+        "yielding",
+        "person",
+        "comfort",
+    )
     assert found == [
         [x, *(f"{weights.get(x, 0):g}" for weights in sets)] for x in names
     ]

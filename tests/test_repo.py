@@ -22,7 +22,7 @@ FLOORS = (
     ("types", "vehicle"),
     ("obstacles",),
     ("observations", "scene"),
-    ("mdp", "physics"),
+    ("mdp", "physics", "movers"),
     ("fleet",),
     ("episodes",),
     ("env",),

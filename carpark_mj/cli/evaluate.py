@@ -50,6 +50,8 @@ class EvaluateConfig:
         layout: the lot, a name or a layout file, or a comma-separated list of them;
             default: that of the run.
         num_parked_cars: number of parked cars; default: that of the run.
+        movers: what else moves, with settings: `pedestrians:number=20`; default: as in
+            the run.
         physics: back end; default: that of the run. With `scene`, crashes are contacts
             in one MuJoCo world.
         nominal: switch off noise and delay of sensors and randomization of the cars.
@@ -72,6 +74,7 @@ class EvaluateConfig:
     vehicle: str | None = None
     layout: str | None = None
     num_parked_cars: int | None = None
+    movers: tuple[str, ...] | None = None
     physics: str | None = None
     nominal: bool = False
     stochastic: bool = False
@@ -150,6 +153,7 @@ def prepare(config: EvaluateConfig) -> Task:
         num_parked_cars=config.num_parked_cars,
         vehicle=config.vehicle,
         layout=config.layout,
+        movers=config.movers,
         physics=config.physics,
         metrics=MetricsConfig.everything(),
     )

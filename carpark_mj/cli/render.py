@@ -60,6 +60,8 @@ class RenderConfig:
         num_parked_cars: number of parked cars; default: that of the run.
         vehicle: preset or file of all cars; default: that of the run, or its fleet.
         layout: the lot, a name or a layout file; default: that of the run.
+        movers: what else moves, with settings: `pedestrians:number=20`; default: as in
+            the run.
         physics: back end; default: that of the run. In `scene` crashed cars push each
             other, spin and stop.
         respawn: whether finished agents respawn; `false` = one episode per agent.
@@ -81,6 +83,7 @@ class RenderConfig:
     num_parked_cars: int | None = None
     vehicle: str | None = None
     layout: str | None = None
+    movers: tuple[str, ...] | None = None
     physics: str | None = None
     respawn: Literal["true", "false"] = "true"
 
@@ -157,6 +160,7 @@ def main(config: RenderConfig) -> Path:
         num_parked_cars=config.num_parked_cars,
         vehicle=config.vehicle,
         layout=config.layout,
+        movers=config.movers,
         physics=config.physics,
     )
     episode = dataclasses.replace(env_config.episode, respawn=config.respawn == "true")

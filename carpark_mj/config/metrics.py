@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 from carpark_mj.config.checks import LARGEST, CheckedConfig, require_name
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.extensions import Registry
 
 # How episodes add up.
@@ -36,6 +37,8 @@ class Metric(CheckedConfig):
             their mean (`steps`), the least (`least`, its name begins with `min_`) or
             the largest (`most`, `peak_`). None for the library's own, which are
             measured together.
+        kind: of the obstacles that it is about; lots that never have such obstacles
+            do not measure it. None = any lot does.
     """
 
     name: str
@@ -45,6 +48,7 @@ class Metric(CheckedConfig):
     study: str = ""
     ratio: tuple[str, str] | None = None
     value: Callable[..., Any] | None = None
+    kind: ObstacleKind | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -75,7 +79,7 @@ class Metric(CheckedConfig):
 
 
 # Metrics beyond those of `carpark_mj.evaluation.catalogue`, for `MetricsConfig.extra`.
-METRICS: Registry[Metric] = Registry("metric")
+METRICS: Registry[Metric] = Registry("metric", "carpark_mj.mdp.people")
 
 
 def register_metric(metric: Metric) -> None:

@@ -1,6 +1,7 @@
 """Obstacles that move by themselves: the base of their settings, and their names."""
 
 import abc
+import dataclasses
 import enum
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -16,6 +17,7 @@ class ObstacleKind(enum.IntEnum):
     PARKED_CAR = 1
     WALL = 2  # all that a layout has: pillars and bollards too
     MOVER = 3
+    PERSON = 4
 
     @property
     def label(self) -> str:
@@ -65,7 +67,7 @@ class Mover(CheckedConfig, abc.ABC):
         """
 
 
-MOVERS: Registry[Mover] = Registry("mover")
+MOVERS: Registry[Mover] = Registry("mover", "carpark_mj.movers")
 
 # As a flag a mover is its name, as a layout is.
 if TYPE_CHECKING:
@@ -77,14 +79,46 @@ else:
 def make_movers(choices: Sequence[MoverChoice]) -> tuple[Mover, ...]:
     """The movers that names stand for; others as given.
 
+    A name may bring settings, as in `pedestrians:number=20,speed=0.8..1.6`.
+
     Raises:
-        ValueError: an unknown name, or a mover that says that it is an agent.
+        ValueError: an unknown name or setting, or a mover that says that it is an
+            agent.
     """
-    movers = tuple(MOVERS[x] if isinstance(x, str) else x for x in choices)
+    movers = tuple(_named(x) if isinstance(x, str) else x for x in choices)
     for mover in movers:
         if mover.kind == ObstacleKind.AGENT:
             raise ValueError(f"the mover {mover.mover!r} must not be of the kind AGENT")
     return movers
+
+
+def _named(choice: str) -> Mover:
+    """The mover of a name, with the settings that follow it."""
+    name, colon, words = choice.partition(":")
+    mover: Any = MOVERS[name]
+    values: dict[str, float | tuple[float, ...]] = {}
+    fields = dataclasses.fields(mover)
+    known = [field.name for field in fields if field.name != "mover"]
+    for word in words.split(",") if colon else ():
+        setting, _, value = word.partition("=")
+        if setting not in known:
+            raise ValueError(
+                f"the mover {name!r} has no setting {setting!r}: its settings are "
+                f"{', '.join(known)}"
+            )
+        numbers = tuple(_number(setting, part) for part in value.split(".."))
+        values[setting] = numbers if len(numbers) > 1 else numbers[0]
+    return dataclasses.replace(mover, **values)
+
+
+def _number(setting: str, text: str) -> float:
+    """A number of a setting; a whole one if it is written so."""
+    try:
+        return int(text) if text.lstrip("-").isdigit() else float(text)
+    except ValueError:
+        raise ValueError(
+            f"{setting} must be a number, or two with .. between them, not {text!r}"
+        ) from None
 
 
 def hit_kinds(movers: Sequence[MoverChoice]) -> tuple[ObstacleKind, ...]:

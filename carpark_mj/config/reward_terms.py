@@ -59,7 +59,10 @@ class RewardTerm(CheckedConfig):
 
 # Terms beyond those of `carpark_mj.mdp.rewards`, for `RewardConfig.extra`.
 REWARD_TERMS: Registry[RewardTerm] = Registry(
-    "reward term", "carpark_mj.tasks.goal_pose", "carpark_mj.mdp.yielding"
+    "reward term",
+    "carpark_mj.tasks.goal_pose",
+    "carpark_mj.mdp.yielding",
+    "carpark_mj.mdp.people",
 )
 
 

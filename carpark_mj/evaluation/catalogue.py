@@ -48,6 +48,7 @@ _WHAT = {
     "_parked_car": "a parked car",
     "_wall": "a wall or disc",
     "_mover": "a mover, if any",
+    "_person": "a person, if any",
 }
 OUTCOME = (
     _rate("parked", "parked under the rule in force", "p"),
@@ -58,6 +59,7 @@ OUTCOME = (
     _rate("hit_parked_car", "crashed into a parked car", "Total Crashes StaticCar"),
     _rate("hit_wall", "crashed into a wall or disc", "Total Crashes Wall"),
     _rate("hit_mover", "crashed into a mover, if any"),
+    _rate("hit_person", "crashed into a person, if any"),
     _rate(
         "crashed_at_start",
         "crashed in the first step",

@@ -21,6 +21,7 @@ from carpark_mj.observations.rays import rays_part
 from carpark_mj.observations.rings import init_history, rings_part, update_history
 from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tracked_cars import agents_part, parked_cars_part
+from carpark_mj.observations.tracked_movers import movers_part
 from carpark_mj.observations.tracking import mark, track_agents, track_parked_cars
 from carpark_mj.types import State
 
@@ -44,6 +45,8 @@ class ContinuousObservation(ObservationConfig):
         rays: bearings along which the free distance is observed.
         lane: observe the lane the car is in, or the nearest.
         route: observe the route along the lanes to the goal; fixed goals only.
+        tracked_movers: how many of the nearest movers, people among them, are observed.
+        in_sight: observe only movers that no car or wall hides.
         encoding: name of the encoder; as a flag it chooses another.
     """
 
@@ -59,11 +62,17 @@ class ContinuousObservation(ObservationConfig):
     rays: RayConfig = dataclasses.field(default_factory=lambda: RayConfig(24))
     lane: bool = False
     route: bool = False
+    tracked_movers: int = 0
+    in_sight: bool = False
     encoding: str = "continuous"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(self, 0, "tracked_agents", "tracked_parked_cars")
+        require_whole(
+            self, 0, "tracked_agents", "tracked_parked_cars", "tracked_movers"
+        )
+        if self.in_sight and not self.tracked_movers:
+            raise ValueError("in_sight needs tracked_movers, at least 1, not 0")
 
     def parts(self, env: EnvConfig) -> list[Part]:
         """All that is observed, in order. An extension adds to it.
@@ -90,6 +99,8 @@ class ContinuousObservation(ObservationConfig):
             parts.append(agents_part(agents, self.share, num_bays))
         if parked_cars:
             parts.append(parked_cars_part(parked_cars))
+        if self.tracked_movers:
+            parts.append(movers_part(self.tracked_movers, self.in_sight))
         if self.rings.diameters:
             parts.append(rings_part(self.rings))
         if self.rays.count:

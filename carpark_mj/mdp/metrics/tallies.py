@@ -67,7 +67,9 @@ def measure(
 
 
 def _extra(config: EnvConfig) -> list[Metric]:
-    return [METRICS[name] for name in config.metrics.extra]
+    kinds = {None, *hit_kinds(config.movers)}
+    found = [METRICS[name] for name in config.metrics.extra]
+    return [metric for metric in found if metric.kind in kinds]
 
 
 def fold_tallies(

@@ -1,0 +1,5 @@
+"""The library's movers by name: pedestrians, and things that move."""
+
+from carpark_mj.movers.pedestrians import Pedestrians
+
+__all__ = ["Pedestrians"]

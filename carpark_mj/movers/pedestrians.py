@@ -1,0 +1,137 @@
+"""Pedestrians: who walks in a lot, drawn when it begins."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config.checks import Range, require_range, require_ratio, require_whole
+from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
+from carpark_mj.geometry.obstacles import Discs
+from carpark_mj.layouts.types import Layout
+from carpark_mj.movers.outlines import AWAY
+from carpark_mj.movers.people import People
+from carpark_mj.movers.places import make_places
+from carpark_mj.movers.walking import NEAR, REST, walk
+from carpark_mj.types import State
+
+CHILD = 0.25  # m, radius
+FIRST_REST = 10.0  # s, longest until somebody sets out when a lot begins
+BESIDE = 0.7  # m between those who walk together
+
+
+@dataclasses.dataclass(frozen=True)
+class Pedestrians(Mover):
+    """People who walk between bays, entrances and ends of lanes.
+
+    Shares are probabilities for each person, drawn when a lot begins.
+
+    Attributes:
+        number: how many, the most if `density` is given. A lot holds at most one for
+            each place that can be reached when it begins.
+        density: people for 100 m² of the lot, drawn from this range; None = `number`.
+        speed: desired speeds [m/s], normal about the middle of this range and cut at
+            its ends, two standard deviations away. Weidmann 1993: 1.34 m/s, standard
+            deviation 0.26 m/s.
+        radius: of adults [m], uniform.
+        attention: share of adults who give way to cars.
+        groups: share of adults who walk with the one before.
+        standing: share of adults who mostly stand.
+        straight: share of adults who walk straight whoever is near.
+        children: share of people who run across aisles from between parked cars.
+        mover: fixed.
+    """
+
+    number: int = 10
+    density: Range | None = None
+    speed: Range = (0.82, 1.86)
+    radius: Range = (0.25, 0.35)
+    attention: float = 0.8
+    groups: float = 0.2
+    standing: float = 0.1
+    straight: float = 0.1
+    children: float = 0.1
+    mover: str = "pedestrians"
+    kind = ObstacleKind.PERSON
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_whole(self, 1, "number")
+        if self.density is not None:
+            require_range("density", self.density, 0.0, 100.0)
+        require_range("speed", self.speed, 0.1, 3.0)
+        require_range("radius", self.radius, 0.2, 0.5)
+        require_ratio(self, "attention", "groups", "standing", "straight", "children")
+
+    def init(self, key: Any, layout: Layout) -> People:
+        """Everybody stands at a place of their own."""
+        n, places = self.number, make_places(layout)
+        keys = iter(jax.random.split(key, 12))
+
+        def share(probability: float) -> jax.Array:
+            return jax.random.uniform(next(keys), (n,)) < probability
+
+        order = jnp.where(
+            places.mask, jax.random.uniform(next(keys), places.mask.shape), 2
+        )
+        order = jnp.argsort(order)[:n]
+        start = jnp.pad(order, (0, n - order.shape[0]))
+        rank, wanted = jnp.arange(n), jnp.int32(n)
+        density_key = next(keys)
+        if self.density is not None:
+            low, high = self.density
+            density = jax.random.uniform(density_key, (), minval=low, maxval=high)
+            area = 4.0 * layout.extent[0] * layout.extent[1]
+            wanted = jnp.round(density * area / 100.0).astype(jnp.int32)
+        child = share(self.children)
+        # Of two neighbours in the list the second follows, so nobody leads a leader.
+        follows = (
+            share(2.0 * self.groups) & (rank % 2 == 1) & ~child & ~jnp.roll(child, 1)
+        )
+        leader = jnp.where(follows, rank - 1, rank)
+        start = start[leader]
+        angle = jax.random.uniform(next(keys), (n,), maxval=2 * jnp.pi)
+        offset = BESIDE * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+        offset = jnp.where(follows[:, None], offset, 0.0)
+        deviation = jax.random.truncated_normal(next(keys), -2.0, 2.0, (n,))
+        low, high = self.speed
+        speed = (low + high) / 2 + deviation * (high - low) / 4
+        low, high = self.radius
+        radius = jax.random.uniform(next(keys), (n,), minval=low, maxval=high)
+        # In the aisle: parked cars are not known yet.
+        at = places.edge[start] + offset
+        return People(
+            xy=at,
+            velocity=jnp.zeros((n, 2)),
+            speed=speed[leader],
+            radius=jnp.where(child, CHILD, radius),
+            present=(rank < wanted) & (rank < places.mask.sum()),
+            child=child,
+            stands=share(self.standing)[leader] & ~child,
+            straight=share(self.straight) & ~child,
+            attentive=share(self.attention) & ~child,
+            leader=leader,
+            offset=offset,
+            place=start,
+            target=start,
+            phase=jnp.full(n, REST, jnp.int32),
+            inside=jnp.zeros(n, bool),
+            clock=-jax.random.uniform(next(keys), (n,), maxval=FIRST_REST)[leader],
+            near=jnp.broadcast_to(
+                jnp.array([AWAY, AWAY, 1.0, 0.0, 0.0, 0.0]), (n, NEAR, 6)
+            ),
+            turn=jnp.int32(0),
+            places=places,
+        )
+
+    def step(self, key: Any, state: People, lot: State, dt: float) -> People:
+        """They walk on."""
+        return walk(key, state, lot, dt)
+
+    def obstacles(self, state: People) -> list[Discs]:
+        """A disc each."""
+        return [Discs(state.xy, state.radius, state.velocity, state.present)]
+
+
+MOVERS.register("pedestrians", Pedestrians())

@@ -1,0 +1,121 @@
+"""Places in a lot that people walk to and from: bays, lanes, its border."""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.geometry import norm, point_box_distance, rotate, to_world
+from carpark_mj.layouts.types import Layout
+from carpark_mj.movers.outlines import meet, outlines
+
+OUTSIDE = 0.6  # m from a bay's line into the aisle: a person and some room
+DEPTH = 1.2  # m from there into the gap between two cars
+ROOM = 0.5  # m about a place that is free
+INSET = 1.0  # m from the ends of lanes and the lot's border
+GROWN = 0.6  # m by which walls are longer and wider to people who look for a way
+ALONG = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of half a lane: where its places are
+BORDER = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
+# Sides of a bay in the order in which they are tried: normals.
+SIDES = ((1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))
+
+
+@struct.dataclass
+class Places:
+    """Places (n,) of a lot.
+
+    Attributes:
+        edge: (n, 2) in the aisle [m], where walks begin and end.
+        inner: (n, 2) between the cars of two bays [m]; of other places the edge.
+        mask: (n,) bool, which of them can be reached.
+        blocks: (m, 6) `outlines` that walks must not meet: bays, and walls grown.
+        walls: (k, 6) those of walls and discs.
+    """
+
+    edge: jax.Array
+    inner: jax.Array
+    mask: jax.Array
+    blocks: jax.Array
+    walls: jax.Array
+
+
+def make_places(layout: Layout) -> Places:
+    """The places of a lot: one for each bay, then those of lanes and of the border."""
+    edge, inner, there = _of_bays(layout)
+    blocks = [
+        outlines(layout.bay_pose, layout.bay_size, layout.bay_mask),
+        outlines(layout.wall_pose, layout.wall_size + GROWN, layout.wall_mask),
+    ]
+    blocks = jnp.concatenate(blocks)
+    pose, size = layout.lane_pose, layout.lane_size
+    end = jnp.maximum(size[:, :1] / 2 - INSET, 0.0)
+    ahead = rotate(jnp.array([1.0, 0.0]), pose[:, 2]) * end
+    lane = pose[:, :2] + jnp.array(ALONG)[:, None, None] * ahead
+    in_lane = jnp.broadcast_to(layout.lane_mask, lane.shape[:2]).reshape(-1)
+    lane = lane.reshape(-1, 2)
+    in_lane = in_lane & _is_free(layout, lane)
+    border = jnp.array(BORDER) * (layout.extent - INSET)
+    # Some of the border lies behind walls: only what is seen from a bay counts.
+    away = norm(border[:, None] - edge)
+    bay = jnp.argmin(jnp.where(there, away, jnp.inf), axis=1)
+    seen = ~meet(border, edge[bay], blocks) | ~there.any()
+    seen = seen & _is_free(layout, border)
+    return Places(
+        jnp.concatenate([edge, lane, border]),
+        jnp.concatenate([inner, lane, border]),
+        jnp.concatenate([there, in_lane, seen]),
+        blocks,
+        _walls(layout),
+    )
+
+
+def _walls(layout: Layout) -> jax.Array:
+    """Outlines (k, 6) of walls, and of discs as squares."""
+    pose = jnp.pad(layout.disc_centre, ((0, 0), (0, 1)))
+    size = jnp.repeat(2.0 * layout.disc_radius[:, None], 2, axis=1)
+    return jnp.concatenate(
+        [
+            outlines(layout.wall_pose, layout.wall_size, layout.wall_mask),
+            outlines(pose, size, layout.disc_mask),
+        ]
+    )
+
+
+def _of_bays(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Edges and inner places (bays, 2), and whether bays (bays,) have them."""
+    normal = jnp.array(SIDES)[:, None]
+    tangent = jnp.abs(normal[..., ::-1])
+    half = layout.bay_size / 2
+    across = jnp.sum(jnp.abs(normal) * half, axis=-1, keepdims=True)
+    corner = tangent * half
+
+    def place(depth: jax.Array) -> jax.Array:
+        local = normal * depth + corner
+        pose = jnp.concatenate([local, jnp.zeros_like(local[..., :1])], axis=-1)
+        return to_world(layout.bay_pose, pose)[..., :2]
+
+    edge = place(across + OUTSIDE)  # (sides, bays, 2)
+    inner = place(across - jnp.minimum(DEPTH - OUTSIDE, across))
+    free = _is_free(layout, edge.reshape(-1, 2)).reshape(edge.shape[:2])
+    cost = jnp.arange(len(SIDES), dtype=jnp.float32)[:, None] * 0.1
+    if layout.lane_mask.shape[0]:
+        gap = point_box_distance(edge[:, :, None], layout.lane_pose, layout.lane_size)
+        gap = jnp.where(layout.lane_mask, gap, jnp.inf).min(axis=-1)
+        cost = cost + jnp.where(layout.lane_mask.any(), gap, 0.0)
+    side = jnp.argmin(jnp.where(free, cost, jnp.inf), axis=0)
+    bays = jnp.arange(side.shape[0])
+    there = free[side, bays] & layout.bay_mask
+    return edge[side, bays], inner[side, bays], there
+
+
+def _is_free(layout: Layout, xy: jax.Array) -> jax.Array:
+    """(n,) bool, whether there is room for a person at points (n, 2)."""
+    free = (jnp.abs(xy) < layout.extent).all(axis=-1)
+    boxes = (
+        (layout.bay_pose, layout.bay_size, layout.bay_mask),
+        (layout.wall_pose, layout.wall_size, layout.wall_mask),
+    )
+    for pose, size, mask in boxes:
+        gap = point_box_distance(xy[:, None], pose, size)
+        free = free & ~((gap < ROOM) & mask).any(axis=1)
+    gap = norm(xy[:, None] - layout.disc_centre) - layout.disc_radius
+    return free & ~((gap < ROOM) & layout.disc_mask).any(axis=1)

@@ -1,0 +1,162 @@
+"""Where cars can no longer stop: nothing that moves by itself steps there.
+
+So a car that brakes fully as soon as someone is in its zone hits nobody, and every
+contact could have been avoided.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.types import State
+
+MARGIN = 0.3  # m on all sides: the steering may still turn, brakes build up
+STILL = 1e-4  # m, what rounding may change of a gap
+
+
+@struct.dataclass
+class Zones:
+    """Boxes about cars (num_agents,) and what lies before them.
+
+    Attributes:
+        xy: (num_agents, 2) their centres [m].
+        cos: (num_agents,) of their headings.
+        sin: (num_agents,) of the same.
+        half: (num_agents, 2) their half lengths and widths [m].
+        ahead: (..., num_agents) from their centres forwards [m].
+        behind: (..., num_agents) backwards [m].
+        aside: (num_agents,) to either side [m].
+    """
+
+    xy: jax.Array
+    cos: jax.Array
+    sin: jax.Array
+    half: jax.Array
+    ahead: jax.Array
+    behind: jax.Array
+    aside: jax.Array
+
+    def hold(self, here: jax.Array, reach: jax.Array) -> jax.Array:
+        """Whether discs of radii (n, 1) at `local` places (n, num_agents, 2) meet."""
+        x, y = here[..., 0], here[..., 1]
+        along = (x < self.ahead + reach) & (x > -self.behind - reach)
+        return along & (jnp.abs(y) < self.aside + reach)
+
+    def local(self, xy: jax.Array) -> jax.Array:
+        """Points (n, 2) in the frames of the cars, (n, num_agents, 2)."""
+        return self.turn(xy[:, None] - self.xy)
+
+    def turn(self, vector: jax.Array) -> jax.Array:
+        """Vectors (n, 1 or num_agents, 2) in the frames of the cars."""
+        x, y = vector[..., 0], vector[..., 1]
+        turned = self.cos * x + self.sin * y, self.cos * y - self.sin * x
+        return jnp.stack(turned, axis=-1)
+
+
+def stopping_distance(
+    speed: jax.Array,
+    max_speed: jax.Array,
+    accel: jax.Array,
+    decel: jax.Array,
+    dt: float,
+) -> jax.Array:
+    """The way (...) [m] of a car that sees something and brakes.
+
+    It may speed up for a control step, at the end of which it sees, and then brakes.
+
+    Args:
+        speed: in the direction of travel [m/s], at least 0.
+        max_speed: of the pedal [m/s].
+        accel: at full pedal [m/s²].
+        decel: at full brake [m/s²].
+        dt: control period [s].
+    """
+    faster = jnp.maximum(speed, jnp.minimum(speed + accel * dt, max_speed))
+    return faster * dt + faster * faster / (2.0 * decel)
+
+
+def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Zones:
+    """What the cars of a lot sweep until they stand, or in a time if that is longer.
+
+    Args:
+        lot: its state.
+        dt: control period [s].
+        headway: times [s], broadcastable to (..., num_agents).
+    """
+    motion, car = lot.motion, lot.physics.vehicle
+    half, speed = motion.size / 2, motion.speed
+    accel, decel = car.max_acceleration, car.max_deceleration
+
+    def way(speed: jax.Array, most: jax.Array) -> jax.Array:
+        speed = jnp.maximum(speed, 0.0)
+        stop = stopping_distance(speed, most, accel, decel, dt)
+        return half[:, 0] + jnp.maximum(stop, speed * headway) + MARGIN
+
+    # The heading turns with the speed until the car stands.
+    turned = jnp.abs(motion.yaw_rate) * (dt + jnp.abs(speed) / (2.0 * decel))
+    return Zones(
+        xy=motion.xy,
+        cos=jnp.cos(motion.pose_w[:, 2]),
+        sin=jnp.sin(motion.pose_w[:, 2]),
+        half=half,
+        ahead=way(speed, car.max_speed),
+        behind=way(-speed, car.max_reverse_speed),
+        aside=half[:, 1] + turned * motion.size[:, 0] + MARGIN,
+    )
+
+
+def keep_off(
+    xy: jax.Array, move: jax.Array, radius: jax.Array, enter: Zones, stop: Zones
+) -> jax.Array:
+    """Moves (n, 2) [m] of discs, cut so that none is the cause of a collision.
+
+    Nobody steps into a zone, but goes along its edge. Whoever is in one because a car
+    came goes on, but where the car cannot stop neither nearer to it nor before it.
+
+    Args:
+        xy: (n, 2) centres [m].
+        move: (n, 2) as wanted [m].
+        radius: (n,) [m].
+        enter: zones that nobody steps into, (n, num_agents).
+        stop: zones where cars cannot stop, within those.
+    """
+    reach, here = radius[:, None], enter.local(xy)
+    was_in, too_near = enter.hold(here, reach), stop.hold(here, reach)
+    outward = here - jnp.clip(here, -stop.half, stop.half)
+    gap = jnp.sqrt(jnp.sum(outward * outward, axis=-1))
+    strip = stop.half[:, 1] + reach
+    beside = jnp.abs(here[..., 1]) >= strip
+
+    def wrong(move: jax.Array) -> jax.Array:
+        there = here + enter.turn(move[:, None])
+        beyond = there - jnp.clip(there, -stop.half, stop.half)
+        nearer = jnp.sqrt(jnp.sum(beyond * beyond, axis=-1)) < gap - STILL
+        comes_before = beside & (jnp.abs(there[..., 1]) < strip)
+        return (enter.hold(there, reach) & ~was_in) | (
+            too_near & (nearer | comes_before)
+        )
+
+    # Along the edge of the zone, or round the car, that is nearest of those in the way.
+    bad = wrong(move)
+    car = jnp.argmin(jnp.where(bad, gap, jnp.inf), axis=1)[:, None]
+
+    def of_car(values: jax.Array) -> jax.Array:
+        values = jnp.broadcast_to(values, (*bad.shape, *values.shape[2:]))
+        return jnp.take_along_axis(
+            values, car.reshape(-1, *[1] * (values.ndim - 1)), 1
+        )[:, 0]
+
+    own, outward = of_car(enter.turn(move[:, None])), of_car(outward)
+    ends = (here[..., 0] >= enter.ahead + reach) | (
+        here[..., 0] <= -enter.behind - reach
+    )
+    is_end, inside = of_car(ends), of_car(was_in)
+    edge = own * jnp.stack([~is_end, is_end], axis=-1)
+    square = jnp.sum(outward * outward, axis=-1) + STILL**2
+    towards = jnp.minimum(jnp.sum(own * outward, axis=-1), 0.0) / square
+    round_it = own - towards[:, None] * outward
+    x, y = jnp.moveaxis(jnp.where(inside[:, None], round_it, edge), -1, 0)
+    cos, sin = of_car(enter.cos[None]), of_car(enter.sin[None])
+    slid = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+    move = jnp.where(bad.any(axis=1)[:, None], slid, move)
+    return jnp.where(wrong(move).any(axis=1)[:, None], 0.0, move)

@@ -1,0 +1,198 @@
+"""A step of pedestrians: where they head for, and how they move.
+
+A walk leads out of the gap between two cars, straight to another place that can be
+seen, and perhaps into the gap there. In gaps and when they run, people go straight;
+elsewhere by the social force model.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.geometry import norm
+from carpark_mj.movers import social_force
+from carpark_mj.movers.outlines import meet, offsets, outlines
+from carpark_mj.movers.people import People
+from carpark_mj.movers.stopping import Zones, keep_off, stopping_zones
+from carpark_mj.types import State
+
+REST, OUT, ACROSS, IN = range(4)  # phases of a walk
+ARRIVED = 0.4  # m
+LEG = 60.0  # s, after which somebody who cannot get there heads elsewhere
+STAY, LONG_STAY = 5.0, 40.0  # s, mean rest at a place, of those who mostly stand
+GOES_IN = 0.3  # probability that an adult goes between the cars at the end of a walk
+RUN = 2.5  # m/s, of children who run
+HEADWAY = 3.0  # s, who gives way leaves a car as much
+ASIDE = 0.5  # m, how far from a car's way those who give way step aside
+NEAR = 4  # boxes whose forces act on a person
+ROUNDS = 8  # steps after which near boxes are looked up again
+CANDIDATES = 4  # targets that are looked at
+FAR = 15.0  # m, scale of the distances of targets
+
+
+def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
+    """The people after a control step; `lot` is the state before it."""
+    people = _set_out(key, _find_near(people, lot), lot)
+    waypoint = _waypoint(people)
+    to_go = waypoint - people.xy
+    distance = norm(to_go)
+    rests = people.phase == REST
+    speed = jnp.where(people.child & ~rests, RUN, people.speed)
+    heading = to_go / jnp.maximum(distance, 1e-3)[:, None]
+    # Nobody overshoots, and who rests stays.
+    pace = jnp.minimum(speed, distance / dt)
+    pace = jnp.where(rests & (distance < ARRIVED), 0.0, pace)
+    stop = stopping_zones(lot, dt)
+    gives_way = people.attentive[:, None] * HEADWAY
+    enter = stopping_zones(lot, dt, gives_way)
+    wanted = pace[:, None] * heading + _step_aside(people, enter, stop)
+    forces, apart = _forces(people, lot, heading)
+    straight = people.straight | (people.child & ~rests)
+    straight = straight | (people.phase != ACROSS)
+    force = jnp.where(straight[:, None], 0.0, forces)
+    velocity = social_force.advance(people.velocity, wanted, force, dt)
+    velocity = social_force.limit(velocity, speed)
+    move = velocity * dt + apart
+    move = keep_off(people.xy, move, people.radius, enter, stop)
+    move = jnp.where(people.present[:, None], move, 0.0)
+    xy = people.xy + move
+    arrived = norm(waypoint - xy) < ARRIVED
+    clock = people.clock + dt
+    people = dataclasses.replace(people, xy=xy, velocity=move / dt, clock=clock)
+    return _go_on(jax.random.fold_in(key, 1), people, arrived)
+
+
+def _waypoint(people: People) -> jax.Array:
+    """(n, 2) where people head for [m]; who walks with another does not go in."""
+    places, alone = people.places, people.leader == jnp.arange(people.leader.shape[0])
+    goes_out = people.phase == OUT
+    at = jnp.where(goes_out, people.place, people.target)
+    within = (people.phase == IN) | ((people.phase == REST) & people.inside)
+    edge, inner = places.edge[at], places.inner[at]
+    return jnp.where((within & alone)[:, None], inner, edge) + people.offset
+
+
+def _go_on(key: jax.Array, people: People, arrived: jax.Array) -> People:
+    """People whose next phase begins if they have arrived; groups follow leaders."""
+    phase, inside = people.phase, people.inside
+    rest = jax.random.exponential(key, phase.shape)
+    rest = rest * jnp.where(people.stands, LONG_STAY, STAY)
+    next_phase = jnp.where(phase == OUT, ACROSS, REST)
+    next_phase = jnp.where((phase == ACROSS) & inside, IN, next_phase)
+    late = people.clock > LEG
+    changes = (phase != REST) & (arrived | late)
+    # Who comes too late is where the walk ends, for want of a better place.
+    phase = jnp.where(changes, jnp.where(late, REST, next_phase), phase)
+    inside = inside & ~(changes & late)
+    stays = changes & (phase == REST)
+    clock = jnp.where(changes, 0.0, people.clock)
+    clock = jnp.where(stays, jnp.where(late, 0.0, -rest), clock)
+    lead = people.leader
+    return dataclasses.replace(
+        people, phase=phase[lead], inside=inside[lead], clock=clock[lead]
+    )
+
+
+def _set_out(key: jax.Array, people: People, lot: State) -> People:
+    """People of whom the one that has rested longest sets out, if it is time.
+
+    One in a step: looking for ways is the costliest of all.
+    """
+    places, count = people.places, people.leader.shape[0]
+    due = (people.phase == REST) & (people.clock >= 0.0) & people.present
+    due = due & (people.leader == jnp.arange(count))
+    who = jnp.argmax(jnp.where(due, people.clock, -1.0))
+    here, inside = people.target[who], people.inside[who]
+    start = jnp.where(inside, places.edge[here], people.xy[who])
+    pick_key, in_key = jax.random.split(key)
+    away = norm(places.edge - start)
+    score = jax.random.gumbel(pick_key, away.shape) - away / FAR
+    index = jnp.arange(away.shape[0])
+    score = jnp.where(places.mask & (index != here), score, -jnp.inf)
+    best, found = jax.lax.top_k(score, min(CANDIDATES, away.shape[0]))
+    ends = places.edge[found]
+    starts = jnp.broadcast_to(start, ends.shape)
+    good = ~meet(starts, ends, places.blocks) & jnp.isfinite(best)
+    target = found[jnp.argmax(good)]
+    goes = due[who] & good.any()
+    goes_in = people.child[who] | (jax.random.uniform(in_key) < GOES_IN)
+    inner = places.inner[target]
+    goes_in = goes_in & _has_room(inner, people.radius[who], lot)
+    goes_in = goes_in & (target < lot.layout.bay_mask.shape[0])
+
+    def change(old: jax.Array, new: jax.Array) -> jax.Array:
+        own = (people.leader == who) & goes
+        return jnp.where(own, new, old)
+
+    return dataclasses.replace(
+        people,
+        place=change(people.place, here),
+        target=change(people.target, target),
+        phase=change(people.phase, jnp.where(inside, OUT, ACROSS)),
+        inside=change(people.inside, goes_in),
+        clock=change(people.clock, jnp.float32(0.0)),
+    )
+
+
+def _has_room(xy: jax.Array, radius: jax.Array, lot: State) -> jax.Array:
+    """() bool, whether no parked car stands where a disc would."""
+    x, y = offsets(xy, _parked(lot))
+    return ~(x * x + y * y < radius**2).any()
+
+
+def _parked(lot: State) -> jax.Array:
+    cars = lot.parked_cars
+    return outlines(cars.pose_w, cars.size, cars.present)
+
+
+def _find_near(people: People, lot: State) -> People:
+    """People of whom every eighth looks up the boxes that are near."""
+    boxes = jnp.concatenate([_parked(lot), people.places.walls])
+    n, count = people.near.shape[0], boxes.shape[0]
+    if not count:
+        return people
+    rows = -(-n // ROUNDS)
+    who = (people.turn * rows + jnp.arange(rows)) % n
+    x, y = offsets(people.xy[who][:, None], boxes)
+    index = jax.lax.top_k(-(x * x + y * y), min(NEAR, count))[1]
+    near = people.near.at[who, : index.shape[1]].set(boxes[index])
+    return dataclasses.replace(people, near=near, turn=(people.turn + 1) % ROUNDS)
+
+
+def _forces(
+    people: People, lot: State, heading: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Social forces (n, 2) [m/s²], and moves (n, 2) [m] that part overlapping discs."""
+    xy, count = people.xy, people.xy.shape[0]
+    x, y = xy[:, :1] - xy[:, 0], xy[:, 1:] - xy[:, 1]
+    others = people.present & ~jnp.eye(count, dtype=bool)
+    fx, fy = social_force.push((x, y), norm(people.velocity), heading)
+    by_distance = jax.lax.rsqrt(x * x + y * y + social_force.TINY)
+    overlap = (people.radius[:, None] + people.radius) * by_distance - 1.0
+    part = jnp.where(others, 0.5 * jnp.maximum(overlap, 0.0), 0.0)
+    force = [jnp.where(others, f, 0.0).sum(axis=1) for f in (fx, fy)]
+    apart = jnp.stack([(part * x).sum(axis=1), (part * y).sum(axis=1)], axis=-1)
+    motion = lot.motion
+    cars = outlines(motion.pose_w, motion.size, jnp.ones(motion.size.shape[0], bool))
+    borders = _border_force(xy, people.near) + _border_force(xy, cars[None])
+    return jnp.stack(force, axis=-1) + borders, apart
+
+
+def _border_force(xy: jax.Array, boxes: jax.Array) -> jax.Array:
+    """Forces (n, 2) [m/s²] of boxes (n or 1, k, 6) on people."""
+    x, y = social_force.border_push(offsets(xy[:, None], boxes))
+    cos, sin = boxes[..., 2], boxes[..., 3]
+    force = cos * x - sin * y, sin * x + cos * y
+    return jnp.stack([part.sum(axis=1) for part in force], axis=-1)
+
+
+def _step_aside(people: People, enter: Zones, stop: Zones) -> jax.Array:
+    """Velocities (n, 2) [m/s] out of the ways of cars, of those who give way."""
+    here = enter.local(people.xy)
+    on_way = enter.hold(here, people.radius[:, None])
+    on_way = on_way & (jnp.abs(here[..., 1]) < stop.half[:, 1] + ASIDE)
+    on_way = on_way & people.attentive[:, None]
+    side = jnp.where(here[..., 1] < 0.0, -1.0, 1.0) * on_way
+    x, y = -(side * enter.sin).sum(axis=1), (side * enter.cos).sum(axis=1)
+    return jnp.stack([x, y], axis=-1)

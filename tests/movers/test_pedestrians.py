@@ -1,0 +1,165 @@
+"""People in a lot: who they are, where they walk, and that cars can stop for them."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import cars, polygons
+from helpers.states import parked_in, state_of
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.config.obstacles import ObstacleKind, hit_kinds, make_movers
+from carpark_mj.geometry import box_disc_overlap, boxes_overlap, rotate
+from carpark_mj.layouts import make_layout
+from carpark_mj.movers import Pedestrians
+from carpark_mj.movers.stopping import stopping_zones
+
+LOT = make_layout("square")
+DT, STEPS, LOTS = 0.2, 400, 24
+BRAKES, DRIVES, STANDS = range(3)
+PEOPLE = Pedestrians(number=15, children=0.4, attention=0.3)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Rolls out lots of people with two cars that brake for them, or do not."""
+    half = jnp.array([2.0, 0.9])
+    parked = parked_in(LOT, jnp.arange(0, 36, 3))
+
+    def state(pose, speed, turn):
+        motion = cars(pose, speed=speed, yaw_rate=turn * speed, size=2 * half)
+        return state_of(LOT, motion, 0, parked_cars=parked)
+
+    def one(key, mode):
+        def step(carry, key):
+            people, pose, speed, turn = carry
+            keys = jax.random.split(key, 4)
+            before = state(pose, speed, turn)
+            zones = stopping_zones(before, DT)
+            near = zones.hold(zones.local(people.xy), people.radius[:, None])
+            brakes = (mode == BRAKES) & (near & people.present[:, None]).any(axis=0)
+            change = jax.random.uniform(keys[0], (2,), minval=-1.0, maxval=2.0) * DT
+            slower = jnp.sign(speed) * jnp.maximum(jnp.abs(speed) - 4.0 * DT, 0.0)
+            faster = jnp.where(brakes, slower, jnp.clip(speed + change, -2.0, 3.0))
+            faster = jnp.where(mode == STANDS, 0.0, faster)
+            bends = jax.random.uniform(keys[1], (2,)) < 0.1 * ~brakes
+            new = jax.random.uniform(keys[2], (2,), minval=-0.25, maxval=0.25)
+            bend = jnp.where(bends, new, turn)
+            share = (jnp.arange(4) + 1.0) / 4
+
+            def at(share):  # the mean speed of a step that brakes or accelerates
+                way = DT * share * (speed + (faster - speed) * share / 2)
+                ahead = jnp.stack([way, jnp.zeros(2)], axis=-1)
+                yaw = pose[:, 2] + bend * way
+                xy = pose[:, :2] + rotate(ahead, pose[:, 2] + bend * way / 2)
+                return jnp.concatenate([xy, yaw[:, None]], axis=-1)
+
+            trace = jax.vmap(at)(share)
+            walked = PEOPLE.step(keys[3], people, before, DT)
+            there = people.xy + share[:, None, None] * (walked.xy - people.xy)
+            hit = box_disc_overlap(
+                trace[:, :, None], 2 * half, there[:, None], people.radius
+            )
+            hit = (hit & people.present).any(axis=(0, 2))
+            # Cars that leave the aisles, or have hit somebody, begin anew, at rest.
+            after = trace[-1]
+            out = (jnp.abs(after[:, :2]) > 13.0).any(axis=-1) | hit
+            start = jnp.array([[-6.0, 6.0, 0.5], [6.0, -6.0, 3.5]])
+            free = box_disc_overlap(start[:, None], 2 * half, walked.xy, walked.radius)
+            start = jnp.where(free.any(axis=1)[:, None], start + 100.0, start)
+            after = jnp.where(out[:, None], start, after)
+            faster = jnp.where(out, 0.0, faster)
+            return (walked, after, faster, bend), (walked, hit, jnp.abs(speed))
+
+        people = PEOPLE.init(key, LOT)
+        pose = jnp.array([[-6.0, 6.0, 0.5], [6.0, -6.0, 3.5]])
+        begin = people, pose, jnp.zeros(2), jnp.zeros(2)
+        keys = jax.random.split(key, STEPS)
+        return jax.lax.scan(step, begin, keys)[1]
+
+    run = jax.jit(jax.vmap(one, (0, None)))
+    keys = jax.random.split(jax.random.key(1), LOTS)
+    return [jax.device_get(run(keys, mode)) for mode in range(3)]
+
+
+def test_a_car_that_brakes_for_who_is_near_hits_nobody_and_one_that_does_not_does(
+    drive,
+):
+    hits = [hit.sum() for _, hit, _ in drive]
+    assert hits[BRAKES] == 0
+    assert hits[STANDS] == 0  # nobody walks into a standing car
+    assert hits[DRIVES] > 50
+    assert (drive[BRAKES][2] > 1.0).mean() > 0.2  # it drives for all that
+
+
+def test_people_walk_everywhere_but_never_through_walls(drive):
+    walls = polygons(LOT.wall_pose, LOT.wall_size)
+    for people, _, _ in drive:
+        assert np.isfinite(people.xy).all()
+        x, y = people.xy[..., 0], people.xy[..., 1]
+        assert (np.abs(people.xy) < LOT.extent).all()
+        import shapely
+
+        for wall in walls:
+            assert not shapely.contains_xy(wall, x[:, ::5], y[:, ::5]).any()
+        assert {*np.unique(people.phase)} == {0, 1, 2, 3}
+        speed = np.linalg.norm(people.velocity, axis=-1)
+        assert 0.8 < np.median(speed[people.phase == 2]) < 1.9
+
+
+def test_masks_hide_who_is_not_there(drive):
+    several = dataclasses.replace(PEOPLE, number=20, density=(0.1, 0.9))
+    make = jax.jit(jax.vmap(lambda key: several.init(key, LOT)))
+    people = make(jax.random.split(jax.random.key(0), 200))
+    counts = people.present.sum(axis=1)
+    area = 4 * float(LOT.extent[0] * LOT.extent[1]) / 100
+    assert counts.min() >= np.floor(0.1 * area)
+    assert counts.max() <= min(20, np.ceil(0.9 * area))
+    assert len(np.unique(counts)) > 5
+    assert float(people.child.mean()) == pytest.approx(0.4, abs=0.05)
+    assert float(people.speed.mean()) == pytest.approx(1.34, abs=0.02)
+    walked = drive[0][0]
+    leads = walked.leader[:, 0] == np.arange(15)
+    assert not leads.all()
+    lead = np.take_along_axis(walked.leader[:, 0], walked.leader[:, 0], axis=1)
+    np.testing.assert_array_equal(lead, walked.leader[:, 0])
+
+
+def test_they_begin_where_no_car_stands_or_can_be_hit_by_one(drive):
+    del drive
+    people = PEOPLE.init(jax.random.key(3), LOT)
+    bays = box_disc_overlap(LOT.bay_pose, LOT.bay_size, people.xy[:, None], 0.35)
+    alone = people.leader == jnp.arange(15)
+    assert not bays[alone].any()
+    assert not boxes_overlap(
+        LOT.bay_pose, LOT.bay_size, LOT.wall_pose[0], LOT.wall_size[0]
+    ).all()
+
+
+REFUSED = {
+    "pedestrians:number=0": "number must be at least 1, not 0",
+    "pedestrians:number=1.5": "number must be a whole number",
+    "pedestrians:people=3": "'people'.*number, density",
+    "pedestrians:speed=1.2": "speed must be a tuple",
+    "pedestrians:speed=2..1": r"speed must be a lowest and a highest.*\(2, 1\)",
+    "pedestrians:speed=fast": "speed must be a number.*'fast'",
+    "pedestrians:children=1.5": r"children must lie in \[0, 1\], not 1.5",
+    "pedestrians:radius=0.1..0.3": "radius must be.*0.2",
+    "pedestrians:density=-1..2": "density must be",
+    "pedestrians:": "no setting ''",
+    "walkers": "'walkers'.*pedestrians",
+}
+
+
+@pytest.mark.parametrize("choice", REFUSED)
+def test_no_such_people(choice):
+    with pytest.raises(ValueError, match=REFUSED[choice]):
+        EnvConfig(movers=(choice,))
+
+
+def test_settings_follow_the_name():
+    [mover] = make_movers(["pedestrians:number=3,speed=0.5..0.9,groups=0"])
+    assert mover == Pedestrians(number=3, speed=(0.5, 0.9), groups=0)
+    assert ObstacleKind.PERSON in hit_kinds(["pedestrians"])
