@@ -1,8 +1,9 @@
 """Agents that drive on planned paths; they replan when they are stuck.
 
 They know the true state of the lot: parked cars, walls and discs when they plan, the
-positions of other agents while they drive. An agent stops for another one on its path,
-and after a while plans around it. Everything here is NumPy, on the host.
+positions of other agents and of movers while they drive. An agent stops for what is on
+its path or, of movers, soon will be, and after a while plans around what is there.
+Everything here is NumPy, on the host.
 """
 
 import math
@@ -24,7 +25,8 @@ from carpark_mj.planning.tracking import (
 )
 from carpark_mj.vehicle import VehicleParameters
 
-LOOK_AHEAD = 2.5  # m of the path that must be free of other agents
+LOOK_AHEAD = 2.5  # m of the path that must be free, more than cars need to stop
+FORESEEN = (0.4, 0.8, 1.2, 1.6, 2.0)  # s, when movers must not be there either
 GAP = 0.3  # m kept from them
 PATIENCE = 20  # control steps until an agent that stands plans again
 ASTRAY = 0.3  # m from the path: the agent replans
@@ -44,6 +46,7 @@ class Sight(NamedTuple):
         solids: obstacles at rest.
         others: (k, 3) poses and (k, 2) sizes of the other agents, and of movers.
         extent: (2,) of the lot [m].
+        coming: poses and sizes of movers at the `FORESEEN` times, at their velocities.
     """
 
     begins: bool
@@ -55,6 +58,7 @@ class Sight(NamedTuple):
     solids: Solids
     others: tuple[np.ndarray, np.ndarray]
     extent: np.ndarray
+    coming: tuple[np.ndarray, np.ndarray] = (np.zeros((0, 3)), np.zeros((0, 2)))
 
 
 class Agent:
@@ -112,8 +116,9 @@ class Agent:
         return track(self._path, self._progress, sight.car, driven, self._dt)
 
     def _is_blocked(self, sight: Sight) -> bool:
-        """Whether another agent stands on the next stretch of the path."""
-        pose, size = sight.others
+        """Whether something is on the next stretch of the path, or about to be."""
+        both = zip(sight.others, sight.coming, strict=True)
+        pose, size = (np.concatenate(parts) for parts in both)
         reach = math.hypot(sight.car.length, sight.car.width) + LOOK_AHEAD + GAP
         near = np.hypot(*(pose[:, :2] - sight.pose[:2]).T) < reach + size.max(
             axis=-1, initial=0.0

@@ -12,7 +12,7 @@ from jax.experimental import io_callback
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry.obstacles import Boxes, Group, by_shape
 from carpark_mj.obstacles import lot_obstacles
-from carpark_mj.planning.driving import Agent, Sight
+from carpark_mj.planning.driving import FORESEEN, Agent, Sight
 from carpark_mj.planning.obstacles import Solids
 from carpark_mj.planning.search import Search, SearchConfig, require_ompl
 from carpark_mj.policy.acting import StatePolicy
@@ -159,6 +159,7 @@ def _look(state: State) -> dict[str, Any]:
         **_joined("box", boxes),
         **_joined("disc", discs),
         **_joined("mover", [nothing, *map(_outlines, state.movers.groups)]),
+        "mover_velocity": _velocities(state),
         "extent": layout.extent,
     }
 
@@ -185,6 +186,15 @@ def _outlines(group: Group) -> Boxes:
     return Boxes(pose, jnp.stack([2 * group.size] * 2, axis=-1), mask=group.mask)
 
 
+def _velocities(state: State) -> jax.Array:
+    """(..., n, 2) of all movers [m/s]."""
+    found = [jnp.zeros((*state.goal.shape[:-1], 0, 2))]
+    for group in state.movers.groups:
+        still = jnp.zeros((*group.pose_w.shape[:-1], 2))
+        found.append(still if group.velocity_w is None else group.velocity_w)
+    return jnp.concatenate(found, axis=-2)
+
+
 def _solids(seen: dict[str, Any], lot: int) -> Solids:
     boxes, discs = seen["box_mask"][lot], seen["disc_mask"][lot]
     return Solids(
@@ -199,9 +209,13 @@ def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
     pose = seen["pose"][lot].astype(float)
     others = np.arange(len(pose)) != agent
     moving = seen["mover_mask"][lot]
-    other_pose = np.concatenate([pose[others], seen["mover_pose"][lot][moving]])
+    mover_pose = seen["mover_pose"][lot][moving].astype(float)
+    mover_size = seen["mover_size"][lot][moving].astype(float)
+    other_pose = np.concatenate([pose[others], mover_pose])
     size = seen["size"][lot][others]
-    other_size = np.concatenate([size, seen["mover_size"][lot][moving]])
+    other_size = np.concatenate([size, mover_size])
+    moved = np.pad(seen["mover_velocity"][lot][moving], ((0, 0), (0, 1)))
+    later = mover_pose + np.array(FORESEEN)[:, None, None] * moved
     goal = seen["goal"][lot, agent].astype(float)
     return Sight(
         begins=bool(seen["begins"][lot, agent]),
@@ -213,5 +227,6 @@ def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
         car=jax.tree.map(lambda x: x[lot, agent].astype(float), seen["car"]),
         solids=solids,
         others=(other_pose.astype(float), other_size.astype(float)),
+        coming=(later.reshape(-1, 3), np.tile(mover_size, (len(FORESEEN), 1))),
         extent=seen["extent"][lot].astype(float),
     )

@@ -7,7 +7,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from carpark_mj.geometry.obstacles import Boxes, Discs, Group
 from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.scene import car_look, materials
 from carpark_mj.scene.cameras import add_car_cameras
@@ -31,7 +30,6 @@ _DISC_LOOKS = {
     DiscKind.PILLAR: (2.4, materials.CONCRETE),
     DiscKind.BOLLARD: (0.9, materials.GATE),
 }
-MOVER_HEIGHTS: dict[type[Group], float] = {Boxes: 1.1, Discs: 1.7}  # m: cart, person
 HIDDEN = -50.0  # m, under the ground: where things are that are not there
 # Hulls crush like springs with dampers. In a barrier test at 15.6 m/s a passenger car
 # is crushed by 0.6 m [est], which is a linear stiffness k = m v^2 / x^2 (Gabler and
@@ -43,7 +41,7 @@ CRUSH_FREQUENCY = 26.0  # rad/s
 # SAE 931842); 0.3 with this.
 CRUSH_DAMPING = 0.5
 # Cars, walls and parked cars touch each other; sheet metal slides on sheet metal.
-_COLLIDES = {
+COLLIDES = {
     "contype": 1,
     "conaffinity": 1,
     "friction": [0.4, 0.005, 0.0001],
@@ -144,7 +142,7 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
             name=f"wall{wall}",
             rgba=colour,
             group=HULL_GROUP if low else 1,
-            **_COLLIDES,
+            **COLLIDES,
         )
 
 
@@ -160,49 +158,8 @@ def add_discs(spec: mujoco.MjSpec, layout: Layout) -> None:
             size=[float(layout.disc_radius[disc]), height / 2, 0.0],
             rgba=colour,
             group=1,
-            **_COLLIDES,
+            **COLLIDES,
         )
-
-
-def add_movers(spec: mujoco.MjSpec, groups: Sequence[Group]) -> None:
-    """Boxes and upright cylinders `mover0`... for every obstacle of some groups.
-
-    They are kinematic: contacts do not move them, and they push cars.
-    """
-    number = 0
-    for group in groups:
-        box = type(group) is Boxes
-        shape = mujoco.mjtGeom.mjGEOM_BOX if box else mujoco.mjtGeom.mjGEOM_CYLINDER
-        for place, size in mover_places(group):
-            body = spec.worldbody.add_body(name=f"mover{number}", mocap=True)
-            body.pos, body.quat = place[:3], place[3:]
-            body.add_geom(
-                name=f"mover{number}",
-                type=shape,
-                size=size,
-                rgba=materials.MOVER,
-                group=1,
-                **_COLLIDES,
-            )
-            number += 1
-
-
-def mover_places(group: Group) -> list[tuple[list[float], list[float]]]:
-    """Poses and geom sizes of the obstacles of a group.
-
-    Returns:
-        For each the position and quaternion (7,), below the ground if it is absent, and
-        half sizes (3,) [m].
-    """
-    half, places = MOVER_HEIGHTS[type(group)] / 2, []
-    for row in range(group.count):
-        pose, size = (np.asarray(x[row], float) for x in (group.pose_w, group.size))
-        here = group.mask is None or bool(group.mask[row])
-        turn = yaw_quat(pose[2] if pose.size > 2 else 0.0)
-        # Of a box length and width, of a disc the radius.
-        halves = [*size / 2, half] if size.ndim else [float(size), half, 0.0]
-        places.append(([*pose[:2], half if here else HIDDEN, *turn], halves))
-    return places
 
 
 def add_hull(body: mujoco.MjsBody, params: VehicleParameters, name: str) -> None:
@@ -215,7 +172,7 @@ def add_hull(body: mujoco.MjsBody, params: VehicleParameters, name: str) -> None
         size=[params.length / 2, params.width / 2, (high - low) / 2],
         mass=0.0,
         group=HULL_GROUP,
-        **_COLLIDES,
+        **COLLIDES,
     )
 
 

@@ -14,7 +14,12 @@ from carpark_mj.evaluation.catalogue import metrics
 from carpark_mj.files import write_atomically, write_csv
 from carpark_mj.reading import TEXT, Archive, ArrayForm, CsvRow, read_csv
 from carpark_mj.studies.hope.suite import MOVING_CAR, Drives
-from carpark_mj.studies.hope.suite_cases import LEVELS, case_numbers, fingerprint
+from carpark_mj.studies.hope.suite_cases import (
+    LEVELS,
+    case_numbers,
+    fingerprint,
+)
+from carpark_mj.studies.hope.suite_levels import EXTRA_LEVELS
 from carpark_mj.types import ENDINGS
 
 CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
@@ -146,7 +151,8 @@ def _parse(row: CsvRow) -> Row:
             if abs(parsed[name]) > _LARGEST:
                 raise ValueError(f"{row.place}: {name} is too large, {text}")
     level, case = parsed["level"], parsed["case"]
-    if level not in LEVELS or case not in case_numbers(level):
+    known = level in LEVELS or level in EXTRA_LEVELS
+    if not known or case not in case_numbers(level):
         raise ValueError(f"{row.place}: there is no case {case} of level {level!r}")
     ends = [parsed[name] for name in ENDINGS]
     if not {*ends} <= {0.0, 1.0} or not any(ends):
