@@ -12,7 +12,7 @@ from jax.experimental import io_callback
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry.obstacles import Boxes, Group, by_shape
 from carpark_mj.obstacles import lot_obstacles
-from carpark_mj.planning.driving import FORESEEN, Agent, Sight
+from carpark_mj.planning.driving import Agent, Sight
 from carpark_mj.planning.obstacles import Solids
 from carpark_mj.planning.search import Search, SearchConfig, require_ompl
 from carpark_mj.policy.acting import StatePolicy
@@ -209,13 +209,10 @@ def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
     pose = seen["pose"][lot].astype(float)
     others = np.arange(len(pose)) != agent
     moving = seen["mover_mask"][lot]
-    mover_pose = seen["mover_pose"][lot][moving].astype(float)
-    mover_size = seen["mover_size"][lot][moving].astype(float)
-    other_pose = np.concatenate([pose[others], mover_pose])
-    size = seen["size"][lot][others]
-    other_size = np.concatenate([size, mover_size])
-    moved = np.pad(seen["mover_velocity"][lot][moving], ((0, 0), (0, 1)))
-    later = mover_pose + np.array(FORESEEN)[:, None, None] * moved
+    pose_m, size_m, velocity_m = (
+        seen[f"mover_{name}"][lot][moving].astype(float)
+        for name in ("pose", "size", "velocity")
+    )
     goal = seen["goal"][lot, agent].astype(float)
     return Sight(
         begins=bool(seen["begins"][lot, agent]),
@@ -226,7 +223,7 @@ def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
         # The arrays of a lot's cars have the names of the parameters of one.
         car=jax.tree.map(lambda x: x[lot, agent].astype(float), seen["car"]),
         solids=solids,
-        others=(other_pose.astype(float), other_size.astype(float)),
-        coming=(later.reshape(-1, 3), np.tile(mover_size, (len(FORESEEN), 1))),
+        others=(pose[others], seen["size"][lot][others].astype(float)),
+        movers=(pose_m, size_m, velocity_m),
         extent=seen["extent"][lot].astype(float),
     )

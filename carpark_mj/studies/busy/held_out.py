@@ -9,6 +9,7 @@ import hashlib
 import io
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +18,13 @@ from carpark_mj.studies.tpcap.files import TPCAP_CAR
 
 VERSION = 1
 FILE = Path(__file__).with_name(f"busy_{VERSION}.npz")
-SHA256 = "5ace52edba40a0d3a4a92cc58f396f57a378ec565f61da5ae1755b3ee1e4831c"
+SHA256 = "6004375ac7decf7dd5d427f72a45b2f20f606a670a4d605a124abec02d2c4c63"
 CASES = 1000
 GROUPS = ("crossing", "dart_out", "backing_out", "cart", "crowded_aisle")
 STEP = 1e-3  # m, m/s, m/s² or s of the whole numbers in the file
 RADIAN = 1e-4
-CHILD, ADULT = 0.5, 0.6  # m, twice the radius
+CHILD, ADULT = 0.5, 0.56  # m, twice the radius
+PACE = 2.0  # m/s, of a car that is met
 CART = (1.0, 0.6)  # m
 
 
@@ -63,12 +65,23 @@ def draw_case(number: int) -> dict[str, list[float]]:
     edge, across = side * aisle / 2, -side * math.pi / 2  # rows, and the way out of one
     between = bay_x(column) + WIDTH / 2  # two bays
     absent = -1
-    script = {"pause": 0.0, "returns": 0.0, "slowing": 0.0, "direction": across}
+    script: dict[str, Any] = {
+        "pause": 0.0,
+        "returns": 0.0,
+        "slowing": 0.0,
+        "direction": across,
+    }
+
+    def meet(depth: float) -> float:
+        """How far off a car is that comes at `PACE` as somebody reaches its way."""
+        way = abs(edge + side * depth - pose[1])
+        return TPCAP_CAR.length / 2 + PACE * way / script["speed"]
+
     if group == "dart_out":  # from the gap between two cars into that opposite
         depth = draw(0.8, 1.5)
         script |= {"start": [between, edge + side * depth, across]}
-        script |= {"distance": aisle + depth, "speed": draw(2.0, 3.0)}
-        script |= {"trigger": draw(4.0, 8.0), "size": [CHILD, CHILD]}
+        script |= {"distance": aisle + 2 * depth, "speed": draw(2.0, 3.0)}
+        script |= {"trigger": meet(depth) + draw(0.0, 2.0), "size": [CHILD, CHILD]}
     elif group == "backing_out":  # a car parked nose in
         absent = column + (COLUMNS if side > 0 else 0)
         start = [
@@ -87,10 +100,10 @@ def draw_case(number: int) -> dict[str, list[float]]:
         script |= {"distance": way, "speed": draw(0.8, 1.8)}
         script |= {"slowing": draw(0.1, 0.3), "trigger": draw(5.0, 10.0)}
         script |= {"size": list(CART)}
-    else:  # along the shortest way; in a crowded aisle it is absent
-        script |= {"start": [between, edge - side * 0.3, across]}
-        script |= {"distance": aisle - 0.6, "speed": draw(0.9, 1.7)}
-        script |= {"trigger": draw(4.0, 10.0), "size": [ADULT, ADULT]}
+    else:  # from the line of one row into the other; absent in a crowded aisle
+        script |= {"start": [between, edge + side * 0.4, across]}
+        script |= {"distance": aisle + 1.2, "speed": draw(0.9, 1.7)}
+        script |= {"trigger": meet(0.4) + draw(0.0, 2.5), "size": [ADULT, ADULT]}
     car = {"aisle": aisle, "pose": pose, "goal": goal, "absent": absent}
     return {name: np.atleast_1d(x).tolist() for name, x in (car | script).items()}
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig, MetricsConfig
+from carpark_mj.geometry import norm
 from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.movers.pedestrians import Pedestrians
 from carpark_mj.studies.busy import held_out
@@ -28,6 +29,7 @@ from carpark_mj.studies.hope.suite_levels import (
 
 NAME = "busy"
 PARKED = 14  # cars
+CLEAR = 4.0  # m about the middle of the car that nobody stands in at first
 CROWD = Pedestrians(number=12)
 PERSON, BOX = ScriptedPerson(), ScriptedBox()
 BY_PERSON, BY_BOX = ("crossing", "dart_out"), ("backing_out", "cart")
@@ -86,10 +88,11 @@ def _case(columns: Any, number: jax.Array, group: jax.Array) -> Any:
         velocity=jnp.zeros(2),
     )
     crowd = CROWD.init(jax.random.fold_in(key, 1), layout)
+    away = norm(crowd.xy - case["pose"][:2]) > CLEAR
     movers = (
         script,
         dataclasses.replace(script, present=present[1]),
-        dataclasses.replace(crowd, present=crowd.present & present[2]),
+        dataclasses.replace(crowd, present=crowd.present & away & present[2]),
     )
     options = ResetOptions(pose=case["pose"][None], goal=columns["goal"])
     return layout, CaseStart(key, options, movers)

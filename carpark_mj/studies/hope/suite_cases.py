@@ -61,6 +61,30 @@ def require_level(level: str) -> None:
         raise ValueError(f"level must be one of {known}, not {level!r}")
 
 
+def require_alike(levels: Iterable[str]) -> None:
+    """Refuses unknown levels, and those of other packages together with others.
+
+    Raises:
+        ValueError: naming them; their tables have other columns.
+    """
+    found = in_order(levels)
+    for level in found:
+        require_level(level)
+        if level not in LEVELS and len(found) > 1:
+            others = ", ".join(name for name in found if name != level)
+            raise ValueError(f"level {level} must be driven alone, not with {others}")
+
+
+def require_filmed(level: str) -> None:
+    """Refuses films of levels whose movers are not recorded.
+
+    Raises:
+        ValueError: it is none of HOPE's or TPCAP's.
+    """
+    if level not in LEVELS:
+        raise ValueError(f"videos show levels {', '.join(LEVELS)} only, not {level}")
+
+
 def in_order(levels: Iterable[str]) -> list[str]:
     """Levels as tables list them: those driven by default, then others by name."""
     found = set(levels)

@@ -43,6 +43,8 @@ from carpark_mj.studies.hope.suite_cases import (
     level_env,
     pick_cases,
     require_aisle,
+    require_alike,
+    require_filmed,
 )
 from carpark_mj.studies.hope.suite_files import Key, key_of, read_runs, write_run
 from carpark_mj.studies.hope.suite_levels import Cases
@@ -115,8 +117,11 @@ class SuiteConfig:
         find_rules(self.rule)
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
+        require_alike(self.levels)
         for level in self.levels:
             self._check_cases(level)
+            if self.videos:
+                require_filmed(level)
             if self.moving_car:
                 require_aisle(level)
         if not 0 <= self.videos <= WORST:
@@ -172,6 +177,9 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
         episodes, drives = read_runs([Path(name) for name in config.combine])
     else:
         episodes, drives, drawn = _drive_all(config)
+    if config.videos:  # of combined folders
+        for level in {row["level"] for row in episodes}:
+            require_filmed(level)
     folder.mkdir(parents=True, exist_ok=True)
     pictures: list[Path] = []
     if drawn:

@@ -18,6 +18,7 @@ from carpark_mj.studies.hope.suite_cases import (
     LEVELS,
     case_numbers,
     fingerprint,
+    require_alike,
 )
 from carpark_mj.studies.hope.suite_levels import EXTRA_LEVELS
 from carpark_mj.types import ENDINGS
@@ -109,6 +110,7 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
             drives[key] = drive
     if len({row.get(MOVING_CAR, 0) for row in episodes.values()}) > 1:
         raise ValueError("results with and without a moving car do not mix")
+    require_alike({row["level"] for row in episodes.values()})
     rules = sorted({row["rule"] for row in episodes.values()})
     if len(rules) > 1:
         raise ValueError(f"results under different rules do not mix: {rules}")
