@@ -38,7 +38,13 @@ from carpark_mj.mdp.reset_options import (
     read_reset_options,
 )
 from carpark_mj.observations import observation_size, observe, sensors
-from carpark_mj.physics.base import Physics, make_physics, require_physics, where_cars
+from carpark_mj.physics.base import (
+    Halting,
+    Physics,
+    make_physics,
+    require_physics,
+    where_cars,
+)
 from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
@@ -110,13 +116,18 @@ class ParkingEnv:
         fixed = not self.layout_config.is_random
         self._layout = make_layout(self.layout_config) if fixed else None
         for params in self.fleet.agents:
-            check_randomization(config.randomization, params, abs(config.sim.grade_x))
+            check_randomization(config.randomization, params, config.sim.steepest)
         check_room(config, self.layout_config)
         check_occupancy(config, self.layout_config)
         check_exits(config, self.layout_config)
         check_cars(config, self.fleet, self.layout_config, self._layout)
         self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
+        if config.episode.kerb_speed and not isinstance(self.physics, Halting):
+            raise ValueError(
+                "episode.kerb_speed needs physics whose cars a kerb can stop, mjx or "
+                f"bicycle, not {self.physics.config.back_end}"
+            )
         self._episodes = Episodes(
             config, self.fleet, self.goals, self.physics, self._layout
         )
@@ -309,6 +320,11 @@ class ParkingEnv:
         config, memory = self.config, self.config.observation.remember(state)
         physics = self.physics.step(state.physics, controls)
         motion = self.physics.read(physics)
+        if isinstance(self.physics, Halting) and config.episode.kerb_speed:
+            from carpark_mj.mdp import kerbs  # only such environments load it
+
+            physics = self.physics.halt(physics, *kerbs.stops(config, state, motion))
+            motion = self.physics.read(physics)
         all_drive = config.episode.respawn and state.present is None
         if not (all_drive or config.physics_config.contacts):
             physics, motion = _freeze(state, physics, motion)
@@ -322,9 +338,7 @@ class ParkingEnv:
             memory=memory,
             movers=self._episodes.step_movers(state, keys),
             step=state.step + state.active,
-            sensors=sensors.measure(
-                config.sensors, state.sensors, motion, keys.reading
-            ),
+            sensors=sensors.measure(config.sensors, state, motion, keys.reading),
         )
 
     def _stop_finished(self, state: State, action: jax.Array) -> jax.Array:

@@ -77,7 +77,12 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
         state: at the end of the step, which its `step` counts.
     """
     layout, goal, motion = state.layout, state.goal, state.motion
-    hits = find_hits(state, config.hitbox_scale)
+    if config.kerb_speed:
+        from carpark_mj.mdp.kerbs import find_hits_and_kerbs  # only they load it
+
+        hits = find_hits_and_kerbs(config, state)
+    else:
+        hits = find_hits(state, config.hitbox_scale)
     hit = functools.reduce(jnp.logical_or, hits.values())
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite

@@ -14,6 +14,7 @@ import numpy as np
 
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.layouts.dimensions import MOVER_HEIGHTS
 from carpark_mj.scene import materials
 from carpark_mj.scene.parts import COLLIDES, HIDDEN, HULL_GROUP, yaw_quat
 
@@ -95,16 +96,14 @@ class Shape(NamedTuple):
 
 
 def _shape(group: Group, row: int, number: int) -> Shape:
-    size = np.asarray(group.size, float)[row]
+    size, high = np.asarray(group.size, float)[row], MOVER_HEIGHTS[type(group)]
     if isinstance(group, Boxes):
         long = size[0] > LONGER_IS_CAR
-        high = 1.43 if long else 1.1
         half = (*size / 2, high / 2)
         solid = Part(_BOX, (0, 0, high / 2), half, materials.MOVER)
         scale = np.array([*size / 2, 1.0])
         return Shape(_CAR if long else _CART, solid, scale, False)
     radius, is_person = float(size), group.kind == ObstacleKind.PERSON
-    high = 1.7 * radius / RADIUS if is_person else 0.9
     solid = Part(_CYLINDER, (0, 0, high / 2), (radius, high / 2, 0), materials.MOVER)
     if is_person:
         return Shape(_person(number), solid, np.full(3, radius / RADIUS), True)
