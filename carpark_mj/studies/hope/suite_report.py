@@ -30,7 +30,7 @@ WORST = 10  # cases shown of a policy and level
 # Columns on the screen; files have all.
 PRINTED = (
     *("policy", "level", "kind", "cases", "parked [%]", "crashed [%]"),
-    *("hit moving car [%]", "hit person [%]", "hit mover [%]", "contact [m/s]"),
+    *("hit moving car [%]", "hit person [%]", "hit mover [%]", "fastest contact [m/s]"),
     *(
         "near miss [%]",
         "least gap [m]",

@@ -172,7 +172,7 @@ def test_the_table_says_what_cars_hit_how_fast_and_what_they_nearly_hit():
     rows.append(episode(3, "cart", MISSED, **{**among, **hit}))
     (row,) = table_rows("x", rows)
     assert (row["hit person"], row["hit mover"], row["near miss"]) == (0.25,) * 3
-    assert (row["contact [m/s]"], row["least gap [m]"]) == (1.5, 1.0)
+    assert (row["fastest contact [m/s]"], row["least gap [m]"]) == (1.5, 1.0)
     assert shown_cells(row)["hit person [%]"] == "25.0"
     assert "4 of busy (0 to 3)" in header(rows)[1]
 
