@@ -22,6 +22,7 @@ __all__ = [
     "Group",
     "begin_movers",
     "lot_obstacles",
+    "place_movers",
     "step_movers",
     "trace_still",
 ]
@@ -89,8 +90,21 @@ def begin_movers(movers: Sequence[Mover], layout: Layout, key: jax.Array) -> Mov
     """
     keys = jax.random.split(key, len(movers))
     pairs = zip(movers, keys, strict=True)
-    states = tuple(_strong(mover.init(key, layout)) for mover, key in pairs)
-    return Movers(states, tuple(map(_groups, movers, states)))
+    return place_movers(movers, [mover.init(key, layout) for mover, key in pairs])
+
+
+def place_movers(movers: Sequence[Mover], states: Sequence[Any]) -> Movers:
+    """Movers in given states, not traced yet.
+
+    Args:
+        movers: which.
+        states: of each, as their `init` and `step` return them.
+
+    Raises:
+        ValueError: obstacles are not groups of boxes and discs.
+    """
+    strong = tuple(map(_strong, states))
+    return Movers(strong, tuple(map(_groups, movers, strong)))
 
 
 def trace_still(movers: Movers, num_traces: int) -> Movers:

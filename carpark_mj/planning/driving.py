@@ -1,8 +1,9 @@
 """Agents that drive on planned paths; they replan when they are stuck.
 
 They know the true state of the lot: parked cars, walls and discs when they plan, the
-positions of other agents while they drive. An agent stops for another one on its path,
-and after a while plans around it. Everything here is NumPy, on the host.
+positions of other agents and of movers while they drive. An agent stops for what is on
+its path or, of movers, soon will be, and after a while plans around what is there.
+Everything here is NumPy, on the host.
 """
 
 import math
@@ -24,9 +25,12 @@ from carpark_mj.planning.tracking import (
 )
 from carpark_mj.vehicle import VehicleParameters
 
-LOOK_AHEAD = 2.5  # m of the path that must be free of other agents
+LOOK_AHEAD = 2.5  # m of the path that must be free, more than cars need to stop
+FORESEEN = (0.0, 0.4, 0.8, 1.2, 1.6, 2.0)  # s, when movers must not be there
+PASSING = 0.4  # m kept from movers by a path that leads around them
 GAP = 0.3  # m kept from them
 PATIENCE = 20  # control steps until an agent that stands plans again
+PATIENCE_MOVERS = 40  # the same where there are movers, which often go away
 ASTRAY = 0.3  # m from the path: the agent replans
 MAX_PLANS = 6  # of an episode
 
@@ -42,8 +46,9 @@ class Sight(NamedTuple):
         goal: the bay's middle, see `search`.
         car: parameters of its car.
         solids: obstacles at rest.
-        others: (k, 3) poses and (k, 2) sizes of the other agents, and of movers.
+        others: (k, 3) poses and (k, 2) sizes of the other agents.
         extent: (2,) of the lot [m].
+        movers: (m, 3) poses, (m, 2) sizes and (m, 2) velocities of movers.
     """
 
     begins: bool
@@ -55,6 +60,11 @@ class Sight(NamedTuple):
     solids: Solids
     others: tuple[np.ndarray, np.ndarray]
     extent: np.ndarray
+    movers: tuple[np.ndarray, np.ndarray, np.ndarray] = (
+        np.zeros((0, 3)),
+        np.zeros((0, 2)),
+        np.zeros((0, 2)),
+    )
 
 
 class Agent:
@@ -83,8 +93,10 @@ class Agent:
             command = self._follow(sight)
         # Wheels that turn from lock to lock take less time than the patience.
         self._stuck = self._stuck + 1 if abs(sight.speed) < STANDING else 0
-        if self._stuck >= PATIENCE:
-            self._plan(sight, sight.solids.with_boxes(*sight.others))
+        pose, size, _ = sight.movers
+        if self._stuck >= (PATIENCE_MOVERS if len(pose) else PATIENCE):
+            solids = sight.solids.with_boxes(*sight.others)
+            self._plan(sight, solids.with_boxes(pose, size + 2 * PASSING))
             command = self._follow(sight)
         blocked = self._is_blocked(sight)
         if blocked or command is None:
@@ -112,8 +124,13 @@ class Agent:
         return track(self._path, self._progress, sight.car, driven, self._dt)
 
     def _is_blocked(self, sight: Sight) -> bool:
-        """Whether another agent stands on the next stretch of the path."""
+        """Whether something is on the next stretch of the path, or about to be."""
         pose, size = sight.others
+        mover, mover_size, velocity = sight.movers
+        for seconds in FORESEEN if len(mover) else ():
+            there = mover + np.pad(velocity * seconds, ((0, 0), (0, 1)))
+            pose = np.concatenate([pose, there])
+            size = np.concatenate([size, mover_size])
         reach = math.hypot(sight.car.length, sight.car.width) + LOOK_AHEAD + GAP
         near = np.hypot(*(pose[:, :2] - sight.pose[:2]).T) < reach + size.max(
             axis=-1, initial=0.0

@@ -159,6 +159,7 @@ def _look(state: State) -> dict[str, Any]:
         **_joined("box", boxes),
         **_joined("disc", discs),
         **_joined("mover", [nothing, *map(_outlines, state.movers.groups)]),
+        "mover_velocity": _velocities(state),
         "extent": layout.extent,
     }
 
@@ -185,6 +186,15 @@ def _outlines(group: Group) -> Boxes:
     return Boxes(pose, jnp.stack([2 * group.size] * 2, axis=-1), mask=group.mask)
 
 
+def _velocities(state: State) -> jax.Array:
+    """(..., n, 2) of all movers [m/s]."""
+    found = [jnp.zeros((*state.goal.shape[:-1], 0, 2))]
+    for group in state.movers.groups:
+        still = jnp.zeros((*group.pose_w.shape[:-1], 2))
+        found.append(still if group.velocity_w is None else group.velocity_w)
+    return jnp.concatenate(found, axis=-2)
+
+
 def _solids(seen: dict[str, Any], lot: int) -> Solids:
     boxes, discs = seen["box_mask"][lot], seen["disc_mask"][lot]
     return Solids(
@@ -199,9 +209,10 @@ def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
     pose = seen["pose"][lot].astype(float)
     others = np.arange(len(pose)) != agent
     moving = seen["mover_mask"][lot]
-    other_pose = np.concatenate([pose[others], seen["mover_pose"][lot][moving]])
-    size = seen["size"][lot][others]
-    other_size = np.concatenate([size, seen["mover_size"][lot][moving]])
+    pose_m, size_m, velocity_m = (
+        seen[f"mover_{name}"][lot][moving].astype(float)
+        for name in ("pose", "size", "velocity")
+    )
     goal = seen["goal"][lot, agent].astype(float)
     return Sight(
         begins=bool(seen["begins"][lot, agent]),
@@ -212,6 +223,7 @@ def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
         # The arrays of a lot's cars have the names of the parameters of one.
         car=jax.tree.map(lambda x: x[lot, agent].astype(float), seen["car"]),
         solids=solids,
-        others=(other_pose.astype(float), other_size.astype(float)),
+        others=(pose[others], seen["size"][lot][others].astype(float)),
+        movers=(pose_m, size_m, velocity_m),
         extent=seen["extent"][lot].astype(float),
     )

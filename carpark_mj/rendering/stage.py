@@ -10,7 +10,8 @@ from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene.build import build_scene
 from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
-from carpark_mj.scene.parts import HIDDEN, car_prefix, mover_places
+from carpark_mj.scene.movers import Walkers
+from carpark_mj.scene.parts import HIDDEN, car_prefix
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS
 from carpark_mj.vehicle.parameters import VehicleParameters
 
@@ -45,7 +46,7 @@ class Stage:
             num_parked_cars: parked cars.
             agent_kinds: vehicles that agents may drive.
             parked_cars: vehicles of the parked cars, one each.
-            movers: obstacles that move by themselves, anywhere.
+            movers: obstacles that move by themselves, anywhere, of their final sizes.
         """
         self.layout, self.params, self.num_agents = layout, params, num_agents
         self._kinds = tuple(agent_kinds) or (params,)
@@ -73,6 +74,7 @@ class Stage:
     def reset(self) -> None:
         """Turns the wheels back; the next poses are the first."""
         num_agents = self._kind.shape[0]
+        self._walkers = Walkers()
         self._spin = np.zeros(num_agents)
         self._last = np.full((num_agents, 3), np.nan)
 
@@ -106,13 +108,9 @@ class Stage:
             self._parked, parked_pose, self._parked_cars, strict=True
         ):
             self.data.qpos[address : address + 3] = _rear_axle(params, pose)
-        places = [place for group in movers for place in mover_places(group)]
-        for number, (place, half) in enumerate(places):
-            body = self.data.body(f"mover{number}").id
-            mocap = self.model.body_mocapid[body]
-            self.data.mocap_pos[mocap] = place[:3]
-            self.data.mocap_quat[mocap] = place[3:]
-            self.model.geom(f"mover{number}").size = half
+        for name, (pos, quat) in self._walkers.places(movers).items():
+            mocap = self.model.body(name).mocapid[0]
+            self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = pos, quat
         self._update()
 
     def fill_frames(self, aspect: float) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import cameras, markings, materials, parts
+from carpark_mj.scene.movers import add_movers
 from carpark_mj.scene.numbers import add_bay_numbers
 from carpark_mj.vehicle.contact_wheels import (
     add_contact_wheels,
@@ -68,7 +69,7 @@ def build_scene(
     add_bay_numbers(spec, layout)
     parts.add_walls(spec, layout)
     parts.add_discs(spec, layout)
-    parts.add_movers(spec, movers)
+    add_movers(spec, movers)
     parts.add_parked_cars(spec, parked_cars)
     for k, kind in enumerate(tuple(agent_kinds) or (params,)):
         parts.add_agents(

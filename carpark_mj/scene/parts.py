@@ -7,11 +7,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from carpark_mj.geometry.obstacles import Boxes, Group
 from carpark_mj.layouts.dimensions import (
     DISC_HEIGHTS,
     GROUND_CLEARANCE,
-    MOVER_HEIGHTS,
     VERGE_GAP,
     VERGE_HEIGHT,
     WALL_HEIGHT,
@@ -48,7 +46,7 @@ CRUSH_FREQUENCY = 26.0  # rad/s
 # SAE 931842); 0.3 with this.
 CRUSH_DAMPING = 0.5
 # Cars, walls and parked cars touch each other; sheet metal slides on sheet metal.
-_COLLIDES = {
+COLLIDES = {
     "contype": 1,
     "conaffinity": 1,
     "friction": [0.4, 0.005, 0.0001],
@@ -150,7 +148,7 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
             name=f"wall{wall}",
             rgba=colour,
             group=HULL_GROUP if low else 1,
-            **_COLLIDES,
+            **COLLIDES,
         )
 
 
@@ -167,49 +165,8 @@ def add_discs(spec: mujoco.MjSpec, layout: Layout) -> None:
             size=[float(layout.disc_radius[disc]), height / 2, 0.0],
             rgba=colour,
             group=1,
-            **_COLLIDES,
+            **COLLIDES,
         )
-
-
-def add_movers(spec: mujoco.MjSpec, groups: Sequence[Group]) -> None:
-    """Boxes and upright cylinders `mover0`... for every obstacle of some groups.
-
-    They are kinematic: contacts do not move them, and they push cars.
-    """
-    number = 0
-    for group in groups:
-        box = type(group) is Boxes
-        shape = mujoco.mjtGeom.mjGEOM_BOX if box else mujoco.mjtGeom.mjGEOM_CYLINDER
-        for place, size in mover_places(group):
-            body = spec.worldbody.add_body(name=f"mover{number}", mocap=True)
-            body.pos, body.quat = place[:3], place[3:]
-            body.add_geom(
-                name=f"mover{number}",
-                type=shape,
-                size=size,
-                rgba=materials.MOVER,
-                group=1,
-                **_COLLIDES,
-            )
-            number += 1
-
-
-def mover_places(group: Group) -> list[tuple[list[float], list[float]]]:
-    """Poses and geom sizes of the obstacles of a group.
-
-    Returns:
-        For each the position and quaternion (7,), below the ground if it is absent, and
-        half sizes (3,) [m].
-    """
-    half, places = MOVER_HEIGHTS[type(group)] / 2, []
-    for row in range(group.count):
-        pose, size = (np.asarray(x[row], float) for x in (group.pose_w, group.size))
-        here = group.mask is None or bool(group.mask[row])
-        turn = yaw_quat(pose[2] if pose.size > 2 else 0.0)
-        # Of a box length and width, of a disc the radius.
-        halves = [*size / 2, half] if size.ndim else [float(size), half, 0.0]
-        places.append(([*pose[:2], half if here else HIDDEN, *turn], halves))
-    return places
 
 
 def add_hull(body: mujoco.MjsBody, params: VehicleParameters, name: str) -> None:
@@ -222,7 +179,7 @@ def add_hull(body: mujoco.MjsBody, params: VehicleParameters, name: str) -> None
         size=[params.length / 2, params.width / 2, (high - low) / 2],
         mass=0.0,
         group=HULL_GROUP,
-        **_COLLIDES,
+        **COLLIDES,
     )
 
 

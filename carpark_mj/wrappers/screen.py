@@ -136,7 +136,7 @@ class Screen:
         most: int,
     ) -> Stage:
         """The scene of a lot and its parked cars; the `most` used last are kept."""
-        looks = parked_cars.size, parked_cars.kind
+        looks = parked_cars.size, parked_cars.kind, [group.size for group in movers]
         env, drawn = self._env, jax.tree.leaves((layout, looks))
         key = b"".join(part.tobytes() for part in drawn)
         self._stages[key] = self._stages.pop(key, None) or Stage(

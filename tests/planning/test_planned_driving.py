@@ -147,3 +147,20 @@ def test_the_planner_drives_one_lot_as_it_drives_a_batch():
     batch = jax.tree.map(lambda x: x[None], state)
     np.testing.assert_array_equal(jax.jit(policy.act)(batch)[0], alone)
     assert alone.shape == (1, 2)
+
+
+def test_an_agent_stops_for_who_is_about_to_step_onto_its_path():
+    # From beside the path: in 2 s it is crossed at 1 m/s, and not by who stands.
+    agent = Agent((0,), 0.2, SearchConfig(paths=1))
+    free = agent.act(sight(begins=True))
+    segment = agent._path.segments[0]
+    point = segment.pose[int(np.searchsorted(segment.distance, 1.0))]
+    yaw = point[2]
+    aside = CAR.width / 2 + 1.0
+    beside = point + np.array([-aside * np.sin(yaw), aside * np.cos(yaw), 0.0])
+    towards = np.array([[np.sin(yaw), -np.cos(yaw)]])
+    for speed, stops in ((0.0, False), (1.0, True), (-1.0, False)):
+        mover = beside[None], np.full((1, 2), 0.6), speed * towards
+        seen = sight()._replace(movers=mover)
+        assert agent._is_blocked(seen) == stops, speed
+    assert free != (0.0, 0.0)

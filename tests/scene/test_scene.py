@@ -4,7 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry.obstacles import Boxes, Discs
 from carpark_mj.layouts import make_layout
+from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.build import build_scene
 from carpark_mj.vehicle import COMPACT
 
@@ -91,3 +94,37 @@ def test_the_scene_survives_a_round_trip_through_xml(layout):
         model.ngeom,
         model.nq,
     )
+
+
+def test_people_walk_on_two_legs_and_carts_stand_on_the_ground():
+    xy = np.array([[0.0, 2.0], [3.0, 2.0]])
+    person = ObstacleKind.PERSON
+    size, there = np.array([0.3, 0.25]), np.array([True, False])
+
+    def movers(way):
+        moved = xy + np.array([way, 0.0])
+        cart = Boxes(np.array([[0.0, -2.0, 0.5]]), np.array([[1.0, 0.6]]))
+        return Discs(moved, size, mask=there, kind=person), cart
+
+    stage = Stage(make_layout("square"), COMPACT, 1, 0, movers=movers(0.0))
+    angles = []
+    for way in np.arange(0.0, 1.4, 0.1):
+        stage.place(np.zeros((1, 3)), np.zeros(1), np.zeros((0, 3)), None, movers(way))
+        legs = [stage.data.body(f"mover0/leg{side}").xmat[2] for side in (0, 1)]
+        assert legs[0] == pytest.approx(-legs[1], abs=1e-6)
+        angles.append(legs[0])
+        body = stage.data.body("mover0")
+        np.testing.assert_allclose(
+            body.xpos[:2], xy[0] + np.array([way, 0.0]), atol=1e-6
+        )
+    assert max(angles) > 0.3
+    assert min(angles) < -0.3  # both legs have been in front
+    assert stage.data.body("mover1").xpos[2] < -10.0  # absent
+    assert stage.data.body("mover1/leg0").xpos[2] < -10.0
+    wheel, box = mujoco.mjtGeom.mjGEOM_CYLINDER, stage.model.body("mover2").id
+    low = [
+        stage.data.geom_xpos[geom, 2] - stage.model.geom_size[geom, 0]
+        for geom in np.flatnonzero(stage.model.geom_bodyid == box)
+        if stage.model.geom_type[geom] == wheel
+    ]
+    np.testing.assert_allclose(low, np.zeros(4), atol=1e-6)

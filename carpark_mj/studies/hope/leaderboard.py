@@ -15,7 +15,12 @@ from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
 from carpark_mj.files import write_json
 from carpark_mj.reading import read_object, require_entries
 from carpark_mj.studies.hope.suite import has_moving_car
-from carpark_mj.studies.hope.suite_cases import LEVELS, case_numbers, fingerprint
+from carpark_mj.studies.hope.suite_cases import (
+    case_numbers,
+    fingerprint,
+    in_order,
+    require_level,
+)
 from carpark_mj.types import ENDINGS
 
 FORMAT = "carpark_mj suite 1"
@@ -108,8 +113,10 @@ def _result(place: str, entry: dict[str, Any]) -> Result:
 
     require_entries(entry, place, **_TEXT, seeds=list)
     level, seeds = entry["level"], entry["seeds"]
-    if level not in LEVELS:
-        refuse(f"level must be one of {', '.join(LEVELS)}, not {level!r}")
+    try:
+        require_level(level)
+    except ValueError as error:
+        refuse(str(error))
     if entry["held_out"] != fingerprint(level):
         refuse(f"held_out must be {fingerprint(level)!r}, not {entry['held_out']!r}")
     whole = all(type(seed) is int for seed in seeds)
@@ -176,9 +183,10 @@ def leaderboard(results: Iterable[Result]) -> str:
         "| gear changes | path [m] | time [s] | seeds |",
         "|---|---|---|---|---:|---:|---:|---:|---:|---:|",
     ]
-    order = {level: number for number, level in enumerate(LEVELS)}
+    results = list(results)
+    order = in_order(result.entry["level"] for result in results)
     for result in sorted(
-        results, key=lambda r: (order[r.entry["level"]], -r.rates["parked"])
+        results, key=lambda r: (order.index(r.entry["level"]), -r.rates["parked"])
     ):
         entry, rates = result.entry, result.rates
         low, high = wilson_interval(rates["parked"] * result.cases, result.cases)

@@ -26,6 +26,7 @@ from carpark_mj.config import (
     SensorConfig,
     SpawnConfig,
 )
+from carpark_mj.config.obstacles import make_movers
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import (
     Row,
@@ -36,16 +37,28 @@ from carpark_mj.evaluation.aggregation import (
 from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts import Layout
+from carpark_mj.mdp.people import CLOSE_TIME
+from carpark_mj.observations import observe
+from carpark_mj.obstacles import place_movers, trace_still
 from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
 from carpark_mj.policy.rollout import Carry, Step, roll_out
 from carpark_mj.studies.hope import moving_car
 from carpark_mj.studies.hope.layouts import HopeConfig
-from carpark_mj.studies.hope.suite_cases import LEVELS, Cases
+from carpark_mj.studies.hope.suite_cases import in_order
+from carpark_mj.studies.hope.suite_levels import Cases, CaseStart
 from carpark_mj.types import State
 
 VEHICLE = "tpcap"
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 MOVING_CAR = "moving_car"  # column of episodes with one
+MOVING = ("person", "mover")  # what cars of a level with movers may hit
+HITS_OF_MOVING = tuple(f"hit_{kind}" for kind in MOVING)
+AMONG = {  # columns of such levels, and what they are means of
+    "hit person": "hit_person",
+    "hit mover": "hit_mover",
+    "near miss": "near_miss",
+    "least gap [m]": "least_gap",
+}
 TIMED = 20  # calls of a policy whose shortest counts
 
 
@@ -142,7 +155,7 @@ class CaseEvaluator:
         ctrl_dt = self.env.config.sim.ctrl_dt
         reset_key, act_key = jax.random.split(evaluation_key(seed))
         keys = jax.random.split(reset_key, count)
-        state, observation = self._reset(cases.layouts, keys)
+        state, observation = self._reset(cases.layouts, keys, cases.start)
         progress = moving_car.init_progress(count) if moving else None
         rows: list[Row | None] = [None] * count
         chunks: list[tuple[np.ndarray, ...]] = []
@@ -163,12 +176,16 @@ class CaseEvaluator:
                 for parts in zip(*chunks, strict=True)
             )
         )
-        return [row for row in rows if row is not None], drives
+        finished = [row for row in rows if row is not None]
+        if self.env.config.movers:
+            finished = list(map(_add_moving, finished, drives.speed[..., 0]))
+        return finished, drives
 
     def decision_time(self, policy: AnyPolicy, cases: Cases) -> float:
         """Time of a policy for one decision of one car [s]."""
         key = jax.random.key(0)
-        starts = self._reset(cases.layouts, jax.random.split(key, len(cases.number)))
+        keys = jax.random.split(key, len(cases.number))
+        starts = self._reset(cases.layouts, keys, cases.start)
         state, observation = jax.tree.map(lambda x: x[0], starts)
         policy, taken = as_argument(policy), []
         for _ in range(TIMED + 1):
@@ -178,10 +195,35 @@ class CaseEvaluator:
         return min(taken[1:])
 
 
-def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array], Any]:
+def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array, CaseStart | None], Any]:
+    plain = env.reset_to_layout
     if env.num_agents > 1:
-        return functools.partial(moving_car.reset, env)
-    return env.reset_to_layout
+        plain = functools.partial(moving_car.reset, env)
+
+    def begin(layout: Layout, key: jax.Array, start: CaseStart | None) -> Any:
+        if start is None:
+            return plain(layout, key)
+        state, _ = env.reset_to_layout(layout, start.key, None, start.options)
+        movers = place_movers(make_movers(env.config.movers), start.movers)
+        movers = trace_still(movers, env.config.sim.num_traces)
+        state = dataclasses.replace(state, movers=movers)
+        return state, observe(env.config, state)
+
+    return begin
+
+
+def _add_moving(row: Row, speed: np.ndarray) -> Row:
+    """A row with what happened to people and movers; of a car's speeds (t,) [m/s]."""
+    last = round(row["length"])
+    hit = any(row.get(name) for name in HITS_OF_MOVING)
+    own = {f"min_clearance_{kind}": math.inf for kind in MOVING} | row
+    soon = min(row.get(f"min_collision_time_{kind}", math.inf) for kind in MOVING)
+    near = soon < CLOSE_TIME or row.get("near_misses", 0.0) > 0
+    return row | {
+        "contact_speed": float(np.abs(speed[max(last - 2, 0) : last]).max() * hit),
+        "least_gap": min(own[f"min_clearance_{kind}"] for kind in MOVING),
+        "near_miss": float(near and not hit),
+    }
 
 
 def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) -> Any:
@@ -254,7 +296,7 @@ def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
     plans = planned_paths(rows)
     own = [row for row in rows if row["policy"] == policy]
     found = []
-    for level in LEVELS:
+    for level in in_order(row["level"] for row in own):
         of_level = [row for row in own if row["level"] == level]
         kinds = sorted({row["kind"] for row in of_level})
         for kind in (*kinds, "all") if len(kinds) > 1 else kinds:
@@ -277,6 +319,8 @@ def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str,
     low, high = wilson_interval(rate * cases, cases)
     decision = _mean(rows, "ms / decision")
     moving = has_moving_car(rows)
+    among = [row for row in rows if "least_gap" in row]
+    speeds = [row["contact_speed"] for row in among if row["contact_speed"] > 0]
     return {
         "cases": cases,
         "seeds": len(seeds),
@@ -289,6 +333,8 @@ def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str,
         ],
         "crashed": summary["crashed"]["rate"],
         **({"hit moving car": summary["hit_agent"]["rate"]} if moving else {}),
+        **({name: _mean(among, key) for name, key in AMONG.items()} if among else {}),
+        **({"fastest contact [m/s]": max(speeds, default=math.nan)} if among else {}),
         "timed out": summary["timed_out"]["rate"],
         "path found": _mean(rows, "planned"),
         "gear changes": summary["gear_changes"],

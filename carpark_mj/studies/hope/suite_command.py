@@ -38,14 +38,16 @@ from carpark_mj.studies.hope.suite import (
 )
 from carpark_mj.studies.hope.suite_cases import (
     TPCAP_LEVEL,
-    Cases,
-    SuiteLevel,
     case_numbers,
     fingerprint,
+    level_env,
     pick_cases,
     require_aisle,
+    require_alike,
+    require_filmed,
 )
 from carpark_mj.studies.hope.suite_files import Key, key_of, read_runs, write_run
+from carpark_mj.studies.hope.suite_levels import Cases
 from carpark_mj.studies.hope.suite_report import (
     WORST,
     header,
@@ -69,7 +71,9 @@ class SuiteConfig:
     Attributes:
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
             or `random`.
-        levels: levels to drive; `tpcap` has TPCAP's 20 published cases.
+        levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
+            TPCAP's 20 published cases; `busy`, where people, a cart or a car get in
+            the way; or registered ones.
         cases: number of cases of each level; None = all from `first_case` on.
         first_case: first case of each level, from 0.
         rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
@@ -90,7 +94,7 @@ class SuiteConfig:
     policies: Annotated[
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
     ] = ()
-    levels: tuple[SuiteLevel, ...] = LEVELS
+    levels: tuple[str, ...] = LEVELS
     cases: int | None = None
     first_case: int = 0
     rule: str = "strict"
@@ -113,8 +117,11 @@ class SuiteConfig:
         find_rules(self.rule)
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
+        require_alike(self.levels)
         for level in self.levels:
             self._check_cases(level)
+            if self.videos:
+                require_filmed(level)
             if self.moving_car:
                 require_aisle(level)
         if not 0 <= self.videos <= WORST:
@@ -129,7 +136,7 @@ class SuiteConfig:
         for seed in self.seeds:
             require_seed(seed)
 
-    def _check_cases(self, level: SuiteLevel) -> None:
+    def _check_cases(self, level: str) -> None:
         numbers = case_numbers(level)
         known = len(numbers)
         if not 0 <= self.first_case < known:
@@ -170,6 +177,9 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
         episodes, drives = read_runs([Path(name) for name in config.combine])
     else:
         episodes, drives, drawn = _drive_all(config)
+    if config.videos:  # of combined folders
+        for level in {row["level"] for row in episodes}:
+            require_filmed(level)
     folder.mkdir(parents=True, exist_ok=True)
     pictures: list[Path] = []
     if drawn:
@@ -198,8 +208,14 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
     """Episodes, the driven paths of the worst ones, and the planner's first paths."""
     drivers = {name: find_driver(name) for name in config.policies}
     first, moving = config.first_case, config.moving_car
-    for driver in drivers.values():  # all are refused before one of them drives
-        driver.policy(ParkingEnv(suite_env(driver.env, config.rule, moving)))
+
+    def env_of(name: str, level: str) -> EnvConfig:
+        base = suite_env(drivers[name].env, config.rule, moving)
+        return level_env(level, base)
+
+    for name, driver in drivers.items():  # all are refused before one of them drives
+        for env_config in {env_of(name, level) for level in config.levels}:
+            driver.policy(ParkingEnv(env_config))
     cases = [
         pick_cases(
             level, config.cases or len(case_numbers(level)) - first, first, moving
@@ -211,14 +227,17 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
     drives: dict[Key, Drives] = {}
     drawn: _Drawn = []
     evaluators: dict[EnvConfig, CaseEvaluator] = {}
+    policies: dict[tuple[str, EnvConfig], tuple[AnyPolicy, Planner | None]] = {}
     for name, driver in drivers.items():
-        env_config = suite_env(driver.env, config.rule, moving)
-        if env_config not in evaluators:
-            evaluators[env_config] = CaseEvaluator(ParkingEnv(env_config))
-        evaluator = evaluators[env_config]
-        policy, planner = _policy(name, driver.policy, evaluator.env)
         for seed in config.seeds:
             for part in cases:
+                env_config = env_of(name, part.level)
+                if env_config not in evaluators:
+                    evaluators[env_config] = CaseEvaluator(ParkingEnv(env_config))
+                evaluator, key = evaluators[env_config], (name, env_config)
+                if key not in policies:
+                    policies[key] = _policy(name, driver.policy, evaluator.env)
+                policy, planner = policies[key]
                 if planner is not None:
                     planner.reset(seed, first)
                 rows, driven = evaluator.drive(policy, part, seed)

@@ -14,7 +14,13 @@ from carpark_mj.evaluation.catalogue import metrics
 from carpark_mj.files import write_atomically, write_csv
 from carpark_mj.reading import TEXT, Archive, ArrayForm, CsvRow, read_csv
 from carpark_mj.studies.hope.suite import MOVING_CAR, Drives
-from carpark_mj.studies.hope.suite_cases import LEVELS, case_numbers, fingerprint
+from carpark_mj.studies.hope.suite_cases import (
+    LEVELS,
+    case_numbers,
+    fingerprint,
+    require_alike,
+)
+from carpark_mj.studies.hope.suite_levels import EXTRA_LEVELS
 from carpark_mj.types import ENDINGS
 
 CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
@@ -104,6 +110,7 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
             drives[key] = drive
     if len({row.get(MOVING_CAR, 0) for row in episodes.values()}) > 1:
         raise ValueError("results with and without a moving car do not mix")
+    require_alike({row["level"] for row in episodes.values()})
     rules = sorted({row["rule"] for row in episodes.values()})
     if len(rules) > 1:
         raise ValueError(f"results under different rules do not mix: {rules}")
@@ -146,7 +153,8 @@ def _parse(row: CsvRow) -> Row:
             if abs(parsed[name]) > _LARGEST:
                 raise ValueError(f"{row.place}: {name} is too large, {text}")
     level, case = parsed["level"], parsed["case"]
-    if level not in LEVELS or case not in case_numbers(level):
+    known = level in LEVELS or level in EXTRA_LEVELS
+    if not known or case not in case_numbers(level):
         raise ValueError(f"{row.place}: there is no case {case} of level {level!r}")
     ends = [parsed[name] for name in ENDINGS]
     if not {*ends} <= {0.0, 1.0} or not any(ends):

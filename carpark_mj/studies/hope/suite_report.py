@@ -17,7 +17,12 @@ from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.files import write_atomically, write_csv
 from carpark_mj.studies.hope.held_out import VERSION
 from carpark_mj.studies.hope.suite import has_moving_car, worst_first
-from carpark_mj.studies.hope.suite_cases import LEVELS, TPCAP_LEVEL, fingerprint
+from carpark_mj.studies.hope.suite_cases import (
+    LEVELS,
+    TPCAP_LEVEL,
+    fingerprint,
+    in_order,
+)
 from carpark_mj.studies.hope.suite_videos import Video
 from carpark_mj.types import ENDINGS
 
@@ -25,7 +30,19 @@ WORST = 10  # cases shown of a policy and level
 # Columns on the screen; files have all.
 PRINTED = (
     *("policy", "level", "kind", "cases", "parked [%]", "crashed [%]"),
-    *("hit moving car [%]", "timed out [%]", "gear changes", "path [m]", "time [s]"),
+    *("hit moving car [%]", "hit person [%]", "hit mover [%]", "fastest contact [m/s]"),
+    *(
+        "near miss [%]",
+        "least gap [m]",
+        "timed out [%]",
+        "gear changes",
+        "path [m]",
+        "time [s]",
+    ),
+)
+RATES = (
+    *("crashed", "hit moving car", "hit person", "hit mover", "near miss"),
+    *("timed out", "path found"),
 )
 DIGITS = {"decisions/s": 0}  # after the point, where not two
 WIDTH = 160  # of the table where there is no terminal
@@ -47,9 +64,10 @@ def header(episodes: Sequence[Row]) -> list[str]:
     """The title of a suite's results, then what they depend on."""
     seeds = sorted({row["seed"] for row in episodes})
     parts: dict[str, list[str]] = {}
-    for level in LEVELS:
+    for level in in_order(row["level"] for row in episodes):
         held_out = f"Held-out cases version {VERSION}"
         source = "TPCAP's cases" if level == TPCAP_LEVEL else held_out
+        source = source if level in LEVELS else f"Cases of {level}"
         if found := {row["case"] for row in episodes if row["level"] == level}:
             told = f"{len(found)} of {level} ({_ranges(found)})"
             title = f"{source} (SHA-256 {fingerprint(level)})"
@@ -89,7 +107,7 @@ def shown_cells(row: Mapping[str, Any]) -> dict[str, str]:
         elif name == "by seed":
             rates = " ".join(f"{100 * rate:.1f}" for rate in value)
             shown["by seed [%]"] = rates if len(value) > 1 else "–"
-        elif name in ("crashed", "hit moving car", "timed out", "path found"):
+        elif name in RATES:
             shown[f"{name} [%]"] = _number(100 * value, 1)
         elif name not in ("low", "high"):
             shown[name] = _number(value, DIGITS.get(name, 2))

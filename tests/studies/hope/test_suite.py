@@ -161,6 +161,22 @@ def test_the_table_says_that_a_car_moves_and_how_often_it_was_hit():
     assert header(alone)[0] == "Hard cases, strict rule"
 
 
+def test_the_table_says_what_cars_hit_how_fast_and_what_they_nearly_hit():
+    among = {"hit_person": 0.0, "hit_mover": 0.0, "near_miss": 0.0, "least_gap": 2.0}
+    among |= {"contact_speed": 0.0, "level": "busy"}
+    rows = [episode(0, "cart", PARKED, **among)]
+    rows.append(episode(1, "cart", PARKED, **{**among, "near_miss": 1.0}))
+    hit = {"hit_person": 1.0, "contact_speed": 1.5, "least_gap": 0.0}
+    rows.append(episode(2, "cart", MISSED, **{**among, **hit}))
+    hit = {"hit_mover": 1.0, "contact_speed": 0.5, "least_gap": 0.0}
+    rows.append(episode(3, "cart", MISSED, **{**among, **hit}))
+    (row,) = table_rows("x", rows)
+    assert (row["hit person"], row["hit mover"], row["near miss"]) == (0.25,) * 3
+    assert (row["fastest contact [m/s]"], row["least gap [m]"]) == (1.5, 1.0)
+    assert shown_cells(row)["hit person [%]"] == "25.0"
+    assert "4 of busy (0 to 3)" in header(rows)[1]
+
+
 def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
     late = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
     rows = [
@@ -222,6 +238,22 @@ def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
         (
             {"policies": ("zero",), "levels": ("tpcap",), "moving_car": True},
             "moving_car needs an aisle.* level tpcap",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("busy",), "moving_car": True},
+            "moving_car drives in HOPE's levels only, not in busy",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("busy", "normal")},
+            "level busy must be driven alone, not with normal",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("busy",), "videos": 1},
+            "videos show levels .* only, not busy",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("easy",)},
+            "level must be one of normal, .*busy, not 'easy'",
         ),
         ({"policies": ("zero",), "levels": ()}, "levels must not be empty"),
         ({"policies": ("zero",), "seeds": (1, 1)}, "seeds must differ"),

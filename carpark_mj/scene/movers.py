@@ -1,0 +1,199 @@
+"""How people, carts and other movers look: mocap bodies of simple shapes.
+
+A mover has one solid shape, hidden, with which cars collide: an upright cylinder or a
+box. What is seen of it are capsules, boxes and cylinders on the same body; a person's
+legs are two more bodies, which swing about the hips.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.layouts.dimensions import MOVER_HEIGHTS
+from carpark_mj.scene import materials
+from carpark_mj.scene.parts import COLLIDES, HIDDEN, HULL_GROUP, yaw_quat
+
+LONGER_IS_CAR = 3.0  # m
+RADIUS = 0.3  # m, of the person whose measures are below; others are scaled
+HIP, HIP_Y = 0.85, 0.09  # m
+LEGS = (1.0, -1.0)  # sides; they swing against each other
+STRIDE, SWING = 1.4, 0.45  # m of two steps, and the largest angle [rad] [est]
+_BOX, _CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
+_CYLINDER, _BALL = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE
+_AXLE = [math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0]  # a cylinder along y
+
+
+class Part(NamedTuple):
+    """A geom; of boxes x and y are shares of the half length and width."""
+
+    shape: Any
+    pos: tuple[float, float, float]
+    size: tuple[float, float, float]
+    colour: materials.Colour
+    quat: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
+
+
+def _wheels(x: float, y: float, radius: float, width: float) -> list[Part]:
+    return [
+        Part(
+            _CYLINDER,
+            (i * x, j * y, radius),
+            (radius, width, 0),
+            materials.TYRE,
+            _AXLE,
+        )
+        for i in (-1, 1)
+        for j in (-1, 1)
+    ]
+
+
+_LEG = Part(_CAPSULE, (0, 0, -0.41), (0.08, 0.35, 0), materials.TROUSERS)
+_CART = [
+    Part(_BOX, (0, 0, 0.2), (1.0, 1.0, 0.03), materials.TRIM),
+    Part(_BOX, (0.1, 0, 0.62), (0.85, 0.95, 0.3), materials.MOVER),
+    Part(_BOX, (-0.95, 0, 1.0), (0.05, 0.95, 0.03), materials.TRIM),
+    *_wheels(0.8, 0.85, 0.09, 0.03),
+]
+_CAR = [
+    Part(_BOX, (0, 0, 0.55), (1.0, 1.0, 0.33), materials.MOVER),
+    Part(_BOX, (-0.08, 0, 1.13), (0.5, 0.85, 0.27), materials.GLASS),
+    Part(_BOX, (-0.08, 0, 1.41), (0.45, 0.82, 0.02), materials.MOVER),
+    *_wheels(0.6, 0.9, 0.31, 0.11),
+]
+
+
+def _person(number: int) -> list[Part]:
+    coat = materials.COATS[number % len(materials.COATS)]
+    arms = [
+        Part(_CAPSULE, (0, side * 0.24, 1.08), (0.055, 0.24, 0), coat) for side in LEGS
+    ]
+    return [
+        Part(_CAPSULE, (0, 0, 1.12), (0.17, 0.19, 0), coat),
+        Part(_BALL, (0, 0, 1.58), (0.12, 0, 0), materials.SKIN),
+        *arms,
+    ]
+
+
+class Shape(NamedTuple):
+    """A mover and its size.
+
+    Attributes:
+        parts: what is seen of it.
+        solid: with which cars collide, in metres.
+        scale: (3,) of the parts' x, y and z.
+        is_person: whether it has legs.
+    """
+
+    parts: list[Part]
+    solid: Part
+    scale: np.ndarray
+    is_person: bool
+
+
+def _shape(group: Group, row: int, number: int) -> Shape:
+    size, high = np.asarray(group.size, float)[row], MOVER_HEIGHTS[type(group)]
+    if isinstance(group, Boxes):
+        long = size[0] > LONGER_IS_CAR
+        half = (*size / 2, high / 2)
+        solid = Part(_BOX, (0, 0, high / 2), half, materials.MOVER)
+        scale = np.array([*size / 2, 1.0])
+        return Shape(_CAR if long else _CART, solid, scale, False)
+    radius, is_person = float(size), group.kind == ObstacleKind.PERSON
+    solid = Part(_CYLINDER, (0, 0, high / 2), (radius, high / 2, 0), materials.MOVER)
+    if is_person:
+        return Shape(_person(number), solid, np.full(3, radius / RADIUS), True)
+    return Shape([solid], solid, np.ones(3), False)
+
+
+def _rows(groups: Sequence[Group]) -> Iterator[tuple[int, Group, int]]:
+    """Numbers of movers, their groups and rows."""
+    pairs = ((group, row) for group in groups for row in range(group.count))
+    for number, (group, row) in enumerate(pairs):
+        yield number, group, row
+
+
+def add_movers(spec: mujoco.MjSpec, groups: Sequence[Group]) -> None:
+    """Bodies `mover0`... for every obstacle of some groups, and `mover0/leg0`...
+
+    They are kinematic: contacts do not move them, and they push cars.
+    """
+    for number, group, row in _rows(groups):
+        shape, name = _shape(group, row, number), f"mover{number}"
+        body = spec.worldbody.add_body(name=name, mocap=True)
+        _add_geom(body, shape.solid, np.ones(3), name, group=HULL_GROUP, **COLLIDES)
+        for part in shape.parts:
+            _add_geom(body, part, shape.scale)
+        if shape.is_person:
+            for side in range(len(LEGS)):
+                leg = spec.worldbody.add_body(name=f"{name}/leg{side}", mocap=True)
+                _add_geom(leg, _LEG, shape.scale)
+    for name, (pos, quat) in Walkers().places(groups).items():
+        body = spec.body(name)
+        body.pos, body.quat = pos, quat
+
+
+def _add_geom(
+    body: Any, part: Part, scale: np.ndarray, name: str = "", **fields: Any
+) -> None:
+    seen = {"group": 1, "contype": 0, "conaffinity": 0}
+    round_shape = part.shape != _BOX
+    # Round parts keep round: what is scaled of carts' wheels is their place.
+    grown = np.full(3, scale[2]) if round_shape else scale
+    body.add_geom(
+        name=name,
+        type=part.shape,
+        pos=np.array(part.pos) * scale,
+        quat=part.quat,
+        size=np.array(part.size) * grown,
+        rgba=part.colour,
+        **(fields or seen),
+    )
+
+
+class Walkers:
+    """Where movers' bodies are, frame by frame: legs swing with the way walked."""
+
+    def __init__(self) -> None:
+        """Nobody has walked yet."""
+        self._walked: dict[int, float] = {}
+        self._last: dict[int, tuple[np.ndarray, float]] = {}
+
+    def places(self, groups: Sequence[Group]) -> dict[str, tuple[Any, Any]]:
+        """Positions and quaternions of bodies by name; below the ground if absent."""
+        found: dict[str, tuple[Any, Any]] = {}
+        for number, group, row in _rows(groups):
+            shape, name = _shape(group, row, number), f"mover{number}"
+            pose = np.asarray(group.pose_w, float)[row]
+            here = group.mask is None or bool(np.asarray(group.mask)[row])
+            xy, z = pose[:2], 0.0 if here else HIDDEN
+            swing, yaw = self._walk(number, xy)
+            yaw = pose[2] if pose.size > 2 else yaw
+            found[name] = [*xy, z], yaw_quat(yaw)
+            if not shape.is_person:
+                continue
+            scale = shape.scale[2]
+            for side, sign in enumerate(LEGS):
+                out = HIP_Y * scale * sign
+                hip = [xy[0] - out * math.sin(yaw), xy[1] + out * math.cos(yaw)]
+                quat = np.zeros(4)
+                turn = [math.cos(sign * swing / 2), 0.0, math.sin(sign * swing / 2), 0]
+                mujoco.mju_mulQuat(quat, np.array(yaw_quat(yaw)), np.array(turn))
+                found[f"{name}/leg{side}"] = [*hip, z + HIP * scale], quat
+        return found
+
+    def _walk(self, number: int, xy: np.ndarray) -> tuple[float, float]:
+        """The angle of the legs and the heading [rad] of a mover."""
+        last, yaw = self._last.get(number, (xy, 0.0))
+        dx, dy = xy - last
+        way = math.hypot(dx, dy)
+        walks = 1e-3 < way < 1.0  # else it stands, or is somewhere else at once
+        if walks:
+            yaw = math.atan2(dy, dx)
+        walked = self._walked.get(number, 0.0) + way if walks else 0.0
+        self._walked[number], self._last[number] = walked, (xy, yaw)
+        return SWING * math.sin(2 * math.pi * walked / STRIDE), yaw

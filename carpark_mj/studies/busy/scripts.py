@@ -1,0 +1,168 @@
+"""Movers on a script: one sets out when a car comes near, whatever that car does.
+
+It goes straight, and back if it returns. Like pedestrians it never steps into the
+stopping zone of a car (`carpark_mj.movers.stopping`): it waits, so that every contact
+can be avoided.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.config import MOVERS, Mover
+from carpark_mj.config.checks import require_at_least, require_positive
+from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry import box_distance, boxes_overlap, rotate, to_local
+from carpark_mj.layouts import Layout
+from carpark_mj.movers.stopping import STILL, stopping_zones
+from carpark_mj.obstacles import Boxes, Discs
+from carpark_mj.types import State
+
+WAITS = -1.0  # s, clock of one that has not set out
+
+
+@struct.dataclass
+class Script:
+    """A script and how far it is.
+
+    Attributes:
+        start: (3,) pose at first [m, m, rad].
+        direction: () of travel [rad].
+        distance: () longest way [m].
+        speed: () at first [m/s].
+        slowing: () deceleration [m/s²].
+        pause: () at the end of the way, before the return [s].
+        returns: () bool.
+        trigger: () distance ahead of a car, along its axis, at which it sets out [m].
+        size: (2,) length and width [m]; of a person twice the radius.
+        present: () bool.
+        clock: () time since it set out, without the time it waited [s]; or `WAITS`.
+        velocity: (2,) [m/s].
+    """
+
+    start: jax.Array
+    direction: jax.Array
+    distance: jax.Array
+    speed: jax.Array
+    slowing: jax.Array
+    pause: jax.Array
+    returns: jax.Array
+    trigger: jax.Array
+    size: jax.Array
+    present: jax.Array
+    clock: jax.Array
+    velocity: jax.Array
+
+    @property
+    def pose(self) -> jax.Array:
+        """(3,) where it is at its clock."""
+        clock, speed = jnp.maximum(self.clock, 0.0), self.speed
+        way = jnp.minimum(self.distance, speed**2 / jnp.maximum(2 * self.slowing, 1e-6))
+        last = jnp.sqrt(jnp.maximum(speed**2 - 2 * self.slowing * way, 0.0))
+        there = 2 * way / (speed + last)  # s, the time of the way out
+        out = jnp.minimum(clock, there)
+        along = speed * out - self.slowing * out**2 / 2
+        back = speed * jnp.maximum(clock - there - self.pause, 0.0)
+        along = jnp.where(self.returns, jnp.maximum(along - back, 0.0), along)
+        move = rotate(jnp.stack([along, jnp.zeros_like(along)]), self.direction)
+        return self.start.at[:2].add(move)
+
+
+@dataclasses.dataclass(frozen=True)
+class Scripted(Mover):
+    """Base of movers on a script; see `Script`."""
+
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    direction: float = 0.0
+    distance: float = 5.0
+    speed: float = 1.0
+    slowing: float = 0.0
+    pause: float = 0.0
+    returns: bool = False
+    trigger: float = 6.0
+    size: tuple[float, float] = (0.6, 0.6)
+    mover: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_at_least(self, 0, "slowing", "pause")
+        require_positive(self, "distance", "speed", "trigger")
+
+    def init(self, key: jax.Array, layout: Layout) -> Script:
+        """It waits at its start."""
+        del key, layout
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        del values["mover"]
+        arrays = {
+            name: jnp.asarray(value, bool if name == "returns" else jnp.float32)
+            for name, value in values.items()
+        }
+        still = {"clock": jnp.float32(WAITS), "velocity": jnp.zeros(2)}
+        return Script(present=jnp.array(True), **arrays, **still)
+
+    def step(self, key: jax.Array, state: Script, lot: State, dt: float) -> Script:
+        """It goes on unless it would come nearer to a car that cannot stop."""
+        del key
+        ahead = to_local(lot.motion.pose_w, state.start)[..., 0]
+        near = lot.active & (ahead > 0.0) & (ahead < state.trigger)
+        begins = (state.clock < 0.0) & near.any()
+        clock = jnp.where(begins, 0.0, state.clock)
+        clock = jnp.where(clock < 0.0, clock, clock + dt)
+        there = dataclasses.replace(state, clock=clock)
+        clock = jnp.where(_is_free(state, there, lot, dt), clock, state.clock)
+        after = dataclasses.replace(state, clock=clock)
+        velocity = (after.pose - state.pose)[:2] / dt
+        return dataclasses.replace(after, velocity=velocity)
+
+
+def _is_free(now: Script, there: Script, lot: State, dt: float) -> jax.Array:
+    """() bool, whether it enters no stopping zone, nor nears a car whose zone it is in.
+
+    A zone is a box here, and a person one, too.
+    """
+    zones, motion = stopping_zones(lot, dt), lot.motion
+    middle = jnp.stack([(zones.ahead - zones.behind) / 2, 0 * zones.aside], axis=-1)
+    yaw = motion.pose_w[:, 2]
+    xy = motion.xy + rotate(middle, yaw)
+    zone = jnp.concatenate([xy, yaw[:, None]], axis=-1)
+    size = jnp.stack([zones.ahead + zones.behind, 2 * zones.aside], axis=-1)
+
+    def seen(script: Script) -> tuple[jax.Array, jax.Array]:
+        over = boxes_overlap(zone, size, script.pose, script.size)
+        gap = box_distance(motion.pose_w, motion.size, script.pose, script.size)
+        return over, gap
+
+    (was_in, gap), (enters, gap_after) = seen(now), seen(there)
+    leaves = was_in & (gap_after > gap - STILL)
+    return ~(enters & ~leaves).any()
+
+
+@dataclasses.dataclass(frozen=True)
+class ScriptedPerson(Scripted):
+    """A person on a script."""
+
+    mover: str = "scripted_person"
+    kind = ObstacleKind.PERSON
+
+    def obstacles(self, state: Script) -> list[Discs]:
+        """A disc."""
+        radius, there = state.size[:1] / 2, state.present[None]
+        return [Discs(state.pose[None, :2], radius, state.velocity[None], there)]
+
+
+@dataclasses.dataclass(frozen=True)
+class ScriptedBox(Scripted):
+    """A cart or a car on a script."""
+
+    mover: str = "scripted_box"
+
+    def obstacles(self, state: Script) -> list[Boxes]:
+        """A box."""
+        velocity, there = state.velocity[None], state.present[None]
+        return [Boxes(state.pose[None], state.size[None], velocity, there)]
+
+
+MOVERS.register("scripted_person", ScriptedPerson())
+MOVERS.register("scripted_box", ScriptedBox())
