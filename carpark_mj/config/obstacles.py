@@ -18,6 +18,7 @@ class ObstacleKind(enum.IntEnum):
     WALL = 2  # all that a layout has: pillars and bollards too
     MOVER = 3
     PERSON = 4
+    DRIVER = 5
 
     @property
     def label(self) -> str:

@@ -1,5 +1,6 @@
 """The library's movers by name: pedestrians, and things that move."""
 
+from carpark_mj.movers.drivers import Drivers
 from carpark_mj.movers.pedestrians import Pedestrians
 
-__all__ = ["Pedestrians"]
+__all__ = ["Drivers", "Pedestrians"]
