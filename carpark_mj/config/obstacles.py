@@ -97,7 +97,7 @@ def _named(choice: str) -> Mover:
     """The mover of a name, with the settings that follow it."""
     name, colon, words = choice.partition(":")
     mover: Any = MOVERS[name]
-    values: dict[str, float | tuple[float, ...]] = {}
+    values: dict[str, str | float | tuple[float, ...]] = {}
     fields = dataclasses.fields(mover)
     known = [field.name for field in fields if field.name != "mover"]
     for word in words.split(",") if colon else ():
@@ -107,6 +107,9 @@ def _named(choice: str) -> Mover:
                 f"the mover {name!r} has no setting {setting!r}: its settings are "
                 f"{', '.join(known)}"
             )
+        if isinstance(getattr(mover, setting), str):
+            values[setting] = value
+            continue
         numbers = tuple(_number(setting, part) for part in value.split(".."))
         values[setting] = numbers if len(numbers) > 1 else numbers[0]
     return dataclasses.replace(mover, **values)

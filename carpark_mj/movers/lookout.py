@@ -27,6 +27,7 @@ OUT = 3.0  # m of a way out of a bay with limited sight
 SIGHT = 1.5  # m to either side for each metre behind a bay
 SOON = 1.0  # s, where people will be
 PERSON = 0.3  # m of room about a person
+ITSELF = 0.5  # m, nobody else is as near
 
 
 class Rows(NamedTuple):
@@ -189,8 +190,6 @@ def _others(traffic: Traffic, lot: State) -> Rows | None:
         pose = move_forward(motion.pose_w, stop / 2)
         rows.append((pose, half, along[:, None] * heading, jnp.ones(yaw.shape, bool)))
     for group in lot.movers.groups:
-        if group.kind == ObstacleKind.DRIVER:
-            continue
         xy = group.pose_w[:, :2]
         still = jnp.zeros_like(xy)
         velocity = still if group.velocity_w is None else group.velocity_w
@@ -198,16 +197,19 @@ def _others(traffic: Traffic, lot: State) -> Rows | None:
         yaw = group.pose_w[:, 2:] if is_box else jnp.zeros_like(xy[:, :1])
         half = group.size / 2 if is_box else jnp.stack([group.size] * 2, axis=-1)
         there = jnp.ones(group.count, bool) if group.mask is None else group.mask
-        for later in (0.0, SOON):
+        is_car = group.kind == ObstacleKind.DRIVER
+        for later in (0.0,) if is_car else (0.0, SOON):
             pose = jnp.concatenate([xy + later * velocity, yaw], axis=-1)
-            rows.append((pose, half + PERSON, velocity, there))
+            rows.append((pose, half + (0.0 if is_car else PERSON), velocity, there))
     if not rows:
         return None
     pose, half, velocity, there = (
         jnp.concatenate(column) for column in zip(*rows, strict=True)
     )
     blind = (_blind(traffic) < -1.0) & ~traffic.attentive
-    seen = there & ~_hidden(traffic, pose) & ~blind[:, None]
+    # A driver is among the movers, too.
+    other = norm(traffic.centre[:, None, :2] - pose[:, :2]) > ITSELF
+    seen = there & other & ~_hidden(traffic, pose) & ~blind[:, None]
     return Rows(pose, half, velocity, seen)
 
 
@@ -216,7 +218,6 @@ def is_clear(traffic: Traffic, lot: State, xy: jax.Array, reach: float) -> jax.A
     clear = ~((norm(traffic.centre[:, :2] - xy) < reach) & traffic.present).any()
     clear = clear & ~(norm(lot.motion.xy - xy) < reach).any()
     for group in lot.movers.groups:
-        if group.kind != ObstacleKind.DRIVER:
-            near = norm(group.pose_w[:, :2] - xy) < reach
-            clear = clear & ~(near if group.mask is None else near & group.mask).any()
+        near = norm(group.pose_w[:, :2] - xy) < reach
+        clear = clear & ~(near if group.mask is None else near & group.mask).any()
     return clear

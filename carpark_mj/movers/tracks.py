@@ -36,8 +36,6 @@ def make_tracks(layout: Layout) -> Tracks:
     middle of the right half. Lots without lanes have a ring inside the first spawn
     region, counter-clockwise.
     """
-    if not layout.lane_mask.shape[0]:
-        return _entries(layout, *_ring(layout))
     pose, size, mask = layout.lane_pose, layout.lane_size, layout.lane_mask
     both = ~layout.lane_one_way
     aside = jnp.where(both, size[:, 1] / 4, 0.0)
@@ -47,8 +45,9 @@ def make_tracks(layout: Layout) -> Tracks:
         [pose[:, :2] - right, wrap_angle(pose[:, 2:] + jnp.pi)], axis=-1
     )
     pose = move_forward(jnp.concatenate([ahead, back]), -jnp.tile(size[:, 0], 2) / 2)
-    mask = jnp.concatenate([mask, mask & both])
-    return _entries(layout, pose, jnp.tile(size[:, 0], 2), mask)
+    of_lanes = pose, jnp.tile(size[:, 0], 2), jnp.concatenate([mask, mask & both])
+    rows = zip(of_lanes, _ring(layout), strict=True)
+    return _entries(layout, *(jnp.concatenate(row) for row in rows))
 
 
 def _ring(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -58,7 +57,8 @@ def _ring(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
     xy = centre[:2] + rotate(corner, centre[2])
     yaw = wrap_angle(centre[2] + jnp.arange(4) * jnp.pi / 2)
     length = 2.0 * jnp.tile(half, 2)
-    mask = jnp.broadcast_to(layout.spawn_mask[0], (4,))
+    has_ring = layout.spawn_mask[0] & ~layout.lane_mask.any()
+    mask = jnp.broadcast_to(has_ring, (4,))
     return jnp.concatenate([xy, yaw[:, None]], axis=-1), length, mask
 
 
