@@ -28,7 +28,7 @@ from carpark_mj.layouts import (
     member_shares,
 )
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
-from carpark_mj.mdp import actions, metrics, rewards, terminations
+from carpark_mj.mdp import actions, kerbs, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.mdp.goals import make_goals
 from carpark_mj.mdp.progress import drives_wrong_way
@@ -38,7 +38,13 @@ from carpark_mj.mdp.reset_options import (
     read_reset_options,
 )
 from carpark_mj.observations import observation_size, observe, sensors
-from carpark_mj.physics.base import Physics, make_physics, require_physics, where_cars
+from carpark_mj.physics.base import (
+    Halting,
+    Physics,
+    make_physics,
+    require_physics,
+    where_cars,
+)
 from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
@@ -117,6 +123,11 @@ class ParkingEnv:
         check_cars(config, self.fleet, self.layout_config, self._layout)
         self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
+        if config.episode.kerb_speed and not isinstance(self.physics, Halting):
+            raise ValueError(
+                "episode.kerb_speed needs physics whose cars a kerb can stop, mjx or "
+                f"bicycle, not {self.physics.config.back_end}"
+            )
         self._episodes = Episodes(
             config, self.fleet, self.goals, self.physics, self._layout
         )
@@ -309,6 +320,9 @@ class ParkingEnv:
         config, memory = self.config, self.config.observation.remember(state)
         physics = self.physics.step(state.physics, controls)
         motion = self.physics.read(physics)
+        if isinstance(self.physics, Halting) and config.episode.kerb_speed:
+            physics = self.physics.halt(physics, *kerbs.stops(config, state, motion))
+            motion = self.physics.read(physics)
         all_drive = config.episode.respawn and state.present is None
         if not (all_drive or config.physics_config.contacts):
             physics, motion = _freeze(state, physics, motion)
@@ -322,9 +336,7 @@ class ParkingEnv:
             memory=memory,
             movers=self._episodes.step_movers(state, keys),
             step=state.step + state.active,
-            sensors=sensors.measure(
-                config.sensors, state.sensors, motion, keys.reading
-            ),
+            sensors=sensors.measure(config.sensors, state, motion, keys.reading),
         )
 
     def _stop_finished(self, state: State, action: jax.Array) -> jax.Array:

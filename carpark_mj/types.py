@@ -122,16 +122,32 @@ class Reading:
 
 
 @struct.dataclass
+class Odometry:
+    """Dead reckoning of cars (...).
+
+    Attributes:
+        pose_w: (..., 3) where each believes to be.
+        error: (..., 3) of the episode: of the distance [m/m], of the heading per
+            distance [rad/m] and per turn [rad/rad].
+    """
+
+    pose_w: jax.Array
+    error: jax.Array
+
+
+@struct.dataclass
 class Sensors:
     """Sensors of the agents of a lot.
 
     Attributes:
         history: readings (num_agents, delay_max + 1, ...), newest first.
         delay: (num_agents,) int32 control steps by which an agent's are late.
+        odometry: their dead reckoning; None where poses are measured.
     """
 
     history: Reading
     delay: jax.Array
+    odometry: Odometry | None = None
 
 
 @struct.dataclass

@@ -7,8 +7,10 @@ A policy that is trained again drives otherwise: look at the clips, and choose s
 """
 
 from carpark_mj.cli.process import enter
+from carpark_mj.rendering.gl import choose_gl
 
 if __name__ == "__main__":  # before the imports, which take seconds
+    choose_gl()  # before MuJoCo is imported
     enter("gallery", "gallery:main")
 
 import dataclasses

@@ -18,6 +18,7 @@ from carpark_mj.cli.analysis import AnalysisConfig
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.layout_editor import EditConfig
 from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.map_import import ImportConfig
 from carpark_mj.cli.oracle import OracleConfig
@@ -85,6 +86,7 @@ COMMANDS = {
     "-m carpark_mj.scene": SceneConfig,
     "-m carpark_mj.layouts": LayoutsConfig,
     "-m carpark_mj.oracle": OracleConfig,
+    "layouts edit": EditConfig,
     "layouts import": ImportConfig,
     "-m carpark_mj.vehicles": VehiclesConfig,
     "-m carpark_mj.play": PlayConfig,
@@ -275,10 +277,10 @@ def test_a_command_exists_and_takes_its_flags(line):
         flags = {w[2:].replace("-", "_") for w in arguments if w.startswith("--")}
         assert flags <= settings_in(ROOT / program)
         return
-    if program.endswith("layouts") and arguments[0] == "import":
+    if program.endswith("layouts") and arguments[0] in ("edit", "import"):
         if len(arguments) == 1:
             return
-        program, arguments = "layouts import", arguments[1:]
+        program, arguments = f"layouts {arguments[0]}", arguments[1:]
     if program == "-m carpark_mj.scene":
         arguments = complete(arguments)
     if program == "train/junction.py":  # its flags depend on the algorithm

@@ -21,6 +21,7 @@ FLOORS = (
     ("layouts",),
     ("types", "vehicle"),
     ("obstacles",),
+    ("cameras",),
     ("observations", "scene"),
     ("mdp", "physics"),
     ("movers",),
@@ -33,7 +34,7 @@ FLOORS = (
     ("evaluation",),
     ("analysis",),
     ("rendering",),
-    ("wrappers", "play", "maps"),
+    ("wrappers", "play", "maps", "editor"),
     ("cli",),
     ("training",),
     ("sweeps", "benchmarking"),
@@ -50,6 +51,7 @@ WITHOUT_MUJOCO = (
     "layouts",
     "types",
     "obstacles",
+    "cameras",
     *TASK,
 )
 AROUND_TASK = {"vehicle", "scene", "physics"}

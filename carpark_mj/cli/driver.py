@@ -1,10 +1,11 @@
 """The policy of an evaluation, a video or a viewer, and its environment."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import (
     EnvConfig,
     FleetConfig,
@@ -87,6 +88,23 @@ def output_folder(checkpoint: Path) -> Path:
     if folder.resolve() == pretrained.FOLDER:
         return Path("runs") / checkpoint.stem
     return folder.parent if folder.name == "checkpoints" else folder
+
+
+def with_settings(env: EnvConfig, settings: Sequence[str]) -> EnvConfig:
+    """The environment with settings replaced, each `NAME=VALUE` as the trainer's flags.
+
+    Raises:
+        ValueError: a setting without a value, an unknown or an impossible one.
+    """
+    words: list[str] = []
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not (name and equals and value):
+            raise ValueError(
+                f"set takes NAME=VALUE, as in sim.steering_delay=0.24, not {setting!r}"
+            )
+        words += [f"--{name.replace('_', '-')}", *value.split()]
+    return read_flags(EnvConfig, words, default=env) if words else env
 
 
 def adapt(

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
-from carpark_mj.cli.driver import adapt, find_driver
+from carpark_mj.cli.driver import adapt, find_driver, with_settings
 from carpark_mj.config import MetricsConfig, find_rules
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import Evaluation, evaluate
@@ -54,6 +54,8 @@ class EvaluateConfig:
             the run.
         physics: back end; default: that of the run. With `scene`, crashes are contacts
             in one MuJoCo world.
+        set: any other settings of the environment, as in
+            `sim.steering_delay=0.24 sensors.delay_max=2`.
         nominal: switch off noise and delay of sensors and randomization of the cars.
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
@@ -76,6 +78,7 @@ class EvaluateConfig:
     num_parked_cars: int | None = None
     movers: tuple[str, ...] | None = None
     physics: str | None = None
+    set: tuple[str, ...] = ()
     nominal: bool = False
     stochastic: bool = False
     out: str = ""
@@ -144,7 +147,7 @@ def prepare(config: EvaluateConfig) -> Task:
     name = config.run or config.policy
     driver = find_driver(name, config.environment, not config.stochastic)
     changed = adapt(
-        driver.env,
+        with_settings(driver.env, config.set),
         rule=config.rule,
         hitbox_scale=config.hitbox_scale,
         nominal=config.nominal,

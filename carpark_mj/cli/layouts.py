@@ -4,7 +4,9 @@ carpark_mj layouts --plot lots.png
 carpark_mj layouts --check 1000 --run 20
 carpark_mj layouts street my_lot.json --check 1000
 carpark_mj layouts lot --seed 3 --save lot.json
+carpark_mj layouts san_jose --crop -40 35 20 65 --save corner.json
 carpark_mj layouts import car_park.osm --out lot.json
+carpark_mj layouts edit lot.json
 """
 
 import dataclasses
@@ -33,6 +35,7 @@ from carpark_mj.layouts import (
     layout_config,
 )
 from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.crop import crop
 from carpark_mj.layouts.json_file import layout_text
 from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.standards import Level, Orientation
@@ -157,6 +160,7 @@ class LayoutsConfig:
             the checked lots; by default their design car.
         run: number of scenes of each layout to run.
         save: layout file to write, with the first lot of one layout.
+        crop: x and y of two opposite corners [m] of the part of it to save.
         seed: seed of the keys.
     """
 
@@ -168,6 +172,7 @@ class LayoutsConfig:
     vehicle: str = ""
     run: int = 0
     save: str = ""
+    crop: tuple[float, float, float, float] | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -184,6 +189,8 @@ class LayoutsConfig:
             )
         if not self.check:
             require_unset(self, "without --check", "vehicle")
+        if not self.save:
+            require_unset(self, "without --save", "crop")
         if self.plot and Path(self.plot).suffix not in PICTURES:
             raise ValueError(
                 f"--plot writes a .png, .pdf or .svg file, not {self.plot}"
@@ -207,6 +214,8 @@ def look(config: LayoutsConfig) -> bool:
         require_writable(Path(file))  # refused before the work
     if config.save:
         [drawn] = draw(config.layouts[0], 1, config.seed)
+        if config.crop is not None:
+            drawn = crop(drawn, config.crop)
         write_atomically(
             Path(config.save), lambda file: file.write_text(layout_text(drawn))
         )
@@ -244,6 +253,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from carpark_mj.cli import map_import
 
         return map_import.main(given[1:])
+    if given and given[0] == "edit":
+        from carpark_mj.cli import layout_editor
+
+        return layout_editor.main(given[1:])
 
     def command() -> int:
         config = read_flags(LayoutsConfig, arguments, description=__doc__, prog=PROGRAM)

@@ -38,14 +38,9 @@ from carpark_mj.play.driven import DrivenLot
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.networks import Policy
+from carpark_mj.rendering.local_pages import HOST, PORT, check_port
 from carpark_mj.rendering.renderer import camera_names
-from carpark_mj.rendering.web import (
-    HOST,
-    PORT,
-    check_port,
-    make_live_viewer,
-    require_web,
-)
+from carpark_mj.rendering.web import make_live_viewer, require_web
 
 PROGRAM = "carpark_mj play"
 LOT = ("layout", "policy", "num_agents", "num_parked_cars", "vehicle", "seed", "out")

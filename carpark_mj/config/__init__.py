@@ -31,6 +31,7 @@ from carpark_mj.config.observations import (
     RingConfig,
     SensorConfig,
     ShareConfig,
+    UltrasoundConfig,
 )
 from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
@@ -98,6 +99,7 @@ __all__ = [
     "SpawnConfig",
     "Surface",
     "TyresName",
+    "UltrasoundConfig",
     "data",
     "find_rules",
     "insert",

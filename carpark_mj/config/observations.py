@@ -204,6 +204,37 @@ class RayConfig(CheckedConfig):
 
 
 @dataclasses.dataclass(frozen=True)
+class UltrasoundConfig(CheckedConfig):
+    """Twelve ultrasonic sensors around the car; off by default.
+
+    Attributes:
+        on: observe them.
+        reach: longest distance measured [m].
+        dead_zone: shortest distance measured [m]; what is nearer reads as this.
+        cone: angle of a sensor's cone [rad].
+        noise: standard deviation of the white noise [m].
+    """
+
+    on: bool = False
+    reach: float = 5.0
+    dead_zone: float = 0.15
+    cone: float = math.radians(60.0)
+    noise: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "reach", "cone")
+        require_at_least(self, 0.0, "dead_zone", "noise")
+        if self.cone >= math.pi:
+            raise ValueError(f"cone must be less than pi rad, not {self.cone}")
+        if self.dead_zone >= self.reach:
+            raise ValueError(
+                f"dead_zone must be less than the reach {self.reach} m, not "
+                f"{self.dead_zone}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
 class SensorConfig(CheckedConfig):
     """Errors of what agents observe of the cars' motion; none by default.
 
@@ -214,6 +245,11 @@ class SensorConfig(CheckedConfig):
             left [m/s].
         delay_min: shortest delay of a car's measurements [control steps].
         delay_max: longest delay [control steps]; the delay is drawn at every spawn.
+        odometry_scale: standard deviation, over episodes, of the relative error of the
+            distance that the wheels measure [m/m]. Where this or one of the next two
+            is not 0, a car knows its pose by dead reckoning from its start.
+        odometry_veer: the same of the heading per distance [rad/m], positive left.
+        odometry_turn: the same of the heading per turn [rad/rad].
     """
 
     position_noise: float = 0.0
@@ -221,10 +257,14 @@ class SensorConfig(CheckedConfig):
     speed_noise: float = 0.0
     delay_min: int = 0
     delay_max: int = 0
+    odometry_scale: float = 0.0
+    odometry_veer: float = 0.0
+    odometry_turn: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
+        require_at_least(self, 0.0, "odometry_scale", "odometry_veer", "odometry_turn")
         require_whole(self, 0, "delay_min")
         require_whole(self, self.delay_min, "delay_max")
 
@@ -232,3 +272,8 @@ class SensorConfig(CheckedConfig):
     def is_on(self) -> bool:
         """Whether observations differ from the true motion."""
         return self != SensorConfig()
+
+    @property
+    def dead_reckons(self) -> bool:
+        """Whether cars know their poses by odometry only."""
+        return bool(self.odometry_scale or self.odometry_veer or self.odometry_turn)

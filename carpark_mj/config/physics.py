@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from carpark_mj.config.checks import CheckedConfig, require_positive
+from carpark_mj.config.checks import CheckedConfig, require_positive, require_within
 
 Surface = Literal["dry", "wet", "ice"]
 TyresName = Literal["brush", "contact"]
@@ -12,11 +12,13 @@ StepperName = Literal["auto", "unrolled", "mjx"]
 CONTACT_SIM_DT = 0.004  # s; beyond it a locked wheel throws the car
 BRUSH_SIM_DT = 0.02  # s; bristles and wheels ring from 0.04 s on
 MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
+MAX_DELAY = 2.0  # s, of an actuator
+MAX_CREEP = 2.0  # m/s^2
 
 
 @dataclasses.dataclass(frozen=True)
 class SimConfig(CheckedConfig):
-    """Time steps and ground of the physics.
+    """Time steps and ground of the physics, and what it adds to a car.
 
     Attributes:
         sim_dt: physics substep [s]; 0.01 for training, 0.005 as a reference. At most
@@ -30,6 +32,12 @@ class SimConfig(CheckedConfig):
         stepper: of `mjx` cars: the `unrolled` equations, or `mjx.step`; `auto` takes
             the former where they hold, on brush tyres.
         surface: road surface, which sets the grip, `carpark_mj.vehicle.conditions`.
+        steering_delay: dead time of the steering [s], a multiple of `sim_dt`. By wire
+            it is 0.24, and 0.1 of the acceleration (defaults of Autoware's
+            `simple_planning_simulator`).
+        pedal_delay: the same of drive and brakes.
+        creep: acceleration from rest of an automatic whose engine idles, no pedal
+            pressed [m/s^2]; 0 = none, about 0.4 in real cars (`docs/vehicle.md`).
     """
 
     sim_dt: float = 0.01
@@ -40,6 +48,9 @@ class SimConfig(CheckedConfig):
     suspension: bool = False
     stepper: StepperName = "auto"
     surface: Surface = "dry"
+    steering_delay: float = 0.0
+    pedal_delay: float = 0.0
+    creep: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -71,6 +82,16 @@ class SimConfig(CheckedConfig):
                 f"stepper must be 'auto' or 'mjx' with {self.tyres} tyres, whose "
                 "contacts need MuJoCo's solver, not 'unrolled'"
             )
+        for name in ("steering_delay", "pedal_delay"):
+            delay = getattr(self, name)
+            substeps = delay / self.sim_dt
+            whole = abs(substeps - round(substeps)) <= 1e-6
+            if not (0.0 <= delay <= MAX_DELAY and whole):
+                raise ValueError(
+                    f"{name} must be a multiple of sim_dt {self.sim_dt} s within "
+                    f"[0, {MAX_DELAY}] s, not {delay}"
+                )
+        require_within(self, 0.0, MAX_CREEP, "m/s^2", "creep")
         if not abs(self.grade_x) < 1.0:
             raise ValueError(f"grade_x must lie within (-1, 1), not {self.grade_x}")
 

@@ -101,6 +101,10 @@ class EpisodeConfig(CheckedConfig):
         max_steps: control steps until an episode is truncated (timeout).
         hitbox_scale: factor on the cars' lengths and widths in collision tests, in
             evaluations too. Those of walls and discs are not scaled.
+        kerb_speed: highest speed [m/s] at which wheels may touch a kerb, which then
+            stops the car; 0 = kerbs are walls. The body passes over kerbs.
+        wheel_stops: distance of a wheel stop's face from the far end of every bay but
+            parallel ones [m]; 0 = none. It is a kerb, neither observed nor drawn.
         respawn: whether an agent whose episode ends starts a new one at once; otherwise
             it brakes and stays where it is until the lot is reset.
         final_observation: whether `TimeStep` also carries the observation at the end of
@@ -110,6 +114,8 @@ class EpisodeConfig(CheckedConfig):
     parked_rule: str = "strict"
     max_steps: int = 200
     hitbox_scale: float = data(1.0)
+    kerb_speed: float = 0.0
+    wheel_stops: float = 0.0
     respawn: bool = True
     final_observation: bool = False
 
@@ -118,6 +124,12 @@ class EpisodeConfig(CheckedConfig):
         find_rules(self.parked_rule)  # refuses unknown names
         require_whole(self, 1, "max_steps")
         require_positive(self, "hitbox_scale")
+        require_at_least(self, 0.0, "kerb_speed", "wheel_stops")
+        if self.wheel_stops and not self.kerb_speed:
+            raise ValueError(
+                f"wheel_stops {self.wheel_stops} needs a kerb_speed above 0 at which "
+                "they may be touched"
+            )
 
     @property
     def slack(self) -> float:

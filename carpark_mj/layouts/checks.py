@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -97,6 +98,39 @@ def _discs_meet(box: _Rows, disc: _Rows) -> jax.Array:
     return hit & box[2][:, None] & disc[2]
 
 
+class Fault(NamedTuple):
+    """What is wrong in a layout, and where.
+
+    Attributes:
+        words: the message.
+        kinds: of the rows of a place, `ROWS`: two where rows meet, none where the lot
+            as a whole is at fault.
+        places: (places, kinds) int, their rows; `(1, 0)` for the lot as a whole.
+    """
+
+    words: str
+    kinds: tuple[str, ...]
+    places: np.ndarray
+
+
+def list_faults(layout: Layout, car_size: tuple[float, float]) -> list[Fault]:
+    """Faults of one layout whose shapes, dtypes and numbers are right, on the host.
+
+    Args:
+        layout: no batch dimension.
+        car_size: length and width of the largest car [m].
+    """
+    found: list[Fault] = []
+    size = jnp.array(car_size, jnp.float32)
+    for words, fault in jax.device_get(_find_faults(layout, size)).items():
+        if fault.any():
+            subject, *_, other = words.split()
+            kind, met = _SUBJECTS.get(subject, ""), other.removesuffix("s")
+            kinds = (kind, met if met in ROWS else kind)[: fault.ndim]
+            found.append(Fault(words, kinds, np.argwhere(fault)))
+    return found
+
+
 def describe_faults(
     layout: Layout,
     car_size: tuple[float, float] | None = None,
@@ -123,17 +157,12 @@ def describe_faults(
     found = _malformed(layout)
     if found:
         return found
-    size = jnp.array(car_size or DesignCar().size, jnp.float32)
-    for words, fault in _find_faults(layout, size).items():
-        fault = np.asarray(fault)
-        if fault.any():
-            rows = np.argwhere(fault)[:3]
-            rows = rows[:, 0] if fault.ndim == 1 else rows
-            told = f"{words}: {rows.tolist()}" if fault.ndim else words
-            if lines is not None and fault.ndim:
-                kind = _SUBJECTS[words.split()[0]]
-                told += f", the first on line {lines[kind][int(rows.flat[0])]}"
-            found.append(told)
+    for words, kinds, places in list_faults(layout, car_size or DesignCar().size):
+        rows = places[:3, 0] if len(kinds) == 1 else places[:3]
+        told = f"{words}: {rows.tolist()}" if kinds else words
+        if lines is not None and kinds:
+            told += f", the first on line {lines[kinds[0]][int(rows.flat[0])]}"
+        found.append(told)
     return found
 
 

@@ -17,8 +17,10 @@ their lists, `one_way` true and `spread`, 0 to π, 0.1. Files of another version
 invalid layouts (`layouts.checks`) are refused; messages about a row name its line.
 """
 
+import enum
 import json
 import math
+from collections.abc import Mapping
 from json import scanner
 from pathlib import Path
 from typing import Any
@@ -55,12 +57,23 @@ def read_json(path: Path) -> Layout:
     Raises:
         ValueError: no such file, or a fault in it; the message names the line.
     """
+    layout, lines = read_unchecked(path)
+    # Which cars there will be only an environment knows.
+    if faults := describe_faults(layout, ANY_CAR, lines):
+        raise ValueError(f"{path} is not a valid layout: {'; '.join(faults)}")
+    return layout
+
+
+def read_unchecked(path: Path) -> tuple[Layout, dict[str, list[int]]]:
+    """Reads a layout, which may have faults, and lines as `parse_layout` does.
+
+    Raises:
+        ValueError: no such file, or one of another format; the message names the line.
+    """
     try:
-        text = read_text(path)
+        return parse_layout(read_text(path))
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    try:
-        layout, lines = _parse(text)
     except json.JSONDecodeError as error:
         raise ValueError(
             f"{path}, line {error.lineno}: not JSON ({error.msg})"
@@ -69,10 +82,6 @@ def read_json(path: Path) -> Layout:
         raise ValueError(f"{path}: brackets are nested too deeply") from None
     except _RowError as error:
         raise ValueError(f"{path}, line {error.line}: {error}") from None
-    # Which cars there will be only an environment knows.
-    if faults := describe_faults(layout, ANY_CAR, lines):
-        raise ValueError(f"{path} is not a valid layout: {'; '.join(faults)}")
-    return layout
 
 
 LAYOUT_FORMATS.register("json", read_json)
@@ -115,7 +124,7 @@ def layout_text(layout: Layout) -> str:
     Args:
         layout: without batch dimensions.
     """
-    entries = [f'"format": "{FORMAT}"']
+    document: dict[str, Any] = {"extent": np.asarray(layout.extent).tolist()}
     for rows, schema in _SCHEMA.items():
         if rows == "bays" and layout.bay_end is None:
             schema = {part: form for part, form in schema.items() if part != "end"}
@@ -125,26 +134,67 @@ def layout_text(layout: Layout) -> str:
             np.asarray(getattr(layout, f"{row}_{part}"))[mask].tolist()
             for part in schema
         ]
-        lines = [
-            json.dumps(
-                {
-                    part: value
-                    if form is bool or isinstance(form, int)
-                    # An enumeration of kinds.
-                    else form(value).name.lower()
-                    for (part, form), value in zip(schema.items(), values, strict=True)
-                }
-            )
+        document[rows] = [
+            {
+                part: value
+                if form is bool or isinstance(form, int)
+                # An enumeration of kinds.
+                else form(value).name.lower()
+                for (part, form), value in zip(schema.items(), values, strict=True)
+            }
             for values in zip(*columns, strict=True)
         ]
-        inner = "".join(f"\n  {line}," for line in lines).removesuffix(",")
-        entries.append(f'"{rows}": [{inner}]')
-    entries.append(f'"extent": {json.dumps(np.asarray(layout.extent).tolist())}')
+    return document_text(document)
+
+
+def document_text(document: Mapping[str, Any]) -> str:
+    """The file of an object with rows and `extent`, as text with a row on each line."""
+    entries = [f'"format": "{FORMAT}"']
+    for rows in _SCHEMA:
+        lines = ",".join(f"\n  {json.dumps(row)}" for row in document[rows])
+        entries.append(f'"{rows}": [{lines}]')
+    entries.append(f'"extent": {json.dumps(document["extent"])}')
     return "{" + ",\n ".join(entries) + "}\n"
 
 
-def _parse(text: str) -> tuple[Layout, dict[str, list[int]]]:
-    """A layout, and the lines on which its rows begin, by their kinds."""
+def complete(document: Mapping[str, Any]) -> dict[str, Any]:
+    """An object that `parse_layout` reads, with all lists and all fields of rows."""
+    return dict(document) | {
+        rows: [
+            {part: row.get(part, _default(part, form)) for part, form in schema.items()}
+            for row in document.get(rows, [])
+        ]
+        for rows, schema in _SCHEMA.items()
+    }
+
+
+def choices() -> dict[str, dict[str, list[str]]]:
+    """Names of kinds and ends, by lists of rows and fields."""
+    return {
+        rows: {part: names for part in schema if (names := _names(schema[part]))}
+        for rows, schema in _SCHEMA.items()
+    }
+
+
+def _names(form: Any) -> list[str]:
+    """The names of an enumeration's members; of other forms of a field none."""
+    kinds: Any = form if isinstance(form, enum.EnumType) else ()
+    return [kind.name.lower() for kind in kinds]
+
+
+def _default(part: str, form: Any) -> Any:
+    return (_names(form) or [_DEFAULTS.get(part)])[0]
+
+
+def parse_layout(text: str) -> tuple[Layout, dict[str, list[int]]]:
+    """Parses a layout, which may have faults.
+
+    Returns:
+        The layout, and the lines on which its rows begin, by their kinds.
+
+    Raises:
+        ValueError: not JSON, or not of the format.
+    """
     data = json.loads(text, cls=_Decoder)
     if not isinstance(data, _Object):
         raise _RowError(1, f"a layout is an object, not {type(data).__name__}")
@@ -201,7 +251,7 @@ def _columns(
                     )
                 columns[part].append(row[part])
             else:
-                names = [kind.name.lower() for kind in form]
+                names = _names(form)
                 if row[part] not in names:
                     raise _RowError(
                         place, f"unknown {what} {row[part]!r}; choose from {names}"

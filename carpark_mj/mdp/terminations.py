@@ -9,6 +9,7 @@ from carpark_mj.config import PARKED_RULES, EpisodeConfig
 from carpark_mj.geometry import axis_angle_error, box_inside, norm, rotate, wrap_angle
 from carpark_mj.layouts.types import BayEnd
 from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.mdp.kerbs import find_hits_and_kerbs
 from carpark_mj.types import NO_BAY, Events, Motion, State
 
 
@@ -77,7 +78,10 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
         state: at the end of the step, which its `step` counts.
     """
     layout, goal, motion = state.layout, state.goal, state.motion
-    hits = find_hits(state, config.hitbox_scale)
+    if config.kerb_speed:
+        hits = find_hits_and_kerbs(config, state)
+    else:
+        hits = find_hits(state, config.hitbox_scale)
     hit = functools.reduce(jnp.logical_or, hits.values())
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite

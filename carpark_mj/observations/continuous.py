@@ -13,6 +13,7 @@ from carpark_mj.config.observations import (
     RingConfig,
     ShareConfig,
     Tracked,
+    UltrasoundConfig,
 )
 from carpark_mj.observations import bay_fields, ego
 from carpark_mj.observations.fields import Field
@@ -23,6 +24,7 @@ from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tracked_cars import agents_part, parked_cars_part
 from carpark_mj.observations.tracked_movers import movers_part
 from carpark_mj.observations.tracking import mark, track_agents, track_parked_cars
+from carpark_mj.observations.ultrasound import ultrasound_part
 from carpark_mj.types import State
 
 
@@ -43,6 +45,7 @@ class ContinuousObservation(ObservationConfig):
         lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
         rays: bearings along which the free distance is observed.
+        ultrasound: sensors in the bumpers and sides.
         lane: observe the lane the car is in, or the nearest.
         route: observe the route along the lanes to the goal; fixed goals only.
         tracked_movers: how many of the nearest movers, people among them, are observed.
@@ -60,6 +63,7 @@ class ContinuousObservation(ObservationConfig):
         default_factory=lambda: RingConfig((5.0, 6.2, 8.0))
     )
     rays: RayConfig = dataclasses.field(default_factory=lambda: RayConfig(24))
+    ultrasound: UltrasoundConfig = dataclasses.field(default_factory=UltrasoundConfig)
     lane: bool = False
     route: bool = False
     tracked_movers: int = 0
@@ -105,6 +109,8 @@ class ContinuousObservation(ObservationConfig):
             parts.append(rings_part(self.rings))
         if self.rays.count:
             parts.append(rays_part(self.rays))
+        if self.ultrasound.on:
+            parts.append(ultrasound_part(self.ultrasound))
         if self.lane:
             parts.append(ego.LANE)
         return parts

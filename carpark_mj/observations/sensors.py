@@ -1,4 +1,4 @@
-"""Sensors: the cars' motion as agents observe it, with noise and delay.
+"""Sensors: the cars' motion as agents observe it, with drift, noise and delay.
 
 Events, rewards and metrics use the true motion. A measurement is made once a control
 step and is the same for all observers.
@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SensorConfig
+from carpark_mj.observations.odometry import begin_odometry, reckon
 from carpark_mj.types import Motion, Reading, Sensors, State
 
 
@@ -22,6 +23,10 @@ def init_sensors(
     """
     if not config.is_on:
         return None
+    odometry = None
+    if config.dead_reckons:
+        key, odometry_key = jax.random.split(key)
+        odometry = begin_odometry(config, motion.pose_w, odometry_key)
     reading_key, delay_key = jax.random.split(key)
     reading = _read(config, motion, reading_key)
     history = jax.tree.map(
@@ -30,22 +35,28 @@ def init_sensors(
     lowest, highest = config.delay_min, config.delay_max
     count = motion.yaw_rate.shape
     delay = jax.random.randint(delay_key, count, lowest, highest + 1, jnp.int32)
-    return Sensors(history=history, delay=delay)
+    return Sensors(history=history, delay=delay, odometry=odometry)
 
 
 def measure(
-    config: SensorConfig, sensors: Sensors | None, motion: Motion, key: jax.Array
+    config: SensorConfig, before: State, motion: Motion, key: jax.Array
 ) -> Sensors | None:
     """The sensors with the measurement of a control step.
 
     Args:
         config: errors.
-        sensors: before the step.
+        before: the lot at the start of the step.
         motion: of the cars (num_agents,) at its end.
         key: consumed.
     """
+    sensors = before.sensors
     if sensors is None:
         return None
+    if sensors.odometry is not None:
+        offset = before.physics.vehicle.centre_offset
+        odometry = reckon(sensors.odometry, before.motion.pose_w, motion.pose_w, offset)
+        sensors = dataclasses.replace(sensors, odometry=odometry)
+        motion = dataclasses.replace(motion, pose_w=odometry.pose_w)
     history = jax.tree.map(
         lambda new, old: jnp.concatenate([new[:, None], old[:, :-1]], axis=1),
         _read(config, motion, key),

@@ -51,6 +51,11 @@ class SceneConfig(PhysicsConfig):
         config.sim.require_fine_steps()
         if config.sim.tyres == "contact":
             raise ValueError("scene physics has brush tyres only, not contact")
+        if config.sim.creep and not config.episode.respawn:
+            raise ValueError(
+                "scene physics goes on moving cars that have finished, which would "
+                "creep away: sim.creep needs episode.respawn = True there"
+            )
         if config.fleet.is_on or config.jitter.scale != (1.0, 1.0):
             raise ValueError(
                 "scene physics has cars of one kind and size only, no fleet and no "

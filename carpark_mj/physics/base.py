@@ -99,6 +99,22 @@ class RollingStarts(Protocol[S]):
         ...
 
 
+@runtime_checkable
+class Halting(Protocol[S]):
+    """A back end whose cars an obstacle can stop; for `EpisodeConfig.kerb_speed`."""
+
+    def halt(self, state: S, mask: jax.Array, trace_w: jax.Array) -> S:
+        """Stops some cars dead, their steering as it is, and leaves the others alone.
+
+        Args:
+            state: at the end of a control step.
+            mask: (...) bool, which cars.
+            trace_w: (..., k, 3) where they were in the step instead, and stand at its
+                end.
+        """
+        ...
+
+
 class FactoredPhysics(abc.ABC, Generic[S]):
     """Base of back ends in which every car has a world of its own.
 
@@ -202,15 +218,22 @@ def require_plain_ground(sim: SimConfig, name: str) -> None:
     """Refuses settings that a kinematic back end does not model.
 
     Raises:
-        ValueError: a slope, a slippery surface or contact tyres.
+        ValueError: a slope, a slippery surface, contact tyres, delays or creep.
     """
-    plain = {"grade_x": 0.0, "surface": "dry", "tyres": "brush"}
+    plain = {
+        "grade_x": 0.0,
+        "surface": "dry",
+        "tyres": "brush",
+        "steering_delay": 0.0,
+        "pedal_delay": 0.0,
+        "creep": 0.0,
+    }
     for setting, default in plain.items():
         value = getattr(sim, setting)
         if value != default:
             raise ValueError(
-                f"{name} physics has no tyres and no ground: {setting} must stay "
-                f"{default!r}, not {value!r}"
+                f"{name} physics has no tyres, no options of real cars and no ground: "
+                f"{setting} must stay {default!r}, not {value!r}"
             )
 
 

@@ -25,6 +25,7 @@ from carpark_mj.physics.base import (
     contain_non_finite,
     require_plain_ground,
     run_substeps,
+    where_cars,
 )
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
@@ -137,6 +138,17 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
             speed=speed.astype(state.speed.dtype),
             actuators=drive.roll_freely(state.actuators, speed),
         )
+
+    def halt(
+        self, state: BicycleState, mask: jax.Array, trace_w: jax.Array
+    ) -> BicycleState:
+        """Stops cars dead, on the hold; see `Halting`."""
+        still = self.init(trace_w[..., -1, :], state.vehicle)
+        actuators = dataclasses.replace(
+            still.actuators, steering=state.actuators.steering
+        )
+        still = dataclasses.replace(still, actuators=actuators, trace_w=trace_w)
+        return where_cars(mask, still, state)
 
     @full_float32
     def step(self, state: BicycleState, controls: jax.Array) -> BicycleState:

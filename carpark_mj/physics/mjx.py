@@ -15,7 +15,11 @@ from flax import struct
 
 from carpark_mj.config import PHYSICS, SimConfig
 from carpark_mj.geometry import wrap_angle
-from carpark_mj.physics.base import FactoredPhysics, contain_non_finite
+from carpark_mj.physics.base import (
+    FactoredPhysics,
+    contain_non_finite,
+    where_cars,
+)
 from carpark_mj.physics.coordinates import CarDynamics, CarIndex, unpack_coordinates
 from carpark_mj.physics.gravity import gravity_vector
 from carpark_mj.physics.tyres import TyreState, init_tyres
@@ -24,7 +28,8 @@ from carpark_mj.physics.vectors import column, dot
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
-from carpark_mj.vehicle.conditions import on_surface
+from carpark_mj.vehicle.conditions import in_conditions
+from carpark_mj.vehicle.delay import make_lines, send
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.vehicle import Vehicle
@@ -107,7 +112,9 @@ class MjxPhysics(FactoredPhysics[CarState]):
             tyres=jax.tree.map(
                 lambda leaf: jnp.broadcast_to(leaf, (*lead, 4)), init_tyres(dtype)
             ),
-            actuators=drive.init_actuators(vehicle),
+            actuators=dataclasses.replace(
+                drive.init_actuators(vehicle), lines=make_lines(self.sim, zero)
+            ),
             vehicle=vehicle,
             trace_w=jnp.broadcast_to(pose[..., None, :], shape),
             finite=jnp.ones(lead, bool),
@@ -126,6 +133,24 @@ class MjxPhysics(FactoredPhysics[CarState]):
         return dataclasses.replace(state, qvel=qvel, actuators=actuators)
 
     @full_float32
+    def halt(self, state: CarState, mask: jax.Array, trace_w: jax.Array) -> CarState:
+        """Stops cars dead, on the hold; see `Halting`."""
+        still = self.init(trace_w[..., -1, :], state.vehicle)
+        steer = self.index.steer_qpos
+        actuators = dataclasses.replace(
+            still.actuators,
+            steering=state.actuators.steering,
+            lines=state.actuators.lines,
+        )
+        still = dataclasses.replace(
+            still,
+            qpos=still.qpos.at[..., steer].set(state.qpos[..., steer]),
+            actuators=actuators,
+            trace_w=trace_w,
+        )
+        return where_cars(mask, still, state)
+
+    @full_float32
     def step(self, state: CarState, controls: jax.Array) -> CarState:
         """Advances by one control step; see `Physics.step`.
 
@@ -133,8 +158,8 @@ class MjxPhysics(FactoredPhysics[CarState]):
         back at rest to its pose before the step.
         """
         with jax.named_scope("physics"):
-            vehicle = on_surface(state.vehicle, self.sim.surface)
-            car = CarDynamics(state.qpos, state.qvel, state.tyres, state.actuators)
+            vehicle = in_conditions(state.vehicle, self.sim)
+            car = started(self.sim, state, controls)
             return contain_cars(state, *self._step(vehicle, car, controls))
 
     def read(self, state: CarState) -> Motion:
@@ -151,6 +176,13 @@ class MjxPhysics(FactoredPhysics[CarState]):
             trace_w=state.trace_w,
             finite=state.finite,
         )
+
+
+def started(sim: SimConfig, state: CarState, controls: jax.Array) -> CarDynamics:
+    """Cars (...) at the start of a control step, its controls (..., 2) on their way."""
+    lines = send(sim, state.actuators.lines, controls)
+    actuators = dataclasses.replace(state.actuators, lines=lines)
+    return CarDynamics(state.qpos, state.qvel, state.tyres, actuators)
 
 
 def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarState:

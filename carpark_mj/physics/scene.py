@@ -22,11 +22,11 @@ from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import run_substeps
 from carpark_mj.physics.coordinates import CarDynamics, centre_pose, unpack_coordinates
 from carpark_mj.physics.forces import substep_forces
-from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars
+from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars, started
 from carpark_mj.physics.scene_model import Masses, Moving, SceneModel
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
-from carpark_mj.vehicle.conditions import on_surface
+from carpark_mj.vehicle.conditions import in_conditions
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.vehicle import Vehicle
 
@@ -151,7 +151,7 @@ class ScenePhysics:
 
     def _step(self, state: SceneState, controls: jax.Array) -> SceneState:
         cars = state.cars
-        vehicle = on_surface(state.vehicle, self.sim.surface)
+        vehicle = in_conditions(state.vehicle, self.sim)
         masses = Masses(vehicle.body_mass, vehicle.body_inertia, vehicle.body_ipos)
         index = self._single.index
         forces = partial(substep_forces, index, dt=self.sim.sim_dt)
@@ -181,7 +181,7 @@ class ScenePhysics:
             self.sim,
             substep,
             (
-                CarDynamics(cars.qpos, cars.qvel, cars.tyres, cars.actuators),
+                started(self.sim, cars, controls),
                 state.parked_qpos,
                 state.parked_qvel,
                 jnp.zeros_like(state.touched),

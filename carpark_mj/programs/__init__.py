@@ -14,7 +14,9 @@ COMMANDS = {
     ),
     "scene": Entry("carpark_mj.cli.scene:run", "write a car park as MJCF, or show it"),
     "play": Entry("carpark_mj.cli.play:run", "drive a car yourself"),
-    "layouts": Entry("carpark_mj.cli.layouts:main", "plot, check and save layouts"),
+    "layouts": Entry(
+        "carpark_mj.cli.layouts:main", "draw, plot, check and save layouts"
+    ),
     "vehicles": Entry(
         "carpark_mj.cli.vehicles:main", "show a vehicle and its estimated parameters"
     ),

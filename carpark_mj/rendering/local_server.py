@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import http
 import logging
-import re
 from collections.abc import Generator
 from typing import Any
 
@@ -13,16 +12,16 @@ from websockets.asyncio import server as websockets_server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)
+from carpark_mj.rendering.local_pages import refusal
+
 LOG = logging.getLogger(__name__)
 
 
 class LocalServer(viser.ViserServer):
     """A server that answers its own page and refuses pages of other sites.
 
-    Any page open in the same browser can send requests here. A page cannot choose the
-    headers `Host`, the name of the requested server, and `Origin`, its own site. viser
-    checks neither, and opens a tunnel to the internet on request.
+    viser does not check who sends requests (`local_pages.refusal`), and opens a tunnel
+    to the internet on request.
     """
 
     def __init__(self, host: str, port: int, label: str) -> None:
@@ -46,21 +45,6 @@ class LocalServer(viser.ViserServer):
         """Does nothing: there is no tunnel."""
 
 
-def refusal(request: Request) -> str | None:
-    """Reason to refuse a request; None for our own page, opened on this machine.
-
-    Args:
-        request: for a file, or to open a websocket.
-    """
-    hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
-    if len(hosts) != 1 or not LOCAL.fullmatch(hosts[0]):
-        return f"Host must be that of this machine, localhost, not {', '.join(hosts)}"
-    is_file = "Upgrade" not in request.headers
-    if origins != [f"http://{hosts[0]}"] and (origins or not is_file):
-        return f"Origin must be http://{hosts[0]}, not {', '.join(origins) or 'absent'}"
-    return None
-
-
 @contextlib.contextmanager
 def _checking() -> Generator[list[Any]]:
     """Inside, servers of websockets check requests; yields the servers made.
@@ -73,7 +57,8 @@ def _checking() -> Generator[list[Any]]:
         answer = settings.pop("process_request")
 
         def check(connection: ServerConnection, request: Request) -> Response | None:
-            if reason := refusal(request):
+            hosts, origins = map(request.headers.get_all, ("Host", "Origin"))
+            if reason := refusal(hosts, origins, "Upgrade" not in request.headers):
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
             return answer(connection, request)
 

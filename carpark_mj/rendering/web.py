@@ -10,12 +10,11 @@ import mujoco
 import numpy as np
 
 from carpark_mj.rendering.live import LiveLot
+from carpark_mj.rendering.local_pages import HOST, PORT
 from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
 from carpark_mj.scene.materials import ASPHALT, agent_colour
 from carpark_mj.scene.parts import GROUND, VERGE_GAP
 
-HOST, PORT = "localhost", 8080
-LAST_PORT = 65_535
 MISSING_WEB = 'the browser view needs mjviser: pip install ".[web]"'
 DAYLIGHT = 0.5  # of the environment
 GAMMA = 2.2  # of screens
@@ -26,16 +25,6 @@ def require_web() -> None:
     """Raises OSError unless the browser view is installed."""
     if importlib.util.find_spec("mjviser") is None:
         raise OSError(MISSING_WEB)
-
-
-def check_port(port: int) -> None:
-    """Refuses a number that is not a port; viser would silently choose another one.
-
-    Raises:
-        ValueError: naming it.
-    """
-    if not 1 <= port <= LAST_PORT:
-        raise ValueError(f"port must be 1 to {LAST_PORT}, not {port}")
 
 
 def make_viewer(

@@ -6,15 +6,20 @@ import mujoco
 import numpy as np
 import trimesh
 
+from carpark_mj.layouts.dimensions import (
+    ARROW_HEAD,
+    ARROW_HEIGHT,
+    ARROW_LENGTH,
+    ARROW_SHAFT,
+    ARROW_SPACING,
+    ARROW_WIDTH,
+    LINE_HEIGHT,
+    LINE_WIDTH,
+)
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import materials
 from carpark_mj.scene.mesh import add_mesh, merge
 from carpark_mj.scene.parts import yaw_quat
-
-LINE_WIDTH = 0.10  # m, painted bay lines
-LINE_HEIGHT = 0.004  # m, above the asphalt so that it is not hidden
-ARROW_LENGTH, ARROW_WIDTH = 2.0, 0.8  # m
-ARROW_SPACING = 9.0  # m along a lane
 
 
 def add_bay_lines(spec: mujoco.MjSpec, layout: Layout) -> None:
@@ -49,8 +54,11 @@ def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
     rows = np.flatnonzero(np.asarray(layout.lane_mask & layout.lane_one_way))
     if not rows.size:
         return
-    half, head = ARROW_LENGTH / 2, ARROW_LENGTH * 0.4
-    shaft = trimesh.creation.box((ARROW_LENGTH - head, ARROW_WIDTH * 0.3, LINE_HEIGHT))
+    half, head = ARROW_LENGTH / 2, ARROW_LENGTH * ARROW_HEAD
+    thick = 2 * ARROW_HEIGHT  # half of it under the ground
+    shaft = trimesh.creation.box(
+        (ARROW_LENGTH - head, ARROW_WIDTH * ARROW_SHAFT, thick)
+    )
     shaft.apply_translation((-head / 2, 0.0, 0.0))
     corners = [
         (half, 0.0),
@@ -58,9 +66,7 @@ def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
         (half - head, -ARROW_WIDTH / 2),
     ]
     tip = trimesh.convex.convex_hull(
-        np.array(
-            [(x, y, z) for x, y in corners for z in (-LINE_HEIGHT / 2, LINE_HEIGHT / 2)]
-        )
+        np.array([(x, y, z) for x, y in corners for z in (-ARROW_HEIGHT, ARROW_HEIGHT)])
     )
     arrow = merge([shaft, tip])
     add_mesh(spec, "arrow", arrow)

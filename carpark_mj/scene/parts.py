@@ -7,7 +7,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from carpark_mj.geometry.obstacles import Boxes, Discs, Group
+from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.layouts.dimensions import (
+    DISC_HEIGHTS,
+    GROUND_CLEARANCE,
+    MOVER_HEIGHTS,
+    VERGE_GAP,
+    VERGE_HEIGHT,
+    WALL_HEIGHT,
+    WALL_HEIGHTS,
+)
 from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.scene import car_look, materials
 from carpark_mj.scene.cameras import add_car_cameras
@@ -15,23 +24,19 @@ from carpark_mj.vehicle.locked_tyres import add_locked_tyres
 from carpark_mj.vehicle.mjcf import WHEELS, add_car
 from carpark_mj.vehicle.parameters import VehicleParameters
 
-WALL_HEIGHT = 0.9  # m, low enough for the cameras
 GROUND = "ground"
 VERGE = 20.0  # reach of the grass, in the lot's larger half width
-VERGE_GAP, VERGE_HEIGHT = 1.0, 0.01  # m, asphalt left around the walls, and grass
-GROUND_CLEARANCE = 0.16  # m, under the hull with which a car touches others
 HULL_GROUP = 3  # hidden by default, like all collision geoms
-_WALL_LOOKS = {  # height [m] and colour
-    WallKind.WALL: (WALL_HEIGHT, materials.CONCRETE),
-    WallKind.KERB: (0.14, materials.KERB),
-    WallKind.ISLAND: (0.14, materials.GREEN),
-    WallKind.GATE: (WALL_HEIGHT, materials.GATE),
+_WALL_COLOURS = {
+    WallKind.WALL: materials.CONCRETE,
+    WallKind.KERB: materials.KERB,
+    WallKind.ISLAND: materials.GREEN,
+    WallKind.GATE: materials.GATE,
 }
-_DISC_LOOKS = {
-    DiscKind.PILLAR: (2.4, materials.CONCRETE),
-    DiscKind.BOLLARD: (0.9, materials.GATE),
+_DISC_COLOURS = {
+    DiscKind.PILLAR: materials.CONCRETE,
+    DiscKind.BOLLARD: materials.GATE,
 }
-MOVER_HEIGHTS: dict[type[Group], float] = {Boxes: 1.1, Discs: 1.7}  # m: cart, person
 HIDDEN = -50.0  # m, under the ground: where things are that are not there
 # Hulls crush like springs with dampers. In a barrier test at 15.6 m/s a passenger car
 # is crushed by 0.6 m [est], which is a linear stiffness k = m v^2 / x^2 (Gabler and
@@ -125,7 +130,8 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
     for wall in np.flatnonzero(np.asarray(layout.wall_mask)):
         x, y, yaw = np.asarray(layout.wall_pose[wall], float)
         length, width = np.asarray(layout.wall_size[wall], float)
-        height, colour = _WALL_LOOKS[WallKind(int(layout.wall_kind[wall]))]
+        kind = WallKind(int(layout.wall_kind[wall]))
+        height, colour = WALL_HEIGHTS[kind], _WALL_COLOURS[kind]
 
         def box(height: float, **fields: Any) -> None:
             spec.worldbody.add_geom(
@@ -152,7 +158,8 @@ def add_discs(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Pillars and bollards as solid cylinders `disc0`..."""
     for disc in np.flatnonzero(np.asarray(layout.disc_mask)):
         x, y = np.asarray(layout.disc_centre[disc], float)
-        height, colour = _DISC_LOOKS[DiscKind(int(layout.disc_kind[disc]))]
+        kind = DiscKind(int(layout.disc_kind[disc]))
+        height, colour = DISC_HEIGHTS[kind], _DISC_COLOURS[kind]
         spec.worldbody.add_geom(
             name=f"disc{disc}",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,

@@ -5,7 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import Surface
+from carpark_mj.config import SimConfig, Surface
 from carpark_mj.vehicle.mjcf import CHASSIS
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import Vehicle
@@ -55,6 +55,15 @@ def with_mass(vehicle: Vehicle, mass: jax.Array, cg: jax.Array) -> Vehicle:
 # Dry: peak friction of passenger-car tyres on asphalt (Gillespie; sliding 0.76 +- 0.06,
 # 17 studies in Bartlett); wet 0.5 to 0.6 and ice 0.1 to 0.15, textbook ranges.
 SURFACES: dict[Surface, float] = {"dry": 0.9, "wet": 0.55, "ice": 0.12}
+
+
+def in_conditions(vehicle: Vehicle, sim: SimConfig) -> Vehicle:
+    """Cars (...) as the settings have them; the defaults change nothing."""
+    vehicle = on_surface(vehicle, sim.surface)
+    if sim.creep:
+        creep = jnp.full_like(vehicle.mass, sim.creep)
+        vehicle = dataclasses.replace(vehicle, creep=creep)
+    return vehicle
 
 
 def on_surface(vehicle: Vehicle, surface: Surface) -> Vehicle:

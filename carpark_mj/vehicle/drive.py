@@ -11,7 +11,9 @@ motion, and stays closed until the pedal drives the car along its motion: a car 
 slides on locked wheels keeps them locked. It closes gradually and eases off as the car
 comes to rest, as a driver stops a car: without a jerk, and without rocking on the
 tyres. From `SWITCH_SPEED` up, a stronger pedal against the motion always brakes at
-least as hard. Steering and drive may follow with a first-order lag. All functions are
+least as hard. A released pedal does not close it where `Vehicle.creep` is given: that
+car creeps until a pedal against the motion brakes it. Steering and drive may follow
+late and with a first-order lag. All functions are
 elementwise, for cars of any shape.
 """
 
@@ -23,6 +25,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.geometry.gradients import finite_slope
+from carpark_mj.vehicle.delay import Lines, receive
 from carpark_mj.vehicle.vehicle import Vehicle
 
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
@@ -33,6 +36,7 @@ HOLD_TIME = 0.6  # s, in which the closing of the hold becomes e times as fast
 HOLD_START = 0.15  # m/s^2 per `HOLD_TIME`, how fast the hold begins to close
 HOLD_RAMP = 14.0  # times `Actuators.hold` is what brakes a car that still rolls
 HOLD_EASE = 4.0  # m/s^3, the jerk with which the hold brings a car to rest
+CREEP_SPEED = 1.7  # m/s, of the driven wheels: 800 rpm of idling through 15:1 [est]
 SPINNING = 0.5  # m/s of the driven wheels above the car's speed: they spin
 _TINY = 1e-12  # m^2/s^4, keeps the slope of a square root at rest finite
 
@@ -48,11 +52,13 @@ class Actuators:
         drive: (...) drive torque, all driven wheels together [N m].
         hold: (...) how far the holding brake has closed, as the deceleration with
             which it holds a standing car [m/s^2]; 0 is open.
+        lines: commands under way; None where they arrive at once.
     """
 
     steering: jax.Array
     drive: jax.Array
     hold: jax.Array
+    lines: Lines | None = None
 
 
 class WheelTorques(NamedTuple):
@@ -131,7 +137,8 @@ def close_hold(
     strength = jnp.minimum(jnp.abs(pedal), 1.0)
     driven = strength >= HOLD_PEDAL
     released = driven & (jnp.sign(pedal) * speed >= SWITCH_SPEED)
-    wanted = ~driven | (pedal * speed < 0.0)
+    idle = ~driven if vehicle.creep is None else ~driven & (hold > 0.0)
+    wanted = idle | (pedal * speed < 0.0)
     closes = wanted & ((jnp.abs(speed) < HOLD_SPEED) | (hold > 0.0))
     closed = hold + (hold + HOLD_START) * (dt * (1.0 / HOLD_TIME))
     # It takes over the pedal's deceleration, for the moment the pedal is released.
@@ -207,6 +214,38 @@ def demanded_torques(
     return drive, deceleration * force_to_torque
 
 
+def add_creep(
+    vehicle: Vehicle,
+    actuators: Actuators,
+    drive: jax.Array,
+    pedal: jax.Array,
+    speed: jax.Array,
+    wheel_speed: jax.Array,
+) -> jax.Array:
+    """Drive torque (...) [N m] of an automatic, at least that of its idling engine.
+
+    It acts the way of the pedal, or that of the last drive, while no brake is pressed,
+    and falls to none at `CREEP_SPEED`, as that of a converter does.
+
+    Args:
+        vehicle: cars (...); without `creep` the drive stays what it is.
+        actuators: with the hold after the substep, and the drive before it.
+        drive: (...) torque that the pedal demands [N m].
+        pedal: (...) in [-1, 1].
+        speed: (...) forward speed of the rear axle [m/s].
+        wheel_speed: (...) mean circumferential speed of the driven wheels [m/s].
+    """
+    if vehicle.creep is None:
+        return drive
+    driven = jnp.abs(pedal) >= HOLD_PEDAL
+    last = jnp.where(actuators.drive == 0.0, speed, actuators.drive)
+    way = jnp.sign(jnp.where(driven, pedal, last))
+    free = (actuators.hold == 0.0) & ~(driven & (pedal * speed < 0.0))
+    slip = jnp.clip(1.0 - way * wheel_speed * (1.0 / CREEP_SPEED), 0.0, 1.0)
+    idling = vehicle.creep * slip * vehicle.rated_mass * vehicle.wheel_radius
+    return jnp.where(free, way * jnp.maximum(way * drive, idling), drive)
+
+
 def press_pedal(
     vehicle: Vehicle,
     actuators: Actuators,
@@ -223,8 +262,10 @@ def press_pedal(
     """
     hold = close_hold(vehicle, actuators.hold, pedal, speed, dt)
     drive, brake = demanded_torques(vehicle, pedal, hold, speed, wheel_speed)
+    actuators = dataclasses.replace(actuators, hold=hold)
+    drive = add_creep(vehicle, actuators, drive, pedal, speed, wheel_speed)
     drive = approach(actuators.drive, drive, vehicle.drive_lag, dt)
-    return Actuators(actuators.steering, drive, hold), brake
+    return dataclasses.replace(actuators, drive=drive), brake
 
 
 def actuate(
@@ -240,7 +281,7 @@ def actuate(
     Args:
         vehicle: cars (...).
         actuators: at the start of the substep.
-        controls: steer and pedal (...) in [-1, 1].
+        controls: steer and pedal (...) in [-1, 1], before their delay.
         speed: (...) forward speed of the rear axle [m/s].
         wheel_speed: (...) mean circumferential speed of the driven wheels [m/s].
         dt: substep [s].
@@ -250,11 +291,12 @@ def actuate(
         angles (...) of the left and right front wheels [rad]; the brake torque (...)
         of all wheels together [N m].
     """
-    steer, pedal = controls
+    lines, (steer, pedal) = receive(actuators.lines, controls, dt)
     steering = steer_towards(vehicle, actuators.steering, steer, dt)
     angles = ackermann(vehicle, steering + vehicle.steering_offset)
     actuators, brake = press_pedal(vehicle, actuators, pedal, speed, wheel_speed, dt)
-    return dataclasses.replace(actuators, steering=steering), angles, brake
+    actuators = dataclasses.replace(actuators, steering=steering, lines=lines)
+    return actuators, angles, brake
 
 
 def stopping_action(speed: jax.Array) -> jax.Array:

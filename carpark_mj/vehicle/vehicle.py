@@ -87,6 +87,8 @@ class Vehicle:
         body_inertia: (..., 8, 3) principal inertias [kg m^2].
         body_ipos: (..., 8, 3) centres of mass in the body frames [m].
         body_pos: (..., 8, 3) body frames in their parents [m].
+        creep: (...) acceleration of an automatic whose engine idles, at rest [m/s^2];
+            None = it does not creep. The back end sets it, see `SimConfig.creep`.
     """
 
     size: jax.Array
@@ -120,6 +122,7 @@ class Vehicle:
     body_inertia: jax.Array
     body_ipos: jax.Array
     body_pos: jax.Array
+    creep: jax.Array | None = None
 
     @property
     def length(self) -> jax.Array:

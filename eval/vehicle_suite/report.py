@@ -14,8 +14,8 @@ Written by `{command}`; do not edit.
 Every expected value follows from the preset's parameters by the formula in its row
 (`formulas.py`, `steady_turn.py` and `step_response.py` in `eval/vehicle_suite`). The
 test driver sets wheel angles and wheel torques directly, without pedals and rate
-limits. Rows about pedals, the hold and standstill (`pedals.py`, `standstill.py`) use
-the shipped driver.
+limits. Rows about pedals, the hold, standstill and options (`pedals.py`,
+`standstill.py`, `options.py`) use the shipped driver.
 
 - *brush*: MJX in float32 at 10 ms with the tyres that training uses.
 - *contact*: C MuJoCo in float64 at 2 ms with the contact wheels of exported scenes.

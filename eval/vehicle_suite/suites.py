@@ -9,6 +9,7 @@ from vehicle_suite import (
     energy,
     handling,
     numerics,
+    options,
     pedals,
     standstill,
     statics,
@@ -51,6 +52,10 @@ SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
         standstill.stop_from_a_walk,
         standstill.speed_control,
         standstill.reversing,
+        options.delays,
+        options.automatic,
+        options.odometry,
+        options.wheel_stop,
     ),
     "contact": (*COMMON, handling.rolling_turns, contact_engines, suspension),
 }

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from carpark_mj.cli.driver import adapt, find_driver
+from carpark_mj.cli.driver import adapt, find_driver, with_settings
 from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation
@@ -39,6 +39,26 @@ def test_a_vehicle_is_that_of_all_cars_instead_of_a_fleet():
     assert alike.vehicle == "sedan"
     assert not alike.fleet.is_on
     assert adapt(run).fleet == run.fleet
+
+
+def test_any_setting_of_an_environment_can_be_given_as_for_the_trainer():
+    changed = with_settings(RUN, ["sim.steering_delay=0.24", "occupancy=0.2 0.5"])
+    sim = dataclasses.replace(RUN.sim, steering_delay=0.24)
+    assert changed == dataclasses.replace(RUN, sim=sim, occupancy=(0.2, 0.5))
+    assert with_settings(RUN, []) is RUN
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("sim.steering_delay", "set takes NAME=VALUE, .* not 'sim.steering_delay'"),
+        ("sim.steering_dely=0.2", "steering-dely"),
+        ("sim.pedal_delay=0.123", "pedal_delay must be a multiple of sim_dt"),
+    ],
+)
+def test_settings_that_are_none_are_refused(setting, message):
+    with pytest.raises(ValueError, match=message):
+        with_settings(RUN, [setting])
 
 
 def test_a_number_of_parked_cars_is_that_of_every_lot():

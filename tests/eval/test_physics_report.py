@@ -15,6 +15,7 @@ from vehicle_suite import (
     formulas,
     handling,
     numerics,
+    options,
     pedals,
     standstill,
     statics,
@@ -189,6 +190,10 @@ def check(study: Study) -> None:
         standstill.stop_from_a_walk,
         standstill.speed_control,
         standstill.reversing,
+        options.delays,
+        options.automatic,
+        options.odometry,
+        options.wheel_stop,
     ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )

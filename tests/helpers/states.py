@@ -22,6 +22,8 @@ class HandCar:
     max_reverse_speed: jax.Array
     max_steering: jax.Array
     steering_rate: jax.Array
+    wheel_radius: jax.Array
+    track_width: jax.Array
     max_acceleration: jax.Array
     max_deceleration: jax.Array
 
@@ -42,6 +44,8 @@ def hand_cars(motion: Motion, **parameters: Any) -> HandCar:
         "max_reverse_speed": 2.0,
         "max_steering": 0.6,
         "steering_rate": 0.5,
+        "wheel_radius": 0.3,
+        "track_width": 1.5,
         "max_acceleration": 2.0,
         "max_deceleration": 4.0,
     } | parameters

@@ -96,3 +96,9 @@ def test_its_scripts_of_studies_are_there(wheel, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "q_learning" in done.stdout
     assert [*wheel.glob("carpark_mj/studies/tanner/**/*.csv")]
+
+
+def test_the_page_of_the_editor_is_there(wheel):
+    page = "carpark_mj/editor/page"
+    there, here = ({f.name for f in (at / page).iterdir()} for at in (wheel, ROOT))
+    assert there == here

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.scenes import polygons
 
+from carpark_mj.cli.layouts import main
 from carpark_mj.layouts import car_park, layout_config
 from carpark_mj.layouts.car_park import random_parts
 from carpark_mj.layouts.checks import describe_faults
@@ -116,3 +117,11 @@ def test_reserved_bays_are_no_goals():
     config = layout_config("san_jose")
     assert config.min_goals == config.min_bays - 10
     assert layout_config("dragon_lake").min_goals == BAYS["dragon_lake"]
+
+
+def test_a_crop_is_saved_as_a_layout_file(tmp_path):
+    saved = tmp_path / "corner.json"
+    wanted = ["san_jose", "--crop", *map(str, CORNERS), "--save", str(saved)]
+    assert main(wanted) == 0
+    part = layout_config("san_jose").crop(*CORNERS)
+    assert layout_config(str(saved)).min_bays == part.min_bays

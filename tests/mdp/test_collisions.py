@@ -1,7 +1,10 @@
 """Collisions: shapely is the oracle, at every traced instant."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import shapely
 from helpers.crowds import crossing, random_lots
@@ -16,8 +19,10 @@ from helpers.scenes import (
 )
 from helpers.states import any_hit, parked_at, parked_in, state_of
 
-from carpark_mj.layouts import make_layout
+from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
+from carpark_mj.layouts import WallKind, build, make_layout
 from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.mdp.kerbs import HEIGHT, find_hits_and_kerbs, low_obstacles, stops
 
 
 @jax.jit
@@ -157,3 +162,90 @@ def test_a_parked_car_is_hit_where_it_stands_and_not_in_its_bay():
     pushed = parked_in(FAR_LOT, [0]).replace(pose_w=jnp.array([[0.0, 3.0, 0.0]]))
     motion = cars([(0.0, 3.5, 0.0), (30.0, 0.0, 0.0)])
     assert hits_of(FAR_LOT, motion, pushed)["parked_car"].tolist() == [True, False]
+
+
+# A hand's car has its rear axle 1.25 m behind the middle of 4 m x 2 m, wheels of radius
+# 0.3 m: the rear tyres reach a kerb this far behind the middle.
+TYRE = 1.25 + np.sqrt(2 * 0.3 * HEIGHT - HEIGHT**2)
+SLOW = EnvConfig(episode=EpisodeConfig(kerb_speed=0.5), sim=SimConfig(trace_dt=0.05))
+
+
+def kerb_lot(*poses, size=(0.2, 3.0), kind=WallKind.KERB):
+    """Walls of a kind across the x axis, and bays far away."""
+    pose = jnp.array([(x, 0.0, 0.0) for x in poses])
+    walls = build.walls(pose, jnp.array(size), kind)
+    return build.assemble((50.0, 50.0), build.bays([(30.0, 0, 0)], (6.0, 3.0)), walls)
+
+
+def reversing(speed, end=0.0, count=4, heading=0.0):
+    """The state before and the motion of a step [0.2 s] backwards to `end`."""
+    way = np.linspace(speed * 0.2, 0.0, count + 1) + end
+    poses = np.stack([way, 0 * way, 0 * way + heading], axis=-1).astype(np.float32)
+    before = cars(poses[:1])
+    return before, cars(poses[-1:], trace=poses[None, 1:])
+
+
+def test_a_kerb_touches_a_wheel_where_mujoco_says():
+    """Wheels are cylinders, a kerb a box: the distance between both is MuJoCo's."""
+    spec = mujoco.MjSpec()
+    kinds = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
+    wheel = {"size": [0.3, 0.1, 0], "quat": [0.5**0.5, 0.5**0.5, 0, 0]}
+    spec.worldbody.add_geom(type=kinds[0], pos=[0, 0, 0.3], **wheel)
+    for gap in (0.01, -0.01):  # m, of the tyre's edge from the kerb's face
+        x = -(TYRE - 1.25) - 0.1 - gap
+        place = {"pos": [x, 0, HEIGHT / 2], "size": [0.1, 0.4, HEIGHT / 2]}
+        kerb = spec.worldbody.add_geom(type=kinds[1], **place)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        apart = mujoco.mj_geomDistance(model, data, 0, 1, 1.0, None)
+        spec.delete(kerb)
+        assert (apart > 1e-4) == (gap > 0)
+        layout = kerb_lot(-TYRE - 0.1 - gap)
+        _, motion = reversing(0.1)
+        state = state_of(layout, motion, 0)
+        assert find_hits_and_kerbs(SLOW.episode, state)["wall"] == (gap < 0)
+
+
+def test_a_kerb_stops_a_slow_car_before_it_and_a_fast_one_crashes():
+    # The face lies where the tyre is a third of the way through the step's last 50 ms.
+    for speed, slow in ((0.4, True), (0.49, True), (0.52, False), (2.0, False)):
+        face = TYRE - 0.3 * speed * 0.05
+        before, motion = reversing(speed)
+        layout = kerb_lot(-face - 0.1)
+        state = state_of(layout, before, 0)
+        stopped, trace = stops(SLOW, state, motion)
+        assert stopped == slow
+        np.testing.assert_array_equal(trace[0, :3], motion.trace_w[0, :3])
+        np.testing.assert_array_equal(trace[0, 3], motion.trace_w[0, 2])
+        held = dataclasses.replace(motion, trace_w=trace, pose_w=trace[:, -1])
+        after = state_of(layout, held if slow else motion, 0)
+        assert find_hits_and_kerbs(SLOW.episode, after)["wall"] == (not slow)
+    # Nor is what it does not touch stopped, and walls are walls.
+    before, motion = reversing(0.4)
+    assert not stops(SLOW, state_of(kerb_lot(-TYRE - 0.2), before, 0), motion)[0]
+    wall = kerb_lot(-TYRE, kind=WallKind.WALL)
+    assert not stops(SLOW, state_of(wall, before, 0), motion)[0]
+    assert find_hits_and_kerbs(SLOW.episode, state_of(wall, motion, 0))["wall"]
+
+
+def test_the_body_passes_over_a_kerb():
+    """Between tyre and bumper, 2 m behind the middle, there is room for one."""
+    layout = kerb_lot(-1.8, size=(0.2, 3.0))
+    _, motion = reversing(0.1)
+    state = state_of(layout, motion, 0)
+    assert find_hits(state)["wall"]
+    assert not find_hits_and_kerbs(SLOW.episode, state)["wall"]
+
+
+def test_wheel_stops_stand_in_bays_across_at_their_far_ends():
+    config = EpisodeConfig(kerb_speed=0.5, wheel_stops=0.9)
+    layout = lot([(10.0, 0.0, np.pi / 2), (20.0, 0.0, 0.0)], bay_size=(5.0, 2.5))
+    found = low_obstacles(config, layout)
+    # The far end is behind a car; its stop's middle 7.5 cm farther back than the face.
+    expected = [(10.0, -2.5 + 0.9 - 0.075), (20.0 - 2.5 + 0.9 - 0.075, 0.0)]
+    np.testing.assert_allclose(found.pose_w[:, :2], expected, atol=1e-6)
+    np.testing.assert_allclose(found.size, [(0.15, 1.9)] * 2, atol=1e-6)
+    assert np.asarray(found.mask).all()
+    parallel = lot([(10.0, 0.0, 0.0)], bay_size=(6.0, 2.3))
+    assert not np.asarray(low_obstacles(config, parallel).mask).any()

@@ -1,5 +1,6 @@
 import dataclasses
 import functools
+import itertools
 import math
 
 import jax
@@ -22,8 +23,10 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.observations import ContinuousObservation
+from carpark_mj.observations.odometry import reckon
 from carpark_mj.observations.sensors import init_sensors, measure, observed, reset
 from carpark_mj.studies.tanner.indices import IndexObservation
+from carpark_mj.types import Odometry
 
 KEY = jax.random.key(0)
 LATE = SensorConfig(delay_min=2, delay_max=2)
@@ -36,6 +39,11 @@ def standing(count, x=0.0):
     return cars(pose)
 
 
+def lot_with(sensors, motion=None, **parameters):
+    motion = standing(1) if motion is None else motion
+    return state_of(LOT, motion, 0, sensors=sensors, **parameters)
+
+
 def seen_by(sensors, motion):
     """The motion as the agents know it."""
     return observed(state_of(LOT, motion, 0, sensors=sensors))
@@ -46,7 +54,7 @@ def test_late_sensors_show_what_was_then():
     seen = []
     for x in (1.0, 2.0, 3.0, 4.0):
         motion = standing(3, x)
-        sensors = measure(LATE, sensors, motion, KEY)
+        sensors = measure(LATE, lot_with(sensors), motion, KEY)
         seen.append(np.asarray(seen_by(sensors, motion).pose_w[:, 0]).tolist())
     assert seen == [[0.0] * 3, [0.0] * 3, [1.0] * 3, [2.0] * 3]
 
@@ -54,7 +62,7 @@ def test_late_sensors_show_what_was_then():
 def test_a_respawned_agent_has_new_sensors_without_a_past():
     config = SensorConfig(delay_min=1, delay_max=3)
     sensors = init_sensors(config, standing(200, 0.0), KEY)
-    sensors = measure(config, sensors, standing(200, 1.0), KEY)
+    sensors = measure(config, lot_with(sensors), standing(200, 1.0), KEY)
     respawned = jnp.arange(200) % 2 == 0
     there = standing(200, 5.0)
     after = reset(config, sensors, there, respawned, jax.random.key(1))
@@ -71,7 +79,7 @@ def test_a_respawned_agent_has_new_sensors_without_a_past():
 def test_exact_sensors_are_none_at_all():
     exact, motion = SensorConfig(), standing(2, 3.0)
     assert init_sensors(exact, motion, KEY) is None
-    assert measure(exact, None, motion, KEY) is None
+    assert measure(exact, lot_with(None), motion, KEY) is None
     assert reset(exact, None, motion, jnp.ones(2, bool), KEY) is None
     state = state_of(LOT, motion, 0)
     assert observed(state) is state.motion
@@ -81,6 +89,72 @@ def test_delays_are_drawn_from_the_whole_range_and_from_no_more():
     config = SensorConfig(delay_min=1, delay_max=3)
     delay = np.asarray(init_sensors(config, standing(200), KEY).delay)
     assert set(delay) == {1, 2, 3}
+
+
+ODOMETRY = SensorConfig(odometry_scale=0.01, odometry_veer=2e-3, odometry_turn=0.02)
+AHEAD = 1.25  # m, the centre of a car made by hand from its rear axle
+
+
+def reckoned(poses, error):
+    """What a car believes that drives over true poses (k, 3), and where it is."""
+    odometry = Odometry(jnp.array(poses[0]), jnp.array(error))
+    for before, after in itertools.pairwise(poses):
+        step = jnp.array(before), jnp.array(after), jnp.array(AHEAD)
+        odometry = reckon(odometry, *step)
+    return np.asarray(odometry.pose_w)
+
+
+def circle(radius, angles):
+    """Centres of a car whose rear axle runs about the origin, to the left."""
+    x, y = radius * np.sin(angles), -radius * np.cos(angles)
+    rear = np.stack([x, y, angles], axis=-1)
+    ahead = AHEAD * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=-1)
+    return (rear + ahead).astype(np.float32)
+
+
+def test_odometry_drifts_as_its_wheels_err():
+    straight = np.zeros((11, 3), np.float32)
+    straight[:, 0] = np.linspace(0.0, 10.0, 11)
+    quarter = circle(5.0, np.linspace(0.0, np.pi / 2, 21))
+    # Right wheels are right, turning and both ways; float32.
+    for poses in straight, quarter, quarter[::-1]:
+        np.testing.assert_allclose(reckoned(poses, [0, 0, 0]), poses[-1], atol=1e-5)
+    # 10 m are 10.2 m, there and back is where it began.
+    believed = reckoned(straight, [0.02, 0, 0])
+    np.testing.assert_allclose(believed, [10.2, 0, 0], atol=1e-5)
+    back = np.concatenate([straight, straight[-2::-1]])
+    np.testing.assert_allclose(reckoned(back, [0.02, 1e-3, 0]), 0.0, atol=1e-5)
+    # 1e-3 rad/m: after 10 m the heading is off by 0.01, the rear axle on a circle.
+    yaw = 0.01
+    x, y = 1e3 * np.sin(yaw) - AHEAD, 1e3 * (1 - np.cos(yaw))
+    expected = [x + AHEAD * np.cos(yaw), y + AHEAD * np.sin(yaw), yaw]
+    believed = reckoned(straight, [0, 1e-3, 0])
+    np.testing.assert_allclose(believed, expected, atol=1e-4)
+    # 2 % of a quarter turn are 1.8 degrees, on a circle that much tighter.
+    believed = reckoned(quarter, [0, 0, 0.02])
+    yaw, radius = 1.02 * np.pi / 2, 5.0 / 1.02
+    rear = [radius * np.sin(yaw), -5.0 + radius * (1 - np.cos(yaw))]
+    expected = [rear[0] + AHEAD * np.cos(yaw), rear[1] + AHEAD * np.sin(yaw), yaw]
+    np.testing.assert_allclose(believed, expected, atol=3e-3)  # chords of 4.5 degrees
+
+
+def test_cars_observe_where_they_believe_to_be_from_known_starts():
+    start = cars(np.zeros((4000, 3)))
+    sensors = init_sensors(ODOMETRY, start, KEY)
+    assert sensors is not None
+    np.testing.assert_array_equal(seen_by(sensors, start).pose_w, start.pose_w)
+    end = cars(np.tile(np.array([10.0, 0.0, 0.0]), (4000, 1)))
+    after = measure(ODOMETRY, lot_with(sensors, start), end, KEY)
+    believed = np.asarray(seen_by(after, end).pose_w)
+    # 4000 samples: standard errors of 1.1 %.
+    assert (believed[:, 0] - 10.0).std() == pytest.approx(0.1, rel=0.05)
+    assert believed[:, 2].std() == pytest.approx(0.02, rel=0.05)
+    assert init_sensors(LATE, start, KEY).odometry is None
+    respawned = jnp.arange(4000) < 2000
+    fresh = reset(ODOMETRY, after, start, respawned, jax.random.key(1))
+    np.testing.assert_array_equal(fresh.odometry.pose_w[:2000], 0.0)
+    np.testing.assert_array_equal(fresh.odometry.pose_w[2000:], believed[2000:])
+    assert (fresh.odometry.error[:2000] != after.odometry.error[:2000]).all()
 
 
 def test_noise_has_the_configured_spread_and_no_bias():
@@ -297,6 +371,7 @@ def test_an_agent_observes_its_own_past_and_a_fresh_start_after_a_respawn():
     [
         ({"position_noise": -0.1}, "position_noise must be at least 0.0"),
         ({"speed_noise": np.nan}, "speed_noise must be at least 0.0"),
+        ({"odometry_veer": -1e-3}, "odometry_veer must be at least 0.0, not -0.001"),
         ({"delay_min": -1}, "delay_min must be at least 0"),
         ({"delay_min": 3, "delay_max": 2}, "delay_max must be at least 3, not 2"),
     ],

@@ -1,5 +1,7 @@
 """Control steps of 20 substeps: traces, batches and broken numbers."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +9,11 @@ import pytest
 from helpers.drives import VAN, Drive, make_recorder, stack
 
 from carpark_mj.config import SimConfig
+from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+from carpark_mj.vehicle.delay import make_lines, receive, send
 
 NUM_COPIES = 6
 CONTROLS = np.array(
@@ -97,6 +101,75 @@ def test_traces_are_the_fewest_that_respect_their_longest_time(
     trace_dt: float, count: int
 ):
     assert SimConfig(trace_dt=trace_dt).num_traces == count
+
+
+@pytest.mark.parametrize(
+    ("steering", "pedal"), [(0.24, 0.1), (0.2, 0.0), (0.0, 0.05), (0.4, 0.45)]
+)
+def test_every_control_acts_its_delay_after_it_was_sent(steering: float, pedal: float):
+    sim = SimConfig(sim_dt=0.01, steering_delay=steering, pedal_delay=pedal)
+    commands = np.arange(1.0, 13.0).reshape(6, 2).astype(np.float32)
+    lines = make_lines(sim, jnp.zeros(()))
+    acting = []
+    for command in commands:
+        lines = send(sim, lines, jnp.array(command))
+        for _ in range(sim.num_substeps):
+            lines, now = receive(lines, (command[0], command[1]), sim.sim_dt)
+            acting.append([float(x) for x in now])
+    sent = np.repeat(commands, sim.num_substeps, axis=0)
+    for column, delay in enumerate((steering, pedal)):
+        late = round(delay / sim.sim_dt)
+        expected = np.concatenate([np.zeros(late), sent[:, column]])[: len(sent)]
+        np.testing.assert_array_equal(np.array(acting)[:, column], expected)
+
+
+def test_cars_with_delays_do_what_others_did_so_much_earlier(
+    physics: MjxPhysics, step, start: CarState
+):
+    assert start.actuators.lines is None  # exact without delays
+    slow = MjxPhysics(SimConfig(steering_delay=0.2, pedal_delay=0.2))
+    late = slow.init(jnp.array(POSES), start.vehicle)
+    late_step, soon = jax.jit(slow.step), start
+    late = late_step(late, CONTROLS)
+    np.testing.assert_array_equal(see(slow, late).steering, 0.0)
+    for k in range(4):
+        soon = step(soon, CONTROLS[:, ::-1] if k else CONTROLS)
+        late = late_step(late, CONTROLS[:, ::-1])
+        seen, expected = see(slow, late), see(physics, soon)
+        # Two programs in float32.
+        np.testing.assert_allclose(seen.pose_w, expected.pose_w, atol=1e-6)
+        np.testing.assert_allclose(seen.steering, expected.steering, atol=1e-6)
+    placed = slow.place(late, jnp.arange(6) < 3, jnp.array(POSES), start.vehicle)
+    lines = placed.actuators.lines
+    assert lines is not None
+    assert lines.pedal is not None
+    sent = np.asarray(lines.pedal.sent[0])
+    assert not sent[:3].any()
+    np.testing.assert_array_equal(sent[3:], CONTROLS[3:, 0])
+
+
+@pytest.mark.parametrize("back_end", [MjxPhysics, BicyclePhysics])
+def test_cars_that_are_halted_stand_where_they_are_told_and_steer_on(back_end):
+    physics = back_end(SimConfig())
+    vehicles = stack([make_vehicle(COMPACT)] * NUM_COPIES)
+    start = physics.set_speed(
+        physics.init(jnp.array(POSES), vehicles), jnp.full(NUM_COPIES, 1.0)
+    )
+    turned = dataclasses.replace(
+        start.actuators, steering=jnp.full(NUM_COPIES, 0.2, jnp.float32)
+    )
+    start = dataclasses.replace(start, actuators=turned)
+    trace = np.repeat(POSES[:, None], 4, axis=1)
+    trace[:, :2, 0] += 0.1
+    mask = np.arange(NUM_COPIES) < 2
+    state = physics.halt(start, jnp.array(mask), jnp.array(trace))
+    seen = see(physics, state)
+    np.testing.assert_allclose(seen.pose_w, POSES, atol=1e-6)
+    np.testing.assert_allclose(seen.trace_w[:2], trace[:2], atol=1e-6)
+    np.testing.assert_array_equal(seen.speed != 0.0, ~mask)
+    np.testing.assert_allclose(seen.steering, 0.2, atol=1e-6)
+    held = np.where(mask, COMPACT.hold_deceleration, 0.0)
+    np.testing.assert_allclose(state.actuators.hold, held)
 
 
 def test_any_leading_batch_shape_gives_the_same_motion(

@@ -20,6 +20,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering import web
 from carpark_mj.rendering.live import LiveLot
+from carpark_mj.rendering.local_pages import HOST
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
@@ -97,7 +98,7 @@ def page(lot):
     viewer, server = web.make_live_viewer(lot, port=8765)
     viewer._setup_gui()  # what `run` does first; the loop itself never returns
     viewer._render()
-    yield f"http://{web.HOST}:{server.get_port()}"
+    yield f"http://{HOST}:{server.get_port()}"
     server.stop()
 
 

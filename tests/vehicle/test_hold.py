@@ -1,4 +1,6 @@
-"""When the holding brake closes, opens and eases off."""
+"""When the holding brake closes, opens and eases off, and an automatic creeps."""
+
+import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,12 +8,17 @@ import pytest
 
 from carpark_mj.vehicle import COMPACT, Vehicle
 from carpark_mj.vehicle.drive import (
+    CREEP_SPEED,
     HOLD_SPEED,
+    Actuators,
     close_hold,
     hold_braking,
     init_actuators,
+    press_pedal,
     roll_freely,
 )
+
+AUTOMATIC = 0.4  # m/s^2
 
 
 def closed(vehicle: Vehicle, hold: float, pedal: float, speed: float, dt=0.01) -> float:
@@ -78,3 +85,41 @@ def test_cars_start_on_their_hold_and_without_it_where_they_roll(compact: Vehicl
     assert roll_freely(start, jnp.array(0.0)).hold == COMPACT.hold_deceleration
     for speed in (-1.0, 0.1):
         assert roll_freely(start, jnp.array(speed)).hold == 0.0
+
+
+def idling(vehicle: Vehicle, drive: float, hold: float, pedal: float, speed: float):
+    """Acceleration by the drive [m/s^2], hold and brake of an automatic 10 ms later."""
+    creeping = dataclasses.replace(vehicle, creep=jnp.array(AUTOMATIC))
+    before = Actuators(jnp.zeros(()), jnp.array(drive), jnp.array(hold))
+    pressed, now = jnp.array(pedal, jnp.float32), jnp.array(speed, jnp.float32)
+    after, brake = press_pedal(creeping, before, pressed, now, now, 0.01)
+    to_torque = COMPACT.mass * COMPACT.wheel_radius
+    return float(after.drive) / to_torque, float(after.hold), float(brake)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_an_automatic_creeps_while_no_brake_is_pressed(compact: Vehicle, way: float):
+    half = CREEP_SPEED / 2
+    for drive, pedal, speed, expected in [
+        (100.0, 0.0, 0.0, AUTOMATIC),  # the way of the last drive, from rest
+        (100.0, 0.0, half, AUTOMATIC / 2),
+        (0.0, 0.0, half, AUTOMATIC / 2),  # the way it rolls, after the brake
+        (100.0, 0.0, -0.2, AUTOMATIC),  # against a slope that pulls it back
+        (100.0, 0.0, CREEP_SPEED, 0.0),
+        (0.0, 0.06, 0.0, AUTOMATIC),  # more than a light pedal asks
+        (0.0, 0.5, 0.0, 1.0),  # less than this one
+    ]:
+        got, hold, brake = idling(compact, way * drive, 0.0, way * pedal, way * speed)
+        assert got == pytest.approx(way * expected, abs=1e-5)
+        assert hold == brake == 0.0
+
+
+def test_a_brake_ends_the_creep_and_holds_the_car(compact: Vehicle):
+    assert idling(compact, 100.0, 0.0, -0.5, 1.0)[0] == 0.0  # the service brake
+    drive, hold, brake = idling(compact, 100.0, 0.0, -0.5, 0.2)
+    assert hold > 0.0  # closes, and stays when the pedal is released
+    assert brake > 0.0
+    drive, after, brake = idling(compact, 0.0, hold, 0.0, 0.1)
+    assert (drive, after > hold) == (0.0, True)
+    start = COMPACT.hold_deceleration  # a car begins held
+    assert idling(compact, 0.0, start, 0.0, 0.0)[:2] == (0.0, start)

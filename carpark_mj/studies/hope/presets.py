@@ -10,7 +10,7 @@ from carpark_mj.training.ppo.presets import SQUARE
 HOPE = dataclasses.replace(
     SQUARE,
     preset="hope",
-    num_steps=800_000_000,
+    num_steps=2_400_000_000,
     lot_life=16,
     unroll_length=64,
     num_epochs=4,

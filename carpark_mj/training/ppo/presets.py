@@ -32,7 +32,7 @@ CPU = PPOConfig(
 # fewer steps of more cars, which take a GPU hardly longer.
 SQUARE = PPOConfig(
     preset="square",
-    num_steps=6_000_000_000,
+    num_steps=3_700_000_000,
     num_lots=8192,
     lot_life=32,
     unroll_length=32,
@@ -49,7 +49,7 @@ SQUARE = PPOConfig(
         environment("square"), episode=EpisodeConfig(parked_rule="precise")
     ),
 )
-GPU = dataclasses.replace(SQUARE, preset="gpu", minutes=8.0)
+GPU = dataclasses.replace(SQUARE, preset="gpu", num_steps=6_000_000_000, minutes=8.0)
 # With dynamic goals conflicts are about bays, not collision courses: not tried, nor is
 # the `min_std` of the others.
 DYNAMIC = dataclasses.replace(
@@ -63,7 +63,7 @@ DYNAMIC = dataclasses.replace(
 ANYWHERE = dataclasses.replace(
     SQUARE,
     preset="anywhere",
-    num_steps=4_500_000_000,
+    num_steps=3_500_000_000,
     learning_rate_end=2e-5,
     curriculum=dataclasses.replace(
         _CURRICULUM,

@@ -10,7 +10,7 @@ import pytest
 from helpers.scenes import cars, moved
 from helpers.states import parked_in, state_of
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, SimConfig
+from carpark_mj.config import WORLD_UNIT, EnvConfig, EpisodeConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import sanitize_indices
@@ -296,5 +296,11 @@ def test_impossible_grids_and_grounds_are_refused_in_a_sentence():
         GridPhysics(FINE, SimConfig(grade_x=0.1))
     with pytest.raises(ValueError, match="surface must stay 'dry', not 'ice'"):
         ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(surface="ice")))
+    with pytest.raises(ValueError, match=r"pedal_delay must stay 0.0, not 0.1"):
+        ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(pedal_delay=0.1)))
+    with pytest.raises(ValueError, match=r"creep must stay 0.0, not 0.4"):
+        ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(creep=0.4)))
+    with pytest.raises(ValueError, match=r"kerb_speed needs .* bicycle, not grid"):
+        ParkingEnv(EnvConfig(physics="grid", episode=EpisodeConfig(kerb_speed=0.5)))
     with pytest.raises(ValueError, match="unknown environment 'tokyo'; choose from"):
         environment("tokyo")

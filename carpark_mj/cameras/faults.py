@@ -1,0 +1,109 @@
+"""What is wrong with cameras: calibration, dirt, exposure and noise, drawn at random.
+
+Faults last for an episode; noise is new in every picture.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.cameras.rig import Rig
+from carpark_mj.config.checks import (
+    CheckedConfig,
+    Range,
+    require_at_least,
+    require_range,
+    require_whole,
+)
+from carpark_mj.geometry.se2 import norm
+
+
+@dataclasses.dataclass(frozen=True)
+class FaultConfig(CheckedConfig):
+    """How wrong cameras can be; not at all by default.
+
+    Attributes:
+        turn: standard deviation of their mounting about each axis [rad].
+        shift: standard deviation of their mounting along each axis [m].
+        spots: number of spots of dirt on each lens.
+        spot_size: largest radius of a spot over the height of the picture.
+        exposure: range of the factor on brightness.
+        depth_noise: standard deviation of the noise on depth over the depth.
+        colour_noise: standard deviation of the noise on colours, which lie in [0, 1].
+    """
+
+    turn: float = 0.0
+    shift: float = 0.0
+    spots: int = 0
+    spot_size: float = 0.1
+    exposure: Range = (1.0, 1.0)
+    depth_noise: float = 0.0
+    colour_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_at_least(self, 0.0, "turn", "shift", "depth_noise", "colour_noise")
+        require_at_least(self, 0.0, "spot_size")
+        require_whole(self, 0, "spots")
+        require_range("exposure", self.exposure, 0.0, float("inf"))
+
+
+@struct.dataclass
+class Faults:
+    """Faults of the cameras of cars (num_agents, cameras, ...).
+
+    Attributes:
+        turn: (..., 3, 3) rotations of the rays in the body's frame.
+        shift: (..., 3) of the cameras in the body's frame [m].
+        spots: (..., n, 3) row and column of dirt, and its radius, in picture heights.
+        exposure: (...) factor on brightness.
+    """
+
+    turn: jax.Array
+    shift: jax.Array
+    spots: jax.Array
+    exposure: jax.Array
+
+
+def draw_faults(
+    config: FaultConfig, rig: Rig, num_agents: int, key: jax.Array
+) -> Faults:
+    """Faults of an episode; `key` is consumed."""
+    lead = (num_agents, len(rig.cameras))
+    turn_key, shift_key, spot_key, exposure_key = jax.random.split(key, 4)
+    angle = config.turn * jax.random.normal(turn_key, (*lead, 3))
+    most = jnp.array([1.0, rig.width / rig.height, config.spot_size])
+    low, high = config.exposure
+    return Faults(
+        turn=_rotation(angle),
+        shift=config.shift * jax.random.normal(shift_key, (*lead, 3)),
+        spots=most * jax.random.uniform(spot_key, (*lead, config.spots, 3)),
+        exposure=jax.random.uniform(exposure_key, lead, minval=low, maxval=high),
+    )
+
+
+def noisy_depth(
+    config: FaultConfig, depth: jax.Array, reach: float, key: jax.Array
+) -> jax.Array:
+    """Depths (...) [m] with noise, at most the reach; `key` is consumed."""
+    noise = config.depth_noise * jax.random.normal(key, depth.shape)
+    return jnp.where(depth < reach, jnp.clip(depth * (1.0 + noise), 0.0, reach), depth)
+
+
+def _rotation(angle: jax.Array) -> jax.Array:
+    """Rotations (..., 3, 3) by vectors (..., 3) [rad]."""
+    cross = jnp.cross(angle[..., None, :], jnp.eye(3))
+    return jax.scipy.linalg.expm(jnp.swapaxes(cross, -1, -2))
+
+
+def is_dirty(rig: Rig, spots: jax.Array) -> jax.Array:
+    """Pixels (..., height, width) under any of the spots (..., n, 3)."""
+    row = (jnp.arange(rig.height) + 0.5)[:, None] / rig.height
+    column = (jnp.arange(rig.width) + 0.5) / rig.height
+    place = spots[..., None, None, :]
+    off = jnp.stack(
+        jnp.broadcast_arrays(row - place[..., 0], column - place[..., 1]), axis=-1
+    )
+    return jnp.any(norm(off) < place[..., 2], axis=-3)

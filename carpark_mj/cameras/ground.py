@@ -1,0 +1,149 @@
+"""The ground: asphalt with bays, lines and arrows, and grass around the lot."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.cameras.hits import fold
+from carpark_mj.cameras.rig import Seen
+from carpark_mj.geometry.se2 import rotate
+from carpark_mj.layouts.dimensions import (
+    ARROW_HEAD,
+    ARROW_HEIGHT,
+    ARROW_LENGTH,
+    ARROW_SHAFT,
+    ARROW_SPACING,
+    ARROW_WIDTH,
+    LINE_HEIGHT,
+    LINE_WIDTH,
+    VERGE_GAP,
+    VERGE_HEIGHT,
+)
+from carpark_mj.layouts.types import Layout
+
+# Covers of the ground, the upper ones last: what they show, and their heights [m].
+ASPHALT, BAY, OWN_BAY, ARROW, LINE, GRASS = range(6)
+SHOWS = (Seen.FLOOR, Seen.BAY, Seen.OWN_BAY, Seen.LINE, Seen.LINE, Seen.FLOOR)
+HEIGHTS = (0.0, 0.0, 0.0, ARROW_HEIGHT, LINE_HEIGHT, VERGE_HEIGHT)
+
+
+@struct.dataclass
+class Place:
+    """A point on a car, about which the ground is looked at.
+
+    Attributes:
+        xy_w: (2,) [m].
+        yaw: () the car's heading [rad].
+    """
+
+    xy_w: jax.Array
+    yaw: jax.Array
+
+
+@struct.dataclass
+class _Patches:
+    """Rectangles (n,) on the ground.
+
+    Attributes:
+        xy: (n, 2) the place in the frame of the rectangle [m].
+        cos: (n,) of the rectangle's heading less the car's.
+        sin: (n,) of the same.
+        half: (n, 2) half length and half width [m], negative where there is none.
+        cover: (n,) int32.
+    """
+
+    xy: jax.Array
+    cos: jax.Array
+    sin: jax.Array
+    half: jax.Array
+    cover: jax.Array
+
+
+def cover(
+    layout: Layout,
+    goal: jax.Array,
+    place: Place,
+    x: jax.Array,
+    y: jax.Array,
+    line_width: float = LINE_WIDTH,
+) -> jax.Array:
+    """What covers points on the ground, int32 (...).
+
+    Args:
+        layout: of the lot.
+        goal: () int32 the own bay.
+        place: about which the points are given.
+        x: (...) ahead of the place along the car's axis [m].
+        y: (...) to the left [m].
+        line_width: of bays [m].
+    """
+    own = jnp.arange(layout.num_bays) == goal
+    kinds = jnp.where(own, OWN_BAY, BAY)
+    best = jnp.full(jnp.shape(x), ASPHALT, jnp.int32)
+    bays = _patches(layout.bay_pose, layout.bay_size, layout.bay_mask, kinds, place)
+    best = _lay(best, bays, x, y, functools.partial(_in_bay, line_width))
+    if count := layout.lane_mask.shape[-1]:
+        mask = layout.lane_mask & layout.lane_one_way
+        kinds = jnp.full(count, ARROW)
+        lanes = _patches(layout.lane_pose, layout.lane_size, mask, kinds, place)
+        best = _lay(best, lanes, x, y, _in_arrow)
+    return best
+
+
+def is_grass(layout: Layout, place: Place, x: jax.Array, y: jax.Array) -> jax.Array:
+    """Whether points lie beyond the asphalt; arguments of `cover`."""
+    cos, sin = jnp.cos(place.yaw), jnp.sin(place.yaw)
+    x_w = place.xy_w[0] + cos * x - sin * y
+    y_w = place.xy_w[1] + sin * x + cos * y
+    far = layout.extent + VERGE_GAP
+    return (jnp.abs(x_w) > far[0]) | (jnp.abs(y_w) > far[1])
+
+
+def _patches(
+    pose: jax.Array, size: jax.Array, mask: jax.Array, kinds: jax.Array, place: Place
+) -> _Patches:
+    turn = pose[:, 2] - place.yaw
+    return _Patches(
+        xy=rotate(place.xy_w - pose[:, :2], -pose[:, 2]),
+        cos=jnp.cos(turn),
+        sin=jnp.sin(turn),
+        half=jnp.where(mask[:, None], size / 2, -1.0),
+        cover=kinds,
+    )
+
+
+def _lay(best: jax.Array, patches: _Patches, x: jax.Array, y: jax.Array, fill):
+    def meet(best: jax.Array, patch: _Patches) -> jax.Array:
+        along = patch.xy[0] + patch.cos * x + patch.sin * y
+        across = patch.xy[1] + patch.cos * y - patch.sin * x
+        found = jnp.where(patch.half[0] > 0.0, fill(patch, along, across), ASPHALT)
+        return jnp.maximum(best, found)
+
+    nothing = jax.tree.map(lambda value: jnp.full_like(value[0], -1), patches)
+    return fold(best, patches, nothing, meet)
+
+
+def _in_bay(
+    line_width: float, bay: _Patches, along: jax.Array, across: jax.Array
+) -> jax.Array:
+    """A bay has lines about both long sides and within its far end."""
+    beyond, aside = jnp.abs(along) - bay.half[0], jnp.abs(across) - bay.half[1]
+    inside = jnp.maximum(beyond, aside) <= 0.0
+    side = (jnp.abs(aside) <= line_width / 2) & (beyond <= 0.0)
+    end = inside & (along + bay.half[0] <= line_width)
+    return jnp.where(side | end, LINE, jnp.where(inside, bay.cover, ASPHALT))
+
+
+def _in_arrow(lane: _Patches, along: jax.Array, across: jax.Array) -> jax.Array:
+    """A lane has arrows along its middle."""
+    length = 2 * lane.half[0]
+    count = jnp.maximum(jnp.floor(length / ARROW_SPACING), 1.0)
+    number = jnp.clip(jnp.floor((along / length + 0.5) * count), 0.0, count - 1)
+    to_tip = ((number + 0.5) / count - 0.5) * length + ARROW_LENGTH / 2 - along
+    head = ARROW_HEAD * ARROW_LENGTH
+    tip = jnp.clip(to_tip / head, 0.0, 1.0) * ARROW_WIDTH / 2
+    wide = jnp.where(to_tip <= head, tip, ARROW_SHAFT * ARROW_WIDTH / 2)
+    here = (to_tip > 0.0) & (to_tip <= ARROW_LENGTH)
+    return jnp.where(here & (jnp.abs(across) <= wide), lane.cover, ASPHALT)

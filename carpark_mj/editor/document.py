@@ -1,0 +1,145 @@
+"""The document of the editor: a layout file, its draft and its faults."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+
+from carpark_mj.files import write_atomically
+from carpark_mj.layouts.checks import ANY_CAR, list_faults
+from carpark_mj.layouts.json_file import (
+    FORMAT,
+    complete,
+    document_text,
+    parse_layout,
+    read_unchecked,
+)
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.types import Layout
+from carpark_mj.reading import read_text
+
+EXTENT = (20.0, 15.0)  # m, half widths of a new lot
+LEAST_ROWS = 64  # of each kind in a checked layout; more are powers of two
+# Rows that are added and masked.
+_FILLERS: dict[str, dict[str, Any]] = {
+    "bays": {"pose": [0, 0, 0], "size": [1, 1], "end": "nose_first"},
+    "walls": {"pose": [0, 0, 0], "size": [1, 1]},
+    "discs": {"centre": [0, 0], "radius": 1},
+    "lanes": {"pose": [0, 0, 0], "size": [1, 1]},
+    "spawns": {"pose": [0, 0, 0], "size": [1, 1]},
+}
+
+
+class Draft:
+    """A layout file that is edited; changes that are not saved are kept beside it.
+
+    Attributes:
+        out: the file to save to.
+        kept: the file of unsaved changes.
+        document: the lot, as the page last had it.
+        saved: the lot without unsaved changes.
+    """
+
+    def __init__(
+        self, out: Path, source: Path | None = None, extent: Any = EXTENT
+    ) -> None:
+        """Opens the unsaved changes, if there are any, or the file.
+
+        Args:
+            out: the file to save to.
+            source: the file to read; None for an empty lot.
+            extent: half widths of an empty lot [m].
+
+        Raises:
+            ValueError: a file is no layout; one with faults is.
+        """
+        self.out, self.kept = out, out.with_suffix(".draft.json")
+        empty = {"format": FORMAT, "bays": [], "spawns": [], "extent": [*extent]}
+        self.saved = complete(empty) if source is None else _read(source)
+        self.document = _read(self.kept) if self.kept.exists() else self.saved
+
+    def check(self, document: dict[str, Any]) -> list[dict[str, Any]]:
+        """Faults of the lot as it now is, which is kept if it can be read again."""
+        faults = find_faults(document)
+        if not any("unreadable" in fault for fault in faults):
+            self.document = document
+            if document == self.saved:
+                self.kept.unlink(missing_ok=True)
+            else:
+                _write(self.kept, document)
+        return faults
+
+    def save(self, document: dict[str, Any]) -> list[dict[str, Any]]:
+        """Writes the file unless a fault is grave; returns the faults.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        faults = self.check(document)
+        if not any(fault["grave"] for fault in faults):
+            _write(self.out, document)
+            self.saved = document
+            self.kept.unlink(missing_ok=True)
+        return faults
+
+
+def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Faults of a lot, for the page.
+
+    Returns:
+        For each its `text`; the `places` at fault, lists of rows such as "bays/3";
+        whether it is `grave`, so that no environment takes the lot, or concerns the
+        design car only; and `unreadable` if the lot cannot be read again.
+    """
+    try:
+        layout = _padded(document)
+    except (ValueError, RecursionError) as error:
+        rows = re.findall(r"\b(\w+)\[(\d+)\]", str(error))[:1]
+        places = [[f"{kind}/{row}"] for kind, row in rows]
+        return [
+            {"text": str(error), "places": places, "grave": True, "unreadable": True}
+        ]
+    found: list[dict[str, Any]] = []
+    of_any_car = {x.words: x.places.tolist() for x in list_faults(layout, ANY_CAR)}
+    for words, kinds, places in list_faults(layout, DesignCar().size):
+        hard = {tuple(place) for place in of_any_car.get(words, [])}
+        for grave in (True, False):
+            told = [
+                [f"{kind}s/{row}" for kind, row in zip(kinds, place, strict=True)]
+                for place in places.tolist()
+                if (tuple(place) in hard) == grave
+            ]
+            if told:
+                found.append({"text": words, "places": told, "grave": grave})
+    return found
+
+
+def _padded(document: dict[str, Any]) -> Layout:
+    """The layout of a document with masked rows, so that few shapes are compiled."""
+    numbers: dict[str, int] = {}
+    padded = dict(document)
+    for name, filler in _FILLERS.items():
+        rows = document.get(name)
+        if isinstance(rows, list):  # else the parser refuses it
+            numbers[name] = len(rows)
+            most = max(LEAST_ROWS, 1 << (len(rows) - 1).bit_length())
+            padded[name] = [*rows, *[filler] * (most - len(rows))]
+    layout, _ = parse_layout(json.dumps(padded))
+    masks = {
+        f"{name[:-1]}_mask": jnp.arange(len(padded[name])) < number
+        for name, number in numbers.items()
+    }
+    return layout.replace(**masks)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Reads a layout file, which may have faults but not in its format."""
+    read_unchecked(path)
+    return complete(json.loads(read_text(path)))
+
+
+def _write(path: Path, document: dict[str, Any]) -> None:
+    text = document_text(complete(document))
+    write_atomically(path, lambda file: file.write_text(text))

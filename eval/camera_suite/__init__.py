@@ -1,0 +1,1 @@
+"""Cameras against MuJoCo's renderer: pictures of the same state, and speed."""

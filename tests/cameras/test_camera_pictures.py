@@ -1,0 +1,245 @@
+"""Cameras: worked examples, symmetries, refusals, faults."""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import cars, lot, moved, moved_cars, moved_lot
+from helpers.states import parked_at, state_of
+
+from carpark_mj.cameras import (
+    RIGS,
+    Camera,
+    FaultConfig,
+    Heights,
+    Lens,
+    Rig,
+    Seen,
+    colours,
+    draw_faults,
+    noisy_depth,
+    see,
+)
+from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
+from carpark_mj.layouts import WallKind
+
+# A car of 4 m x 2 m is 1.5 m tall.
+HEIGHTS = Heights((0.375,), (0.375,))
+NOSE, EYE = 2.4, 0.6  # m, where a camera at (1.2, 0, 0.4) is
+AHEAD = Rig((Camera((1.2, 0.0, 0.4)),), width=9, height=9)
+SQUINT = math.radians(45.0) / 4.5  # rad, about what a pixel of it spans
+see_jit = jax.jit(see, static_argnums=(0, 2))
+
+
+def look(rig, layout, motion, **changes):
+    pictures = see_jit(rig, state_of(layout, motion, 0, **changes), HEIGHTS)
+    return jax.tree.map(np.asarray, pictures)
+
+
+def wall(distance, kind=WallKind.WALL, width=40.0):
+    layout = lot(
+        [(-20.0, 0.0, 0.0)],
+        walls=[(NOSE + distance + 0.5, 0.0, 0.0)],
+        wall_size=[(1.0, width)],
+    )
+    return layout.replace(wall_kind=jnp.full(1, int(kind), jnp.int32))
+
+
+def test_depth_is_that_of_the_wall_and_the_ground_along_each_ray():
+    depth, seen = (
+        getattr(look(AHEAD, wall(3.0), cars([(0.0, 0.0, 0.0)])), name)[0, 0]
+        for name in ("depth", "seen")
+    )
+    # The middle ray is level; those of the middle row go aside at tan = k * 2 / 9.
+    slope = 2 / 9 * np.arange(-4, 5)
+    np.testing.assert_allclose(depth[4], 3.0 * np.hypot(1.0, slope), rtol=1e-4)
+    assert (seen[4] == Seen.WALL).all()
+    # 0.9 m tall, it ends 0.3 m above the camera.
+    assert (seen[:4] == Seen.SKY).all()
+    assert (depth[:4] == AHEAD.reach).all()
+    # Below, the ground is EYE / sin(elevation) away where that is before the wall.
+    down = slope[5:]
+    before = EYE / down < 3.0
+    expected = EYE / np.sin(np.arctan(down))
+    np.testing.assert_allclose(depth[5:, 4][before], expected[before], rtol=1e-4)
+    assert (seen[5:, 4][before] == Seen.FLOOR).all()
+    assert (seen[5:, 4][~before] == Seen.WALL).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "shown"),
+    [
+        (WallKind.WALL, Seen.WALL),
+        (WallKind.GATE, Seen.WALL),
+        (WallKind.KERB, Seen.KERB),
+        (WallKind.ISLAND, Seen.KERB),
+    ],
+)
+def test_low_walls_are_kerbs_that_hide_little(kind, shown):
+    seen = look(AHEAD, wall(1.5, kind), cars([(0.0, 0.0, 0.0)])).seen[0, 0]
+    assert shown in seen
+    assert (seen[4] == Seen.WALL).all() == (shown == Seen.WALL)
+
+
+def test_everything_has_its_own_look():
+    """What stands on a ray, and the ground with bays, lines and the sky."""
+    camera = Camera((1.2, 0.0, 2.0), pitch=math.radians(30.0))
+    rig = Rig((camera,), width=161, height=121)
+    layout = lot(
+        [(9.0, 0.0, math.pi), (9.0, 3.0, math.pi), (30.0, 30.0, 0.0)],
+        walls=[(20.0, 0.0, 0.0), (7.0, -3.0, 0.0)],
+        wall_size=[(1.0, 30.0), (0.5, 2.0)],
+    )
+    kinds = jnp.array([WallKind.WALL, WallKind.KERB], jnp.int32)
+    people = Discs(jnp.array([[6.0, 0.0]]), jnp.array([0.3]))
+    there = Movers((None,), ((people,),))
+    seen = look(
+        rig,
+        layout.replace(wall_kind=kinds),
+        cars([(0.0, 0.0, 0.0)]),
+        parked_cars=parked_at([(9.0, 3.0, math.pi)]),
+        movers=there,
+    ).seen[0, 0]
+    assert {*np.unique(seen)} == {*Seen} - {Seen.OWN_CAR}
+    assert seen[60, 80] == Seen.PERSON  # its axis meets the ground at 5.4 m
+    cart = Movers((None,), ((Boxes(jnp.array([[5.4, 0.0, 0.3]]), jnp.ones((1, 2))),),))
+    seen = look(rig, layout, cars([(0.0, 0.0, 0.0)]), movers=cart).seen[0, 0]
+    assert seen[60, 80] == Seen.CAR
+
+
+def test_the_body_hides_what_is_behind_it_and_the_cabin_is_looked_out_of():
+    at = cars([(0.0, 0.0, 0.0)])
+    seen = look(RIGS["surround"], wall(3.0), at).seen[0]
+    own = (seen == Seen.OWN_CAR).mean(axis=(1, 2))
+    assert ((own > 0.05) & (own < 0.6)).all()
+    # Mirrors see the car's side in the lower half of the picture, and nothing above.
+    assert (seen[2:, -1] == Seen.OWN_CAR).mean() > 0.9
+    assert not (seen[2:, : seen.shape[1] // 4] == Seen.OWN_CAR).any()
+    seen = look(RIGS["windscreen"], wall(3.0), at).seen[0, 0]
+    assert (seen[-1] == Seen.OWN_CAR).any()  # the bonnet
+    assert not (seen[: seen.shape[0] // 2] == Seen.OWN_CAR).any()
+
+
+def test_a_picture_of_a_mirrored_lot_is_mirrored():
+    rig = RIGS["surround"]
+    at = cars([(0.0, 0.0, 0.0)])
+    pictures = [
+        look(
+            rig,
+            lot(
+                [(8.0, side * 4.0, side * 0.4)],
+                walls=[(-6.0, side * 3.0, side * 0.3)],
+                wall_size=[(2.0, 1.0)],
+                discs=[(1.0, side * 5.0, 0.4)],
+            ),
+            at,
+            parked_cars=parked_at([(7.0, -side * 2.0, side * 0.2)]),
+        )
+        for side in (1, -1)
+    ]
+    one, other = (np.where(p.seen == Seen.SKY, 0.0, p.depth)[0] for p in pictures)
+    swapped = other[[0, 1, 3, 2], :, ::-1]
+    assert (np.abs(one - swapped) < 1e-3).mean() > 0.995
+
+
+def test_pictures_do_not_change_when_the_whole_lot_is_moved():
+    rig, at = RIGS["surround"], cars([(0.0, 0.0, 0.3), (5.0, 6.0, 2.0)])
+    layout = lot(
+        [(8.0, 4.0, 0.4)], walls=[(-6.0, 3.0, 0.3)], wall_size=[(2.0, 1.0)]
+    ).replace(extent=jnp.array([500.0, 500.0]))
+    parked = parked_at([(7.0, -3.0, 0.2)])
+    shift = (9.0, -4.0, 1.9)
+    here = look(rig, layout, at, parked_cars=parked)
+    there = look(
+        rig,
+        moved_lot(layout, shift),
+        moved_cars(at, shift),
+        parked_cars=parked.replace(pose_w=moved(parked.pose_w, shift)),
+    )
+    assert (here.seen == there.seen).mean() > 0.998
+    off = np.abs(here.depth - there.depth) / here.depth
+    assert (off < 1e-3).mean() > 0.998
+    # The two cars see each other.
+    assert all((here.seen[k] == Seen.CAR).any() for k in (0, 1))
+
+
+@pytest.mark.parametrize("projection", ["pinhole", "fisheye"])
+@pytest.mark.parametrize("distortion", [(), (-0.02, 0.001)])
+def test_rays_fall_where_the_lens_puts_them(projection, distortion):
+    lens = Lens(projection, math.radians(100.0), distortion)
+    rays = lens.directions(32, 24)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, atol=1e-9)
+    angle = np.arccos(rays[..., 0])
+    aside = np.stack([-rays[..., 1], -rays[..., 2]], axis=-1)
+    aside = aside / np.linalg.norm(aside, axis=-1, keepdims=True)
+    radius = lens.radius(angle) / lens.radius(np.array(lens.fov / 2)) * 16
+    row, column = np.mgrid[:24, :32]
+    np.testing.assert_allclose(radius * aside[..., 0], column - 15.5, atol=1e-5)
+    np.testing.assert_allclose(radius * aside[..., 1], row - 11.5, atol=1e-5)
+
+
+REFUSED = [
+    (lambda: Rig((), 4, 4), "at least one"),
+    (lambda: Rig((Camera((1.2, 0.0, 0.5)),), 0, 4), "width must be at least 1"),
+    (lambda: Rig((Camera((1.2, 0.0, 0.5)),), 4, 0), "height must be at least 1"),
+    (lambda: Lens("fisheye", math.radians(361.0)), "at most 360 degrees, not 361"),
+    (lambda: Lens("pinhole", math.pi), "less than 180 degrees"),
+    (lambda: Lens("pinhole", 0.0), "more than 0"),
+    (lambda: Lens("fisheye", 3.0, (math.nan,)), "distortion must be finite"),
+    (lambda: Camera((0.5, 0.0, 0.3)), "inside the body"),
+    (lambda: Camera((1.2, 0.0, 0.0)), "above the ground"),
+    (lambda: Lens("fisheye", 6.0).directions(4, 4), "shows nothing"),
+    (lambda: Lens("fisheye", 3.0, (-0.2,)).directions(4, 4), "shows nothing"),
+    (lambda: FaultConfig(exposure=(2.0, 1.0)), "exposure"),
+    (lambda: FaultConfig(spots=-1), "spots must be at least 0"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), REFUSED)
+def test_impossible_cameras_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+@functools.cache
+def faulty(**settings):
+    config = FaultConfig(**settings)
+    rig = RIGS["surround"]
+    faults = draw_faults(config, rig, 1, jax.random.key(0))
+    state = state_of(wall(3.0), cars([(0.0, 0.0, 0.0)]), 0)
+    return faults, jax.jit(see, static_argnums=(0, 2))(rig, state, HEIGHTS, faults)
+
+
+def test_faults_of_no_size_change_nothing():
+    pictures = look(RIGS["surround"], wall(3.0), cars([(0.0, 0.0, 0.0)]))
+    _, same = faulty()
+    assert (same.seen == pictures.seen).mean() > 0.999
+    np.testing.assert_allclose(same.depth, pictures.depth, rtol=1e-4)
+    rgb = colours(pictures)
+    assert (pictures.shade == pictures.shade.max()).all()
+    assert rgb.shape == (1, 4, 48, 64, 3)
+    assert 0.0 <= float(rgb.min()) <= float(rgb.max()) <= 1.0
+
+
+def test_faults_turn_shift_hide_and_darken():
+    _, exact = faulty()
+    faults, spoilt = faulty(
+        turn=0.05, shift=0.02, spots=3, spot_size=0.2, exposure=(0.4, 0.6)
+    )
+    turn = np.asarray(faults.turn)
+    identity = np.swapaxes(turn, -1, -2) @ turn
+    np.testing.assert_allclose(
+        identity, np.broadcast_to(np.eye(3), turn.shape), atol=1e-5
+    )
+    hidden = (np.asarray(spoilt.depth) == 0.0).mean()
+    assert 0.001 < hidden < 0.3
+    assert (np.asarray(spoilt.seen) != np.asarray(exact.seen)).mean() > 0.02
+    assert colours(spoilt, faults).mean() < 0.8 * colours(exact).mean()
+    config = FaultConfig(depth_noise=0.02)
+    noisy = noisy_depth(config, exact.depth, 50.0, jax.random.key(1))
+    near = np.asarray(exact.depth) < 20.0
+    spread = np.std((np.asarray(noisy) / np.asarray(exact.depth))[near])
+    assert spread == pytest.approx(0.02, rel=0.1)
