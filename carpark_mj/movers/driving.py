@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from carpark_mj.geometry import move_forward, rotate
 from carpark_mj.movers import idm
 from carpark_mj.movers.lookout import HARD, look
+from carpark_mj.movers.paths import turn_back
 from carpark_mj.movers.traffic import (
     AWAY,
     BACK_OUT,
@@ -36,6 +37,8 @@ EASY = 1.0  # m/s², braking before arcs and ends of paths
 WHEELS = 0.25  # rad, how far the wheels may still have to turn at walking pace
 CLOSE = 0.1  # m, from the end of a path
 LEAVES_AFTER = 2.0  # s at the end of a lane
+GIVES_UP = 12.0  # s of standing, after which a driver changes its mind
+BEHIND = 0.5  # m before an arc, to which a driver goes back who is stuck in it
 DECIDED = 0.3  # m behind an arc, where a driver is on the next track
 
 
@@ -133,20 +136,36 @@ def _go_on(key: jax.Array, traffic: Traffic, stays: tuple[float, float]) -> Traf
     parked = (phase == PARK) & at_end
     leaves = (phase == DRIVE) & at_end & (path.bend == 0.0)
     leaves = leaves & (traffic.clock > LEAVES_AFTER)
-    joins = turned | backed
-    track = jnp.where(joins, traffic.next_track, traffic.track)
+    # Who cannot turn off goes straight on, who is stuck in an arc goes back.
+    stuck = (traffic.clock > GIVES_UP) & ~at_end
+    fresh = (path.bend != 0.0) & (path.straight > 1.0)  # of a path not gone back yet
+    begun = traffic.way >= path.straight
+    drops = stuck & fresh & ~begun & ((phase == DRIVE) | (phase == PARK))
+    to_track = stuck & fresh & begun & (phase == PARK)
+    to_bay = stuck & (phase == BACK_OUT)
+    back = turn_back(path)
+    shorter = jnp.where(to_track, path.straight - BEHIND, 0.0)
+    back = dataclasses.replace(back, total=back.total - shorter)
+    way = jnp.where(to_bay | to_track, path.total - traffic.way, traffic.way)
+    path = choose(to_bay | to_track, back, path)
+    changes = drops | to_bay | to_track
+    joins = turned | backed | drops
+    track = jnp.where(turned | backed, traffic.next_track, traffic.track)
     path = choose(joins, track_path(traffic.tracks, track), path)
     ahead = jnp.stack([jnp.cos(path.yaw), jnp.sin(path.yaw)], axis=-1)
     along = jnp.sum((traffic.pose[:, :2] - path.origin) * ahead, axis=-1)
     stay = jax.random.uniform(key, phase.shape, minval=stays[0], maxval=stays[1])
-    phase = jnp.where(backed, DRIVE, jnp.where(parked, STAY, phase))
+    phase = jnp.where(backed | drops, DRIVE, jnp.where(parked, STAY, phase))
+    phase = jnp.where(to_bay, PARK, jnp.where(to_track, BACK_OUT, phase))
+    phase = jnp.where(leaves, AWAY, phase)
     return dataclasses.replace(
         traffic,
         path=path,
-        way=jnp.where(joins, along, traffic.way),
-        phase=jnp.where(leaves, AWAY, phase),
+        way=jnp.where(joins, along, way),
+        phase=phase,
         track=track,
-        bay=jnp.where(backed, NO_BAY, bay),
-        clock=jnp.where(parked | leaves, 0.0, traffic.clock),
+        next_track=jnp.where(to_track, track, traffic.next_track),
+        bay=jnp.where(backed | drops, NO_BAY, bay),
+        clock=jnp.where(parked | leaves | changes, 0.0, traffic.clock),
         stay=jnp.where(parked, stay, traffic.stay),
     )

@@ -51,6 +51,15 @@ class Path:
         return jnp.concatenate([xy, heading[..., None]], axis=-1)
 
 
+def turn_back(path: Path) -> Path:
+    """The same paths (...) from their ends to their beginnings, in the other gear."""
+    end = path.at(path.total[..., None])[..., 0, :2]
+    straight = jnp.maximum(path.total - path.arc_end, 0.0)
+    yaw = path.yaw + path.bend + jnp.pi
+    radius, total, gear = path.radius, path.total, -path.gear
+    return Path(end, yaw, straight, -path.bend, radius, total, gear)
+
+
 def straight_path(pose: jax.Array, total: jax.Array, radius: jax.Array) -> Path:
     """Straight paths from poses (..., 3), forwards; `radius` of later arcs."""
     one, nothing = jnp.ones_like(total), jnp.zeros_like(total)

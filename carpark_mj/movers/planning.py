@@ -35,8 +35,8 @@ NOT_LATE = 0.8  # m before it, besides the way in which the car stops
 CROSSING = 5.5  # m from the end of a track to where another crosses it
 BACK_ON = 0.3  # m along the track at the end of a way out of a bay
 LONGEST = 12.0  # m to back out straight
-POSES = 12  # on a path, tested for walls and bays
-ROOM = 0.1  # m about the car there
+POSES = 20  # on a path, tested for walls and bays
+ROOM = 0.25  # m about the car there
 SLACK = jnp.array([0.3, 0.4])  # m by which bays are shorter and narrower to it
 INSET = 1.0  # m from the beginning of a track to the axle of who comes in
 CLEAR = 9.0  # m about a car that comes in
@@ -62,7 +62,7 @@ def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic
     keys = jax.random.split(key, 5)
     parks = jax.random.uniform(keys[0]) < search
     turned, parked = _turn(keys[1], own), _park(keys[2], own, traffic, lot)
-    going_on = choose(parks, parked, turned)
+    going_on = choose(parks & parked[1], parked, turned)
     backed = _back_out(keys[3], own, lot)
     stays = own.phase == STAY
     new, good = choose(stays, backed, going_on)

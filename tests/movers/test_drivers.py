@@ -88,9 +88,9 @@ def driven(layout, track, way, motion=NOBODY, person=(500.0, 500.0)):
 
 
 def test_the_equilibrium_gap_is_that_of_the_model():
-    # (1 + 2 * 1.5) / sqrt(1 - (2 / 3)^4) = 4.466 m at 2 of 3 m/s behind an equal.
+    # (1 + 2 * 1.5) / sqrt(1 - (2 / 3)^4) = 4.4653 m at 2 of 3 m/s behind an equal.
     values = {"wanted": 3.0, "headway": 1.5, "accel": 1.0}
-    rate = idm.acceleration(2.0, gap=4.4660, leader_speed=2.0, **values)
+    rate = idm.acceleration(2.0, gap=4.46525, leader_speed=2.0, **values)
     assert float(rate) == pytest.approx(0.0, abs=1e-4)
     assert float(idm.acceleration(0.0, gap=jnp.inf, leader_speed=0.0, **values)) == 1.0
     assert float(idm.acceleration(3.0, gap=jnp.inf, leader_speed=0.0, **values)) == 0.0
@@ -173,13 +173,14 @@ def traffic():
             state = mover.step(key, state, lot, DT)
             centre = state.centre
             hit = boxes_overlap(centre[:, None], SIZE, centre, SIZE)
-            hit = hit & state.present & ~jnp.eye(5, dtype=bool)
+            there = state.present
+            hit = hit & there & there[:, None] & ~jnp.eye(5, dtype=bool)
             walls = boxes_overlap(
                 centre[:, None], SIZE, layout.wall_pose, layout.wall_size
             )
             cars = boxes_overlap(centre[:, None], SIZE, parked.pose_w, SIZE)
             still = (walls & layout.wall_mask).any(1) | (cars & full).any(1)
-            return state, (hit.any(1), still & state.present, state.phase, centre)
+            return state, (hit.any(1), still & there, state.phase, centre)
 
         begin = mover.init(keys[2], layout)
         return jax.lax.scan(step, begin, jax.random.split(keys[3], STEPS))[1]
