@@ -28,7 +28,7 @@ from carpark_mj.layouts import (
     member_shares,
 )
 from carpark_mj.layouts.splits import Split, lot_key, lot_number
-from carpark_mj.mdp import actions, kerbs, metrics, rewards, terminations
+from carpark_mj.mdp import actions, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.mdp.goals import make_goals
 from carpark_mj.mdp.progress import drives_wrong_way
@@ -116,7 +116,7 @@ class ParkingEnv:
         fixed = not self.layout_config.is_random
         self._layout = make_layout(self.layout_config) if fixed else None
         for params in self.fleet.agents:
-            check_randomization(config.randomization, params, abs(config.sim.grade_x))
+            check_randomization(config.randomization, params, config.sim.steepest)
         check_room(config, self.layout_config)
         check_occupancy(config, self.layout_config)
         check_exits(config, self.layout_config)
@@ -321,6 +321,8 @@ class ParkingEnv:
         physics = self.physics.step(state.physics, controls)
         motion = self.physics.read(physics)
         if isinstance(self.physics, Halting) and config.episode.kerb_speed:
+            from carpark_mj.mdp import kerbs  # only such environments load it
+
             physics = self.physics.halt(physics, *kerbs.stops(config, state, motion))
             motion = self.physics.read(physics)
         all_drive = config.episode.respawn and state.present is None

@@ -18,6 +18,7 @@ from carpark_mj.cli.analysis import AnalysisConfig
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.identify import IdentifyConfig
 from carpark_mj.cli.layout_editor import EditConfig
 from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.map_import import ImportConfig
@@ -89,6 +90,7 @@ COMMANDS = {
     "layouts edit": EditConfig,
     "layouts import": ImportConfig,
     "-m carpark_mj.vehicles": VehiclesConfig,
+    "-m carpark_mj.identify": IdentifyConfig,
     "-m carpark_mj.play": PlayConfig,
 }
 
@@ -120,7 +122,7 @@ SCRIPTS = {
     "study tanner": "train/study.py",
     **{
         f"{name}": f"-m carpark_mj.{name}"
-        for name in ("scene", "play", "layouts", "oracle", "vehicles")
+        for name in ("scene", "play", "layouts", "oracle", "vehicles", "identify")
     },
     **{
         f"{name}": f"eval/{name}.py"

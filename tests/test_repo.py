@@ -21,11 +21,11 @@ FLOORS = (
     ("layouts",),
     ("types", "vehicle"),
     ("obstacles",),
-    ("cameras",),
     ("observations", "scene"),
+    ("cameras",),
     ("mdp", "physics"),
     ("movers",),
-    ("fleet",),
+    ("fleet", "identification"),
     ("episodes",),
     ("env",),
     ("tasks",),
@@ -51,7 +51,6 @@ WITHOUT_MUJOCO = (
     "layouts",
     "types",
     "obstacles",
-    "cameras",
     *TASK,
 )
 AROUND_TASK = {"vehicle", "scene", "physics"}

@@ -124,7 +124,7 @@ def _look(group: Group, layout: Layout) -> tuple[jax.Array, jax.Array]:
     """Heights (n,) [m] and looks (n,) of walls, discs and movers."""
     count, box = group.count, type(group) is Boxes
     if group.kind != ObstacleKind.WALL:
-        seen = Seen.CAR if box else Seen.PERSON
+        seen = Seen.PERSON if group.kind == ObstacleKind.PERSON else Seen.CAR
         return jnp.full(count, MOVER_HEIGHTS[type(group)]), jnp.full(count, seen)
     if not box:
         high = jnp.array([DISC_HEIGHTS[kind] for kind in DiscKind])[layout.disc_kind]

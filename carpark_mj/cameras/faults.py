@@ -94,8 +94,10 @@ def noisy_depth(
 
 def _rotation(angle: jax.Array) -> jax.Array:
     """Rotations (..., 3, 3) by vectors (..., 3) [rad]."""
-    cross = jnp.cross(angle[..., None, :], jnp.eye(3))
-    return jax.scipy.linalg.expm(jnp.swapaxes(cross, -1, -2))
+    cross = jnp.swapaxes(jnp.cross(angle[..., None, :], jnp.eye(3)), -1, -2)
+    size = jnp.linalg.norm(angle, axis=-1)[..., None, None]
+    first, second = jnp.sinc(size / jnp.pi), jnp.sinc(size / (2 * jnp.pi)) ** 2 / 2
+    return jnp.eye(3) + first * cross + second * (cross @ cross)  # Rodrigues
 
 
 def is_dirty(rig: Rig, spots: jax.Array) -> jax.Array:

@@ -25,8 +25,8 @@ class Seen(enum.IntEnum):
     OWN_BAY = 2  # the ground of the goal
     BAY = 3
     WALL = 4  # pillars, bollards and gates too
-    CAR = 5  # movers that are boxes too
-    PERSON = 6  # movers that are round
+    CAR = 5  # movers that are no people too
+    PERSON = 6
     KERB = 7  # islands too
     SKY = 8
     OWN_CAR = 9

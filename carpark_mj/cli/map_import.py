@@ -25,8 +25,8 @@ class ImportConfig:
     """Settings of `carpark_mj layouts import`.
 
     Attributes:
-        map: file to read: Lanelet2 or OpenStreetMap (`.osm`, `.xml`), GeoJSON
-            (`.geojson`, `.json`), or a drawing (`.dxf`).
+        map: file to read: Lanelet2 or OpenStreetMap (`.osm`, `.xml`), CommonRoad
+            (`.xml`), GeoJSON (`.geojson`, `.json`), or a drawing (`.dxf`).
         out: layout file to write.
         crop: x and y of two opposite corners [m] of the part to take, in the frame of
             the whole lot.

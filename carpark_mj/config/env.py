@@ -66,7 +66,7 @@ class EnvConfig(OldNames):
         observation: encoder of what agents observe; named encoders are in
             `carpark_mj.config.observations.ENCODERS`.
         randomization: parameters that differ between cars.
-        sensors: noise and delay of what agents observe.
+        sensors: noise, delay and drift of what agents observe.
         metrics: optional measurements.
     """
 

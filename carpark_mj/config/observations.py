@@ -130,7 +130,9 @@ class ObservationConfig(CheckedConfig, abc.ABC):
 
 
 ENCODERS: Registry[type[ObservationConfig]] = Registry(
-    "observation encoding", "carpark_mj.observations.continuous"
+    "observation encoding",
+    "carpark_mj.observations.continuous",
+    "carpark_mj.cameras.encoder",
 )
 
 

@@ -1,6 +1,7 @@
 """Time steps, ground and tyres of the physics."""
 
 import dataclasses
+import math
 from typing import Literal
 
 from carpark_mj.config.checks import CheckedConfig, require_positive, require_within
@@ -32,6 +33,9 @@ class SimConfig(CheckedConfig):
         stepper: of `mjx` cars: the `unrolled` equations, or `mjx.step`; `auto` takes
             the former where they hold, on brush tyres.
         surface: road surface, which sets the grip, `carpark_mj.vehicle.conditions`.
+        ramp: start and end of a ramp across the lot, along world x [m], and its slope,
+            added to `grade_x` between them; it begins and ends over 3 m outside. A
+            slope of 0 is no ramp.
         steering_delay: dead time of the steering [s], a multiple of `sim_dt`. By wire
             it is 0.24, and 0.1 of the acceleration (defaults of Autoware's
             `simple_planning_simulator`).
@@ -48,6 +52,7 @@ class SimConfig(CheckedConfig):
     suspension: bool = False
     stepper: StepperName = "auto"
     surface: Surface = "dry"
+    ramp: tuple[float, float, float] = (0.0, 0.0, 0.0)
     steering_delay: float = 0.0
     pedal_delay: float = 0.0
     creep: float = 0.0
@@ -94,6 +99,13 @@ class SimConfig(CheckedConfig):
         require_within(self, 0.0, MAX_CREEP, "m/s^2", "creep")
         if not abs(self.grade_x) < 1.0:
             raise ValueError(f"grade_x must lie within (-1, 1), not {self.grade_x}")
+        start, end, grade = self.ramp
+        finite = all(map(math.isfinite, self.ramp))
+        if not (finite and start <= end and abs(self.grade_x + grade) < 1.0):
+            raise ValueError(
+                "ramp must be a start, an end not before it and a slope that with "
+                f"grade_x lies within (-1, 1), not {self.ramp}"
+            )
 
     def require_fine_steps(self) -> None:
         """Refuses substeps with which the tyres are unstable.
@@ -107,6 +119,21 @@ class SimConfig(CheckedConfig):
                 f"{self.tyres} tyres need a sim_dt of at most {most} s, not "
                 f"{self.sim_dt}: cars would shake or be thrown"
             )
+
+    @property
+    def has_delays(self) -> bool:
+        """Whether commands arrive late."""
+        return bool(self.steering_delay or self.pedal_delay)
+
+    @property
+    def has_ramp(self) -> bool:
+        """Whether the slope depends on the place."""
+        return self.ramp[2] != 0.0
+
+    @property
+    def steepest(self) -> float:
+        """The largest slope, either way."""
+        return max(abs(self.grade_x), abs(self.grade_x + self.ramp[2]))
 
     @property
     def num_substeps(self) -> int:

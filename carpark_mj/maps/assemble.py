@@ -115,7 +115,7 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
             lanes.append((free, one_way))
         else:
             report.outside["lane without room"] += 1
-    starts = [around(one.shape) for one in features if one.tag == "start"]
+    starts = [_start(one) for one in features if one.tag == "start"]
     starts += [lane for lane, _ in lanes]
     starts += [lane.turned() for lane, one_way in lanes if not one_way]
     layout = _layout(bays, solids, discs, lanes, starts)
@@ -130,6 +130,13 @@ def _ground(feature: Feature) -> Any:
     return feature.shape.buffer(feature.width / 2, cap_style="square")
 
 
+def _start(feature: Feature) -> Box:
+    """The rectangle around a start, in its heading."""
+    box = around(feature.shape)
+    against = feature.yaw is not None and np.cos(box.yaw - feature.yaw) < 0
+    return box.turned() if against else box
+
+
 def _turned(features: list[Feature], report: Report) -> list[Feature]:
     """Turns the map so that most of its bays lie along x or y."""
     yaws = np.array([around(one.shape).yaw for one in features if one.tag == "bay"])
@@ -140,6 +147,7 @@ def _turned(features: list[Feature], report: Report) -> list[Feature]:
             shape=affinity.rotate(
                 one.shape, report.turned, origin=(0, 0), use_radians=True
             ),
+            yaw=None if one.yaw is None else one.yaw + report.turned,
         )
         for one in features
     ]

@@ -22,6 +22,7 @@ class Feature:
         kind: of a bay.
         width: of a lane [m].
         one_way: whether a lane is driven along its line only.
+        yaw: heading of a start that has one [rad].
     """
 
     tag: Tag
@@ -30,6 +31,7 @@ class Feature:
     kind: BayKind = BayKind.STANDARD
     width: float = 0.0
     one_way: bool = False
+    yaw: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,7 +10,7 @@ FORMATS = (".osm", ".xml", ".geojson", ".json", ".dxf")
 
 
 def import_map(path: Path) -> tuple[Layout, Report]:
-    """Reads a map: Lanelet2 or OpenStreetMap in OSM XML, GeoJSON, or DXF.
+    """Reads a map: Lanelet2, OpenStreetMap, CommonRoad, GeoJSON, or DXF.
 
     Raises:
         ValueError: no such map, or no valid lot in it; the message names the file.
@@ -41,9 +41,17 @@ def read_plan(path: Path) -> Plan:
         from carpark_mj.maps.dxf import dxf_features
 
         return dxf_features(path)
+    from carpark_mj.maps.commonroad import commonroad_features
     from carpark_mj.maps.lanelet2 import is_lanelet2, lanelet2_features
     from carpark_mj.maps.openstreetmap import osm_features
-    from carpark_mj.maps.osm_xml import read_osm_xml
+    from carpark_mj.maps.osm_xml import read_osm, read_xml
 
-    osm = read_osm_xml(path)
+    root = read_xml(path)
+    if root.tag == "commonRoad":
+        return commonroad_features(root)
+    if root.tag != "osm":
+        raise ValueError(
+            f"the outermost element must be osm or commonRoad, not {root.tag}"
+        )
+    osm = read_osm(root)
     return lanelet2_features(osm) if is_lanelet2(osm) else osm_features(osm)

@@ -2,6 +2,7 @@
 
 import itertools
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,9 @@ def lanelet2_features(osm: OsmXml) -> Plan:
             (role, osm.ways[way]) for role, way in relation.members if way in osm.ways
         ]
         if relation.tags.get("type") == "lanelet":
-            lanelet = _lanelet(name, dict(ways), relation.tags)
+            one_way = relation.tags.get("one_way", "yes") != "no"
+            borders = {role: way.points for role, way in ways}
+            lanelet = lanelet_features(name, borders, one_way)
             plan.features.extend(lanelet)
             if not lanelet:
                 plan.unknown["lanelet without two borders"] += 1
@@ -121,11 +124,22 @@ def _shape(way: Way) -> Any:
     return way.shape.buffer(width / 2, cap_style="flat", join_style="mitre")
 
 
-def _lanelet(name: str, borders: dict[str, Way], tags: Tags) -> list[Feature]:
-    """The straight lanes of a lanelet, and the ground that it covers."""
+def lanelet_features(
+    name: str, borders: Mapping[str, np.ndarray], one_way: bool
+) -> list[Feature]:
+    """The straight lanes of a lanelet, and the ground that it covers.
+
+    Args:
+        name: of the lanelet.
+        borders: points (n, 2) of `left` and `right` [m], two at least.
+        one_way: whether it is driven in its direction only.
+
+    Returns:
+        None at all if a border is missing or they cover no ground.
+    """
     if not {"left", "right"} <= set(borders):
         return []
-    left, right = (borders[side].points for side in ("left", "right"))
+    left, right = (borders[side] for side in ("left", "right"))
     ends = [shapely.LineString([left[i], right[i]]) for i in (0, -1)]
     if ends[0].intersects(ends[1]):
         right = right[::-1]
@@ -149,7 +163,6 @@ def _lanelet(name: str, borders: dict[str, Way], tags: Tags) -> list[Feature]:
     if width <= 0:
         return features
     points = np.asarray(shapely.LineString(line).simplify(BEND).coords)
-    one_way = tags.get("one_way", "yes") != "no"
     features += [
         Feature("lane", shapely.LineString(part), name, width=width, one_way=one_way)
         for part in itertools.pairwise(points)

@@ -49,22 +49,28 @@ class OsmXml:
     faults: Counter[str]
 
 
-def read_osm_xml(path: Path) -> OsmXml:
-    """Reads a file.
+def read_xml(path: Path) -> Any:
+    """Reads the outermost element of an XML file; entities are refused.
 
     Raises:
-        ValueError: not such XML, or invalid coordinates.
+        ValueError: not XML.
         OSError: the file cannot be read.
     """
     data = read_bytes(path)
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise ValueError("OSM XML has no document type")
+        raise ValueError("maps in XML have no document type")
     try:
-        root = ElementTree.fromstring(data)
+        return ElementTree.fromstring(data)
     except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ValueError(f"not XML ({error})") from None
-    if root.tag != "osm":
-        raise ValueError(f"the outermost element must be osm, not {root.tag}")
+
+
+def read_osm(root: Any) -> OsmXml:
+    """Reads the element `osm` of a file.
+
+    Raises:
+        ValueError: invalid coordinates.
+    """
     faults: Counter[str] = Counter()
     kept = [node for node in root.iter("node") if node.get("action") != "delete"]
     ids = [node.get("id", "") for node in kept]

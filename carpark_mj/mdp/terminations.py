@@ -9,7 +9,6 @@ from carpark_mj.config import PARKED_RULES, EpisodeConfig
 from carpark_mj.geometry import axis_angle_error, box_inside, norm, rotate, wrap_angle
 from carpark_mj.layouts.types import BayEnd
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.kerbs import find_hits_and_kerbs
 from carpark_mj.types import NO_BAY, Events, Motion, State
 
 
@@ -79,6 +78,8 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
     """
     layout, goal, motion = state.layout, state.goal, state.motion
     if config.kerb_speed:
+        from carpark_mj.mdp.kerbs import find_hits_and_kerbs  # only they load it
+
         hits = find_hits_and_kerbs(config, state)
     else:
         hits = find_hits(state, config.hitbox_scale)

@@ -104,7 +104,11 @@ def _of_bays(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
     side = jnp.argmin(jnp.where(free, cost, jnp.inf), axis=0)
     bays = jnp.arange(side.shape[0])
     there = free[side, bays] & layout.bay_mask
-    return edge[side, bays], inner[side, bays], there
+    edge, inner = edge[side, bays], inner[side, bays]
+    # At the end of a row there may be a wall instead of a gap.
+    gap = point_box_distance(inner[:, None], layout.wall_pose, layout.wall_size)
+    shut = ((gap < ROOM) & layout.wall_mask).any(axis=1)
+    return edge, jnp.where(shut[:, None], edge, inner), there
 
 
 def _is_free(layout: Layout, xy: jax.Array) -> jax.Array:

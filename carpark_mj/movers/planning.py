@@ -36,7 +36,7 @@ CROSSING = 5.5  # m from the end of a track to where another crosses it
 BACK_ON = 0.3  # m along the track at the end of a way out of a bay
 LONGEST = 12.0  # m to back out straight
 POSES = 20  # on a path, tested for walls and bays
-ROOM = 0.25  # m about the car there
+ROOM, ROOM_TO_WALLS = 0.15, 0.25  # m about the car there
 SLACK = jnp.array([0.3, 0.4])  # m by which bays are shorter and narrower to it
 INSET = 1.0  # m from the beginning of a track to the axle of who comes in
 CLEAR = 9.0  # m about a car that comes in
@@ -221,6 +221,7 @@ def _is_free(layout: Layout, pose: jax.Array, bay: jax.Array) -> jax.Array:
     pose, size = move_forward(pose, OFFSET)[:, None], SIZE + 2 * ROOM
     bays = boxes_overlap(pose, size, layout.bay_pose, layout.bay_size - SLACK)
     others = layout.bay_mask & (jnp.arange(layout.num_bays) != bay)
+    size = SIZE + 2 * ROOM_TO_WALLS
     walls = boxes_overlap(pose, size, layout.wall_pose, layout.wall_size)
     disc = jnp.pad(layout.disc_centre, ((0, 0), (0, 1)))
     discs = jnp.repeat(2.0 * layout.disc_radius[:, None], 2, axis=1)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.geometry import boxes_overlap, move_forward
 from carpark_mj.types import State
 
 MARGIN = 0.3  # m on all sides: the steering may still turn, brakes build up
@@ -103,6 +104,14 @@ def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Z
         behind=way(-speed, car.max_reverse_speed),
         aside=half[:, 1] + turned * motion.size[:, 0] + MARGIN,
     )
+
+
+def would_hit(lot: State, pose: jax.Array, size: jax.Array, dt: float) -> jax.Array:
+    """() bool, whether a box (3,), (2,) lies where a car of the lot cannot stop."""
+    zones = stopping_zones(lot, dt)
+    middle = move_forward(lot.motion.pose_w, (zones.ahead - zones.behind) / 2)
+    whole = jnp.stack([zones.ahead + zones.behind, 2.0 * zones.aside], axis=-1)
+    return boxes_overlap(pose, size, middle, whole).any()
 
 
 def keep_off(

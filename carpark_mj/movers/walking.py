@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import norm
 from carpark_mj.movers import social_force
-from carpark_mj.movers.outlines import meet, offsets, outlines
+from carpark_mj.movers.outlines import AWAY, meet, offsets, outlines
 from carpark_mj.movers.people import People
 from carpark_mj.movers.stopping import Zones, keep_off, stopping_zones
 from carpark_mj.types import State
@@ -25,15 +25,17 @@ GOES_IN = 0.3  # probability that an adult goes between the cars at the end of a
 RUN = 2.5  # m/s, of children who run
 HEADWAY = 3.0  # s, who gives way leaves a car as much
 ASIDE = 0.5  # m, how far from a car's way those who give way step aside
+BODY = 15.0  # 1/s², parts two discs in about a step of 0.2 s
 NEAR = 4  # boxes whose forces act on a person
 ROUNDS = 8  # steps after which near boxes are looked up again
 CANDIDATES = 4  # targets that are looked at
-FAR = 15.0  # m, scale of the distances of targets
 
 
 def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     """The people after a control step; `lot` is the state before it."""
-    people = _set_out(key, _find_near(people, lot), lot)
+    # All numbers of a step at once: every call for some would cost as much.
+    chance = jax.random.uniform(key, (people.speed.shape[0] + CANDIDATES + 1,))
+    people = _set_out(chance[: CANDIDATES + 1], _find_near(people, lot), lot)
     waypoint = _waypoint(people)
     to_go = waypoint - people.xy
     distance = norm(to_go)
@@ -47,20 +49,19 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     gives_way = people.attentive[:, None] * HEADWAY
     enter = stopping_zones(lot, dt, gives_way)
     wanted = pace[:, None] * heading + _step_aside(people, enter, stop)
-    forces, apart = _forces(people, lot, heading)
+    forces = _forces(people, lot, heading)
     straight = people.straight | (people.child & ~rests)
     straight = straight | (people.phase != ACROSS)
     force = jnp.where(straight[:, None], 0.0, forces)
     velocity = social_force.advance(people.velocity, wanted, force, dt)
     velocity = social_force.limit(velocity, speed)
-    move = velocity * dt + apart
-    move = keep_off(people.xy, move, people.radius, enter, stop)
+    move = keep_off(people.xy, velocity * dt, people.radius, enter, stop)
     move = jnp.where(people.present[:, None], move, 0.0)
     xy = people.xy + move
     arrived = norm(waypoint - xy) < ARRIVED
     clock = people.clock + dt
     people = dataclasses.replace(people, xy=xy, velocity=move / dt, clock=clock)
-    return _go_on(jax.random.fold_in(key, 1), people, arrived)
+    return _go_on(chance[CANDIDATES + 1 :], people, arrived)
 
 
 def _waypoint(people: People) -> jax.Array:
@@ -73,11 +74,13 @@ def _waypoint(people: People) -> jax.Array:
     return jnp.where((within & alone)[:, None], inner, edge) + people.offset
 
 
-def _go_on(key: jax.Array, people: People, arrived: jax.Array) -> People:
-    """People whose next phase begins if they have arrived; groups follow leaders."""
+def _go_on(chance: jax.Array, people: People, arrived: jax.Array) -> People:
+    """People whose next phase begins if they have arrived; groups follow leaders.
+
+    `chance` (n,) are random numbers in [0, 1).
+    """
     phase, inside = people.phase, people.inside
-    rest = jax.random.exponential(key, phase.shape)
-    rest = rest * jnp.where(people.stands, LONG_STAY, STAY)
+    rest = -jnp.log1p(-chance) * jnp.where(people.stands, LONG_STAY, STAY)
     next_phase = jnp.where(phase == OUT, ACROSS, REST)
     next_phase = jnp.where((phase == ACROSS) & inside, IN, next_phase)
     late = people.clock > LEG
@@ -94,7 +97,7 @@ def _go_on(key: jax.Array, people: People, arrived: jax.Array) -> People:
     )
 
 
-def _set_out(key: jax.Array, people: People, lot: State) -> People:
+def _set_out(chance: jax.Array, people: People, lot: State) -> People:
     """People of whom the one that has rested longest sets out, if it is time.
 
     One in a step: looking for ways is the costliest of all.
@@ -105,25 +108,23 @@ def _set_out(key: jax.Array, people: People, lot: State) -> People:
     who = jnp.argmax(jnp.where(due, people.clock, -1.0))
     here, inside = people.target[who], people.inside[who]
     start = jnp.where(inside, places.edge[here], people.xy[who])
-    pick_key, in_key = jax.random.split(key)
-    away = norm(places.edge - start)
-    score = jax.random.gumbel(pick_key, away.shape) - away / FAR
-    index = jnp.arange(away.shape[0])
-    score = jnp.where(places.mask & (index != here), score, -jnp.inf)
-    best, found = jax.lax.top_k(score, min(CANDIDATES, away.shape[0]))
+    most = places.mask.shape[0]
+    found = jnp.minimum((chance[1:] * most).astype(jnp.int32), most - 1)
     ends = places.edge[found]
     starts = jnp.broadcast_to(start, ends.shape)
-    good = ~meet(starts, ends, places.blocks) & jnp.isfinite(best)
-    target = found[jnp.argmax(good)]
+    good = places.mask[found] & (found != here) & ~meet(starts, ends, places.blocks)
+    # The nearest of them, so that most walks are short.
+    target = found[jnp.argmin(jnp.where(good, norm(ends - start), jnp.inf))]
     goes = due[who] & good.any()
-    goes_in = people.child[who] | (jax.random.uniform(in_key) < GOES_IN)
+    goes_in = people.child[who] | (chance[0] < GOES_IN)
     inner = places.inner[target]
     goes_in = goes_in & _has_room(inner, people.radius[who], lot)
     goes_in = goes_in & (target < lot.layout.bay_mask.shape[0])
 
+    own = people.leader == who
+
     def change(old: jax.Array, new: jax.Array) -> jax.Array:
-        own = (people.leader == who) & goes
-        return jnp.where(own, new, old)
+        return jnp.where(own & goes, new, old)
 
     return dataclasses.replace(
         people,
@@ -131,7 +132,8 @@ def _set_out(key: jax.Array, people: People, lot: State) -> People:
         target=change(people.target, target),
         phase=change(people.phase, jnp.where(inside, OUT, ACROSS)),
         inside=change(people.inside, goes_in),
-        clock=change(people.clock, jnp.float32(0.0)),
+        # Who finds no way lets the others look first.
+        clock=jnp.where(own & due[who], 0.0, people.clock),
     )
 
 
@@ -160,23 +162,22 @@ def _find_near(people: People, lot: State) -> People:
     return dataclasses.replace(people, near=near, turn=(people.turn + 1) % ROUNDS)
 
 
-def _forces(
-    people: People, lot: State, heading: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Social forces (n, 2) [m/s²], and moves (n, 2) [m] that part overlapping discs."""
+def _forces(people: People, lot: State, heading: jax.Array) -> jax.Array:
+    """Social forces (n, 2) [m/s²], and those that part overlapping discs."""
     xy, count = people.xy, people.xy.shape[0]
-    x, y = xy[:, :1] - xy[:, 0], xy[:, 1:] - xy[:, 1]
-    others = people.present & ~jnp.eye(count, dtype=bool)
+    # Nobody pushes themselves, nor do those who are not there.
+    gone = jnp.where(people.present, 0.0, AWAY)
+    x = xy[:, :1] - xy[:, 0] + gone + AWAY * jnp.eye(count)
+    y = xy[:, 1:] - xy[:, 1]
     fx, fy = social_force.push((x, y), norm(people.velocity), heading)
     by_distance = jax.lax.rsqrt(x * x + y * y + social_force.TINY)
     overlap = (people.radius[:, None] + people.radius) * by_distance - 1.0
-    part = jnp.where(others, 0.5 * jnp.maximum(overlap, 0.0), 0.0)
-    force = [jnp.where(others, f, 0.0).sum(axis=1) for f in (fx, fy)]
-    apart = jnp.stack([(part * x).sum(axis=1), (part * y).sum(axis=1)], axis=-1)
+    part = BODY * jnp.maximum(overlap, 0.0)
+    force = (fx + part * x).sum(axis=1), (fy + part * y).sum(axis=1)
     motion = lot.motion
     cars = outlines(motion.pose_w, motion.size, jnp.ones(motion.size.shape[0], bool))
     borders = _border_force(xy, people.near) + _border_force(xy, cars[None])
-    return jnp.stack(force, axis=-1) + borders, apart
+    return jnp.stack(force, axis=-1) + borders
 
 
 def _border_force(xy: jax.Array, boxes: jax.Array) -> jax.Array:

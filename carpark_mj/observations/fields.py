@@ -47,6 +47,7 @@ class Field:
         is_whole: whether its numbers are whole, from `low` to `high`.
         reveals_goal: whether it tells an agent where its own goal is; goals that are
             relabelled (`carpark_mj.wrappers.goal`) would contradict it.
+        shape: of the array that its numbers are, if that is more than a row.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Field:
     speed: float = 0.0
     is_whole: bool = False
     reveals_goal: bool = False
+    shape: tuple[int, ...] = ()
 
 
 def far(distance: jax.Array) -> jax.Array:

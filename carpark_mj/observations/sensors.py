@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SensorConfig
-from carpark_mj.observations.odometry import begin_odometry, reckon
 from carpark_mj.types import Motion, Reading, Sensors, State
 
 
@@ -25,6 +24,8 @@ def init_sensors(
         return None
     odometry = None
     if config.dead_reckons:
+        from carpark_mj.observations.odometry import begin_odometry  # only they load it
+
         key, odometry_key = jax.random.split(key)
         odometry = begin_odometry(config, motion.pose_w, odometry_key)
     reading_key, delay_key = jax.random.split(key)
@@ -53,6 +54,8 @@ def measure(
     if sensors is None:
         return None
     if sensors.odometry is not None:
+        from carpark_mj.observations.odometry import reckon
+
         offset = before.physics.vehicle.centre_offset
         odometry = reckon(sensors.odometry, before.motion.pose_w, motion.pose_w, offset)
         sensors = dataclasses.replace(sensors, odometry=odometry)

@@ -51,6 +51,11 @@ class SceneConfig(PhysicsConfig):
         config.sim.require_fine_steps()
         if config.sim.tyres == "contact":
             raise ValueError("scene physics has brush tyres only, not contact")
+        if config.sim.has_ramp:
+            raise ValueError(
+                "scene physics has one gravity for the whole lot: sim.ramp must have "
+                f"slope 0, not {config.sim.ramp[2]}; use mjx"
+            )
         if config.sim.creep and not config.episode.respawn:
             raise ValueError(
                 "scene physics goes on moving cars that have finished, which would "

@@ -218,10 +218,11 @@ def require_plain_ground(sim: SimConfig, name: str) -> None:
     """Refuses settings that a kinematic back end does not model.
 
     Raises:
-        ValueError: a slope, a slippery surface, contact tyres, delays or creep.
+        ValueError: a slope or ramp, a slippery surface, contact tyres, delays or creep.
     """
     plain = {
         "grade_x": 0.0,
+        "ramp": (0.0, 0.0, 0.0),
         "surface": "dry",
         "tyres": "brush",
         "steering_delay": 0.0,

@@ -135,6 +135,7 @@ class ContactStep(MjxStep):
         )
         torque = actuators.drive * vehicle.drive_share
         qfrc = jnp.zeros_like(car.qvel).at[index.spin_dof].set(torque)
+        model = self.on_ramp(model, vehicle, car)
         car = self.integrate(model, car, qfrc, jnp.stack(ctrl))
         return car._replace(actuators=actuators)
 

@@ -29,7 +29,6 @@ from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.conditions import in_conditions
-from carpark_mj.vehicle.delay import make_lines, send
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.vehicle import Vehicle
@@ -106,15 +105,19 @@ class MjxPhysics(FactoredPhysics[CarState]):
         quat = [jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)]
         pose = jnp.stack([pose_w[..., 0], pose_w[..., 1], wrap_angle(yaw)], -1)
         shape = (*lead, self.sim.num_traces, 3)
+        actuators = drive.init_actuators(vehicle)
+        if self.sim.has_delays:
+            from carpark_mj.vehicle.delay import make_lines  # only they load it
+
+            lines = make_lines(self.sim, zero)
+            actuators = dataclasses.replace(actuators, lines=lines)
         return CarState(
             qpos=jnp.stack([x, y, zero, *quat, *rest], -1),
             qvel=jnp.zeros((*lead, self._nv), dtype),
             tyres=jax.tree.map(
                 lambda leaf: jnp.broadcast_to(leaf, (*lead, 4)), init_tyres(dtype)
             ),
-            actuators=dataclasses.replace(
-                drive.init_actuators(vehicle), lines=make_lines(self.sim, zero)
-            ),
+            actuators=actuators,
             vehicle=vehicle,
             trace_w=jnp.broadcast_to(pose[..., None, :], shape),
             finite=jnp.ones(lead, bool),
@@ -180,8 +183,12 @@ class MjxPhysics(FactoredPhysics[CarState]):
 
 def started(sim: SimConfig, state: CarState, controls: jax.Array) -> CarDynamics:
     """Cars (...) at the start of a control step, its controls (..., 2) on their way."""
-    lines = send(sim, state.actuators.lines, controls)
-    actuators = dataclasses.replace(state.actuators, lines=lines)
+    actuators = state.actuators
+    if actuators.lines is not None:
+        from carpark_mj.vehicle.delay import send  # only they load it
+
+        lines = send(sim, actuators.lines, controls)
+        actuators = dataclasses.replace(actuators, lines=lines)
     return CarDynamics(state.qpos, state.qvel, state.tyres, actuators)
 
 

@@ -5,6 +5,7 @@ import io
 import os
 
 import jax
+import jax.numpy as jnp
 import mujoco
 
 from carpark_mj.config import SimConfig
@@ -16,6 +17,7 @@ from carpark_mj.physics.coordinates import (
     unpack_coordinates,
 )
 from carpark_mj.physics.forces import substep_forces
+from carpark_mj.physics.gravity import gravity_at
 from carpark_mj.vehicle.vehicle import Vehicle
 
 with contextlib.redirect_stdout(io.StringIO()):
@@ -72,9 +74,21 @@ class MjxStep:
         qfrc, ctrl, tyres, actuators = substep_forces(
             self.index, vehicle, car, controls, self.sim.sim_dt
         )
+        model = self.on_ramp(model, vehicle, car)
         return self.integrate(model, car, qfrc, ctrl)._replace(
             tyres=tyres, actuators=actuators
         )
+
+    def on_ramp(
+        self, model: mjx.Model, vehicle: Vehicle, car: CarDynamics
+    ) -> mjx.Model:
+        """The model with the gravity at one car's centre of gravity."""
+        if not self.sim.has_ramp:
+            return model
+        at = unpack_coordinates(self.index, car.qpos, car.qvel)
+        x = at.position[0] + at.rotation[0][0] * vehicle.cg[0]
+        gravity = jnp.stack(gravity_at(self.sim, x))
+        return model.tree_replace({"opt.gravity": gravity})
 
     def integrate(
         self, model: mjx.Model, car: CarDynamics, qfrc: jax.Array, ctrl: jax.Array

@@ -26,10 +26,11 @@ from carpark_mj.physics.coordinates import (
     unpacked_centre_pose,
 )
 from carpark_mj.physics.forces import drive_car
-from carpark_mj.physics.gravity import gravity_vector
+from carpark_mj.physics.gravity import gravity_at
 from carpark_mj.physics.kernel import on_cuda, run_in_kernel
 from carpark_mj.physics.masses import MassProperties, mass_properties
 from carpark_mj.physics.newton_euler import advance
+from carpark_mj.physics.vectors import Vector
 from carpark_mj.vehicle import mjcf
 from carpark_mj.vehicle.vehicle import Vehicle
 from carpark_mj.vehicle.wheel import Wheel, wheels_of
@@ -113,13 +114,20 @@ class UnrolledStep:
         return end, jnp.stack([jnp.stack(pose, -1) for pose in poses])
 
     def _substep(self, fixed: _Fixed, car: Car) -> Car:
-        dt, dtype = self._sim.sim_dt, car.coordinates.position[0].dtype
-        x, y, z = gravity_vector(self._sim)
-        gravity = jnp.asarray(x, dtype), jnp.asarray(y, dtype), jnp.asarray(z, dtype)
+        dt = self._sim.sim_dt
+        gravity = self._gravity(fixed, car)
         driven = drive_car(fixed.vehicle, fixed.wheels, car, fixed.pedals, dt)
         at, targets = car.coordinates, driven.steering_targets
         at = advance(fixed.masses, at, driven.forces, targets, gravity, dt)
         return Car(at, driven.tyres, driven.actuators)
+
+    def _gravity(self, fixed: _Fixed, car: Car) -> Vector:
+        """Gravity at the cars' centres of gravity [m/s^2]."""
+        at = car.coordinates
+        x = at.position[0]
+        if self._sim.has_ramp:
+            x = x + at.rotation[0][0] * fixed.masses.com[0]
+        return gravity_at(self._sim, x)
 
 
 def check_unrollable(model: mujoco.MjModel) -> None:

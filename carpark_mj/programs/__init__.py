@@ -20,6 +20,9 @@ COMMANDS = {
     "vehicles": Entry(
         "carpark_mj.cli.vehicles:main", "show a vehicle and its estimated parameters"
     ),
+    "identify": Entry(
+        "carpark_mj.cli.identify:main", "find a car's parameters in the log of a drive"
+    ),
     "oracle": Entry(
         "carpark_mj.cli.oracle:main", "say which agents of held-out lots can park"
     ),

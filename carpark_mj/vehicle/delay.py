@@ -36,10 +36,8 @@ class Lines(NamedTuple):
     pedal: Line | None
 
 
-def make_lines(sim: SimConfig, like: jax.Array) -> Lines | None:
-    """Lines on which zeros travel, for cars of the shape of `like`; None = no delay."""
-    if not (sim.steering_delay or sim.pedal_delay):
-        return None
+def make_lines(sim: SimConfig, like: jax.Array) -> Lines:
+    """Lines on which zeros travel, for cars of the shape of `like`."""
     zero = jnp.zeros_like(like)
 
     def line(delay: float) -> Line | None:
@@ -49,10 +47,8 @@ def make_lines(sim: SimConfig, like: jax.Array) -> Lines | None:
     return Lines(line(sim.steering_delay), line(sim.pedal_delay))
 
 
-def send(sim: SimConfig, lines: Lines | None, controls: jax.Array) -> Lines | None:
+def send(sim: SimConfig, lines: Lines, controls: jax.Array) -> Lines:
     """The lines at the start of a control step with its controls (..., 2)."""
-    if lines is None:
-        return None
 
     def sent(line: Line | None, command: jax.Array, delay: float) -> Line | None:
         if line is None:
@@ -67,10 +63,10 @@ def send(sim: SimConfig, lines: Lines | None, controls: jax.Array) -> Lines | No
 
 
 def receive(
-    lines: Lines | None,
+    lines: Lines,
     controls: tuple[jax.Array, jax.Array],
     dt: float | jax.Array,
-) -> tuple[Lines | None, tuple[jax.Array, jax.Array]]:
+) -> tuple[Lines, tuple[jax.Array, jax.Array]]:
     """What arrives in a substep.
 
     Args:
@@ -81,8 +77,6 @@ def receive(
     Returns:
         The lines at its end, and the steer and pedal (...) that act during it.
     """
-    if lines is None:
-        return None, controls
     after: list[Line | None] = []
     arrived: list[jax.Array] = []
     for line, control in zip(lines, controls, strict=True):

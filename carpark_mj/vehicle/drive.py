@@ -18,15 +18,17 @@ elementwise, for cars of any shape.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.geometry.gradients import finite_slope
-from carpark_mj.vehicle.delay import Lines, receive
 from carpark_mj.vehicle.vehicle import Vehicle
+
+if TYPE_CHECKING:  # only cars with delays load it
+    from carpark_mj.vehicle.delay import Lines
 
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
 HOLD_PEDAL = 0.05  # pedals smaller than this mean "no pedal"
@@ -58,7 +60,7 @@ class Actuators:
     steering: jax.Array
     drive: jax.Array
     hold: jax.Array
-    lines: Lines | None = None
+    lines: "Lines | None" = None
 
 
 class WheelTorques(NamedTuple):
@@ -291,7 +293,12 @@ def actuate(
         angles (...) of the left and right front wheels [rad]; the brake torque (...)
         of all wheels together [N m].
     """
-    lines, (steer, pedal) = receive(actuators.lines, controls, dt)
+    lines = actuators.lines
+    if lines is not None:
+        from carpark_mj.vehicle.delay import receive
+
+        lines, controls = receive(lines, controls, dt)
+    steer, pedal = controls
     steering = steer_towards(vehicle, actuators.steering, steer, dt)
     angles = ackermann(vehicle, steering + vehicle.steering_offset)
     actuators, brake = press_pedal(vehicle, actuators, pedal, speed, wheel_speed, dt)

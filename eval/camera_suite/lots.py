@@ -1,4 +1,4 @@
-"""Lots to look at: some cars, people and a cart in any layout."""
+"""Lots to look at: some cars, people and carts in any layout."""
 
 import dataclasses
 from typing import Any
@@ -7,33 +7,46 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj import EnvConfig, ParkingEnv
-from carpark_mj.config import LAYOUTS, GoalConfig, Mover
+from carpark_mj.config import LAYOUTS, GoalConfig, Mover, ObstacleKind, SpawnConfig
 from carpark_mj.layouts import BayKind, layout_config, make_layout
-from carpark_mj.obstacles import Boxes, Discs
+from carpark_mj.obstacles import Boxes, Discs, Group
 
+AT_RANDOM = SpawnConfig(close_ratio=0.0, conflict_ratio=0.0, reverse_ratio=0.0)
 AGENTS, PARKED_CARS, PEOPLE = 2, 8, 3
 
 
 @dataclasses.dataclass(frozen=True)
 class Bystanders(Mover):
-    """People and a cart that stand anywhere in the lot."""
+    """People who stand anywhere in the lot."""
 
     mover: str = "bystanders"
+    kind = ObstacleKind.PERSON
 
     def init(self, key: Any, layout: Any) -> jax.Array:
-        """Poses (people and a cart, 3)."""
+        """Poses (n, 3)."""
         far = jnp.append(layout.extent, jnp.pi)
-        return far * jax.random.uniform(key, (PEOPLE + 1, 3), minval=-1.0)
+        return far * jax.random.uniform(key, (PEOPLE, 3), minval=-1.0)
 
     def step(self, key: Any, state: Any, lot: Any, dt: float) -> jax.Array:
         """They stay."""
         del key, lot, dt
         return state
 
-    def obstacles(self, state: jax.Array) -> list[Boxes | Discs]:
-        """Discs and a box."""
-        people = Discs(state[:PEOPLE, :2], jnp.full(PEOPLE, 0.3))
-        return [people, Boxes(state[PEOPLE:], jnp.array([[1.2, 0.7]]))]
+    def obstacles(self, state: jax.Array) -> list[Group]:
+        """All of them."""
+        return [Discs(state[:, :2], jnp.full(PEOPLE, 0.3))]
+
+
+@dataclasses.dataclass(frozen=True)
+class Carts(Bystanders):
+    """As many carts."""
+
+    mover: str = "carts"
+    kind = ObstacleKind.MOVER
+
+    def obstacles(self, state: jax.Array) -> list[Group]:
+        """All of them."""
+        return [Boxes(state, jnp.broadcast_to(jnp.array([1.2, 0.7]), (PEOPLE, 2)))]
 
 
 def families() -> list[str]:
@@ -60,6 +73,7 @@ def environment(layout: str, people: bool = True, agents: int = AGENTS) -> Parki
             num_agents=agents,
             num_parked_cars=parked_cars,
             goals=GoalConfig(drive_out=exits),
-            movers=(Bystanders(),) if people else (),
+            spawn=AT_RANDOM if exits else SpawnConfig(),
+            movers=(Bystanders(), Carts()) if people else (),
         )
     )

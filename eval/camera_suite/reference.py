@@ -17,7 +17,7 @@ import numpy as np
 
 from carpark_mj import ParkingEnv
 from carpark_mj.cameras.rig import BODY, CABIN, Rig, Seen
-from carpark_mj.geometry.obstacles import Boxes
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.layouts.dimensions import GROUND_CLEARANCE
 from carpark_mj.layouts.types import Layout
 from carpark_mj.rendering.stage import Stage
@@ -246,7 +246,7 @@ def _owners(model: mujoco.MjModel) -> np.ndarray:
 
 def _kinds(model: mujoco.MjModel, layout: Layout, state: State) -> np.ndarray:
     """`Seen` (geoms,) by the names of MuJoCo's geoms and bodies."""
-    movers = [type(g) is Boxes for g in state.movers.groups for _ in range(g.count)]
+    movers = [group.kind for group in state.movers.groups for _ in range(group.count)]
     kinds = np.full(model.ngeom, int(Seen.FLOOR))
     for k in range(model.ngeom):
         name = model.geom(k).name
@@ -254,8 +254,8 @@ def _kinds(model: mujoco.MjModel, layout: Layout, state: State) -> np.ndarray:
         if root.startswith(("agent", "parked")):
             kinds[k] = Seen.CAR
         elif root.startswith("mover"):
-            box = movers[int(root.removeprefix("mover"))]
-            kinds[k] = Seen.CAR if box else Seen.PERSON
+            person = movers[int(root.removeprefix("mover"))] == ObstacleKind.PERSON
+            kinds[k] = Seen.PERSON if person else Seen.CAR
         elif name.startswith(("wall", "disc")):
             kinds[k] = Seen.WALL
         elif name.startswith(("bay", "lane")):

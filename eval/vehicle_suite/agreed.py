@@ -145,6 +145,7 @@ ABSENT = (
             "automatic creeping",
             "odometry, ",
             "wheel stop",
+            "ramp of",
         ),
         "contact",
         "The driver's law is the same on any tyres; it is driven on those of training.",

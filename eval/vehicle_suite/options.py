@@ -16,6 +16,7 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.kerbs import HEIGHT
 from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations.odometry import reckon
+from carpark_mj.physics.gravity import grade_at
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.types import Motion, Odometry
 from carpark_mj.vehicle import VehicleParameters, make_vehicle
@@ -202,5 +203,40 @@ def wheel_stop(
         found,
         float(expected),
         (0.4 * config.sim.trace_dt, "it stands at the last instant before the touch"),
+    )
+    return study
+
+
+def ramp(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
+    """A car coasts up a ramp, and drives on one that is longer than its way."""
+    study = Study(name, bed.tyres)
+    sim = SimConfig(ramp=(2.0, 3.0, 0.05))
+    coast = np.zeros((20 if quick else 24, 2))
+    driven = drive_option(sim, params, coast, speed=2.8)
+    # Of the centre of gravity, which is where the slope is.
+    ahead = params.cg_to_rear_axle - params.centre_offset
+    x = np.linspace(ahead, ahead + float(driven.pose_w[-1, 0]), 4001)
+    angle = np.arctan(np.asarray(grade_at(sim, jnp.array(x))))
+    climbed, pressed = np.trapezoid(np.sin(angle), x), np.trapezoid(np.cos(angle), x)
+    lost = climbed + params.tyre.rolling_resistance * pressed
+    expected = np.sqrt(2.8**2 - 2 * GRAVITY * params.mass / rolling_mass(params) * lost)
+    study.row(
+        "ramp of 5 %, coasting up from 2.8 m/s, speed above it",
+        "m_eff (v^2 - v0^2) / 2 = -m g (z + c_rr integral cos a)",
+        "m/s",
+        float(driven.speed[-1]),
+        float(expected),
+        relative(float(expected), 0.01),
+    )
+    controls = np.random.default_rng(0).uniform(-1.0, 1.0, (len(coast), 2))
+    wide = drive_option(SimConfig(ramp=(-99.0, 99.0, 0.1)), params, controls)
+    steady = drive_option(SimConfig(grade_x=0.1), params, controls)
+    study.row(
+        "ramp of 10 %, driving on it",
+        "the way on a slope",
+        "m",
+        float(np.abs(wide.pose_w[:, :2] - steady.pose_w[:, :2]).max()),
+        0.0,
+        1e-4,
     )
     return study

@@ -56,6 +56,7 @@ SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
         options.automatic,
         options.odometry,
         options.wheel_stop,
+        options.ramp,
     ),
     "contact": (*COMMON, handling.rolling_turns, contact_engines, suspension),
 }

@@ -23,6 +23,7 @@ from carpark_mj.cameras import (
     noisy_depth,
     see,
 )
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.layouts import WallKind
 
@@ -94,7 +95,7 @@ def test_everything_has_its_own_look():
         wall_size=[(1.0, 30.0), (0.5, 2.0)],
     )
     kinds = jnp.array([WallKind.WALL, WallKind.KERB], jnp.int32)
-    people = Discs(jnp.array([[6.0, 0.0]]), jnp.array([0.3]))
+    people = Discs(jnp.array([[6.0, 0.0]]), jnp.array([0.3]), kind=ObstacleKind.PERSON)
     there = Movers((None,), ((people,),))
     seen = look(
         rig,

@@ -194,6 +194,7 @@ def check(study: Study) -> None:
         options.automatic,
         options.odometry,
         options.wheel_stop,
+        options.ramp,
     ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )

@@ -113,6 +113,50 @@ def lanelet2(bays=BAYS):
     return text.replace("</osm>", lane)
 
 
+def commonroad(bays=BAYS):
+    """A scenario whose goals are the bays; a car starts in the lane for each."""
+    turn = np.array(
+        [[math.cos(TURN), math.sin(TURN)], [-math.sin(TURN), math.cos(TURN)]]
+    )
+
+    def points(line):
+        rows = np.array(line, float) @ turn + (3000.0, -500.0)
+        return "".join(
+            f"<point><x>{x!r}</x><y>{y!r}</y></point>" for x, y in rows.tolist()
+        )
+
+    def state(at, yaw):
+        return (
+            f"<initialState><position>{points([at])}</position><orientation>"
+            f"<exact>{yaw + TURN}</exact></orientation></initialState>"
+        )
+
+    def wall(number, box):
+        (left, low), (right, high) = box[0], box[2]
+        middle = (left + right) / 2, (low + high) / 2
+        return (
+            f"<staticObstacle id='{number}'><type>building</type><shape><rectangle>"
+            f"<length>{high - low}</length><width>{right - left}</width></rectangle>"
+            f"</shape>{state(middle, math.pi / 2)}</staticObstacle>"
+        )
+
+    half = LANE_WIDTH / 2
+    lane = (
+        f"<lanelet id='1'><leftBound>{points([(17, -half), (-2, -half)])}</leftBound>"
+        f"<rightBound>{points([(17, half), (-2, half)])}</rightBound></lanelet>"
+    )
+    problems = "".join(
+        f"<planningProblem id='{10 + k}'>{state((2 + 2 * k, 0), math.pi)}<goalState>"
+        f"<position><polygon>{points(bay[:-1])}</polygon></position></goalState>"
+        "</planningProblem>"
+        for k, bay in enumerate(bays)
+    )
+    return (
+        f"<commonRoad commonRoadVersion='2020a'>{lane}{wall(2, WALL)}{wall(3, FAR)}"
+        f"<power/>{problems}</commonRoad>"
+    )
+
+
 def geojson(bays=BAYS):
     def feature(kind, points, **properties):
         places = geographic(points)
@@ -169,6 +213,7 @@ def dxf(bays=BAYS, units=4):
 TEXTS = {
     "lanelet2.osm": lanelet2,
     "openstreetmap.osm": openstreetmap,
+    "commonroad.xml": commonroad,
     "lot.geojson": lambda bays=BAYS: json.dumps(geojson(bays)),
     "lot.dxf": dxf,
 }
@@ -227,12 +272,54 @@ def test_a_projected_system_gives_the_same_lot(tmp_path):
     assert np.allclose(one.bay_pose, other.bay_pose, atol=1e-2)
 
 
+def test_cars_of_a_scenario_start_in_their_headings(tmp_path):
+    lot, _ = import_map(write(tmp_path, "commonroad.xml", commonroad()))
+    [lane] = np.asarray(lot.lane_pose)
+    starts = np.asarray(lot.spawn_pose)
+    assert len(starts) == COUNT + 1  # and the lane
+    assert np.allclose(np.cos(starts[:, 2] - lane[2]), 1.0, atol=1e-3)
+
+
+def test_the_shapes_of_a_scenario_keep_their_kinds(tmp_path):
+    # Beside the lane, whose line is y = 0 of the drawing.
+    x, y = 3000.0 + 3.3 * math.sin(TURN), -500.0 - 3.3 * math.cos(TURN)
+    pillar = (
+        f"<staticObstacle id='7'><type>pillar</type><shape><circle><radius>0.3</radius>"
+        "<center><x>1</x><y>0</y></center></circle></shape><initialState><position>"
+        f"<point><x>{x}</x><y>{y}</y></point></position><orientation><intervalStart>"
+        "0.5</intervalStart><intervalEnd>0.7</intervalEnd></orientation></initialState>"
+        "</staticObstacle></commonRoad>"
+    )
+    text = commonroad().replace("</commonRoad>", pillar)
+    both_ways = "</rightBound><userBidirectional>car</userBidirectional>"
+    text = text.replace("</rightBound>", both_ways)
+    lot, _ = import_map(write(tmp_path, "commonroad.xml", text))
+    assert not lot.lane_one_way.any()
+    assert np.asarray(lot.disc_radius)[lot.disc_mask] == pytest.approx(0.3, rel=0.02)
+    [lane], [disc] = np.asarray(lot.lane_pose), np.asarray(lot.disc_centre)
+    away = disc - lane[:2]
+    across = away[1] * np.cos(lane[2]) - away[0] * np.sin(lane[2])
+    assert abs(across) == pytest.approx(3.3, abs=0.01)
+
+
 BROKEN = {
     "no XML": ("a.osm", "<osm><node", "not XML"),
     "entities": ("a.osm", "<!DOCTYPE osm><osm/>", "document type"),
     "another root": ("a.osm", "<svg/>", "outermost"),
     "no node": ("a.osm", "<osm/>", "no node"),
     "no place": ("a.osm", "<osm><node id='1' lat='x' lon='2'/></osm>", "node 1"),
+    "no number": (
+        "a.xml",
+        "<commonRoad><lanelet><leftBound><point><x>1</x></point></leftBound></lanelet>"
+        "</commonRoad>",
+        "y must be a number within",
+    ),
+    "a far scenario": (
+        "a.xml",
+        commonroad([*BAYS, rectangle(2500, 0, 2505, 2)]),
+        "at most 2 km",
+    ),
+    "no scenario": ("a.xml", "<commonRoad/>", "no parking spot"),
     "no spot": ("a.osm", openstreetmap([]), "no parking spot"),
     "no lane": (
         "a.osm",

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -50,13 +51,18 @@ def made(was, now, stats=None, hit=False):
     )
 
 
+@jax.jit
+def update(step):
+    return update_stats(CONFIG, step, no_terms(CONFIG))
+
+
 def episode(*instants, hit=False):
     """Tallies of an episode through gaps and speeds."""
     stats = init_stats(CONFIG, LOT)
     for k, (was, now) in enumerate(itertools.pairwise(instants)):
         last = k == len(instants) - 2
         step = made(was, now, stats, hit and last)
-        stats = update_stats(CONFIG, step, no_terms(CONFIG))
+        stats = update(step)
     return {name: float(stats.tallies[name][0]) for name in METRICS}
 
 

@@ -1,23 +1,28 @@
 """People in a lot: who they are, where they walk, and that cars can stop for them."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from helpers.scenes import cars, polygons
-from helpers.states import parked_in, state_of
+from helpers.states import parked_at, state_of
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.obstacles import ObstacleKind, hit_kinds, make_movers
-from carpark_mj.geometry import box_disc_overlap, boxes_overlap, rotate
-from carpark_mj.layouts import make_layout
+from carpark_mj.geometry import box_disc_overlap, move_forward, rotate
+from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Pedestrians
 from carpark_mj.movers.stopping import stopping_zones
 
 LOT = make_layout("square")
-DT, STEPS, LOTS = 0.2, 400, 24
+DT, STEPS, LOTS = 0.2, 300, 12
+FAMILIES: Any = layout_config("mixture")
+MANY = jax.vmap(FAMILIES.generate)(jax.random.split(jax.random.key(0), LOTS))
+THIRD = jnp.arange(MANY.num_bays) % 3 == 0  # of the bays hold parked cars
 BRAKES, DRIVES, STANDS = range(3)
 PEOPLE = Pedestrians(number=15, children=0.4, attention=0.3)
 
@@ -26,17 +31,20 @@ PEOPLE = Pedestrians(number=15, children=0.4, attention=0.3)
 def drive():
     """Rolls out lots of people with two cars that brake for them, or do not."""
     half = jnp.array([2.0, 0.9])
-    parked = parked_in(LOT, jnp.arange(0, 36, 3))
 
-    def state(pose, speed, turn):
+    def state(layout, pose, speed, turn):
+        parked = parked_at(layout.bay_pose, 2 * half, layout.bay_mask & THIRD)
         motion = cars(pose, speed=speed, yaw_rate=turn * speed, size=2 * half)
-        return state_of(LOT, motion, 0, parked_cars=parked)
+        return state_of(layout, motion, 0, parked_cars=parked)
 
-    def one(key, mode):
+    def one(layout, key, mode):
+        first = layout.spawn_pose[0]
+        start = jnp.stack([move_forward(first, x) for x in (-3.0, 3.0)])
+
         def step(carry, key):
             people, pose, speed, turn = carry
             keys = jax.random.split(key, 4)
-            before = state(pose, speed, turn)
+            before = state(layout, pose, speed, turn)
             zones = stopping_zones(before, DT)
             near = zones.hold(zones.local(people.xy), people.radius[:, None])
             brakes = (mode == BRAKES) & (near & people.present[:, None]).any(axis=0)
@@ -65,23 +73,21 @@ def drive():
             hit = (hit & people.present).any(axis=(0, 2))
             # Cars that leave the aisles, or have hit somebody, begin anew, at rest.
             after = trace[-1]
-            out = (jnp.abs(after[:, :2]) > 13.0).any(axis=-1) | hit
-            start = jnp.array([[-6.0, 6.0, 0.5], [6.0, -6.0, 3.5]])
+            out = (jnp.abs(after[:, :2]) > layout.extent - 2.0).any(axis=-1) | hit
             free = box_disc_overlap(start[:, None], 2 * half, walked.xy, walked.radius)
-            start = jnp.where(free.any(axis=1)[:, None], start + 100.0, start)
-            after = jnp.where(out[:, None], start, after)
+            taken = free.any(axis=1)[:, None]
+            after = jnp.where(out[:, None], start + 100.0 * taken, after)
             faster = jnp.where(out, 0.0, faster)
             return (walked, after, faster, bend), (walked, hit, jnp.abs(speed))
 
-        people = PEOPLE.init(key, LOT)
-        pose = jnp.array([[-6.0, 6.0, 0.5], [6.0, -6.0, 3.5]])
-        begin = people, pose, jnp.zeros(2), jnp.zeros(2)
+        people = PEOPLE.init(key, layout)
+        begin = people, start + 100.0, jnp.zeros(2), jnp.zeros(2)
         keys = jax.random.split(key, STEPS)
         return jax.lax.scan(step, begin, keys)[1]
 
-    run = jax.jit(jax.vmap(one, (0, None)))
+    run = jax.jit(jax.vmap(one, (0, 0, None)))
     keys = jax.random.split(jax.random.key(1), LOTS)
-    return [jax.device_get(run(keys, mode)) for mode in range(3)]
+    return [jax.device_get(run(MANY, keys, mode)) for mode in range(3)]
 
 
 def test_a_car_that_brakes_for_who_is_near_hits_nobody_and_one_that_does_not_does(
@@ -91,25 +97,24 @@ def test_a_car_that_brakes_for_who_is_near_hits_nobody_and_one_that_does_not_doe
     assert hits[BRAKES] == 0
     assert hits[STANDS] == 0  # nobody walks into a standing car
     assert hits[DRIVES] > 50
-    assert (drive[BRAKES][2] > 1.0).mean() > 0.2  # it drives for all that
+    assert (drive[BRAKES][2] > 1.0).mean() > 0.05  # it drives for all that
 
 
 def test_people_walk_everywhere_but_never_through_walls(drive):
-    walls = polygons(LOT.wall_pose, LOT.wall_size)
     for people, _, _ in drive:
         assert np.isfinite(people.xy).all()
         x, y = people.xy[..., 0], people.xy[..., 1]
-        assert (np.abs(people.xy) < LOT.extent).all()
-        import shapely
-
-        for wall in walls:
-            assert not shapely.contains_xy(wall, x[:, ::5], y[:, ::5]).any()
+        assert (np.abs(people.xy) < MANY.extent[:, None, None]).all()
+        for k in range(LOTS):
+            walls = polygons(MANY.wall_pose[k], MANY.wall_size[k])
+            for wall in walls[np.asarray(MANY.wall_mask[k])]:
+                assert not shapely.contains_xy(wall, x[k, ::5], y[k, ::5]).any()
         assert {*np.unique(people.phase)} == {0, 1, 2, 3}
         speed = np.linalg.norm(people.velocity, axis=-1)
         assert 0.8 < np.median(speed[people.phase == 2]) < 1.9
 
 
-def test_masks_hide_who_is_not_there(drive):
+def test_density_and_shares_are_those_asked_for(drive):
     several = dataclasses.replace(PEOPLE, number=20, density=(0.1, 0.9))
     make = jax.jit(jax.vmap(lambda key: several.init(key, LOT)))
     people = make(jax.random.split(jax.random.key(0), 200))
@@ -127,15 +132,11 @@ def test_masks_hide_who_is_not_there(drive):
     np.testing.assert_array_equal(lead, walked.leader[:, 0])
 
 
-def test_they_begin_where_no_car_stands_or_can_be_hit_by_one(drive):
-    del drive
+def test_they_begin_in_the_aisles():
     people = PEOPLE.init(jax.random.key(3), LOT)
     bays = box_disc_overlap(LOT.bay_pose, LOT.bay_size, people.xy[:, None], 0.35)
-    alone = people.leader == jnp.arange(15)
+    alone = people.leader == jnp.arange(PEOPLE.number)
     assert not bays[alone].any()
-    assert not boxes_overlap(
-        LOT.bay_pose, LOT.bay_size, LOT.wall_pose[0], LOT.wall_size[0]
-    ).all()
 
 
 REFUSED = {

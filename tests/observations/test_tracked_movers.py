@@ -80,7 +80,7 @@ def test_what_stands_behind_a_car_or_a_wall_is_hidden_if_sight_is_asked_for():
     hiding = {"walls": [(0.0, 4.0, 0.0)], "parked": [(5.0, 0.0, 1.0)]}
     assert places(see(4, **hiding)) == [(0, 3), (6, 0), (0, -8), (0, 9)]
     assert places(see(4, True, **hiding)) == [(0, 3), (0, 9)]
-    assert places(see(1, True, walls=[(-1.5, 0.0, 0.0)])) == [(6, 0)]
+    assert places(see(1, in_sight=True, walls=[(-1.5, 0.0, 0.0)])) == [(6, 0)]
     assert places(see(4, True)) == places(see(4))
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.drives import (
@@ -25,7 +26,7 @@ from helpers.drives import (
 from helpers.oracle import CCar
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.gravity import gravity_vector
+from carpark_mj.physics.gravity import grade_at, gravity_at, gravity_vector
 from carpark_mj.vehicle import COMPACT
 from carpark_mj.vehicle.parameters import GRAVITY
 
@@ -146,6 +147,28 @@ def test_gravity_on_a_slope_keeps_its_size_and_points_downhill():
     assert gravity[:2] / gravity[2] == pytest.approx([0.2, 0.0], rel=1e-12)
     assert gravity[0] < 0
     assert gravity_vector(SimConfig()) == (0.0, 0.0, -GRAVITY)
+
+
+def test_a_ramp_is_a_slope_between_its_ends_and_begins_over_three_metres():
+    sim = SimConfig(grade_x=0.02, ramp=(10.0, 20.0, 0.1))
+    for x, grade in [
+        (0.0, 0.02),
+        (7.0, 0.02),
+        (8.5, 0.07),  # halfway
+        (10.0, 0.12),
+        (20.0, 0.12),
+        (22.0, 0.02 + 0.1 / 3),
+        (23.0, 0.02),
+    ]:
+        assert float(grade_at(sim, jnp.float32(x))) == pytest.approx(grade, abs=1e-6)
+        seen = [float(g) for g in gravity_at(sim, jnp.float32(x))]
+        steady = gravity_vector(SimConfig(grade_x=grade))
+        assert seen == pytest.approx(steady, abs=1e-5)
+    assert sim.steepest == pytest.approx(0.12)
+    down = SimConfig(grade_x=0.02, ramp=(10.0, 20.0, -0.1))
+    assert down.steepest == pytest.approx(0.08)
+    plain = gravity_at(SimConfig(grade_x=0.05), jnp.zeros(3))
+    assert np.shape(plain) == (3,)  # constants where there is none
 
 
 @pytest.fixture(scope="module")

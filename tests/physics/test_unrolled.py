@@ -66,8 +66,8 @@ def drive(stepper: str, x64: bool, **ground) -> np.ndarray:
         pytest.param(
             True,
             1e-11,
-            {"surface": "ice", "grade_x": 0.1},
-            id="float64-ice-slope",
+            {"surface": "ice", "grade_x": 0.1, "ramp": (-0.5, 0.5, 0.05)},
+            id="float64-ice-slope-ramp",
         ),
     ],
 )

@@ -17,7 +17,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from carpark_mj.config import insert, is_data
 from carpark_mj.evaluation.keys import training_key
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.learner import Learner, without_input
+from carpark_mj.training.ppo.learner import COMPILER_OPTIONS, Learner, without_input
 from carpark_mj.training.ppo.state import AXIS, TrainingState, state_specs
 from carpark_mj.training.settings import list_settings
 from carpark_mj.wrappers.brax import BraxParking
@@ -138,7 +138,12 @@ class GroupLearner(Learner):
             check_vma=False,
         )
         placed = (self._shardings(), NamedSharding(self.mesh, runs))
-        jitted = jax.jit(update, donate_argnums=0, out_shardings=placed)
+        jitted = jax.jit(
+            update,
+            donate_argnums=0,
+            out_shardings=placed,
+            compiler_options=COMPILER_OPTIONS,
+        )
         return lambda state: jitted(state, self.data)
 
     def _update_run(

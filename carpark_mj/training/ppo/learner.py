@@ -41,6 +41,10 @@ from carpark_mj.training.ppo.state import AXIS, TrainingState, no_steps, state_s
 from carpark_mj.training.ppo.variants import variant
 from carpark_mj.wrappers.brax import BraxParking
 
+# On a GPU XLA would try every fusion with a reduction as a Triton kernel, too, and that
+# of the rays of 8,192 lots compiles for minutes.
+COMPILER_OPTIONS = {"xla_gpu_experimental_enable_fusion_autotuner": False}
+
 
 def num_devices(config: PPOConfig) -> int:
     """The most devices that lots and minibatches divide over evenly.
@@ -111,7 +115,7 @@ class Learner:
     @functools.cached_property
     def _jitted_build(self) -> Callable[[], TrainingState]:
         """`build`, traced once for the shapes and the state."""
-        return jax.jit(self.build)
+        return jax.jit(self.build, compiler_options=COMPILER_OPTIONS)
 
     def begin(self, key: jax.Array) -> TrainingState:
         """The state of a run with this key before the first update (pure)."""
@@ -207,7 +211,12 @@ class Learner:
         # Also given for the results; otherwise on one device JAX treats some lots as
         # replicated and recompiles for the second update.
         placed = (self._shardings(), self._whole)
-        return jax.jit(update, donate_argnums=0, out_shardings=placed)
+        return jax.jit(
+            update,
+            donate_argnums=0,
+            out_shardings=placed,
+            compiler_options=COMPILER_OPTIONS,
+        )
 
     def update(
         self, state: TrainingState

@@ -300,6 +300,10 @@ def test_impossible_grids_and_grounds_are_refused_in_a_sentence():
         ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(pedal_delay=0.1)))
     with pytest.raises(ValueError, match=r"creep must stay 0.0, not 0.4"):
         ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(creep=0.4)))
+    with pytest.raises(ValueError, match=r"ramp must stay \(0.0, 0.0, 0.0\), not"):
+        ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(ramp=(0.0, 9.0, 0.1))))
+    with pytest.raises(ValueError, match=r"scene physics has one gravity .* not 0.1"):
+        EnvConfig(physics="scene", sim=SimConfig(ramp=(0.0, 9.0, 0.1)))
     with pytest.raises(ValueError, match=r"kerb_speed needs .* bicycle, not grid"):
         ParkingEnv(EnvConfig(physics="grid", episode=EpisodeConfig(kerb_speed=0.5)))
     with pytest.raises(ValueError, match="unknown environment 'tokyo'; choose from"):

@@ -1,0 +1,103 @@
+"""Observations with pictures: the default encoder's vector and what cameras see.
+
+In a vector a picture is a row of numbers; Gymnasium's adapters give it its shape again.
+"""
+
+import dataclasses
+import functools
+import math
+from typing import Literal
+
+import jax
+
+from carpark_mj.cameras.blocks import Heights
+from carpark_mj.cameras.rig import RIGS, Rig, Seen
+from carpark_mj.cameras.see import see
+from carpark_mj.config import ENCODERS, EnvConfig
+from carpark_mj.config.checks import require_name
+from carpark_mj.observations import ContinuousObservation, Field, Part, Sight
+from carpark_mj.vehicle import preset
+
+Channel = Literal["depth", "seen"]
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraObservation(ContinuousObservation):
+    """What the default encoder observes, and pictures of the car's cameras.
+
+    Cars are as tall as the presets that the environment's config names.
+
+    Attributes:
+        rig: name of the cameras in `RIGS`.
+        width: of a picture [pixels].
+        height: of a picture [pixels].
+        channels: what of the pictures.
+    """
+
+    rig: str = "surround"
+    width: int = 64
+    height: int = 48
+    channels: tuple[Channel, ...] = ("depth", "seen")
+    encoding: str = "cameras"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_name("camera rig", self.rig, RIGS)
+        _ = self.cameras  # refuses pictures without pixels
+        if not self.channels or len({*self.channels}) < len(self.channels):
+            raise ValueError(
+                f"channels must be one or both of depth and seen, not {self.channels}"
+            )
+
+    @functools.cached_property
+    def cameras(self) -> Rig:
+        """The rig at the resolution of the pictures."""
+        return dataclasses.replace(RIGS[self.rig], width=self.width, height=self.height)
+
+    def parts(self, env: EnvConfig) -> list[Part]:
+        """Those of the default encoder, and the pictures."""
+        rig = self.cameras
+        shape = (len(rig.cameras), rig.height, rig.width)
+        size = math.prod(shape)
+        fields = {
+            "depth": Field(
+                "camera_depth",
+                size,
+                0.0,
+                1.0,
+                f"distance along the pixels' rays [{rig.reach:g} m]",
+                shape=shape,
+            ),
+            "seen": Field(
+                "camera_seen",
+                size,
+                0.0,
+                float(max(Seen)),
+                "what the pixels show, `Seen`",
+                shape=shape,
+            ),
+        }
+        heights = _heights(env)
+
+        def fill(sight: Sight) -> dict[str, jax.Array]:
+            pictures = see(rig, sight.state, heights)
+            values = {"depth": pictures.depth / rig.reach, "seen": pictures.seen}
+            count = sight.motion.size.shape[0]
+            return {
+                f"camera_{name}": values[name][:count].reshape(count, size)
+                for name in self.channels
+            }
+
+        pictured = tuple(fields[name] for name in self.channels)
+        return [*super().parts(env), Part(pictured, fill)]
+
+
+def _heights(env: EnvConfig) -> Heights:
+    """Those of the presets that a config names."""
+    fleet = env.fleet
+    kinds = [fleet.agents or (env.vehicle,), fleet.parked_cars or (env.vehicle,)]
+    cars = [[preset(name) for name in names] for names in kinds]
+    return Heights(*(tuple(car.height / car.length for car in each) for each in cars))
+
+
+ENCODERS.register("cameras", CameraObservation)

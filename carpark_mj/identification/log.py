@@ -1,0 +1,199 @@
+"""Logs of test drives: a table of commands and of the motion that followed."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+
+from carpark_mj.reading import CsvRow, read_csv
+
+_DEGREE = math.pi / 180
+# Columns of a log: the quantity, and the column's unit in SI.
+COLUMNS = {
+    "time": ("time", 1.0),
+    "time_ms": ("time", 1e-3),
+    "steering_wheel": ("steering_wheel", 1.0),
+    "steering_wheel_deg": ("steering_wheel", _DEGREE),
+    "steering": ("steering", 1.0),
+    "steering_deg": ("steering", _DEGREE),
+    "pedal": ("pedal", 1.0),
+    "acceleration": ("acceleration", 1.0),
+    "x": ("x", 1.0),
+    "y": ("y", 1.0),
+    "yaw": ("yaw", 1.0),
+    "yaw_deg": ("yaw", _DEGREE),
+    "speed": ("speed", 1.0),
+    "speed_kmh": ("speed", 1 / 3.6),
+    "yaw_rate": ("yaw_rate", 1.0),
+    "yaw_rate_deg": ("yaw_rate", _DEGREE),
+}
+POSE, RATES = ("x", "y", "yaw"), ("speed", "yaw_rate")
+STEERING, PEDAL = ("steering_wheel", "steering"), ("pedal", "acceleration")
+LARGEST = {
+    "steering_wheel": (30.0, "rad"),
+    "steering": (1.2, "rad"),
+    "pedal": (1.0, ""),
+    "acceleration": (15.0, "m/s^2"),
+    "yaw": (1000.0, "rad"),
+    "yaw_rate": (10.0, "rad/s"),
+}
+SHORTEST, LONGEST = 10.0, 300.0  # s
+SLOWEST, FASTEST = 0.5, 60.0  # m/s, the top speed of a drive; poses may not jump
+WIDEST_GAP = 0.25  # s between rows, for commands are interpolated
+
+
+@dataclasses.dataclass(frozen=True)
+class DriveLog:
+    """A test drive in SI units.
+
+    Attributes:
+        time: (n,) increasing [s].
+        steering: (n,) angle of the steering wheel or of the road wheels [rad].
+        pedal: (n,) pedal in [-1, 1], or acceleration asked for [m/s^2].
+        names: of these two columns, of `STEERING` and of `PEDAL`.
+        measured: (n,) by quantity, those of `POSE`, of `RATES` or of both; NaN in rows
+            without a measurement.
+        ignored: names of unknown columns.
+    """
+
+    time: np.ndarray
+    steering: np.ndarray
+    pedal: np.ndarray
+    names: tuple[str, str]
+    measured: dict[str, np.ndarray]
+    ignored: tuple[str, ...] = ()
+
+    @property
+    def speed(self) -> np.ndarray:
+        """(n,) forward speed [m/s], from the poses where it is not measured."""
+        if "speed" in self.measured:
+            return _filled(self.time, self.measured["speed"])
+        x, y, yaw = (_filled(self.time, self.measured[name]) for name in POSE)
+        # Over half a second, so that the noise of positions counts little.
+        early = np.clip(self.time - 0.25, self.time[0], self.time[-1] - 0.5)
+        moved = [
+            np.interp(early + 0.5, self.time, p) - np.interp(early, self.time, p)
+            for p in (x, y)
+        ]
+        return (moved[0] * np.cos(yaw) + moved[1] * np.sin(yaw)) / 0.5
+
+    def at(self, name: str, time: np.ndarray) -> np.ndarray:
+        """A measured quantity at times [s], by interpolation."""
+        return np.interp(time, self.time, _filled(self.time, self.measured[name]))
+
+
+def _filled(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    there = np.isfinite(values)
+    return np.interp(time, time[there], values[there])
+
+
+def read_log(path: Path) -> DriveLog:
+    """Reads the log of a test drive; see `COLUMNS`.
+
+    Raises:
+        ValueError: a column is missing, given twice in two units, or of impossible
+            values.
+        OSError: the file cannot be read.
+    """
+    rows = read_csv(path)
+    if not rows:
+        raise ValueError(f"{path} has no rows")
+    names = [name.strip() for name in rows[0].cells]
+    known = {name.strip(): name for name in rows[0].cells if name.strip() in COLUMNS}
+    of = _quantities([*known], path)
+    missing = [
+        " or ".join(choice)
+        for choice in (("time",), STEERING, PEDAL)
+        if not {*choice} & {*of}
+    ]
+    seen = [group for group in (POSE, RATES) if {*group} <= {*of}]
+    if not seen:
+        missing.append("x, y and yaw or speed and yaw_rate")
+    if missing:
+        raise ValueError(f"{path} lacks the columns {'; '.join(missing)}")
+    for choice in (STEERING, PEDAL):
+        if {*choice} <= {*of}:
+            raise ValueError(
+                f"{path} has {' and '.join(choice)}: leave one of them out"
+            )
+    values = {
+        quantity: np.array([_value(row, known[name], quantity) for row in rows])
+        * COLUMNS[name][1]
+        for quantity, name in of.items()
+    }
+    steering, pedal = (
+        next(name for name in choice if name in of) for choice in (STEERING, PEDAL)
+    )
+    measured = {name: values[name] for group in seen for name in group}
+    if "yaw" in measured:
+        there = np.isfinite(measured["yaw"])
+        measured["yaw"][there] = np.unwrap(measured["yaw"][there])
+    log = DriveLog(
+        values["time"],
+        values[steering],
+        values[pedal],
+        (steering, pedal),
+        measured,
+        tuple(name for name in names if name not in COLUMNS),
+    )
+    _check(path, log, values)
+    return log
+
+
+def _quantities(names: list[str], path: Path) -> dict[str, str]:
+    """The columns by quantity."""
+    of: dict[str, str] = {}
+    for name in names:
+        quantity = COLUMNS[name][0]
+        if quantity in of:
+            raise ValueError(
+                f"{path} has {of[quantity]} and {name}: leave one of them out"
+            )
+        of[quantity] = name
+    return of
+
+
+def _value(row: CsvRow, column: str, quantity: str) -> float:
+    """A cell; those of the motion may be empty."""
+    if quantity in (*POSE, *RATES) and not row.cells[column].strip():
+        return math.nan
+    value = row.number(column)
+    if not math.isfinite(value):
+        raise ValueError(f"{row.place}: {column} must be finite, not {value}")
+    return value
+
+
+def _check(path: Path, log: DriveLog, values: dict[str, np.ndarray]) -> None:
+    steps = np.diff(log.time)
+    if not (steps > 0).all():
+        row = int(np.argmin(steps > 0))
+        raise ValueError(
+            f"{path}: time must increase from row to row, not go from "
+            f"{log.time[row]:g} to {log.time[row + 1]:g} s"
+        )
+    lasts = log.time[-1] - log.time[0]
+    if not SHORTEST <= lasts <= LONGEST:
+        raise ValueError(
+            f"{path}: the drive must last {SHORTEST:g} to {LONGEST:g} s, not {lasts:g}"
+        )
+    if steps.max() > WIDEST_GAP:
+        raise ValueError(
+            f"{path}: rows must be at most {WIDEST_GAP:g} s apart, not "
+            f"{steps.max():g}, after {log.time[steps.argmax()]:g} s"
+        )
+    for name, (most, unit) in LARGEST.items():
+        if name in values and np.nanmax(np.abs(values[name]), initial=0.0) > most:
+            raise ValueError(
+                f"{path}: {name} must lie within ±{most:g} {unit}".rstrip()
+                + f", not reach {np.nanmax(np.abs(values[name])):g}"
+            )
+    for name, column in log.measured.items():
+        if np.isfinite(column).sum() < 2 * lasts:
+            raise ValueError(f"{path}: {name} must have at least 2 values per second")
+    speed = np.abs(log.speed)
+    if not SLOWEST <= speed.max() <= FASTEST:
+        raise ValueError(
+            f"{path}: the car must reach {SLOWEST:g} to {FASTEST:g} m/s, not "
+            f"{speed.max():.3g} (at {log.time[speed.argmax()]:g} s)"
+        )

@@ -1,0 +1,333 @@
+"""Simulates a test drive in pieces, for many cars that differ in what is sought.
+
+A piece begins `WARM_UP` before its measurements, with the steering where the log has
+it, in a steady turn. Its start is sought too, so that errors do not add up over the
+drive: noise of the pedal, a slope, wind. Pieces begin where the car is fast, for what
+brakes and drive do next to standstill depends on how it came there.
+"""
+
+import dataclasses
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.identification.log import POSE, RATES, DriveLog
+from carpark_mj.physics.coordinates import Car, Coordinates
+from carpark_mj.physics.forces import drive_car
+from carpark_mj.physics.masses import mass_properties
+from carpark_mj.physics.newton_euler import advance
+from carpark_mj.physics.tyres import TyreState
+from carpark_mj.vehicle import drive
+from carpark_mj.vehicle.mjcf import WHEELS
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from carpark_mj.vehicle.vehicle import Vehicle, make_vehicle
+from carpark_mj.vehicle.wheel import wheels_of
+
+SIM_DT = 0.0025  # s; at 0.01 the tyres would seem a tenth softer than they are
+WARM_UP = 1.0  # s, in which tyres and brakes forget how they began
+PIECE = 5.0  # s
+MOST_PIECES = 40
+STOP = 1.0  # rad, the steering's of a car whose steering wheel is measured
+REST = 0.15  # m/s, what is slower at the beginning of a piece stands
+FREE = 1e3  # m/s or rad/s, beyond every limit
+
+
+class Sought(NamedTuple):
+    """What a log is to tell: numbers, or arrays of one shape.
+
+    Attributes:
+        steering_delay: from the log's steering to the wheels' servo [s].
+        pedal_delay: from the log's pedal to drive and brake [s].
+        steering_ratio: the log's steering angle over that of the road wheels.
+        steering_offset: angle of the road wheels where the log has 0 [rad].
+        cornering_stiffness: of the tyres, per load [1/rad].
+        max_acceleration: drive at full pedal [m/s^2].
+        max_deceleration: brake at full pedal [m/s^2].
+    """
+
+    steering_delay: Any
+    pedal_delay: Any
+    steering_ratio: Any
+    steering_offset: Any
+    cornering_stiffness: Any
+    max_acceleration: Any
+    max_deceleration: Any
+
+
+class Recording(NamedTuple):
+    """A log in pieces, as the simulation needs it.
+
+    Attributes:
+        time: (n,) of the commands [s].
+        steering: (n,) [rad].
+        pedal: (n,) in [-1, 1].
+        begin: (pieces,) when the simulation of a piece begins [s].
+        piece: (n,) of a row, for its measurements.
+        moment: (n,) of that row, after the piece began [s].
+    """
+
+    time: np.ndarray
+    steering: np.ndarray
+    pedal: np.ndarray
+    begin: np.ndarray
+    piece: np.ndarray
+    moment: np.ndarray
+
+
+class Replay:
+    """Simulates the cars of a log.
+
+    Attributes:
+        log: the log.
+        recording: the log in pieces.
+        measured: (channels, n) in the order of `channels`; NaN where nothing is.
+        channels: names of the quantities measured.
+        own: what is sought, as the vehicle has it.
+        starts: (pieces, 4) x, y, yaw and speed with which the pieces begin, by the log.
+    """
+
+    def __init__(
+        self,
+        log: DriveLog,
+        params: VehicleParameters,
+        ahead: float,
+        sim_dt: float = SIM_DT,
+    ) -> None:
+        """Cuts the log.
+
+        Args:
+            log: the log.
+            params: the vehicle where the log does not tell it.
+            ahead: of the rear axle, the point whose positions are in the log [m].
+            sim_dt: substep [s].
+        """
+        self.log = log
+        self.channels = tuple(n for n in (*POSE, *RATES) if n in log.measured)
+        wheel, full = log.names[0] == "steering_wheel", _full(log, params)
+        self._vehicle = _test_car(params, wheel)
+        self.own = Sought(
+            *(0.0, 0.0, 15.0 if wheel else 1.0, 0.0, params.tyre.cornering_stiffness),
+            params.max_acceleration,
+            params.max_deceleration,
+        )
+        self._scale = np.array(full) / [
+            params.max_acceleration,
+            params.max_deceleration,
+        ]
+        begin = _beginnings(log.time, np.abs(log.speed))
+        piece = np.searchsorted(begin + WARM_UP, log.time, "right") - 1
+        before = piece < 0  # the first piece's measurements
+        self.recording = Recording(
+            log.time - log.time[0],
+            log.steering,
+            _pedal(log, full),
+            begin - log.time[0],
+            np.maximum(piece, 0),
+            np.where(before, 0.0, log.time - begin[piece]),
+        )
+        measured = np.stack([log.measured[name] for name in self.channels])
+        self.measured = np.where(before, np.nan, measured)
+        self._ahead, self._sim_dt = ahead, sim_dt
+        self.starts = self._guess(begin)
+        # In whole seconds, so that logs of one length share a compiled program.
+        self._steps = round(np.ceil(self.recording.moment.max() + 0.1) / sim_dt)
+
+    def _guess(self, begin: np.ndarray) -> np.ndarray:
+        log = self.log
+        x, y, yaw = (
+            log.at(name, begin) if name in self.channels else np.zeros_like(begin)
+            for name in POSE
+        )
+        x, y = x - self._ahead * np.cos(yaw), y - self._ahead * np.sin(yaw)
+        speed = np.interp(begin, log.time, log.speed)
+        return np.stack([x, y, yaw, np.where(abs(speed) < REST, 0.0, speed)], axis=-1)
+
+    def simulate(self, sought: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """What would be measured.
+
+        Args:
+            sought: (cars, 7) in the order of `Sought`.
+            starts: (cars, pieces, 4).
+
+        Returns:
+            (cars, channels, n).
+        """
+        with jax.enable_x64(True):
+            columns = Sought(*(jnp.asarray(x)[:, None] for x in sought.T))
+            scaled = columns._replace(
+                max_acceleration=columns.max_acceleration * self._scale[0],
+                max_deceleration=columns.max_deceleration * self._scale[1],
+            )
+            seen = _simulate(
+                self._vehicle,
+                self.recording,
+                scaled,
+                starts,
+                self._ahead,
+                self._sim_dt,
+                self._steps,
+            )
+            return np.stack([np.asarray(seen[name]) for name in self.channels], axis=1)
+
+
+def _beginnings(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """When the simulations of pieces begin (pieces,) [s]: where the car is fast."""
+    lasts = time[-1] - time[0] - WARM_UP
+    pieces = min(max(round(lasts / PIECE), 1), MOST_PIECES)
+    length = lasts / pieces
+    begin = []
+    for k in range(pieces):
+        middle = time[0] + k * length
+        near = (time >= middle) & (time <= middle + (k > 0) * length / 2)
+        begin.append(time[near][speed[near].argmax()])
+    return np.array(begin)
+
+
+def _full(log: DriveLog, params: VehicleParameters) -> tuple[float, float]:
+    """Acceleration and deceleration [m/s^2] that the pedal 1 stands for."""
+    full = params.max_acceleration, params.max_deceleration
+    if log.names[1] == "pedal":
+        return full
+    asked, brakes = np.abs(log.pedal), log.pedal * log.speed < 0
+    return (
+        max(full[0], asked[~brakes].max(initial=0.0)),
+        max(full[1], asked[brakes].max(initial=0.0)),
+    )
+
+
+def _pedal(log: DriveLog, full: tuple[float, float]) -> np.ndarray:
+    """The pedal (n,) of a log; of accelerations, by the way the car moves."""
+    if log.names[1] == "pedal":
+        return log.pedal
+    return log.pedal / np.where(log.pedal * log.speed < 0, full[1], full[0])
+
+
+def _test_car(params: VehicleParameters, wheel: bool) -> Vehicle:
+    """The car without limits of its speed, which a driver does not have.
+
+    Where the steering wheel was measured the limits of the steering lie before it.
+    """
+    with jax.enable_x64(True):
+        vehicle = make_vehicle(params)
+        free = jnp.asarray(FREE)
+        vehicle = dataclasses.replace(vehicle, max_speed=free, max_reverse_speed=free)
+        if wheel:
+            vehicle = dataclasses.replace(
+                vehicle,
+                steering_rate=free,
+                steering_lag=jnp.zeros_like(vehicle.steering_lag),
+                max_steering=jnp.asarray(STOP),
+            )
+        return vehicle
+
+
+@partial(jax.jit, static_argnames="steps")
+def _simulate(
+    vehicle: Vehicle,
+    recording: Recording,
+    sought: Sought,
+    starts: jax.Array,
+    ahead: float,
+    sim_dt: float,
+    steps: int,
+) -> dict[str, jax.Array]:
+    tyres = vehicle.tyres
+    vehicle = dataclasses.replace(
+        vehicle,
+        steering_offset=sought.steering_offset,
+        max_acceleration=sought.max_acceleration,
+        max_deceleration=sought.max_deceleration,
+        tyres=dataclasses.replace(
+            tyres,
+            lateral_stiffness=sought.cornering_stiffness[..., None]
+            * tyres.static_load
+            / tyres.lateral_relaxation,
+        ),
+    )
+    wheels, masses = wheels_of(vehicle), mass_properties(vehicle)
+    clock = recording.begin + sim_dt * jnp.arange(steps)[:, None, None]
+    steer = jnp.interp(
+        clock - sought.steering_delay, recording.time, recording.steering
+    ) / (sought.steering_ratio * vehicle.max_steering)
+    pedal = jnp.interp(clock - sought.pedal_delay, recording.time, recording.pedal)
+    gravity = jnp.zeros(()), jnp.zeros(()), jnp.asarray(-GRAVITY)
+
+    def substep(
+        car: Car, controls: tuple[jax.Array, jax.Array]
+    ) -> tuple[Car, dict[str, jax.Array]]:
+        driven = drive_car(vehicle, wheels, car, controls, sim_dt)
+        at, targets = car.coordinates, driven.steering_targets
+        at = advance(masses, at, driven.forces, targets, gravity, sim_dt)
+        return Car(at, driven.tyres, driven.actuators), _seen(car.coordinates, ahead)
+
+    _, seen = jax.lax.scan(
+        substep,
+        _start(vehicle, sought.cornering_stiffness, starts, steer[0]),
+        (steer, pedal),
+    )
+    seen["yaw"] = jnp.unwrap(seen["yaw"], axis=0)
+    step = recording.moment / sim_dt
+    before = jnp.minimum(step.astype(int), steps - 2)
+    share = step - before
+
+    def at_rows(values: jax.Array) -> jax.Array:
+        first, second = (values[before + k, :, recording.piece] for k in (0, 1))
+        return (first * (1 - share[:, None]) + second * share[:, None]).T
+
+    return {name: at_rows(values) for name, values in seen.items()}
+
+
+def _start(
+    vehicle: Vehicle, stiffness: jax.Array, starts: jax.Array, steer: jax.Array
+) -> Car:
+    """Cars (cars, pieces) in steady turns from starts (cars, pieces, 4)."""
+    x, y, yaw, speed = (starts[..., k] for k in range(4))
+    zero = jnp.zeros_like(x)
+    stands = jnp.abs(speed[:1]) < REST / 2
+    speed = jnp.where(stands, 0.0, speed)
+    hold = jnp.where(stands, vehicle.hold_deceleration, zero)
+    steering = jnp.clip(steer, -1.0, 1.0) * vehicle.max_steering
+    angle = steering + vehicle.steering_offset
+    spin, along, across = (
+        speed / vehicle.wheel_radius,
+        (jnp.cos(yaw), jnp.sin(yaw)),
+        (-jnp.sin(yaw), jnp.cos(yaw)),
+    )
+    yaw_rate = speed * jnp.tan(angle) / vehicle.wheelbase
+    # A stiffness per load is the same at all wheels, and so is their slip angle.
+    slip = speed * yaw_rate / (GRAVITY * stiffness) + zero
+    drift = -jnp.abs(speed) * slip
+    at = Coordinates(
+        position=(x, y, zero),
+        quaternion=(jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)),
+        steer=drive.ackermann(vehicle, angle),
+        angle=(zero,) * len(WHEELS),
+        velocity=(
+            speed * along[0] + drift * across[0],
+            speed * along[1] + drift * across[1],
+            zero,
+        ),
+        angular=(zero, zero, yaw_rate),
+        steer_rate=(zero, zero),
+        spin=(spin,) * len(WHEELS),
+    )
+    bristle = -vehicle.tyres.lateral_relaxation * slip
+    tyres = (TyreState(zero, bristle, zero),) * len(WHEELS)
+    return Car(at, tyres, drive.Actuators(steering=steering, drive=zero, hold=hold))
+
+
+def _seen(at: Coordinates, ahead: float) -> dict[str, jax.Array]:
+    """What sensors of cars see, the position of a point ahead of the rear axle."""
+    w, x, y, z = at.quaternion
+    yaw = jnp.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+    along = jnp.cos(yaw), jnp.sin(yaw)
+    return {
+        "x": at.position[0] + ahead * along[0],
+        "y": at.position[1] + ahead * along[1],
+        "yaw": yaw,
+        "speed": at.velocity[0] * along[0] + at.velocity[1] * along[1],
+        "yaw_rate": at.angular[2],
+    }

@@ -1,0 +1,168 @@
+"""CommonRoad scenarios, version 2020a: lanelets, static obstacles, planning problems.
+
+`commonroad-io` reads them too, but needs a protobuf that the extra `export` cannot use.
+"""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely import affinity
+
+from carpark_mj.layouts.build import LANE_SPREAD
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.maps.features import Feature, Plan, Tag
+from carpark_mj.maps.fit import Box
+from carpark_mj.maps.frame import require_near
+from carpark_mj.maps.lanelet2 import lanelet_features
+
+# Types of static obstacles that are not walls, as everything else that stands is.
+_TAGS: dict[str, Tag] = {
+    "pillar": "pillar",
+    "roadBoundary": "kerb",
+    "medianStrip": "kerb",
+}
+_FARTHEST = 1e8  # m, of a coordinate: beyond it shapes would be rounded to nothing
+_ROOM = 0.1  # m around a car at its start
+_SKIPPED = ("location", "scenarioTags")
+
+
+def commonroad_features(root: Any) -> Plan:
+    """The features of a scenario; goals are spots.
+
+    Args:
+        root: the element `commonRoad` of the file.
+
+    Raises:
+        ValueError: a number that is none, or points too far apart.
+    """
+    plan = Plan()
+    for element in root:
+        name = element.get("id", "")
+        if element.tag == "lanelet":
+            _add_lanelet(plan, name, element)
+        elif element.tag == "staticObstacle":
+            _add_obstacle(plan, name, element)
+        elif element.tag == "planningProblem":
+            _add_problem(plan, name, element)
+        elif element.tag not in _SKIPPED:
+            plan.unknown[element.tag] += 1
+    if not plan.features:
+        return plan
+    xy = shapely.get_coordinates([one.shape for one in plan.features])
+    x, y = (xy.min(axis=0) + xy.max(axis=0)) / 2
+    require_near(xy - (x, y))
+    plan.features[:] = [
+        dataclasses.replace(one, shape=affinity.translate(one.shape, -x, -y))
+        for one in plan.features
+    ]
+    return plan
+
+
+def _add_lanelet(plan: Plan, name: str, element: Any) -> None:
+    borders = {}
+    for side in ("left", "right"):
+        points = _points(element.find(f"{side}Bound"))
+        if len(points) > 1:
+            borders[side] = points
+    one_way = element.find("userBidirectional") is None
+    found = lanelet_features(name, borders, one_way)
+    plan.features.extend(found)
+    if not found:
+        plan.unknown["lanelet without two borders"] += 1
+
+
+def _add_obstacle(plan: Plan, name: str, element: Any) -> None:
+    kind = element.findtext("type", "").strip()
+    pose = _pose(element.find("initialState"))
+    shapes = _shapes(element.find("shape"))
+    if pose is None or not shapes:
+        plan.unknown[f"staticObstacle {kind} without an outline and a pose"] += 1
+        return
+    x, y, yaw = pose
+    for shape in shapes:
+        turned = affinity.rotate(shape, yaw, origin=(0, 0), use_radians=True)
+        tag = _TAGS.get(kind, "wall")
+        plan.features.append(Feature(tag, affinity.translate(turned, x, y), name))
+
+
+def _add_problem(plan: Plan, name: str, element: Any) -> None:
+    """The start and the goals of a car."""
+    pose = _pose(element.find("initialState"))
+    if pose is None:
+        plan.unknown["initialState without a pose"] += 1
+    else:
+        car = DesignCar()
+        cos, sin = math.cos(LANE_SPREAD), math.sin(LANE_SPREAD)
+        start = Box(
+            *pose,
+            car.length * cos + car.width * sin + 2 * _ROOM,
+            car.width * cos + car.length * sin + 2 * _ROOM,
+        )
+        plan.features.append(Feature("start", start.shape, name, yaw=pose[2]))
+    for k, position in enumerate(element.iterfind("goalState/position")):
+        goal = f"{name}.{k}" if k else name
+        shapes = _shapes(position)
+        if not shapes:
+            plan.lost[goal] = "its goal has no outline"
+        for shape in shapes:
+            plan.features.append(Feature("bay", shape, goal))
+
+
+def _pose(state: Any) -> tuple[float, float, float] | None:
+    """Position and heading of a state; the middle of an interval."""
+    point = None if state is None else state.find("position/point")
+    heading = None if state is None else state.find("orientation")
+    if point is None or heading is None:
+        return None
+    yaws = [_number(part, "orientation") for part in heading]
+    return (*_point(point), sum(yaws) / len(yaws)) if yaws else None
+
+
+def _shapes(parent: Any) -> list[Any]:
+    """Shapely polygons of the rectangles, circles and polygons in an element."""
+    shapes = []
+    for element in () if parent is None else parent:
+        centre = element.find("center")
+        x, y = (0.0, 0.0) if centre is None else _point(centre)
+        if element.tag == "rectangle":
+            size = [_number(element.find(side), side) for side in ("length", "width")]
+            turn = element.find("orientation")
+            yaw = 0.0 if turn is None else _number(turn, "orientation")
+            shape = Box(x, y, yaw, *size).shape
+        elif element.tag == "circle":
+            radius = _number(element.find("radius"), "radius")
+            shape = shapely.Point(x, y).buffer(radius)
+        elif element.tag == "polygon" and len(points := _points(element)) > 2:
+            shape = shapely.make_valid(shapely.Polygon(points))
+        else:
+            continue
+        if shape.area:
+            shapes.append(shape)
+    return shapes
+
+
+def _points(element: Any) -> np.ndarray:
+    """The points (n, 2) of a border or polygon, none of them twice in a row."""
+    points = [] if element is None else [_point(one) for one in element.iter("point")]
+    steps = [p for p, last in zip(points, [None, *points], strict=False) if p != last]
+    return np.array(steps).reshape(-1, 2)
+
+
+def _point(element: Any) -> tuple[float, float]:
+    return _number(element.find("x"), "x"), _number(element.find("y"), "y")
+
+
+def _number(element: Any, what: str) -> float:
+    text = "nothing" if element is None else (element.text or "").strip()
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < _FARTHEST:
+        raise ValueError(
+            f"{what} must be a number within ±{_FARTHEST:g}, not {text[:40]!r}"
+        )
+    return value

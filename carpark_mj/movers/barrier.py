@@ -1,0 +1,80 @@
+"""A barrier across a lane that opens for cars that come near."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config.checks import require_positive
+from carpark_mj.config.obstacles import MOVERS, Mover
+from carpark_mj.geometry import box_distance, to_world
+from carpark_mj.geometry.obstacles import Boxes
+from carpark_mj.layouts.types import Layout
+from carpark_mj.movers.lanes import draw_lane
+from carpark_mj.types import State
+
+THICK = 0.15  # m, of the beam
+RAISED = 0.05  # share of the beam's length that is left when it is open
+
+
+class BarrierState(NamedTuple):
+    """A barrier: pose (3,) and size (2,) of its lane, share () open, whether there."""
+
+    pose: jax.Array
+    size: jax.Array
+    is_open: jax.Array
+    there: jax.Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Barrier(Mover):
+    """A beam across the middle of a lane; lots without lanes have none.
+
+    It closes only while no car is near, never onto one.
+
+    Attributes:
+        near: gap to a car at which it opens [m].
+        duration: of its opening, and of its closing [s].
+        mover: fixed.
+    """
+
+    near: float = 5.0
+    duration: float = 2.0
+    mover: str = "barrier"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "near", "duration")
+
+    def init(self, key: Any, layout: Layout) -> BarrierState:
+        """It is closed."""
+        pose, size, there = draw_lane(key, layout, 0.0)
+        return BarrierState(pose, size, jnp.float32(0.0), there)
+
+    def step(
+        self, key: Any, state: BarrierState, lot: State, dt: float
+    ) -> BarrierState:
+        """It opens for a car, and closes behind the last."""
+        del key
+        closed = self._beam(state._replace(is_open=jnp.float32(0.0)))
+        motion = lot.motion
+        gap = box_distance(motion.pose_w, motion.size, *closed)
+        change = jnp.where((gap < self.near).any(), dt, -dt) / self.duration
+        return state._replace(is_open=jnp.clip(state.is_open + change, 0.0, 1.0))
+
+    def obstacles(self, state: BarrierState) -> list[Boxes]:
+        """The beam."""
+        pose, size = self._beam(state)
+        return [Boxes(pose[None], size[None], mask=state.there[None])]
+
+    def _beam(self, state: BarrierState) -> tuple[jax.Array, jax.Array]:
+        """Pose (3,) and size (2,): from the lane's right edge, shorter when raised."""
+        width = state.size[1]
+        length = width * jnp.maximum(1.0 - state.is_open, RAISED)
+        zero = jnp.zeros(())
+        local = jnp.stack([zero, (length - width) / 2, zero])
+        return to_world(state.pose, local), jnp.stack([zero + THICK, length])
+
+
+MOVERS.register("barrier", Barrier())

@@ -1,0 +1,144 @@
+"""Identifies cars from logs made in C MuJoCo; writes `identification.csv`.
+
+python eval/identification.py
+python eval/identification.py --kinds full --seeds 10 --first 10 --measured rates
+
+Every seed has a compact car with other true parameters, another drive and other noise.
+"""
+
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("identification", "identification:main")
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from rich.console import Console
+from rich.table import Column, Table
+
+from carpark_mj.cli.common import enable_output_fusion, run_command
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.evaluation.keys import require_seed
+from carpark_mj.files import require_writable, write_csv
+from carpark_mj.identification.fit import identify
+from carpark_mj.identification.log import POSE, RATES
+from carpark_mj.identification.simulation import Sought
+from carpark_mj.vehicle import COMPACT
+from vehicle_suite.logs import Drive, DriveName, record
+
+# Least and largest true values; the compact car has a stiffness of 12, 2 and 4 m/s^2.
+TRUE = Sought(
+    steering_delay=(0.05, 0.3),
+    pedal_delay=(0.05, 0.3),
+    steering_ratio=(13.0, 18.0),
+    steering_offset=(-0.02, 0.02),
+    cornering_stiffness=(7.0, 14.0),
+    max_acceleration=(1.5, 2.5),
+    max_deceleration=(3.0, 5.0),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class IdentificationConfig:
+    """Settings of `python eval/identification.py`.
+
+    Attributes:
+        kinds: drives of every seed.
+        seeds: how many.
+        first: the first of them.
+        measured: what the logs have beside time, steering wheel and pedal.
+        noise: factor on the noise of the sensors.
+        out: folder of the file.
+    """
+
+    kinds: tuple[DriveName, ...] = ("full",)
+    seeds: int = 10
+    first: int = 0
+    measured: Literal["pose", "rates"] = "pose"
+    noise: float = 1.0
+    out: str = "runs/identification"
+
+    def __post_init__(self) -> None:
+        require_seed(self.first)
+        if self.seeds < 1:
+            raise ValueError(f"seeds must be at least 1, not {self.seeds}")
+
+
+def truth(seed: int) -> Sought:
+    """The true parameters of a seed."""
+    dice = np.random.default_rng([seed, 2])
+    return Sought(*(dice.uniform(*limits) for limits in TRUE))
+
+
+def run(config: IdentificationConfig) -> None:
+    """Drives, identifies, writes the rows and prints them with the coverage."""
+    path = Path(config.out) / "identification.csv"
+    require_writable(path, new_folders=True)
+    seeds = range(config.first, config.first + config.seeds)
+    drives = [
+        Drive(truth(seed), COMPACT, kind, seed)
+        for seed in seeds
+        for kind in config.kinds
+    ]
+    measured = POSE if config.measured == "pose" else RATES
+    rows = []
+    for drive, log in zip(drives, record(drives, measured, config.noise), strict=True):
+        found = identify(log, COMPACT, 0.0).estimates
+        rows += [
+            {
+                "drive": drive.kind,
+                "seed": drive.seed,
+                "parameter": name,
+                "true": float(getattr(drive.true, name)),
+                "found": found[name].value,
+                "half_interval": found[name].error,
+                "told": found[name].told,
+            }
+            for name in Sought._fields
+        ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_csv(path, rows)
+    for kind in config.kinds:
+        _print([row for row in rows if row["drive"] == kind], kind)
+
+
+def _print(rows: list[dict], kind: str) -> None:
+    """The first seed's numbers, and how many of all intervals cover the truth."""
+    names = "parameter", "true", "found", "95 % interval", "told", "covered"
+    table = Table(*(Column(name, no_wrap=name == names[0]) for name in names))
+    for name in Sought._fields:
+        mine = [row for row in rows if row["parameter"] == name]
+        told = [row for row in mine if row["told"]]
+        covered = sum(abs(r["found"] - r["true"]) <= r["half_interval"] for r in told)
+        first = mine[0]
+        low, high = (first["found"] + s * first["half_interval"] for s in (-1, 1))
+        table.add_row(
+            name,
+            f"{first['true']:.4g}",
+            f"{first['found']:.4g}" if first["told"] else "–",
+            f"{low:.4g} … {high:.4g}" if first["told"] else "–",
+            f"{len(told)} of {len(mine)}",
+            f"{covered} of {len(told)}",
+        )
+    Console().print(f"{kind}: the first seed and all", table)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the script; returns the exit code."""
+    enable_output_fusion()
+
+    def command() -> None:
+        run(
+            read_flags(
+                IdentificationConfig,
+                arguments,
+                description=__doc__,
+                prog="python eval/identification.py",
+            )
+        )
+
+    return run_command("identification", command)

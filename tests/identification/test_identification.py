@@ -1,0 +1,180 @@
+"""Cars from logs: parameters of C MuJoCo's cars come back, with honest intervals."""
+
+import csv
+import math
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carpark_mj.cli import identify as command
+from carpark_mj.identification.fit import PARAMETERS, identify
+from carpark_mj.identification.log import read_log
+from carpark_mj.identification.simulation import Replay, Sought
+from carpark_mj.vehicle import COMPACT, preset
+from vehicle_suite.logs import Drive, record
+
+TRUE = Sought(0.12, 0.2, 16.0, 0.015, 9.0, 1.7, 3.4)
+SECONDS, SIM_DT = 21.0, 0.01
+OTHERS = {"gear": 1, "remark": "none"}
+
+
+@pytest.fixture(scope="module")
+def logs():
+    """Logs of C MuJoCo by what the driver does."""
+    drives = [
+        Drive(TRUE, COMPACT, kind, 5, SECONDS, SIM_DT) for kind in ("full", "circle")
+    ]
+    return dict(zip(("full", "circle"), record(drives), strict=True))
+
+
+def rows_of(log, **units):
+    """Rows of a log's file; columns in other units by name and unit."""
+    columns = {
+        "time": log.time,
+        **dict(zip(log.names, (log.steering, log.pedal), strict=True)),
+        **log.measured,
+    }
+    for name, (column, unit) in units.items():
+        columns[column] = columns.pop(name) / unit
+    return [
+        {**dict(zip(columns, map(float, row), strict=True)), **OTHERS}
+        for row in zip(*columns.values(), strict=True)
+    ]
+
+
+def write(path, rows):
+    with path.open("w", newline="") as file:
+        table = csv.DictWriter(file, [*rows[0]])
+        table.writeheader()
+        table.writerows(rows)
+    return str(path)
+
+
+def read_log_of(tmp_path, rows):
+    return read_log(Path(write(tmp_path / "log.csv", rows)))
+
+
+def test_all_parameters_come_back_with_intervals_that_cover_them(logs):
+    found = identify(logs["full"], COMPACT, 0.0, SIM_DT)
+    for name, estimate in found.estimates.items():
+        assert estimate.told, name
+        # Twice half an interval of 95 %, four standard deviations.
+        assert abs(estimate.value - getattr(TRUE, name)) < 2 * estimate.error, name
+        assert estimate.error > 0
+    # The residuals are the noise of the sensors.
+    assert found.residuals["x"] == pytest.approx(0.02, rel=0.1)
+    assert found.residuals["yaw"] == pytest.approx(0.003, rel=0.1)
+
+
+def test_what_a_constant_steering_angle_does_not_tell_keeps_the_vehicle_s_value(
+    logs, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(command, "identify", partial(identify, sim_dt=SIM_DT))
+    path = write(tmp_path / "log.csv", rows_of(logs["circle"]))
+    out = tmp_path / "my_car.yaml"
+    assert command.main([path, "--vehicle", "compact", "--out", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "ignored columns: gear, remark" in told
+    for name in ("steering_delay", "steering_ratio", "steering_offset"):
+        assert f"{name} keeps the vehicle's value" in told
+        assert PARAMETERS[name].needs in told
+    car = preset(str(out))
+    assert car.max_acceleration == pytest.approx(1.7, rel=0.02)
+    assert car.max_deceleration == pytest.approx(3.4, rel=0.05)
+    kept = {name: getattr(car, name) for name in ("length", "mass", "steering_rate")}
+    assert kept == {name: getattr(COMPACT, name) for name in kept}
+
+
+def test_units_are_by_the_column_s_name(logs, tmp_path):
+    units = {
+        "time": ("time_ms", 1e-3),
+        "steering_wheel": ("steering_wheel_deg", math.pi / 180),
+        "yaw": ("yaw_deg", math.pi / 180),
+    }
+    log = logs["full"]
+    read = read_log_of(tmp_path, rows_of(log, **units))
+    assert np.allclose(read.time, log.time)
+    assert np.allclose(read.steering, log.steering)
+    assert np.allclose(read.measured["yaw"], log.measured["yaw"])
+    assert np.allclose(read.speed, log.speed)
+
+
+def test_headings_may_wrap_and_measurements_may_be_missing(logs, tmp_path):
+    log, rows = logs["circle"], rows_of(logs["circle"])
+    for k, row in enumerate(rows):
+        row["yaw"] = math.remainder(row["yaw"], 2 * math.pi)
+        if k % 5:
+            row["x"] = row["y"] = row["yaw"] = ""
+    read = read_log_of(tmp_path, rows)
+    turns = read.measured["yaw"][::5] - log.measured["yaw"][::5]
+    assert np.allclose(turns, turns[0])
+    assert np.isnan(read.measured["x"]).mean() == pytest.approx(0.8, abs=0.01)
+
+
+def test_an_acceleration_is_the_pedal_that_asks_for_it(logs, tmp_path):
+    rows = rows_of(logs["full"])
+    speed = logs["full"].speed
+    for row, v in zip(rows, speed, strict=True):
+        pedal = row.pop("pedal")
+        full = COMPACT.max_deceleration if pedal * v < 0 else COMPACT.max_acceleration
+        row["acceleration"] = pedal * full
+    by_pedal, by_acceleration = (
+        Replay(log, COMPACT, 0.0).recording
+        for log in (logs["full"], read_log_of(tmp_path, rows))
+    )
+    assert np.allclose(by_pedal.pedal, by_acceleration.pedal)
+
+
+def without(*names):
+    return lambda rows: [
+        {k: v for k, v in row.items() if k not in names} for row in rows
+    ]
+
+
+def with_value(name, value, at=slice(None)):
+    def change(rows):
+        for row in rows[at]:
+            row[name] = value
+        return rows
+
+    return change
+
+
+REFUSED = {
+    "no rows": (lambda rows: [], "no rows"),
+    "no pedal": (without("pedal"), "lacks the columns pedal or acceleration"),
+    "no motion": (without("yaw"), "x, y and yaw or speed and yaw_rate"),
+    "two units": (with_value("time_ms", 1), "time and time_ms: leave one"),
+    "two angles": (with_value("steering", 0), "steering_wheel and steering: leave"),
+    "text": (with_value("pedal", "half", slice(9, 10)), "line 11: pedal must be a num"),
+    "nan": (with_value("pedal", "nan", slice(9, 10)), "line 11: pedal must be finite"),
+    "a pedal in percent": (with_value("pedal", 60.0), "pedal must lie within ±1"),
+    "an angle in degrees": (with_value("steering_wheel", 200.0), "within ±30 rad"),
+    "time that stands": (with_value("time", 3.0, slice(9, 11)), "time must increase"),
+    "too short": (lambda rows: rows[:300], "must last 10 to 300 s, not 5.98"),
+    "a gap": (lambda rows: rows[:300] + rows[400:], "at most 0.25 s apart, not 2.02"),
+    "few poses": (with_value("x", "", slice(9, None)), "x must have at least 2 values"),
+    "a jump": (with_value("x", 1e300, slice(500, 501)), "60 m/s, not 6.18e+299 (at 9."),
+    "standing": (
+        lambda rows: [row | {"x": 0, "y": 0} for row in rows],
+        "must reach 0.5 to 60 m/s, not 0 ",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_what_is_no_log_is_refused_in_one_sentence(logs, tmp_path, capsys, fault):
+    change, told = REFUSED[fault]
+    rows = change(rows_of(logs["full"]))
+    path = tmp_path / "log.csv"
+    if rows:
+        write(path, rows)
+    else:
+        path.write_text("time,pedal\n")
+    assert command.main([str(path), "--vehicle", "compact"]) == 2
+    error = capsys.readouterr().err.strip()
+    assert told in error
+    assert str(path) in error
+    assert "\n" not in error
