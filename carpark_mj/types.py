@@ -261,6 +261,7 @@ class Events:
     hit_wall: jax.Array
     hit_mover: jax.Array | None = None
     hit_person: jax.Array | None = None
+    hit_driver: jax.Array | None = None
 
     @property
     def success(self) -> jax.Array:

@@ -18,6 +18,7 @@ class ObstacleKind(enum.IntEnum):
     WALL = 2  # all that a layout has: pillars and bollards too
     MOVER = 3
     PERSON = 4
+    DRIVER = 5
 
     @property
     def label(self) -> str:
@@ -96,7 +97,7 @@ def _named(choice: str) -> Mover:
     """The mover of a name, with the settings that follow it."""
     name, colon, words = choice.partition(":")
     mover: Any = MOVERS[name]
-    values: dict[str, float | tuple[float, ...]] = {}
+    values: dict[str, str | float | tuple[float, ...]] = {}
     fields = dataclasses.fields(mover)
     known = [field.name for field in fields if field.name != "mover"]
     for word in words.split(",") if colon else ():
@@ -106,6 +107,9 @@ def _named(choice: str) -> Mover:
                 f"the mover {name!r} has no setting {setting!r}: its settings are "
                 f"{', '.join(known)}"
             )
+        if isinstance(getattr(mover, setting), str):
+            values[setting] = value
+            continue
         numbers = [_number(setting, part) for part in value.split("..")]
         values[setting] = numbers[0] if len(numbers) == 1 else tuple(numbers)
     return dataclasses.replace(mover, **values)

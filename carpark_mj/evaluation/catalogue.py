@@ -49,6 +49,7 @@ _WHAT = {
     "_wall": "a wall or disc",
     "_mover": "a mover, if any",
     "_person": "a person, if any",
+    "_driver": "another driver, if any",
 }
 OUTCOME = (
     _rate("parked", "parked under the rule in force", "p"),
@@ -60,6 +61,7 @@ OUTCOME = (
     _rate("hit_wall", "crashed into a wall or disc", "Total Crashes Wall"),
     _rate("hit_mover", "crashed into a mover, if any"),
     _rate("hit_person", "crashed into a person, if any"),
+    _rate("hit_driver", "crashed into another driver, if any"),
     _rate(
         "crashed_at_start",
         "crashed in the first step",
