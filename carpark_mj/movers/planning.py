@@ -8,6 +8,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.geometry import boxes_overlap, move_forward, wrap_angle
 from carpark_mj.layouts.types import BayEnd, BayKind, Layout
@@ -37,7 +38,9 @@ BACK_ON = 0.3  # m along the track at the end of a way out of a bay
 LONGEST = 12.0  # m to back out straight
 POSES = 20  # on a path, tested for walls and bays
 ROOM, ROOM_TO_WALLS = 0.15, 0.25  # m about the car there
-SLACK = jnp.array([0.3, 0.4])  # m by which bays are shorter and narrower to it
+SLACK = np.array(
+    [0.3, 0.4], np.float32
+)  # m by which bays are shorter and narrower to it
 INSET = 1.0  # m from the beginning of a track to the axle of who comes in
 CLEAR = 9.0  # m about a car that comes in
 ABSENCE = 5.0  # s, shortest

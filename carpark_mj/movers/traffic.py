@@ -4,6 +4,7 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from carpark_mj.geometry import move_forward
@@ -15,7 +16,7 @@ Tree = TypeVar("Tree")
 
 # What a driver does.
 DRIVE, PARK, STAY, BACK_OUT, AWAY = range(5)
-SIZE = jnp.array([CITY.length, CITY.width])
+SIZE = np.array([CITY.length, CITY.width], np.float32)
 OFFSET = CITY.centre_offset  # m, rear axle to footprint centre
 RADIUS = 3.5  # m, of arcs; the tightest of the rear axle is 3.2 m
 NOSE = OFFSET + CITY.length / 2 + 0.3  # m, from the rear axle to what is before it

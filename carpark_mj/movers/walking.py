@@ -151,14 +151,15 @@ def _parked(lot: State) -> jax.Array:
 def _find_near(people: People, lot: State) -> People:
     """People of whom every eighth looks up the boxes that are near."""
     boxes = jnp.concatenate([_parked(lot), people.places.walls])
-    n, count = people.near.shape[0], boxes.shape[0]
-    if not count:
-        return people
+    n, missing = people.near.shape[0], max(NEAR - boxes.shape[0], 0)
+    boxes = jnp.pad(boxes, ((0, missing), (0, 0)), constant_values=AWAY)
     rows = -(-n // ROUNDS)
-    who = (people.turn * rows + jnp.arange(rows)) % n
+    who = jnp.minimum(people.turn * rows + jnp.arange(rows), n - 1)
     x, y = offsets(people.xy[who][:, None], boxes)
-    index = jax.lax.top_k(-(x * x + y * y), min(NEAR, count))[1]
-    near = people.near.at[who, : index.shape[1]].set(boxes[index])
+    found = boxes[jax.lax.top_k(-(x * x + y * y), NEAR)[1]]
+    # Not a scatter, which is a loop on a CPU.
+    own = jnp.arange(n) // rows == people.turn
+    near = jnp.where(own[:, None, None], found[jnp.arange(n) % rows], people.near)
     return dataclasses.replace(people, near=near, turn=(people.turn + 1) % ROUNDS)
 
 

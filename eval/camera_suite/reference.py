@@ -139,6 +139,7 @@ class Renderer:
             env.fleet.agents[0 if state.kind is None else int(state.kind[k])].height
             for k in range(env.config.num_agents)
         ]
+        _show_solids(self._stage.model)
         self._renderer = mujoco.Renderer(self._stage.model, PIXELS, PIXELS)
         self._options = mujoco.MjvOption()
         shown = (0, 1, LOOK_GROUP if meshes else BLOCK_GROUP)
@@ -244,6 +245,13 @@ def _owners(model: mujoco.MjModel) -> np.ndarray:
     return owners
 
 
+def _show_solids(model: mujoco.MjModel) -> None:
+    """Shows of movers the solids with which cars collide, which alone have names."""
+    for k in range(model.ngeom):
+        if model.body(model.geom_bodyid[k]).name.startswith("mover"):
+            model.geom_group[k] = 0 if model.geom(k).name else HULL_GROUP
+
+
 def _kinds(model: mujoco.MjModel, layout: Layout, state: State) -> np.ndarray:
     """`Seen` (geoms,) by the names of MuJoCo's geoms and bodies."""
     movers = [group.kind for group in state.movers.groups for _ in range(group.count)]
@@ -254,7 +262,8 @@ def _kinds(model: mujoco.MjModel, layout: Layout, state: State) -> np.ndarray:
         if root.startswith(("agent", "parked")):
             kinds[k] = Seen.CAR
         elif root.startswith("mover"):
-            person = movers[int(root.removeprefix("mover"))] == ObstacleKind.PERSON
+            number = int(root.removeprefix("mover").partition("/")[0])
+            person = movers[number] == ObstacleKind.PERSON
             kinds[k] = Seen.PERSON if person else Seen.CAR
         elif name.startswith(("wall", "disc")):
             kinds[k] = Seen.WALL

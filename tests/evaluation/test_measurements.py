@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from carpark_mj.config.obstacles import hit_kinds
+from carpark_mj.config.metrics import METRICS
+from carpark_mj.config.obstacles import ObstacleKind, hit_kinds
 from carpark_mj.evaluation.catalogue import GOALS, POOLS, metrics
 
 BY_NAME = {metric.name: metric for metric in metrics()}
@@ -14,9 +15,11 @@ def test_every_number_of_an_episode_is_in_the_catalogue(everything):
     known = set(BY_NAME) | {"lot", "agent", "episode", "agents_present", "family"}
     known |= {"vehicle"}
     known |= {name for metric in metrics() for name in metric.ratio or ()}
-    # No lanes and no movers in this lot, and the goals are fixed.
-    absent = {"wrong_way", "wrong_way_share"} | {n for n in BY_NAME if "mover" in n}
-    absent |= {metric.name for metric in GOALS}
+    # No lanes and nobody else in this lot, and the goals are fixed.
+    others = {kind.label for kind in ObstacleKind} - {k.label for k in hit_kinds(())}
+    absent = {"wrong_way", "wrong_way_share"} | {metric.name for metric in GOALS}
+    absent |= {n for n in BY_NAME if n.endswith(tuple(f"_{kind}" for kind in others))}
+    absent |= {n for n in METRICS if METRICS[n].kind is not None}
     absent |= {name for metric in GOALS for name in metric.ratio or ()} - {"length"}
     for row in everything.episodes:
         assert known - set(row) == absent

@@ -82,6 +82,7 @@ def test_no_two_agents_lots_or_plans_are_searched_with_the_same_numbers(monkeypa
         for kind in ("box", "mover")
         for name, size in ((f"{kind}_pose", 3), (f"{kind}_size", 2))
     }
+    seen["mover_velocity"] = np.zeros((lots, 0, 2))
     masks = ("box_mask", "disc_mask", "mover_mask")
     seen |= {name: np.zeros((lots, 0), bool) for name in masks}
     seen |= {"disc_pose": np.zeros((lots, 0, 2)), "disc_size": np.zeros((lots, 0))}
