@@ -28,16 +28,14 @@ def meet(start: jax.Array, end: jax.Array, boxes: jax.Array) -> jax.Array:
     """Whether ways between points (n, 2) meet any of the boxes (m, 6), (n,) bool."""
     x, y, cos, sin, half_x, half_y = jnp.moveaxis(boxes, -1, 0)
 
-    def slab(along: jax.Array, across: jax.Array, half: jax.Array):
-        here = along * (start[:, :1] - x) + across * (start[:, 1:] - y)
-        way = along * (end - start)[:, :1] + across * (end - start)[:, 1:]
-        way = jnp.where(jnp.abs(way) < 1e-6, 1e-6, way)
-        one, other = (-half - here) / way, (half - here) / way
-        return jnp.minimum(one, other), jnp.maximum(one, other)
+    def turn(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return cos * x + sin * y, cos * y - sin * x
 
-    (enter_x, leave_x), (enter_y, leave_y) = (
-        slab(cos, sin, half_x),
-        slab(-sin, cos, half_y),
-    )
-    enter, leave = jnp.maximum(enter_x, enter_y), jnp.minimum(leave_x, leave_y)
-    return ((enter < leave) & (enter < 1.0) & (leave > 0.0)).any(axis=1)
+    # Separating axes, by half the way and its middle: no quotients.
+    middle, half = (start + end) / 2, (end - start) / 2
+    x, y = turn(middle[:, :1] - x, middle[:, 1:] - y)
+    way_x, way_y = turn(half[:, :1], half[:, 1:])
+    long, wide = jnp.abs(way_x), jnp.abs(way_y)
+    meets = (jnp.abs(x) < half_x + long) & (jnp.abs(y) < half_y + wide)
+    across = jnp.abs(way_x * y - way_y * x) <= half_x * wide + half_y * long
+    return (meets & across).any(axis=1)

@@ -131,41 +131,43 @@ def keep_off(
     """
     reach, here = radius[:, None], enter.local(xy)
     was_in, too_near = enter.hold(here, reach), stop.hold(here, reach)
-    outward = here - jnp.clip(here, -stop.half, stop.half)
-    gap = jnp.sqrt(jnp.sum(outward * outward, axis=-1))
-    strip = stop.half[:, 1] + reach
-    beside = jnp.abs(here[..., 1]) >= strip
+    x, y = here[..., 0], here[..., 1]
 
-    def wrong(move: jax.Array) -> jax.Array:
-        there = here + enter.turn(move[:, None])
-        beyond = there - jnp.clip(there, -stop.half, stop.half)
-        nearer = jnp.sqrt(jnp.sum(beyond * beyond, axis=-1)) < gap - STILL
+    def outward(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+        half_x, half_y = stop.half[:, 0], stop.half[:, 1]
+        return x - jnp.clip(x, -half_x, half_x), y - jnp.clip(y, -half_y, half_y)
+
+    out_x, out_y = outward(x, y)
+    square = out_x * out_x + out_y * out_y
+    gap = jnp.sqrt(square)
+    strip = stop.half[:, 1] + reach
+    beside = jnp.abs(y) >= strip
+
+    def wrong(own: jax.Array) -> jax.Array:
+        there = here + own
+        beyond_x, beyond_y = outward(there[..., 0], there[..., 1])
+        nearer = jnp.sqrt(beyond_x * beyond_x + beyond_y * beyond_y) < gap - STILL
         comes_before = beside & (jnp.abs(there[..., 1]) < strip)
         return (enter.hold(there, reach) & ~was_in) | (
             too_near & (nearer | comes_before)
         )
 
-    # Along the edge of the zone, or round the car, that is nearest of those in the way.
-    bad = wrong(move)
-    car = jnp.argmin(jnp.where(bad, gap, jnp.inf), axis=1)[:, None]
-
-    def of_car(values: jax.Array) -> jax.Array:
-        values = jnp.broadcast_to(values, (*bad.shape, *values.shape[2:]))
-        return jnp.take_along_axis(
-            values, car.reshape(-1, *[1] * (values.ndim - 1)), 1
-        )[:, 0]
-
-    own, outward = of_car(enter.turn(move[:, None])), of_car(outward)
-    ends = (here[..., 0] >= enter.ahead + reach) | (
-        here[..., 0] <= -enter.behind - reach
+    # Along the edge of the zone, or round the car, of each; then of the nearest in the
+    # way: choosing among results is cheaper than among what they are made of.
+    own = enter.turn(move[:, None])
+    bad = wrong(own)
+    own_x, own_y = own[..., 0], own[..., 1]
+    is_end = (x >= enter.ahead + reach) | (x <= -enter.behind - reach)
+    towards = jnp.minimum(own_x * out_x + own_y * out_y, 0.0) / (square + STILL**2)
+    slid_x = jnp.where(was_in, own_x - towards * out_x, jnp.where(is_end, 0.0, own_x))
+    slid_y = jnp.where(was_in, own_y - towards * out_y, jnp.where(is_end, own_y, 0.0))
+    slid = (
+        enter.cos * slid_x - enter.sin * slid_y,
+        enter.sin * slid_x + enter.cos * slid_y,
     )
-    is_end, inside = of_car(ends), of_car(was_in)
-    edge = own * jnp.stack([~is_end, is_end], axis=-1)
-    square = jnp.sum(outward * outward, axis=-1) + STILL**2
-    towards = jnp.minimum(jnp.sum(own * outward, axis=-1), 0.0) / square
-    round_it = own - towards[:, None] * outward
-    x, y = jnp.moveaxis(jnp.where(inside[:, None], round_it, edge), -1, 0)
-    cos, sin = of_car(enter.cos[None]), of_car(enter.sin[None])
-    slid = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-    move = jnp.where(bad.any(axis=1)[:, None], slid, move)
-    return jnp.where(wrong(move).any(axis=1)[:, None], 0.0, move)
+    car = jnp.argmin(jnp.where(bad, gap, jnp.inf), axis=1)[:, None]
+    chosen = jnp.arange(bad.shape[1]) == car
+    slid = [jnp.where(chosen, part, 0.0).sum(axis=1) for part in slid]
+    move = jnp.where(bad.any(axis=1)[:, None], jnp.stack(slid, axis=-1), move)
+    stuck = wrong(enter.turn(move[:, None])).any(axis=1)
+    return jnp.where(stuck[:, None], 0.0, move)
