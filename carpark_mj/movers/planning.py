@@ -5,6 +5,7 @@ if the car sweeps no wall and no other bay on it, whether a car stands there or 
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +39,7 @@ BACK_ON = 0.3  # m along the track at the end of a way out of a bay
 LONGEST = 12.0  # m to back out straight
 POSES = 20  # on a path, tested for walls and bays
 ROOM, ROOM_TO_WALLS = 0.15, 0.25  # m about the car there
-SLACK = np.array(
+SLACK: Any = np.array(
     [0.3, 0.4], np.float32
 )  # m by which bays are shorter and narrower to it
 INSET = 1.0  # m from the beginning of a track to the axle of who comes in

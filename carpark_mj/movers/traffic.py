@@ -1,6 +1,6 @@
 """The drivers of a lot: where they are and what they are about to do."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ Tree = TypeVar("Tree")
 
 # What a driver does.
 DRIVE, PARK, STAY, BACK_OUT, AWAY = range(5)
-SIZE = np.array([CITY.length, CITY.width], np.float32)
+SIZE: Any = np.array([CITY.length, CITY.width], np.float32)
 OFFSET = CITY.centre_offset  # m, rear axle to footprint centre
 RADIUS = 3.5  # m, of arcs; the tightest of the rear axle is 3.2 m
 NOSE = OFFSET + CITY.length / 2 + 0.3  # m, from the rear axle to what is before it
