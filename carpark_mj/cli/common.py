@@ -119,11 +119,9 @@ def enable_output_fusion() -> None:
     """Makes XLA on a CPU share results between loops, as on GPUs.
 
     Call it before JAX's first computation, when XLA reads `XLA_FLAGS`. It keeps a value
-    that the user has set. With flags that name movers nothing changes: XLA aborts where
-    it fuses what movers compute.
+    that the user has set.
     """
-    if not any("movers" in word for word in sys.argv[1:]):
-        os.environ.setdefault("XLA_FLAGS", OUTPUT_FUSION)
+    os.environ.setdefault("XLA_FLAGS", OUTPUT_FUSION)
 
 
 def dispatch_synchronously() -> None:

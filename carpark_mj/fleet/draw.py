@@ -14,7 +14,7 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.vehicles import READ, is_name
 from carpark_mj.layouts import Layout
-from carpark_mj.mdp.bays import Wanted, draw_bays, fits, shuffled_bays
+from carpark_mj.mdp.bays import Wanted, draw_bays, fits, free_bays, shuffled_bays
 from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.reset_options import ResetOptions, given_goals, kept_clear
 from carpark_mj.types import NO_BAY, ParkedCars
@@ -168,7 +168,7 @@ class Fleet:
             cars=jnp.arange(m) < self._num_parked_cars(layout, count_key),
             anywhere=False,
         )
-        free = layout.bay_mask.at[goal].set(False, mode="drop") & ~clear
+        free = free_bays(layout, goal) & ~clear
         parked_kind, bay = draw_bays(parked, free, place_key)
         jitter, offset = config.jitter, None
         if jitter.moves:

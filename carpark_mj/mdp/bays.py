@@ -40,7 +40,8 @@ def free_bays(layout: Layout, taken: jax.Array) -> jax.Array:
 
 def marked(layout: Layout, bay: jax.Array) -> jax.Array:
     """(bays,) bool, true at the indices `bay` (k,) int32; `NO_BAY` marks nothing."""
-    return jnp.zeros(layout.num_bays, bool).at[bay].set(True, mode="drop")
+    # No scatter, as in `free_bays`.
+    return (bay[:, None] == jnp.arange(layout.num_bays)).any(axis=0)
 
 
 def shuffled_bays(layout: Layout, key: jax.Array) -> jax.Array:
