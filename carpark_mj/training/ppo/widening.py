@@ -16,7 +16,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.rays import RAYS
-from carpark_mj.observations.sets import OWN
+from carpark_mj.observations.sets import part_name
 from carpark_mj.training.ppo.config import PPOConfig
 
 
@@ -50,7 +50,9 @@ def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
             f"{config.warm_start} was trained on other observations: {', '.join(lost)}"
         )
     # A new kind would change what the layers behind the encoder read.
-    kinds = {f.group for f in ours.values()} - {f.group for f in theirs.values()}
+    kinds = {part_name(f) for f in ours.values()} - {
+        part_name(f) for f in theirs.values()
+    }
     if kinds:
         raise ValueError(
             f"{config.warm_start} was trained without entities of the kind "
@@ -94,7 +96,7 @@ def _places(env: EnvConfig) -> dict[str, list[str]]:
     names: dict[str, list[str]] = {}
     for field in make_fields(env):
         if field.index == 0:
-            names.setdefault(field.group or OWN, []).extend(_numbers(field))
+            names.setdefault(part_name(field), []).extend(_numbers(field))
     return names
 
 
