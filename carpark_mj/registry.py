@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import (
     EnvConfig,
     EpisodeConfig,
@@ -11,6 +12,7 @@ from carpark_mj.config import (
     RandomizationConfig,
     RayConfig,
     RewardConfig,
+    RingConfig,
     SensorConfig,
     ShareConfig,
 )
@@ -89,11 +91,29 @@ CONSIDERATE = dataclasses.replace(
         ANYWHERE.observation, tracked_agents=3, tracked_movers=6
     ),
 )
+# The same for cars that see: of others and of the lot they know what four cameras show,
+# of themselves and of the way to their goal what the car tells.
+SEES = dataclasses.replace(
+    ANYWHERE,
+    num_agents=4,
+    observation=CameraObservation(
+        tracked_agents=0,
+        tracked_parked_cars=0,
+        own_car=True,
+        route=True,
+        rings=RingConfig(),
+        rays=RayConfig(),
+        width=48,
+        height=36,
+        reach=12.0,
+    ),
+)
 
 ENVIRONMENTS.register("square", SQUARE)
 ENVIRONMENTS.register("dynamic", DYNAMIC)
 ENVIRONMENTS.register("anywhere", ANYWHERE)
 ENVIRONMENTS.register("considerate", CONSIDERATE)
+ENVIRONMENTS.register("sees", SEES)
 
 
 def environment(name: str) -> EnvConfig:

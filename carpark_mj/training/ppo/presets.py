@@ -1,7 +1,7 @@
 """Presets of PPO training.
 
 `cpu` and `gpu` are made for a kind of hardware and end in time. `square`, `dynamic`,
-`anywhere` and `considerate` have the names of their environments in
+`anywhere`, `considerate` and `sees` have the names of their environments in
 `carpark_mj.registry`, train real cars and are meant for a GPU. `parts` names them.
 """
 
@@ -90,4 +90,15 @@ CONSIDERATE = dataclasses.replace(
         ANYWHERE.curriculum, crash_scale=4.0, discount_end=0.0
     ),
     env=environment("considerate"),
+)
+# Pictures take the time: as many steps as fit into an hour, fewer in an update.
+SEES = dataclasses.replace(
+    ANYWHERE,
+    preset="sees",
+    num_steps=800_000_000,
+    minutes=55.0,
+    num_lots=1024,
+    num_minibatches=8,
+    learning_rate=5e-4,
+    env=environment("sees"),
 )

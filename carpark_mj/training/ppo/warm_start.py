@@ -56,7 +56,7 @@ def require_run(config: PPOConfig) -> None:
         )
     names = ["encoder", "policy_layers"]
     if config.networks.encoder == "set":
-        names += ["own_size", "entity_size"]
+        names += ["own_size", "entity_size", "picture_size"]
     if _has_critic(path):
         names.append("value_layers")
     for name in names:

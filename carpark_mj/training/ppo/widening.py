@@ -18,7 +18,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.fields import ORDERED, Field
 from carpark_mj.observations.rays import RAYS
-from carpark_mj.observations.sets import OWN, observation_sets
+from carpark_mj.observations.sets import OWN, observation_sets, part_name
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.config import PPOConfig
 
@@ -106,11 +106,13 @@ def _places(networks: NetworkConfig, env: EnvConfig) -> dict[str, list[str]]:
     fields = make_fields(env)
     for field in fields:
         if field.index == 0:
-            names.setdefault(field.group or OWN, []).extend(_numbers(field))
-    sizes = {OWN: networks.own_size}
-    for part in observation_sets(fields).sets:
+            names.setdefault(part_name(field), []).extend(_numbers(field))
+    sizes, inputs = {OWN: networks.own_size}, observation_sets(fields)
+    for part in inputs.sets:
         count = part.count if part.group in ORDERED else 1
         sizes[part.group] = count * networks.entity_size
+    for part in inputs.pictures:
+        sizes[part.name] = part.shape[0] * networks.picture_size
     behind = [f"{part} {k}" for part, size in sizes.items() for k in range(size)]
     return names | {HIDDEN: behind}
 
