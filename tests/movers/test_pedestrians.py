@@ -11,13 +11,16 @@ import shapely
 from helpers.scenes import cars, polygons
 from helpers.states import parked_at, state_of
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.config.obstacles import ObstacleKind, hit_kinds, make_movers
 from carpark_mj.geometry import box_disc_overlap, move_forward, rotate
 from carpark_mj.geometry.obstacles import Boxes, Movers
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Pedestrians
 from carpark_mj.movers.stopping import stopping_zones
+from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.vehicle import COMPACT, make_vehicle
+from carpark_mj.vehicle.drive import stopping_action
 
 LOT = make_layout("square")
 DT, STEPS, LOTS = 0.2, 300, 12
@@ -120,6 +123,55 @@ def test_a_car_that_brakes_for_who_is_near_hits_nobody_and_one_that_does_not_doe
     assert hits[DRIVES] > 50
     for mode in (BRAKES, DRIVER_BRAKES):
         assert (drive[mode][2] > 1.0).mean() > 0.05  # it drives for all that
+
+
+def test_so_it_is_with_tyres_brakes_and_steering_of_the_default_physics():
+    physics, lots, car = MjxPhysics(SimConfig()), 6, make_vehicle(COMPACT)
+    vehicles = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *x.shape)), car)
+
+    def one(layout, key, brakes):
+        first = layout.spawn_pose[0]
+        start = jnp.stack([move_forward(first, x) for x in (-3.0, 3.0)])
+
+        def step(carry, key):
+            people, moving, wish = carry
+            keys = jax.random.split(key, 3)
+            motion = physics.read(moving)
+            lot = state_of(layout, motion, 0).replace(physics=moving)
+            zones = stopping_zones(lot, DT)
+            near = zones.hold(zones.local(people.xy), people.radius[:, None])
+            stops = brakes & (near & people.present[:, None]).any(axis=0)
+            new = jax.random.uniform(keys[0], (2, 2), minval=-1.0)
+            new = new * jnp.array([0.3, 1.0]) + jnp.array([0.0, 0.4])
+            wish = jnp.where(jax.random.bernoulli(keys[1], 0.1), new, wish)
+            stopping = stopping_action(motion.speed).at[:, 0].set(wish[:, 0])
+            moving = physics.step(moving, jnp.where(stops[:, None], stopping, wish))
+            walked = PEOPLE.step(keys[2], people, lot, DT)
+            after = physics.read(moving)
+            count = after.trace_w.shape[1]
+            share = (jnp.arange(count) + 1.0) / count
+            there = people.xy + share[:, None, None] * (walked.xy - people.xy)
+            trace = jnp.swapaxes(after.trace_w, 0, 1)[:, :, None]
+            hit = box_disc_overlap(trace, car.size, there[:, None], people.radius)
+            hit = (hit & people.present).any(axis=(0, 2))
+            out = (jnp.abs(after.xy) > layout.extent - 2.0).any(axis=-1) | hit
+            free = box_disc_overlap(start[:, None], car.size, walked.xy, walked.radius)
+            again = jnp.where(free.any(axis=1)[:, None], start + 100.0, start)
+            moving = physics.place(moving, out, again, vehicles)
+            return (walked, moving, wish), (hit, jnp.abs(motion.speed))
+
+        begin = physics.init(start + 100.0, vehicles)
+        people = PEOPLE.init(key, layout)
+        keys = jax.random.split(key, 200)
+        return jax.lax.scan(step, (people, begin, jnp.zeros((2, 2))), keys)[1]
+
+    run = jax.jit(jax.vmap(one, (0, 0, None)))
+    lot = jax.tree.map(lambda x: x[:lots], MANY)
+    keys = jax.random.split(jax.random.key(2), lots)
+    (hit, speed), (hits, _) = (run(lot, keys, brakes) for brakes in (True, False))
+    assert not hit.any()
+    assert hits.sum() > 10
+    assert (speed > 2.0).mean() > 0.05
 
 
 def test_people_walk_everywhere_but_never_through_walls(drive):
