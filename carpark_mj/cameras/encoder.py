@@ -1,6 +1,6 @@
 """Observations with pictures: the default encoder's vector and what cameras see.
 
-In a vector a picture is a row of numbers; Gymnasium's adapters give it its shape again.
+In a vector a picture is a row of numbers; adapters give it its shape again.
 """
 
 import dataclasses
@@ -67,6 +67,7 @@ class CameraObservation(ContinuousObservation):
                 1.0,
                 f"distance along the pixels' rays [{rig.reach:g} m]",
                 shape=shape,
+                gamma=0.5,  # centimetres near by, decimetres far off
             ),
             "seen": Field(
                 "camera_seen",

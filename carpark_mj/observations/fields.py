@@ -47,7 +47,10 @@ class Field:
         is_whole: whether its numbers are whole, from `low` to `high`.
         reveals_goal: whether it tells an agent where its own goal is; goals that are
             relabelled (`carpark_mj.wrappers.goal`) would contradict it.
-        shape: of the array that its numbers are, if that is more than a row.
+        shape: of the picture that its numbers are: channels, height, width. () = they
+            are no picture.
+        gamma: of a picture's bytes in dictionaries of observations: they are its share
+            of the range to this power. Below 1, small numbers have more of the bytes.
     """
 
     name: str
@@ -63,6 +66,7 @@ class Field:
     is_whole: bool = False
     reveals_goal: bool = False
     shape: tuple[int, ...] = ()
+    gamma: float = 1.0
 
 
 def far(distance: jax.Array) -> jax.Array:

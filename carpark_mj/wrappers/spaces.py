@@ -1,7 +1,7 @@
 """Gymnasium's spaces of what one agent observes and does."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,21 +11,32 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import layout_config
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import Field, make_fields
+from carpark_mj.observations.compose import BRIGHTEST, VECTOR
 from carpark_mj.precision import is_real
 from carpark_mj.vehicle import preset
 
 
-def observation_space(
-    config: EnvConfig, fields: Sequence[Field] | None = None
-) -> spaces.Box:
-    """The vector (size,) float32 of some fields; by default of the whole observation.
+def observation_space(config: EnvConfig) -> spaces.Box | spaces.Dict:
+    """Space of what `ParkingEnv.unpack` gives: a vector, or that and pictures."""
+    fields = make_fields(config)
+    pictures = [field for field in fields if field.shape]
+    vector = vector_space(config, (field for field in fields if not field.shape))
+    if not pictures:
+        return vector
+    parts: dict[str, spaces.Space[Any]] = {VECTOR: vector}
+    for field in pictures:
+        parts[field.name] = spaces.Box(0, BRIGHTEST, field.shape, np.uint8)
+    return spaces.Dict(parts)
+
+
+def vector_space(config: EnvConfig, fields: Iterable[Field]) -> spaces.Box:
+    """The vector (size,) float32 of some fields.
 
     Bounds are the ranges of the fields. If walls do not keep cars on the lot, or cars
     are faster than in a car park, bounds of lengths and speeds are what a car can reach
     in an episode. Noise of sensors is unbounded.
     """
-    if fields is None:
-        fields = make_fields(config)
+    fields = tuple(fields)
     size = [field.size for field in fields]
     more = np.array([_excess(config, field) for field in fields])
     low = np.array([field.low for field in fields])
