@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import (
     EnvConfig,
     EpisodeConfig,
@@ -11,6 +12,7 @@ from carpark_mj.config import (
     RandomizationConfig,
     RayConfig,
     RewardConfig,
+    RingConfig,
     SensorConfig,
     ShareConfig,
 )
@@ -75,9 +77,43 @@ ANYWHERE = EnvConfig(
     ),
 )
 
+# Up to four of them among people of whom more or fewer give way. Whoever waits for
+# people needs more time; who hits one has crashed, and pays `person` besides.
+CONSIDERATE = dataclasses.replace(
+    ANYWHERE,
+    num_agents=4,
+    movers=("pedestrians:number=0..20,attention=0.5..1.0",),
+    episode=EpisodeConfig(max_steps=400),  # 80 s
+    reward=dataclasses.replace(
+        ANYWHERE.reward, time=3.0, extra={"person": 5.0, "comfort": 16.0}
+    ),
+    observation=dataclasses.replace(
+        ANYWHERE.observation, tracked_agents=3, tracked_movers=6
+    ),
+)
+# The same for cars that see: of others and of the lot they know what four cameras show,
+# of themselves and of the way to their goal what the car tells.
+SEES = dataclasses.replace(
+    ANYWHERE,
+    num_agents=4,
+    observation=CameraObservation(
+        tracked_agents=0,
+        tracked_parked_cars=0,
+        own_car=True,
+        route=True,
+        rings=RingConfig(),
+        rays=RayConfig(),
+        width=48,
+        height=36,
+        reach=12.0,
+    ),
+)
+
 ENVIRONMENTS.register("square", SQUARE)
 ENVIRONMENTS.register("dynamic", DYNAMIC)
 ENVIRONMENTS.register("anywhere", ANYWHERE)
+ENVIRONMENTS.register("considerate", CONSIDERATE)
+ENVIRONMENTS.register("sees", SEES)
 
 
 def environment(name: str) -> EnvConfig:

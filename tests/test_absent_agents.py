@@ -145,6 +145,7 @@ def test_agents_drive_as_in_a_lot_in_which_the_absent_do_not_exist(name):
         lot = without_absent(state, PRESENT)
         state, timestep = step(state, action)
         lot, expected = step_alone(lot, action[:PRESENT])
+        timestep, expected = jax.device_get((timestep, expected))
         own = jax.tree.map(lambda x: x[:PRESENT], timestep)
         own = fewer_slots(own, env, alone)
         found = without_absent(state, PRESENT)

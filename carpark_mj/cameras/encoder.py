@@ -15,7 +15,7 @@ from carpark_mj.cameras.rig import RIGS, Rig, Seen
 from carpark_mj.cameras.see import see
 from carpark_mj.config import ENCODERS, EnvConfig
 from carpark_mj.config.checks import require_name
-from carpark_mj.observations import ContinuousObservation, Field, Part, Sight
+from carpark_mj.observations import ContinuousObservation, Field, Part, Sight, ego
 from carpark_mj.vehicle import preset
 
 Channel = Literal["depth", "seen"]
@@ -31,13 +31,18 @@ class CameraObservation(ContinuousObservation):
         rig: name of the cameras in `RIGS`.
         width: of a picture [pixels].
         height: of a picture [pixels].
+        reach: depths are at most this [m].
         channels: what of the pictures.
+        goal: `pose` = its place is among the numbers; `seen` = only pictures tell it,
+            where pixels show the own bay.
     """
 
     rig: str = "surround"
     width: int = 64
     height: int = 48
+    reach: float = 50.0
     channels: tuple[Channel, ...] = ("depth", "seen")
+    goal: Literal["pose", "seen"] = "pose"
     encoding: str = "cameras"
 
     def __post_init__(self) -> None:
@@ -48,11 +53,28 @@ class CameraObservation(ContinuousObservation):
             raise ValueError(
                 f"channels must be one or both of depth and seen, not {self.channels}"
             )
+        if self.goal == "seen":
+            if "seen" not in self.channels:
+                raise ValueError(
+                    f"goal 'seen' needs the channel seen of {self.channels}"
+                )
+            for name in ("lines", "route", "global_information"):
+                if getattr(self, name):
+                    raise ValueError(
+                        f"{name} tells where the goal is: goal must be 'pose'"
+                    )
+
+    def check(self, env: EnvConfig) -> None:
+        """See `ObservationConfig.check`."""
+        super().check(env)
+        if self.goal == "seen" and env.goals.dynamic:
+            raise ValueError("goal 'seen' needs fixed goals, not goals.dynamic")
 
     @functools.cached_property
     def cameras(self) -> Rig:
-        """The rig at the resolution of the pictures."""
-        return dataclasses.replace(RIGS[self.rig], width=self.width, height=self.height)
+        """The rig with the resolution and the reach of the pictures."""
+        changes = {name: getattr(self, name) for name in ("width", "height", "reach")}
+        return dataclasses.replace(RIGS[self.rig], **changes)
 
     def parts(self, env: EnvConfig) -> list[Part]:
         """Those of the default encoder, and the pictures."""
@@ -75,6 +97,8 @@ class CameraObservation(ContinuousObservation):
                 0.0,
                 float(max(Seen)),
                 "what the pixels show, `Seen`",
+                is_whole=True,
+                reveals_goal=True,
                 shape=shape,
             ),
         }
@@ -90,7 +114,10 @@ class CameraObservation(ContinuousObservation):
             }
 
         pictured = tuple(fields[name] for name in self.channels)
-        return [*super().parts(env), Part(pictured, fill)]
+        parts = super().parts(env)
+        if self.goal == "seen":
+            parts = [part for part in parts if part is not ego.GOAL]
+        return [*parts, Part(pictured, fill)]
 
 
 def _heights(env: EnvConfig) -> Heights:

@@ -47,8 +47,8 @@ class Field:
         is_whole: whether its numbers are whole, from `low` to `high`.
         reveals_goal: whether it tells an agent where its own goal is; goals that are
             relabelled (`carpark_mj.wrappers.goal`) would contradict it.
-        shape: of the picture that its numbers are: channels, height, width. () = they
-            are no picture.
+        shape: of the picture that its numbers are: views, height, width, or the last
+            two. () = they are no picture.
         gamma: of a picture's bytes in dictionaries of observations: they are its share
             of the range to this power. Below 1, small numbers have more of the bytes.
     """

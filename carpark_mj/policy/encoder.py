@@ -1,4 +1,4 @@
-"""The set encoder: what a network makes of own numbers and of sets of entities.
+"""The set encoder: what a network makes of own numbers, sets of entities and pictures.
 
 Late fusion as in GPUDrive (Kazemkhani et al. 2024) and Deep Sets (Zaheer et al. 2017):
 all entities of a kind go through the same layers, and the largest of each feature over
@@ -15,6 +15,7 @@ from carpark_mj.observations.fields import ORDERED
 from carpark_mj.observations.sets import OWN, ObservationSets
 from carpark_mj.policy import entities, entities_kernel
 from carpark_mj.policy.entities import EntityLayers
+from carpark_mj.policy.pictures import PictureEncoder
 
 
 class SetEncoder(linen.Module):
@@ -24,13 +25,15 @@ class SetEncoder(linen.Module):
         sets: parts of the observation.
         own_size: features of the own numbers.
         entity_size: features of an entity, and so of a set.
+        picture_size: features of a picture, of each view.
         in_kernel: whether sets are encoded in a GPU kernel, see `entities_kernel`.
-        dtype: of the layer of the own numbers, and of products in the kernel.
+        dtype: of the layers of own numbers and pictures, and of products in the kernel.
     """
 
     sets: ObservationSets
     own_size: int
     entity_size: int
+    picture_size: int = 0
     in_kernel: bool = False
     dtype: Any = jnp.float32
 
@@ -58,6 +61,11 @@ class SetEncoder(linen.Module):
             else:
                 found = entities.largest(layers, parts[group], present[group])
             features.append(found.astype(own.dtype))
+        for part in self.sets.pictures:
+            encoder = PictureEncoder(
+                part.kinds, self.picture_size, self.dtype, name=part.name
+            )
+            features.append(encoder(parts[part.name]))
         return linen.swish(jnp.concatenate(features, axis=-1))
 
 

@@ -36,6 +36,7 @@ class NetworkConfig(CheckedConfig):
             cars. `flat`: none, the layers read the vector.
         own_size: number of features of the own numbers in `set`.
         entity_size: number of features of a set of entities in `set`.
+        picture_size: number of features of a picture in `set`, of each camera's.
         min_std: least standard deviation of continuous actions before tanh, above 0.
             With a small value a policy may stop exploring.
     """
@@ -45,6 +46,7 @@ class NetworkConfig(CheckedConfig):
     encoder: EncoderName = "set"
     own_size: int = 128
     entity_size: int = 64
+    picture_size: int = 128
     min_std: float = MIN_STD
 
     def __post_init__(self) -> None:
@@ -55,6 +57,7 @@ class NetworkConfig(CheckedConfig):
                     f"{name} must be positive sizes, not {getattr(self, name)}"
                 )
         require_whole(self, 1, "own_size", "entity_size")
+        require_whole(self, 4, "picture_size")  # convolutions have a quarter of it
         require_positive(self, "min_std")
 
 
@@ -101,7 +104,8 @@ class SetNetwork(linen.Module):
         self, parts: dict[str, jax.Array], present: dict[str, jax.Array]
     ) -> jax.Array:
         """The output (..., layers[-1])."""
-        sizes, how = (self.config.own_size, self.config.entity_size), self.arithmetic
+        config, how = self.config, self.arithmetic
+        sizes = (config.own_size, config.entity_size, config.picture_size)
         encoder = SetEncoder(self.inputs, *sizes, how.in_kernel, how.dtype)
         hidden = encoder(parts, present)
         return _Layers(self.layers, how.dtype, name="MLP_0")(hidden)

@@ -1,7 +1,7 @@
 """Running statistics of observations, shared by all entities of a kind.
 
 An entity therefore means the same in every slot, and the statistics fit any number of
-slots. Padded slots, which a set encoder masks, do not count.
+slots. Padded slots, which a set encoder masks, do not count. Pictures have none.
 """
 
 from typing import Any
@@ -73,8 +73,12 @@ def update_normalizer(
 def normalize(
     normalizer: Normalizer, parts: dict[str, jax.Array]
 ) -> dict[str, jax.Array]:
-    """Parts of observations, see `ObservationSets.split`, scaled to about unit size."""
-    return {
-        name: running_statistics.normalize(part, normalizer[name])
-        for name, part in parts.items()
+    """Parts of observations, see `ObservationSets.split`, scaled to about unit size.
+
+    Pictures stay as they are.
+    """
+    scaled = {
+        name: running_statistics.normalize(parts[name], state)
+        for name, state in normalizer.items()
     }
+    return parts | scaled

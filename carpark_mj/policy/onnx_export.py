@@ -18,6 +18,7 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.observations import Field, make_fields
+from carpark_mj.observations.sets import is_picture
 from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.normalizer import MIN_STD
@@ -102,7 +103,14 @@ def make_model(loaded: LoadedPolicy) -> Any:
 
     Raises:
         OSError: jax2onnx is not installed.
+        ValueError: it observes pictures.
     """
+    pictures = [field.name for field in make_fields(loaded.env) if is_picture(field)]
+    if pictures:
+        raise ValueError(
+            f"only policies without pictures become ONNX models, not one that observes "
+            f"{', '.join(pictures)}"
+        )
     require_onnx()
     from jax2onnx import to_onnx
 

@@ -1,5 +1,6 @@
 """Pictures in observations: fields with a shape, dictionaries in Gymnasium."""
 
+import dataclasses
 import functools
 
 import jax
@@ -10,7 +11,7 @@ import pytest
 import carpark_mj
 from carpark_mj.cameras import Heights, Seen, see
 from carpark_mj.cameras.encoder import CameraObservation
-from carpark_mj.config import ENCODERS, EnvConfig, RayConfig, RingConfig
+from carpark_mj.config import ENCODERS, EnvConfig, GoalConfig, RayConfig, RingConfig
 from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.observations import unpack as unpack_fields
 from carpark_mj.wrappers.gymnasium_env import ParkEnv
@@ -122,6 +123,17 @@ def test_all_adapters_give_the_same_pictures(adapter):
         np.testing.assert_allclose(found, array, atol=1e-4 if name == "vector" else 1)
 
 
+def test_a_goal_that_is_only_seen_is_in_no_number():
+    seen = dataclasses.replace(OBSERVATION, goal="seen")
+    told, untold = (
+        {field.name for field in encoder.fields(CONFIG) if field.reveals_goal}
+        for encoder in (OBSERVATION, seen)
+    )
+    assert untold == {"camera_seen"} < told
+    with pytest.raises(ValueError, match="goal 'seen' needs fixed goals"):
+        dataclasses.replace(CONFIG, observation=seen, goals=GoalConfig(dynamic=True))
+
+
 def test_it_is_chosen_by_name():
     assert ENCODERS["cameras"] is CameraObservation
 
@@ -133,6 +145,11 @@ def test_it_is_chosen_by_name():
         ({"width": 0}, "width must be at least 1"),
         ({"channels": ()}, "channels must be one or both"),
         ({"channels": ("depth", "depth")}, "channels must be one or both"),
+        ({"reach": 0.0}, "reach must be positive"),
+        ({"goal": "told"}, "unknown goal 'told'"),
+        ({"goal": "seen", "channels": ("depth",)}, "goal 'seen' needs the channel"),
+        ({"goal": "seen", "route": True}, "route tells where the goal is"),
+        ({"goal": "seen", "lines": True}, "lines tells where the goal is"),
     ],
 )
 def test_impossible_pictures_are_refused(settings, message):

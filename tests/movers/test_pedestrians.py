@@ -21,7 +21,7 @@ from carpark_mj.movers.stopping import stopping_zones
 LOT = make_layout("square")
 DT, STEPS, LOTS = 0.2, 300, 12
 FAMILIES: Any = layout_config("mixture")
-MANY = jax.vmap(FAMILIES.generate)(jax.random.split(jax.random.key(0), LOTS))
+MANY = jax.jit(jax.vmap(FAMILIES.generate))(jax.random.split(jax.random.key(0), LOTS))
 THIRD = jnp.arange(MANY.num_bays) % 3 == 0  # of the bays hold parked cars
 BRAKES, DRIVES, STANDS = range(3)
 PEOPLE = Pedestrians(number=15, children=0.4, attention=0.3)

@@ -29,9 +29,10 @@ def act(state, observation, memory, key):
 def start(env, lots):
     """A lot at its start, or several; memory is a number of every agent."""
     if not lots:
-        return Carry(*env.reset(jax.random.key(1)), jnp.zeros(env.num_agents))
+        first = jax.jit(env.reset)(jax.random.key(1))
+        return Carry(*first, jnp.zeros(env.num_agents))
     keys = jax.random.split(jax.random.key(1), lots)
-    return Carry(*jax.vmap(env.reset)(keys), jnp.zeros((lots, env.num_agents)))
+    return Carry(*jax.jit(jax.vmap(env.reset))(keys), jnp.zeros((lots, env.num_agents)))
 
 
 @pytest.mark.parametrize("lots", [0, 2])

@@ -76,9 +76,13 @@ def learn(
             apply: Any = networks.value_network.apply
             return apply(normalizer, params.value, observation)
 
+        if inputs.pictures:  # a step at a time: their features take much memory
+            values = jax.lax.map(value, rollout.observation)
+        else:
+            values = value(_flat(rollout.observation)).reshape(rollout.reward.shape)
         advantage, target = compute_advantages(
             rollout,
-            value(_flat(rollout.observation)).reshape(rollout.reward.shape),
+            values,
             value(rollout.final_observation),
             discount(config, progress),
             config.gae_lambda,

@@ -56,7 +56,7 @@ def require_run(config: PPOConfig) -> None:
         )
     names = ["encoder", "policy_layers"]
     if config.networks.encoder == "set":
-        names += ["own_size", "entity_size"]
+        names += ["own_size", "entity_size", "picture_size"]
     if _has_critic(path):
         names.append("value_layers")
     for name in names:
@@ -100,7 +100,7 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
         )
     template = _template(config, run.env)
     found = _load(run.path, {name: template[name] for name in taken})
-    return _replace(state, widen(config, run.env, found))
+    return _replace(state, widen(config, run.env, found, vars(state)))
 
 
 def _load(path: Path, template: dict[str, Any]) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def test_targets_are_constants_of_the_gradient():
 
 
 def test_training_never_starts_where_the_evaluation_does(learner):
-    starts, _ = jax.vmap(learner.env.reset)(learner.config.evaluation_keys())
+    starts, _ = jax.jit(jax.vmap(learner.env.reset))(learner.config.evaluation_keys())
     held_out = jax.random.key_data(starts.key)
     training = jax.random.key_data(learner.init().state.key)
     assert not (held_out[:, None] == training).all(axis=-1).any()

@@ -131,7 +131,7 @@ def test_bays_are_the_largest_rectangles_between_the_lines(shift):
 def test_a_random_goal_is_any_slot_and_the_others_are_reserved():
     config = SlotsConfig(slots_per_row=3, goal_slot=None)
     keys = jax.random.split(jax.random.key(0), 100)
-    drawn = jax.vmap(config.generate)(keys)
+    drawn = jax.jit(jax.vmap(config.generate))(keys)
     assert (drawn.goal_mask.sum(axis=1) == 1).all()
     assert set(np.argmax(drawn.goal_mask, axis=1).tolist()) == set(range(6))
     assert config.is_random

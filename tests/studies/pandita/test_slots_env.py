@@ -83,7 +83,8 @@ def test_every_other_slot_holds_a_car_and_there_is_one_goal(start):
     assert slots_config({"parked_cars": 0}).num_parked_cars == 0
     assert slots_config({"layout": "slots_single"}).num_parked_cars == 1
     env = ParkingEnv(other)
-    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(1), 60))[0]
+    keys = jax.random.split(jax.random.key(1), 60)
+    states, _ = jax.jit(jax.vmap(env.reset))(keys)
     goals = states.goal[:, 0]
     assert set(goals.tolist()) == set(range(6))
     np.testing.assert_array_equal(

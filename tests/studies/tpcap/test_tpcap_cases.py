@@ -55,13 +55,13 @@ def test_a_lot_is_its_file(number):
 
 def test_the_lots_are_valid_for_the_car():
     size = jax.numpy.array(TPCAP_CAR.size)
-    faults = jax.vmap(lambda lot: find_faults(lot, size))(load_tpcap())
+    faults = jax.jit(jax.vmap(lambda lot: find_faults(lot, size)))(load_tpcap())
     assert {name: int(at.sum()) for name, at in faults.items() if at.any()} == {}
 
 
 def test_a_key_draws_any_of_them():
     keys = jax.random.split(jax.random.key(0), 200)
-    drawn = jax.vmap(TpcapConfig().generate)(keys)
+    drawn = jax.jit(jax.vmap(TpcapConfig().generate))(keys)
     assert len(np.unique(drawn.bay_pose[:, 0], axis=0)) == CASES
     assert TpcapConfig().is_random
     assert not TpcapConfig(3).is_random

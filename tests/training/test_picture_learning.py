@@ -1,0 +1,86 @@
+"""Updates from pictures: advantages a step at a time, and what learns."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax.flatten_util import ravel_pytree
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.fields import Field
+from carpark_mj.policy.networks import NetworkConfig, make_networks, network_inputs
+from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.training.ppo import variants
+from carpark_mj.training.ppo.collect import Rollout
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.epochs import learn, network_params
+from carpark_mj.training.ppo.loss import ppo_loss
+from carpark_mj.training.ppo.state import AXIS
+
+LENGTH, AGENTS = 3, 4
+FIELDS = (
+    Field("speed", 2, -1.0, 1.0, ""),
+    Field("depth", 16, 0.0, 1.0, "", shape=(1, 4, 4)),
+)
+CONFIG = PPOConfig(
+    num_lots=AGENTS,
+    unroll_length=LENGTH,
+    num_minibatches=1,
+    num_epochs=1,
+    networks=NetworkConfig((4,), (4,), own_size=4, picture_size=4),
+    env=EnvConfig(num_agents=1),
+)
+
+
+def test_an_update_values_all_steps_and_teaches_the_layers_of_pictures(monkeypatch):
+    """Every step ends an episode, so that a critic's value is reward less advantage."""
+    networks = make_networks(CONFIG.networks, FIELDS, ActionSpec(2))
+    inputs, optimizer = network_inputs(CONFIG.networks, FIELDS), optax.scale_by_adam()
+
+    def loss(params, networks, normalizer, batch, weights, key):
+        total, told = ppo_loss(params, networks, normalizer, batch, weights, key)
+        apply = networks.value_network.apply
+        expected = apply(normalizer, params.value, batch.observation)
+        error = jnp.abs(batch.target - batch.advantage - expected).max()
+        return total, told | {"error": error, "spread": jnp.std(expected)}
+
+    monkeypatch.setattr(variants, "ppo_loss", loss)
+
+    def update(key):
+        keys = jax.random.split(key, 6)
+        shape, one = (LENGTH, AGENTS), jnp.ones((LENGTH, AGENTS))
+        rollout = Rollout(
+            observation=jax.random.uniform(keys[0], (*shape, inputs.size)),
+            raw_action=jax.random.normal(keys[1], (*shape, 2)),
+            log_prob=-one,
+            reward=jax.random.normal(keys[2], shape),
+            terminated=one,
+            truncated=0.0 * one,
+            final_observation=jnp.zeros((AGENTS, inputs.size)),
+        )
+        policy = networks.policy_network.init(keys[3])
+        value = networks.value_network.init(keys[4])
+        params = network_params(policy, value)
+        state = SimpleNamespace(
+            update=jnp.int32(0),
+            seconds=jnp.float32(0.0),
+            normalizer=init_normalizer(inputs),
+            policy=policy,
+            value=value,
+            optimizer=optimizer.init(ravel_pytree(params)[0]),
+        )
+        given = (CONFIG, networks, inputs, optimizer, cast(Any, state), rollout)
+        return learn(*given, keys[5]), policy, value
+
+    key = jax.random.split(jax.random.key(0), 1)
+    (learned, told), *before = jax.jit(jax.vmap(update, axis_name=AXIS))(key)
+    assert float(told["error"][0]) < 1e-5 < float(told["spread"][0])
+    for old, new in zip(before, learned[1:3], strict=True):
+        moved = jax.tree.map(lambda a, b: np.abs(a - b).max(), old, new)
+        layers = moved["params"]["SetEncoder_0"]["pictures_1x4x4"]
+        assert min(jax.tree.leaves(layers)) > 0.0
+        assert all(np.isfinite(x).all() for x in jax.tree.leaves(new))
