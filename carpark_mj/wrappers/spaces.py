@@ -34,7 +34,8 @@ def vector_space(config: EnvConfig, fields: Iterable[Field]) -> spaces.Box:
 
     Bounds are the ranges of the fields. If walls do not keep cars on the lot, or cars
     are faster than in a car park, bounds of lengths and speeds are what a car can reach
-    in an episode. Noise of sensors is unbounded.
+    in an episode; those of a yaw rate reach as far as the back end turns cars. Noise of
+    sensors is unbounded.
     """
     fields = tuple(fields)
     size = [field.size for field in fields]
@@ -49,11 +50,14 @@ def vector_space(config: EnvConfig, fields: Iterable[Field]) -> spaces.Box:
 
 def _excess(config: EnvConfig, field: Field) -> float:
     """By how much the numbers of a field may exceed its range."""
-    lot = layout_config(config.layout)
-    fast = not config.physics_config.keeps_ranges
+    lot, physics = layout_config(config.layout), config.physics_config
+    fast = not physics.keeps_ranges
     varies = bool(field.metres or field.speed)
     if varies and config.sensors.is_on:
         return math.inf
+    turns = physics.top_yaw_rate(config.sim.ctrl_dt) if field.is_yaw_rate else 0.0
+    if turns > field.high:
+        return turns - field.high
     if not varies or (lot.is_enclosed and not fast):
         return 0.0
     cars = [preset(name) for name in (config.vehicle, *config.fleet.agents)]
