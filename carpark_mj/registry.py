@@ -77,6 +77,20 @@ ANYWHERE = EnvConfig(
     ),
 )
 
+# Up to four of them among people of whom more or fewer give way. Whoever waits for
+# people needs more time; who hits one has crashed, and pays `person` besides.
+CONSIDERATE = dataclasses.replace(
+    ANYWHERE,
+    num_agents=4,
+    movers=("pedestrians:number=0..20,attention=0.5..1.0",),
+    episode=EpisodeConfig(max_steps=400),  # 80 s
+    reward=dataclasses.replace(
+        ANYWHERE.reward, time=3.0, extra={"person": 5.0, "comfort": 16.0}
+    ),
+    observation=dataclasses.replace(
+        ANYWHERE.observation, tracked_agents=3, tracked_movers=6
+    ),
+)
 # The same for cars that see: of others and of the lot they know what four cameras show,
 # of themselves and of the way to their goal what the car tells.
 SEES = dataclasses.replace(
@@ -98,6 +112,7 @@ SEES = dataclasses.replace(
 ENVIRONMENTS.register("square", SQUARE)
 ENVIRONMENTS.register("dynamic", DYNAMIC)
 ENVIRONMENTS.register("anywhere", ANYWHERE)
+ENVIRONMENTS.register("considerate", CONSIDERATE)
 ENVIRONMENTS.register("sees", SEES)
 
 

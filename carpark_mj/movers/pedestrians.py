@@ -1,12 +1,12 @@
 """Pedestrians: who walks in a lot, drawn when it begins."""
 
 import dataclasses
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.checks import Range, require_range, require_ratio, require_whole
+from carpark_mj.config.checks import Range, require_count, require_range, require_ratio
 from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.geometry.obstacles import Discs
 from carpark_mj.layouts.types import Layout
@@ -15,6 +15,8 @@ from carpark_mj.movers.people import People
 from carpark_mj.movers.places import make_places
 from carpark_mj.movers.walking import NEAR, REST, walk
 from carpark_mj.types import State
+
+Number = TypeVar("Number", int, float)
 
 CHILD = 0.25  # m, radius
 FIRST_REST = 10.0  # s, longest until somebody sets out when a lot begins
@@ -28,14 +30,16 @@ class Pedestrians(Mover):
     Shares are probabilities for each person, drawn when a lot begins.
 
     Attributes:
-        number: how many, the most if `density` is given. A lot holds at most one for
-            each place that can be reached when it begins.
+        number: how many, or the range that a lot draws from; the most if `density` is
+            given. A lot holds at most one for each place that can be reached when it
+            begins.
         density: people for 100 m² of the lot, drawn from this range; None = `number`.
         speed: desired speeds [m/s], normal about the middle of this range and cut at
             its ends, two standard deviations away. Weidmann 1993: 1.34 m/s, standard
             deviation 0.26 m/s.
         radius: of adults [m], uniform.
-        attention: share of adults who give way to cars.
+        attention: share of adults who give way to cars, or the range that a lot draws
+            it from.
         groups: share of adults who walk with the one before.
         standing: share of adults who mostly stand.
         straight: share of adults who walk straight whoever is near.
@@ -43,11 +47,11 @@ class Pedestrians(Mover):
         mover: fixed.
     """
 
-    number: int = 10
+    number: int | tuple[int, int] = 10
     density: Range | None = None
     speed: Range = (0.82, 1.86)
     radius: Range = (0.25, 0.35)
-    attention: float = 0.8
+    attention: float | Range = 0.8
     groups: float = 0.2
     standing: float = 0.1
     straight: float = 0.1
@@ -57,19 +61,23 @@ class Pedestrians(Mover):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(self, 1, "number")
+        least, most = _bounds(self.number)
+        require_count("number", most, 1)
+        require_range("number", (least, most), 0, most)
         if self.density is not None:
             require_range("density", self.density, 0.0, 100.0)
+        require_range("attention", _bounds(self.attention), 0.0, 1.0)
         require_range("speed", self.speed, 0.1, 3.0)
         require_range("radius", self.radius, 0.2, 0.5)
-        require_ratio(self, "attention", "groups", "standing", "straight", "children")
+        require_ratio(self, "groups", "standing", "straight", "children")
 
     def init(self, key: Any, layout: Layout) -> People:
         """Everybody stands at a place of their own."""
-        n, places = self.number, make_places(layout)
-        keys = iter(jax.random.split(key, 12))
+        (least, n), places = _bounds(self.number), make_places(layout)
+        *keys, attention_key = jax.random.split(key, 12)
+        keys = iter(keys)
 
-        def share(probability: float) -> jax.Array:
+        def share(probability: float | jax.Array) -> jax.Array:
             return jax.random.uniform(next(keys), (n,)) < probability
 
         order = jnp.where(
@@ -77,11 +85,11 @@ class Pedestrians(Mover):
         )
         order = jnp.argsort(order)[:n]
         start = jnp.pad(order, (0, n - order.shape[0]))
-        rank, wanted = jnp.arange(n), jnp.int32(n)
-        density_key = next(keys)
+        rank, number_key = jnp.arange(n), next(keys)
+        wanted = jax.random.randint(number_key, (), least, n + 1)
         if self.density is not None:
             low, high = self.density
-            density = jax.random.uniform(density_key, (), minval=low, maxval=high)
+            density = jax.random.uniform(number_key, (), minval=low, maxval=high)
             area = 4.0 * layout.extent[0] * layout.extent[1]
             wanted = jnp.round(density * area / 100.0).astype(jnp.int32)
         child = share(self.children)
@@ -101,6 +109,8 @@ class Pedestrians(Mover):
         radius = jax.random.uniform(next(keys), (n,), minval=low, maxval=high)
         # In the aisle: parked cars are not known yet.
         at = places.edge[start] + offset
+        low, high = _bounds(self.attention)
+        attention = jax.random.uniform(attention_key, minval=low, maxval=high)
         return People(
             xy=at,
             velocity=jnp.zeros((n, 2)),
@@ -110,7 +120,7 @@ class Pedestrians(Mover):
             child=child,
             stands=share(self.standing)[leader] & ~child,
             straight=share(self.straight) & ~child,
-            attentive=share(self.attention) & ~child,
+            attentive=share(attention) & ~child,
             leader=leader,
             offset=offset,
             place=start,
@@ -132,6 +142,11 @@ class Pedestrians(Mover):
     def obstacles(self, state: People) -> list[Discs]:
         """A disc each."""
         return [Discs(state.xy, state.radius, state.velocity, state.present)]
+
+
+def _bounds(value: Number | tuple[Number, Number]) -> tuple[Number, Number]:
+    """The ends of a range; those of one number are the same."""
+    return value if isinstance(value, tuple) else (value, value)
 
 
 MOVERS.register("pedestrians", Pedestrians())

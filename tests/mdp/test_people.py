@@ -70,9 +70,10 @@ def episode(*instants, hit=False):
 def test_a_contact_costs_more_and_passing_close_costs_by_speed():
     terms = reward_terms(CONFIG, made((0.5, 2.0), (0.0, 1.0), hit=True))
     assert terms["person"] == pytest.approx(-10.0)
-    terms = reward_terms(CONFIG, made((5.0, 2.0), (1.0, 2.0)))
-    # Half of the 2 m are missing at 2 m/s, of a weight for the whole episode.
-    assert float(terms["comfort"][0]) == pytest.approx(-1 / CONFIG.episode.max_steps)
+    terms = reward_terms(CONFIG, made((5.0, 3.0), (1.0, 3.0)))
+    # Half of the 2 m are missing at 3 m/s, of a weight for the whole episode.
+    cost = 1.5**2 / CONFIG.episode.max_steps
+    assert float(terms["comfort"][0]) == pytest.approx(-cost)
     assert terms["person"] == 0.0
     far = reward_terms(CONFIG, made((5.0, 2.0), (2.1, 3.0)))
     assert far["comfort"] == 0.0

@@ -240,7 +240,8 @@ def test_statistics_of_new_fields_have_unit_variance_and_go_on(other):
         part: state.replace(count=count, std_eps=0.0)
         for part, state in theirs.normalizer.items()
     }
-    wide = widen(WIDER, TINY.env, {"normalizer": seen})["normalizer"]
+    wide = widen(WIDER, TINY.env, {"normalizer": seen}, {"normalizer": {}})
+    wide = wide["normalizer"]
     inputs = Learner(WIDER).inputs
     names = [
         f.name for f in make_fields(WIDER.env) if not f.group for _ in range(f.size)
@@ -363,17 +364,28 @@ def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
     )
 
 
-def test_entities_of_a_new_kind_are_refused(tmp_path):
+def test_agents_that_observe_a_new_kind_of_entities_act_as_before_and_learn_from_it(
+    tmp_path,
+):
     seen = ContinuousObservation(tracked_parked_cars=0)
-    alone = dataclasses.replace(
-        TINY, env=dataclasses.replace(TINY.env, observation=seen)
-    )
-    folder = tmp_path / "alone"
-    folder.mkdir()
-    save(folder, alone, jax.device_get(Learner(alone).init()))
-    refused(
-        tmp_path,
-        ValueError,
-        "trained without entities of the kind parked_car; only more",
-        warm_start=str(folder),
-    )
+    env = dataclasses.replace(TINY.env, observation=seen)
+    narrow = Learner(dataclasses.replace(TINY, env=env))
+    theirs = jax.device_get(narrow.init())
+    save(tmp_path, narrow.config, theirs)
+    wide = Learner(dataclasses.replace(TINY, warm_start=str(tmp_path)))
+    state = jax.device_get(load_or_init(wide, [tmp_path / "run"]))
+    kept = columns(TINY, lambda name: not name.startswith("parked_car"))
+    rng = np.random.default_rng(3)
+    more = rng.uniform(0.6, 1, (20, columns(TINY).size)).astype(np.float32)
+    assert more.shape[1] > kept.size
+
+    def value(learner, of, params, observation):
+        return learner.networks.value_network.apply(of.normalizer, params, observation)
+
+    before = value(narrow, theirs, theirs.value, more[:, kept])
+    after, slopes = jax.value_and_grad(
+        lambda params: value(wide, state, params, more).sum()
+    )(state.value)
+    assert float(after) == pytest.approx(float(before.sum()), rel=1e-5)
+    slope = slopes["params"]["MLP_0"]["hidden_0"]["kernel"]
+    assert (jnp.abs(slope).max(axis=1) > 0).all()

@@ -12,8 +12,9 @@ class CurriculumConfig(CheckedConfig):
     Progress is the share of the training that is over.
 
     Attributes:
-        crash_scale: factor on the crash penalty that is reached, linearly from 1, at
-            progress `crash_until`. A hard penalty from the start teaches halting.
+        crash_scale: factor on the crash penalty, and on that of the term `person`, that
+            is reached, linearly from 1, at progress `crash_until`. A hard penalty from
+            the start teaches halting.
         crash_until: progress at which the crash penalty has its full size.
         discount_end: discount factor at the end; 0 = that of the start. From progress
             0.3 to 0.8 the horizon, 1 / (1 - discount), changes linearly.

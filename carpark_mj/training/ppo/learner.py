@@ -18,6 +18,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import training_key
+from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.observations import make_fields
 from carpark_mj.physics.kernel import has_triton
 from carpark_mj.policy.networks import (
@@ -42,6 +43,8 @@ from carpark_mj.training.ppo.teacher import make_teacher
 from carpark_mj.training.ppo.variants import variant
 from carpark_mj.wrappers.brax import BraxParking
 
+# Terms of the reward that `crash_scale` of a curriculum is a factor on.
+SCALED = ("crash", "person")
 # On a GPU XLA would try every fusion with a reduction as a Triton kernel, too, and that
 # of the rays of 8,192 lots compiles for minutes.
 COMPILER_OPTIONS = {"xla_gpu_experimental_enable_fusion_autotuner": False}
@@ -88,6 +91,7 @@ class Learner:
         self.renews_lots = config.lot_life > 0 and self.env.env.layout_config.is_random
         lots, target = self.env.env.layout_config, config.curriculum.target_rate
         self.families = make_families(target, lots, config.env.agent_counts)
+        self.scaled = [name for name in SCALED if name in term_weights(config.env)]
         fields, action = make_fields(config.env), self.env.env.action_spec
         self.inputs = network_inputs(config.networks, fields)
         self.teacher = make_teacher(config)
@@ -294,7 +298,7 @@ class Learner:
         )
         progress = self.config.progress(state.update, state.seconds)
         curriculum, length = self.config.curriculum, self.config.unroll_length
-        scales = {"crash": crash_scale(curriculum, progress)}
+        scales = dict.fromkeys(self.scaled, crash_scale(curriculum, progress))
         share = neighbour_share(curriculum, progress)
         given = (scales, share, self.teacher)
         return collect(self.env, state.env, actor, key, length, *given)

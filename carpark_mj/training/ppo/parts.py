@@ -12,7 +12,7 @@ PRESET_ENTRIES: Registry[Entry] = Registry("preset")
 VARIANTS: Registry[Entry] = Registry("variant")
 _OURS = "carpark_mj.training.ppo"
 
-for _name in ("cpu", "gpu", "square", "dynamic", "anywhere", "sees"):
+for _name in ("cpu", "gpu", "square", "dynamic", "anywhere", "considerate", "sees"):
     PRESET_ENTRIES.register(_name, Entry(f"{_OURS}.presets:{_name.upper()}"))
 VARIANTS.register("brax", Entry(f"{_OURS}.variants:BRAX", "as Brax has it"))
 

@@ -1,8 +1,8 @@
 """Presets of PPO training.
 
 `cpu` and `gpu` are made for a kind of hardware and end in time. `square`, `dynamic`,
-`anywhere` and `sees` have the names of their environments in `carpark_mj.registry`,
-train real cars and are meant for a GPU. `parts` names them.
+`anywhere`, `considerate` and `sees` have the names of their environments in
+`carpark_mj.registry`, train real cars and are meant for a GPU. `parts` names them.
 """
 
 import dataclasses
@@ -74,6 +74,22 @@ ANYWHERE = dataclasses.replace(
     ),
     networks=NetworkConfig((256, 256, 256), (256, 256, 256), min_std=0.1),
     env=environment("anywhere"),
+)
+# It parks from the start, and learns what to do about people. Where somebody is hit at
+# every other try, a high penalty would teach it to stay where it is.
+CONSIDERATE = dataclasses.replace(
+    ANYWHERE,
+    preset="considerate",
+    warm_start="anywhere",
+    critic_steps=40_000_000,
+    num_steps=1_500_000_000,
+    learning_rate=4e-4,
+    entropy_cost=2e-3,
+    discount=0.997,
+    curriculum=dataclasses.replace(
+        ANYWHERE.curriculum, crash_scale=4.0, discount_end=0.0
+    ),
+    env=environment("considerate"),
 )
 # Pictures take the time: as many steps as fit into an hour, fewer in an update.
 SEES = dataclasses.replace(

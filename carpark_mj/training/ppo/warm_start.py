@@ -100,7 +100,7 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
         )
     template = _template(config, run.env)
     found = _load(run.path, {name: template[name] for name in taken})
-    return _replace(state, widen(config, run.env, found))
+    return _replace(state, widen(config, run.env, found, vars(state)))
 
 
 def _load(path: Path, template: dict[str, Any]) -> dict[str, Any]:

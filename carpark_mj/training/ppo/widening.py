@@ -2,6 +2,8 @@
 
 Weights of new fields begin at zero, so that the networks act as they did; their running
 statistics begin at mean 0 and standard deviation 1, for observations are of order 1.
+Entities of a new kind have layers and statistics of their own, as of a new run; what
+reads their features begins at zero.
 """
 
 import dataclasses
@@ -14,18 +16,20 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations import make_fields
-from carpark_mj.observations.fields import Field
+from carpark_mj.observations.fields import ORDERED, Field
 from carpark_mj.observations.rays import RAYS
-from carpark_mj.observations.sets import part_name
+from carpark_mj.observations.sets import OWN, observation_sets, part_name
+from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.config import PPOConfig
+
+HIDDEN = "hidden"  # of `hidden_0`, the first layer behind the encoder
 
 
 def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
     """Fields of which agents of a training observe more than those in `env`.
 
     Raises:
-        ValueError: those in `env` observe others besides, or no set encoder reads them,
-            or they are of another kind of entities.
+        ValueError: those in `env` observe others besides, or no set encoder reads them.
     """
     ours, theirs = (
         {
@@ -49,32 +53,26 @@ def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
         raise ValueError(
             f"{config.warm_start} was trained on other observations: {', '.join(lost)}"
         )
-    # A new kind would change what the layers behind the encoder read.
-    kinds = {part_name(f) for f in ours.values()} - {
-        part_name(f) for f in theirs.values()
-    }
-    if kinds:
-        raise ValueError(
-            f"{config.warm_start} was trained without entities of the kind "
-            f"{', '.join(sorted(kinds))}; only more numbers of its own kinds fit"
-        )
     return added
 
 
-def widen(config: PPOConfig, env: EnvConfig, taken: dict[str, Any]) -> dict[str, Any]:
+def widen(
+    config: PPOConfig, env: EnvConfig, taken: dict[str, Any], new: dict[str, Any]
+) -> dict[str, Any]:
     """Normalizer and networks of a run in `env`, for agents that observe more.
 
     Args:
         config: of the training that takes them over.
         env: in which agents observe less, see `new_fields`.
         taken: `normalizer`, and networks by name.
+        new: the same of a training that takes nothing over.
     """
-    ours, theirs = _places(config.env), _places(env)
+    ours, theirs = (_places(config.networks, each) for each in (config.env, env))
     rows = {
-        part: (len(names), np.array([names.index(name) for name in theirs[part]]))
-        for part, names in ours.items()
+        part: (len(ours[part]), np.array([ours[part].index(name) for name in names]))
+        for part, names in theirs.items()
     }
-    normalizer = {
+    normalizer = new["normalizer"] | {
         part: _widen_statistics(state, *rows[part])
         for part, state in taken["normalizer"].items()
     }
@@ -88,16 +86,35 @@ def widen(config: PPOConfig, env: EnvConfig, taken: dict[str, Any]) -> dict[str,
 
     networks = {name: tree for name, tree in taken.items() if name != "normalizer"}
     networks = jax.tree_util.tree_map_with_path(widen_layer, networks)
+    networks = {name: _over(tree, new[name]) for name, tree in networks.items()}
     return {"normalizer": normalizer, **networks}
 
 
-def _places(env: EnvConfig) -> dict[str, list[str]]:
-    """Names of the numbers that networks read as a part, in order, by part."""
+def _over(tree: Any, under: Any) -> Any:
+    """A tree of dictionaries, and what only the other has."""
+    if not isinstance(tree, dict):
+        return tree
+    return under | {name: _over(part, under[name]) for name, part in tree.items()}
+
+
+def _places(networks: NetworkConfig, env: EnvConfig) -> dict[str, list[str]]:
+    """Names of the numbers that networks read as a part, in order, by part.
+
+    `HIDDEN` is what the layers behind the encoder read.
+    """
     names: dict[str, list[str]] = {}
-    for field in make_fields(env):
+    fields = make_fields(env)
+    for field in fields:
         if field.index == 0:
             names.setdefault(part_name(field), []).extend(_numbers(field))
-    return names
+    sizes, inputs = {OWN: networks.own_size}, observation_sets(fields)
+    for part in inputs.sets:
+        count = part.count if part.group in ORDERED else 1
+        sizes[part.group] = count * networks.entity_size
+    for part in inputs.pictures:
+        sizes[part.name] = part.shape[0] * networks.picture_size
+    behind = [f"{part} {k}" for part, size in sizes.items() for k in range(size)]
+    return names | {HIDDEN: behind}
 
 
 def _numbers(field: Field) -> list[str]:
