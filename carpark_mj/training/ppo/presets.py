@@ -102,5 +102,6 @@ SEES = dataclasses.replace(
     num_minibatches=8,
     learning_rate=5e-4,
     curriculum=dataclasses.replace(ANYWHERE.curriculum, teacher="anywhere"),
+    networks=NetworkConfig((256, 256), (256, 256), min_std=0.1),
     env=environment("sees"),
 )
