@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from flax import linen
 
-# Convolutions: sides of their kernels, and which part of `size` their channels are.
-LAYERS = ((4, 4), (2, 2), (2, 2))
+# Convolutions: sides of their kernels, and `size` over their channels.
+LAYERS = ((4, 2), (2, 1), (2, 1))
 
 
 class PictureEncoder(linen.Module):

@@ -14,6 +14,7 @@ from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import ENCODERS, EnvConfig, GoalConfig, RayConfig, RingConfig
 from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.observations import unpack as unpack_fields
+from carpark_mj.registry import environment
 from carpark_mj.wrappers.gymnasium_env import ParkEnv
 from carpark_mj.wrappers.gymnasium_vector import ParkVectorEnv
 
@@ -132,6 +133,14 @@ def test_a_goal_that_is_only_seen_is_in_no_number():
     assert untold == {"camera_seen"} < told
     with pytest.raises(ValueError, match="goal 'seen' needs fixed goals"):
         dataclasses.replace(CONFIG, observation=seen, goals=GoalConfig(dynamic=True))
+
+
+def test_who_sees_is_told_of_no_other_car_and_no_wall():
+    fields = make_fields(environment("sees"))
+    assert not {field.group for field in fields} - {""}
+    assert not {field.name for field in fields} & {"rays", "ultrasound"}
+    assert not any(field.name.startswith("ring_") for field in fields)
+    assert {"camera_depth", "camera_seen"} < {field.name for field in fields}
 
 
 def test_it_is_chosen_by_name():
