@@ -11,6 +11,7 @@ import tyro
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver, with_settings
 from carpark_mj.config import MetricsConfig, find_rules
+from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import Evaluation, evaluate
 from carpark_mj.evaluation.keys import require_seed
@@ -37,6 +38,7 @@ class EvaluateConfig:
         horizon: simulated time [s]; all episodes that begin within it count, instead of
             the same number per agent, so that short episodes weigh more. `episodes`
             then sets the number of lots.
+        num_lots: lots simulated side by side, each with its own share of the episodes.
         seed: seed of the held-out lots; training never uses these keys.
         rule: parked rule of the evaluation: tanner, strict, precise, metadrive, or a
             registered one; default: that of the run.
@@ -68,6 +70,7 @@ class EvaluateConfig:
     environment: str = ""
     episodes: int = 1024
     horizon: float | None = None
+    num_lots: int = 128
     seed: int = 0
     rule: str | None = None
     hitbox_scale: float | None = None
@@ -92,6 +95,7 @@ class EvaluateConfig:
                 f"episodes must be at least 1 and at most {MAX_EPISODES}, not "
                 f"{self.episodes}"
             )
+        require_count("num_lots", self.num_lots, 1)
         if self.horizon is not None and not 0 < self.horizon <= MAX_SECONDS:
             raise ValueError(
                 f"horizon must lie in (0, {MAX_SECONDS}] s, not {self.horizon}"
@@ -125,7 +129,12 @@ def main(config: EvaluateConfig) -> Evaluation:
     """
     task = prepare(config)
     result = evaluate(
-        task.env, task.policy, config.episodes, config.seed, horizon=config.horizon
+        task.env,
+        task.policy,
+        config.episodes,
+        config.seed,
+        config.num_lots,
+        config.horizon,
     )
     report(config, task, result)
     return result
@@ -168,6 +177,7 @@ def prepare(config: EvaluateConfig) -> Task:
         config.stochastic,
         config.seed,
         config.horizon,
+        config.num_lots != EvaluateConfig.num_lots,
         config.episodes != EvaluateConfig.episodes,
     )
     own = same and not any(changes) and not _is_kept_checkpoint(config)

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from carpark_mj.evaluation.aggregation import HITS
 from carpark_mj.evaluation.catalogue import DRIVING, GOALS, OUTCOME, SAFETY, metrics
+from carpark_mj.evaluation.contacts import contacts
 from carpark_mj.evaluation.evaluator import Evaluation
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.types import ENDINGS, OUTCOMES
@@ -20,6 +21,7 @@ def print_report(result: Evaluation, title: str) -> None:
     """Prints outcomes and metrics, then the outcomes by what lots differ in."""
     print_table(result.summary, title)
     print_metrics(result.summary)
+    print_contacts(result)
     for name, groups in _groups(result).items():
         print_groups(name, groups)
 
@@ -41,6 +43,8 @@ def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> list[Pa
         "device": jax.devices()[0].device_kind,
         "summary": result.summary,
     }
+    if found := contacts(result.episodes):
+        data["contacts"] = found
     for name, groups in _groups(result).items():
         stem = _FILES[name]
         data[stem] = {key: groups[key] for key in groups if key != "all"}
@@ -135,6 +139,29 @@ def print_table(summary: dict[str, Any], title: str) -> None:
         f"{math.degrees(summary['final_heading']):.1f} deg at "
         f"{summary['final_speed']:.2f} m/s"
     )
+
+
+def print_contacts(result: Evaluation) -> None:
+    """Prints rates of contacts with people by the car's speed, if there are people."""
+    found = contacts(result.episodes)
+    if found is None:
+        return
+    episodes = found.pop("episodes")
+    table = Table(
+        title=f"contacts with people: {episodes} episodes in which cars moved"
+    )
+    for column in ("speed [m/s]", "per 10,000", "95 % interval", "contacts"):
+        table.add_column(column, justify="right")
+    for name, rate in found.items():
+        mean, low, high = (1e4 * rate[key] for key in ("rate", "low", "high"))
+        table.add_row(
+            name,
+            f"{mean:.2f}",
+            f"{low:.2f} … {high:.2f}",
+            f"{rate['count']:.0f}",
+            end_section=name == "any",
+        )
+    Console().print(table)
 
 
 def print_metrics(summary: dict[str, Any]) -> None:

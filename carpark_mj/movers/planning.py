@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.geometry import boxes_overlap, move_forward, wrap_angle
+from carpark_mj.geometry import boxes_overlap, move_forward, to_world, wrap_angle
 from carpark_mj.layouts.types import BayEnd, BayKind, Layout
 from carpark_mj.movers.lookout import HARD, is_clear
 from carpark_mj.movers.paths import Path, crossing, tangent
@@ -35,6 +35,7 @@ SHARP, OPPOSITE = 0.3, 2.6  # rad, least and largest change of direction
 EARLY = 10.0  # m before an arc, where a driver decides
 NOT_LATE = 0.8  # m before it, besides the way in which the car stops
 CROSSING = 5.5  # m from the end of a track to where another crosses it
+SWING = 0.6  # m to the left of a track, where every other arc into it ends
 BACK_ON = 0.3  # m along the track at the end of a way out of a bay
 LONGEST = 12.0  # m to back out straight
 POSES = 20  # on a path, tested for walls and bays
@@ -117,7 +118,10 @@ def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
     """A driver who turns into another track."""
     tracks = own.tracks
     line, length = tracks.pose[own.track], tracks.length
-    along, beyond, bend = crossing(line, tracks.pose)
+    key, swing_key = jax.random.split(key)
+    swing = jnp.where(jax.random.bernoulli(swing_key), SWING, 0.0)
+    beside = to_world(tracks.pose, jnp.stack([0.0, swing, 0.0]))
+    along, beyond, bend = crossing(line, beside)
     arc = tangent(bend, jnp.float32(RADIUS))
     start, leaves = along - arc, beyond + arc
     good = tracks.mask & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)

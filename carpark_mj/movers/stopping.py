@@ -1,35 +1,103 @@
 """Where cars can no longer stop: nothing that moves by itself steps there.
 
 So a car that brakes fully as soon as someone is in its zone hits nobody, and every
-contact could have been avoided.
+contact could have been avoided. Cars are agents and drivers.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.geometry import boxes_overlap, move_forward
+from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry import boxes_overlap, move_forward, wrap_angle
+from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.movers.outlines import AWAY
 from carpark_mj.types import State
+from carpark_mj.vehicle.presets import CITY
 
 MARGIN = 0.3  # m on all sides: the steering may still turn, brakes build up
 STILL = 1e-4  # m, what rounding may change of a gap
 
 
-@struct.dataclass
-class Zones:
-    """Boxes about cars (num_agents,) and what lies before them.
+class Cars(NamedTuple):
+    """Cars (n,) that people heed.
 
     Attributes:
-        xy: (num_agents, 2) their centres [m].
-        cos: (num_agents,) of their headings.
-        sin: (num_agents,) of the same.
-        half: (num_agents, 2) their half lengths and widths [m].
-        ahead: (..., num_agents) from their centres forwards [m].
-        behind: (..., num_agents) backwards [m].
-        aside: (num_agents,) to either side [m].
+        pose: (n, 3) their centres; far away if they are not there.
+        size: (n, 2) [m].
+        speed: forwards [m/s].
+        yaw_rate: [rad/s].
+        accel: at full pedal [m/s²].
+        decel: at full brake [m/s²].
+        max_speed: of the pedal forwards [m/s].
+        max_reverse: of the pedal backwards [m/s].
     """
 
-    xy: jax.Array
+    pose: jax.Array
+    size: jax.Array
+    speed: jax.Array
+    yaw_rate: jax.Array
+    accel: jax.Array
+    decel: jax.Array
+    max_speed: jax.Array
+    max_reverse: jax.Array
+
+
+def cars_of(lot: State, dt: float) -> Cars:
+    """The agents of a lot, and after them its drivers.
+
+    Args:
+        lot: its state.
+        dt: control period [s].
+    """
+    motion, car = lot.motion, lot.physics.vehicle
+    limits = car.max_acceleration, car.max_deceleration
+    limits = *limits, car.max_speed, car.max_reverse_speed
+    agents = Cars(motion.pose_w, motion.size, motion.speed, motion.yaw_rate, *limits)
+    driven = [
+        _driven(group, dt)
+        for group in lot.movers.groups
+        if group.kind == ObstacleKind.DRIVER and isinstance(group, Boxes)
+    ]
+    if not driven:
+        return agents
+    return Cars(*map(jnp.concatenate, zip(agents, *driven, strict=True)))
+
+
+def _driven(group: Group, dt: float) -> Cars:
+    """Drivers, in cars that accelerate and brake as the preset `city` does."""
+    pose, there = group.pose_w, group.mask
+    if there is not None:
+        pose = jnp.where(there[:, None], pose, AWAY)
+    yaw, velocity = pose[:, 2], group.velocity_w
+    speed = turn = jnp.zeros_like(yaw)
+    if velocity is not None:
+        speed = velocity[:, 0] * jnp.cos(yaw) + velocity[:, 1] * jnp.sin(yaw)
+    if group.trace_w is not None and (steps := group.trace_w.shape[1]) > 1:
+        turned = wrap_angle(group.trace_w[:, -1, 2] - group.trace_w[:, 0, 2])
+        turn = turned * steps / ((steps - 1) * dt)
+    limits = CITY.max_acceleration, CITY.max_deceleration
+    limits = *limits, CITY.max_speed, CITY.max_reverse_speed
+    return Cars(pose, group.size, speed, turn, *(jnp.full_like(yaw, x) for x in limits))
+
+
+@struct.dataclass
+class Zones:
+    """Boxes about cars (n,) and what lies before them.
+
+    Attributes:
+        pose: (n, 3) their centres.
+        cos: (n,) of their headings.
+        sin: (n,) of the same.
+        half: (n, 2) their half lengths and widths [m].
+        ahead: (..., n) from their centres forwards [m].
+        behind: (..., n) backwards [m].
+        aside: (n,) to either side [m].
+    """
+
+    pose: jax.Array
     cos: jax.Array
     sin: jax.Array
     half: jax.Array
@@ -38,17 +106,17 @@ class Zones:
     aside: jax.Array
 
     def hold(self, here: jax.Array, reach: jax.Array) -> jax.Array:
-        """Whether discs of radii (n, 1) at `local` places (n, num_agents, 2) meet."""
+        """Whether discs of radii (n, 1) at `local` places (n, cars, 2) meet."""
         x, y = here[..., 0], here[..., 1]
         along = (x < self.ahead + reach) & (x > -self.behind - reach)
         return along & (jnp.abs(y) < self.aside + reach)
 
     def local(self, xy: jax.Array) -> jax.Array:
-        """Points (n, 2) in the frames of the cars, (n, num_agents, 2)."""
-        return self.turn(xy[:, None] - self.xy)
+        """Points (n, 2) in the frames of the cars, (n, cars, 2)."""
+        return self.turn(xy[:, None] - self.pose[:, :2])
 
     def turn(self, vector: jax.Array) -> jax.Array:
-        """Vectors (n, 1 or num_agents, 2) in the frames of the cars."""
+        """Vectors (n, 1 or cars, 2) in the frames of the cars."""
         x, y = vector[..., 0], vector[..., 1]
         turned = self.cos * x + self.sin * y, self.cos * y - self.sin * x
         return jnp.stack(turned, axis=-1)
@@ -82,11 +150,10 @@ def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Z
     Args:
         lot: its state.
         dt: control period [s].
-        headway: times [s], broadcastable to (..., num_agents).
+        headway: times [s], broadcastable to (..., cars).
     """
-    motion, car = lot.motion, lot.physics.vehicle
-    half, speed = motion.size / 2, motion.speed
-    accel, decel = car.max_acceleration, car.max_deceleration
+    cars = cars_of(lot, dt)
+    half, speed, accel, decel = cars.size / 2, cars.speed, cars.accel, cars.decel
 
     def way(speed: jax.Array, most: jax.Array) -> jax.Array:
         speed = jnp.maximum(speed, 0.0)
@@ -94,22 +161,22 @@ def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Z
         return half[:, 0] + jnp.maximum(stop, speed * headway) + MARGIN
 
     # The heading turns with the speed until the car stands.
-    turned = jnp.abs(motion.yaw_rate) * (dt + jnp.abs(speed) / (2.0 * decel))
+    turned = jnp.abs(cars.yaw_rate) * (dt + jnp.abs(speed) / (2.0 * decel))
     return Zones(
-        xy=motion.xy,
-        cos=jnp.cos(motion.pose_w[:, 2]),
-        sin=jnp.sin(motion.pose_w[:, 2]),
+        pose=cars.pose,
+        cos=jnp.cos(cars.pose[:, 2]),
+        sin=jnp.sin(cars.pose[:, 2]),
         half=half,
-        ahead=way(speed, car.max_speed),
-        behind=way(-speed, car.max_reverse_speed),
-        aside=half[:, 1] + turned * motion.size[:, 0] + MARGIN,
+        ahead=way(speed, cars.max_speed),
+        behind=way(-speed, cars.max_reverse),
+        aside=half[:, 1] + turned * cars.size[:, 0] + MARGIN,
     )
 
 
 def would_hit(lot: State, pose: jax.Array, size: jax.Array, dt: float) -> jax.Array:
     """() bool, whether a box (3,), (2,) lies where a car of the lot cannot stop."""
     zones = stopping_zones(lot, dt)
-    middle = move_forward(lot.motion.pose_w, (zones.ahead - zones.behind) / 2)
+    middle = move_forward(zones.pose, (zones.ahead - zones.behind) / 2)
     whole = jnp.stack([zones.ahead + zones.behind, 2.0 * zones.aside], axis=-1)
     return boxes_overlap(pose, size, middle, whole).any()
 
@@ -126,7 +193,7 @@ def keep_off(
         xy: (n, 2) centres [m].
         move: (n, 2) as wanted [m].
         radius: (n,) [m].
-        enter: zones that nobody steps into, (n, num_agents).
+        enter: zones that nobody steps into, (n, cars).
         stop: zones where cars cannot stop, within those.
     """
     reach, here = radius[:, None], enter.local(xy)

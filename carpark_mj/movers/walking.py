@@ -14,7 +14,13 @@ from carpark_mj.geometry import norm
 from carpark_mj.movers import social_force
 from carpark_mj.movers.outlines import AWAY, meet, offsets, outlines
 from carpark_mj.movers.people import People
-from carpark_mj.movers.stopping import Zones, keep_off, stopping_zones
+from carpark_mj.movers.stopping import (
+    Cars,
+    Zones,
+    cars_of,
+    keep_off,
+    stopping_zones,
+)
 from carpark_mj.types import State
 
 REST, OUT, ACROSS, IN = range(4)  # phases of a walk
@@ -49,7 +55,7 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     gives_way = people.attentive[:, None] * HEADWAY
     enter = stopping_zones(lot, dt, gives_way)
     wanted = pace[:, None] * heading + _step_aside(people, enter, stop)
-    forces = _forces(people, lot, heading)
+    forces = _forces(people, cars_of(lot, dt), heading)
     straight = people.straight | (people.child & ~rests)
     straight = straight | (people.phase != ACROSS)
     force = jnp.where(straight[:, None], 0.0, forces)
@@ -163,7 +169,7 @@ def _find_near(people: People, lot: State) -> People:
     return dataclasses.replace(people, near=near, turn=(people.turn + 1) % ROUNDS)
 
 
-def _forces(people: People, lot: State, heading: jax.Array) -> jax.Array:
+def _forces(people: People, cars: Cars, heading: jax.Array) -> jax.Array:
     """Social forces (n, 2) [m/s²], and those that part overlapping discs."""
     xy, count = people.xy, people.xy.shape[0]
     # Nobody pushes themselves, nor do those who are not there.
@@ -175,9 +181,8 @@ def _forces(people: People, lot: State, heading: jax.Array) -> jax.Array:
     overlap = (people.radius[:, None] + people.radius) * by_distance - 1.0
     part = BODY * jnp.maximum(overlap, 0.0)
     force = (fx + part * x).sum(axis=1), (fy + part * y).sum(axis=1)
-    motion = lot.motion
-    cars = outlines(motion.pose_w, motion.size, jnp.ones(motion.size.shape[0], bool))
-    borders = _border_force(xy, people.near) + _border_force(xy, cars[None])
+    boxes = outlines(cars.pose, cars.size, jnp.ones(cars.size.shape[0], bool))
+    borders = _border_force(xy, people.near) + _border_force(xy, boxes[None])
     return jnp.stack(force, axis=-1) + borders
 
 

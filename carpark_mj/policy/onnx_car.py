@@ -41,6 +41,12 @@ def require_outside(config: EnvConfig) -> None:
             "the policy observes the past (rings.history), but a model has no memory: "
             "export without --from-state"
         )
+    if encoder.tracked_movers:
+        raise ValueError(
+            "the policy observes people and other movers with their velocities "
+            f"(tracked_movers {encoder.tracked_movers}), which are no inputs of a car "
+            "outside: export without --from-state"
+        )
 
 
 def make_car_model(loaded: LoadedPolicy, rows: Rows) -> Any:

@@ -2,6 +2,7 @@
 
 import pytest
 
+import inhabited
 import physics_report
 import referee
 import soak
@@ -14,6 +15,9 @@ import soak
         (physics_report, ["--presets", "tank"], "unknown vehicle 'tank'; choose from"),
         (physics_report, ["--tyres", "square"], "square"),
         (physics_report, ["--tyres"], "tyres must name at least one"),
+        (inhabited, ["--num-lots", "0"], "num_lots must be at least 1, not 0"),
+        (inhabited, ["--movers", "ghosts"], "'ghosts'"),
+        (inhabited, ["--environment", "moon"], "'moon'"),
         (referee, ["--output", "folder"], "Unrecognized options: --output, folder"),
         (referee, ["--out"], "--out"),
         (soak, ["--cars", "3"], "Unrecognized options: --cars, 3"),

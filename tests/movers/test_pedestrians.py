@@ -11,31 +11,54 @@ import shapely
 from helpers.scenes import cars, polygons
 from helpers.states import parked_at, state_of
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.config.obstacles import ObstacleKind, hit_kinds, make_movers
 from carpark_mj.geometry import box_disc_overlap, move_forward, rotate
+from carpark_mj.geometry.obstacles import Boxes, Movers
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Pedestrians
 from carpark_mj.movers.stopping import stopping_zones
+from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.vehicle import COMPACT, make_vehicle
+from carpark_mj.vehicle.drive import stopping_action
 
 LOT = make_layout("square")
 DT, STEPS, LOTS = 0.2, 300, 12
 FAMILIES: Any = layout_config("mixture")
 MANY = jax.jit(jax.vmap(FAMILIES.generate))(jax.random.split(jax.random.key(0), LOTS))
 THIRD = jnp.arange(MANY.num_bays) % 3 == 0  # of the bays hold parked cars
-BRAKES, DRIVES, STANDS = range(3)
+BRAKES, DRIVES, STANDS, DRIVER_BRAKES = range(4)
+AWAY = 1e4  # m
 PEOPLE = Pedestrians(number=15, children=0.4, attention=0.3)
 
 
 @pytest.fixture(scope="module")
 def drive():
-    """Rolls out lots of people with two cars that brake for them, or do not."""
+    """Rolls out lots of people with two cars that brake for them, or do not.
+
+    The cars are agents, or drivers.
+    """
     half = jnp.array([2.0, 0.9])
 
-    def state(layout, pose, speed, turn):
+    def state(layout, pose, speed, turn, mode):
         parked = parked_at(layout.bay_pose, 2 * half, layout.bay_mask & THIRD)
-        motion = cars(pose, speed=speed, yaw_rate=turn * speed, size=2 * half)
-        return state_of(layout, motion, 0, parked_cars=parked)
+        driven = mode == DRIVER_BRAKES
+        motion = cars(
+            pose + AWAY * driven, speed=speed, yaw_rate=turn * speed, size=2 * half
+        )
+        yaw = pose[:, 2:]
+        heading = jnp.concatenate([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
+        turned = (turn * speed)[:, None, None] * jnp.array([0.0, 0.0, DT / 2])
+        there = pose + AWAY * ~driven
+        drivers = Boxes(
+            there,
+            jnp.broadcast_to(2 * half, (2, 2)),
+            speed[:, None] * heading,
+            trace_w=jnp.concatenate([there[:, None] - turned, there[:, None]], axis=1),
+            kind=ObstacleKind.DRIVER,
+        )
+        movers = Movers((), ((drivers,),))
+        return state_of(layout, motion, 0, parked_cars=parked, movers=movers)
 
     def one(layout, key, mode):
         first = layout.spawn_pose[0]
@@ -44,10 +67,11 @@ def drive():
         def step(carry, key):
             people, pose, speed, turn = carry
             keys = jax.random.split(key, 4)
-            before = state(layout, pose, speed, turn)
+            before = state(layout, pose, speed, turn, mode)
             zones = stopping_zones(before, DT)
             near = zones.hold(zones.local(people.xy), people.radius[:, None])
-            brakes = (mode == BRAKES) & (near & people.present[:, None]).any(axis=0)
+            near = (near & people.present[:, None]).any(axis=0)
+            brakes = (mode % DRIVER_BRAKES == BRAKES) & (near[:2] | near[2:])
             change = jax.random.uniform(keys[0], (2,), minval=-1.0, maxval=2.0) * DT
             slower = jnp.sign(speed) * jnp.maximum(jnp.abs(speed) - 4.0 * DT, 0.0)
             faster = jnp.where(brakes, slower, jnp.clip(speed + change, -2.0, 3.0))
@@ -87,17 +111,67 @@ def drive():
 
     run = jax.jit(jax.vmap(one, (0, 0, None)))
     keys = jax.random.split(jax.random.key(1), LOTS)
-    return [jax.device_get(run(MANY, keys, mode)) for mode in range(3)]
+    return [jax.device_get(run(MANY, keys, mode)) for mode in range(4)]
 
 
 def test_a_car_that_brakes_for_who_is_near_hits_nobody_and_one_that_does_not_does(
     drive,
 ):
     hits = [hit.sum() for _, hit, _ in drive]
-    assert hits[BRAKES] == 0
+    assert hits[BRAKES] == hits[DRIVER_BRAKES] == 0
     assert hits[STANDS] == 0  # nobody walks into a standing car
     assert hits[DRIVES] > 50
-    assert (drive[BRAKES][2] > 1.0).mean() > 0.05  # it drives for all that
+    for mode in (BRAKES, DRIVER_BRAKES):
+        assert (drive[mode][2] > 1.0).mean() > 0.05  # it drives for all that
+
+
+def test_so_it_is_with_tyres_brakes_and_steering_of_the_default_physics():
+    physics, lots, car = MjxPhysics(SimConfig()), 6, make_vehicle(COMPACT)
+    vehicles = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *x.shape)), car)
+
+    def one(layout, key, brakes):
+        first = layout.spawn_pose[0]
+        start = jnp.stack([move_forward(first, x) for x in (-3.0, 3.0)])
+
+        def step(carry, key):
+            people, moving, wish = carry
+            keys = jax.random.split(key, 3)
+            motion = physics.read(moving)
+            lot = state_of(layout, motion, 0).replace(physics=moving)
+            zones = stopping_zones(lot, DT)
+            near = zones.hold(zones.local(people.xy), people.radius[:, None])
+            stops = brakes & (near & people.present[:, None]).any(axis=0)
+            new = jax.random.uniform(keys[0], (2, 2), minval=-1.0)
+            new = new * jnp.array([0.3, 1.0]) + jnp.array([0.0, 0.4])
+            wish = jnp.where(jax.random.bernoulli(keys[1], 0.1), new, wish)
+            stopping = stopping_action(motion.speed).at[:, 0].set(wish[:, 0])
+            moving = physics.step(moving, jnp.where(stops[:, None], stopping, wish))
+            walked = PEOPLE.step(keys[2], people, lot, DT)
+            after = physics.read(moving)
+            count = after.trace_w.shape[1]
+            share = (jnp.arange(count) + 1.0) / count
+            there = people.xy + share[:, None, None] * (walked.xy - people.xy)
+            trace = jnp.swapaxes(after.trace_w, 0, 1)[:, :, None]
+            hit = box_disc_overlap(trace, car.size, there[:, None], people.radius)
+            hit = (hit & people.present).any(axis=(0, 2))
+            out = (jnp.abs(after.xy) > layout.extent - 2.0).any(axis=-1) | hit
+            free = box_disc_overlap(start[:, None], car.size, walked.xy, walked.radius)
+            again = jnp.where(free.any(axis=1)[:, None], start + 100.0, start)
+            moving = physics.place(moving, out, again, vehicles)
+            return (walked, moving, wish), (hit, jnp.abs(motion.speed))
+
+        begin = physics.init(start + 100.0, vehicles)
+        people = PEOPLE.init(key, layout)
+        keys = jax.random.split(key, 200)
+        return jax.lax.scan(step, (people, begin, jnp.zeros((2, 2))), keys)[1]
+
+    run = jax.jit(jax.vmap(one, (0, 0, None)))
+    lot = jax.tree.map(lambda x: x[:lots], MANY)
+    keys = jax.random.split(jax.random.key(2), lots)
+    (hit, speed), (hits, _) = (run(lot, keys, brakes) for brakes in (True, False))
+    assert not hit.any()
+    assert hits.sum() > 10
+    assert (speed > 2.0).mean() > 0.05
 
 
 def test_people_walk_everywhere_but_never_through_walls(drive):

@@ -113,6 +113,7 @@ PAST = ContinuousObservation(rings=RingConfig((5.0,), history=2))
     [
         (environment("tanner-dynamic"), "reads the whole state"),
         (EnvConfig(observation=PAST), "rings.history"),
+        (environment("considerate"), "tracked_movers 6"),
     ],
 )
 def test_what_a_car_outside_cannot_observe_is_refused(env, reason):

@@ -38,7 +38,11 @@ from carpark_mj.policy.q_table import make_table_policy
 from carpark_mj.registry import environment
 
 WIDE = ContinuousObservation(
-    global_information=True, own_car=True, rays=RayConfig(count=5), lane=True
+    global_information=True,
+    own_car=True,
+    rays=RayConfig(count=5),
+    lane=True,
+    tracked_movers=2,
 )
 ENVS = {
     "fixed": EnvConfig(),

@@ -135,6 +135,4 @@ def test_a_bad_sweep_is_one_sentence_before_anything_runs(
 
 def test_an_unknown_base_is_refused_with_the_known_ones(capsys):
     assert exit_code(sweep, ["--base", "gpus"]) == 2
-    assert (
-        "unknown base 'gpus'; choose from ['anywhere', 'cpu'" in capsys.readouterr().err
-    )
+    assert "unknown base 'gpus'; choose from ['anywhere', " in capsys.readouterr().err

@@ -122,16 +122,16 @@ def _is_free(now: Script, there: Script, lot: State, dt: float) -> jax.Array:
 
     A zone is a box here, and a person one, too.
     """
-    zones, motion = stopping_zones(lot, dt), lot.motion
+    zones = stopping_zones(lot, dt)
     middle = jnp.stack([(zones.ahead - zones.behind) / 2, 0 * zones.aside], axis=-1)
-    yaw = motion.pose_w[:, 2]
-    xy = motion.xy + rotate(middle, yaw)
+    yaw = zones.pose[:, 2]
+    xy = zones.pose[:, :2] + rotate(middle, yaw)
     zone = jnp.concatenate([xy, yaw[:, None]], axis=-1)
     size = jnp.stack([zones.ahead + zones.behind, 2 * zones.aside], axis=-1)
 
     def seen(script: Script) -> tuple[jax.Array, jax.Array]:
         over = boxes_overlap(zone, size, script.pose, script.size)
-        gap = box_distance(motion.pose_w, motion.size, script.pose, script.size)
+        gap = box_distance(zones.pose, 2 * zones.half, script.pose, script.size)
         return over, gap
 
     (was_in, gap), (enters, gap_after) = seen(now), seen(there)
