@@ -91,8 +91,7 @@ CONSIDERATE = dataclasses.replace(
     ),
     env=environment("considerate"),
 )
-# Pictures take the time: as many steps as fit into an hour, fewer in an update. Who
-# knows where the others are shows at first what to do.
+# Pictures take the time: as many steps as fit into an hour, fewer in an update.
 SEES = dataclasses.replace(
     ANYWHERE,
     preset="sees",
@@ -101,7 +100,5 @@ SEES = dataclasses.replace(
     num_lots=1024,
     num_minibatches=8,
     learning_rate=5e-4,
-    curriculum=dataclasses.replace(ANYWHERE.curriculum, teacher="anywhere"),
-    networks=NetworkConfig((256, 256), (256, 256), min_std=0.1),
     env=environment("sees"),
 )
