@@ -37,7 +37,13 @@ from carpark_mj.mdp.reset_options import (
     check_starts,
     read_reset_options,
 )
-from carpark_mj.observations import observation_size, observe, sensors
+from carpark_mj.observations import (
+    make_fields,
+    observation_size,
+    observe,
+    sensors,
+    unpack,
+)
 from carpark_mj.physics.base import (
     Halting,
     Physics,
@@ -162,6 +168,15 @@ class ParkingEnv:
     def observation_size(self) -> int:
         """Length of an agent's observation."""
         return observation_size(self.config)
+
+    def unpack(self, observation: jax.Array) -> Any:
+        """Observations (..., observation_size) as adapters give them.
+
+        Returns:
+            A dictionary of arrays (...) if there are pictures, see
+            `carpark_mj.observations.unpack`; otherwise the same.
+        """
+        return unpack(make_fields(self.config), observation)
 
     @property
     def respawns(self) -> bool:

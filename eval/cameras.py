@@ -20,7 +20,7 @@ from typing import Literal
 
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.config.checks import CheckedConfig, require_whole
+from carpark_mj.config.checks import CheckedConfig, require_count, require_whole
 from carpark_mj.files import require_writable
 from carpark_mj.layouts import layout_config
 from carpark_mj.rendering.gl import choose_gl
@@ -35,20 +35,22 @@ class CamerasConfig(CheckedConfig):
         layouts: of the lots; by default one of every family, `lot` for `speed`, and
             three of the families for `pictures`.
         lots: of each layout, for `truth`.
-        batch: number of lots for `speed`; 0 = 4096 on a GPU, 64 on a CPU.
+        batch: numbers of lots for `speed`; by default 1024, 4096 and 16384 on a GPU, 64
+            on a CPU.
         out: file of the pictures.
     """
 
     what: Literal["truth", "speed", "pictures"] = "truth"
     layouts: tuple[str, ...] = ()
     lots: int = 2
-    batch: int = 0
+    batch: tuple[int, ...] = ()
     out: str = "cameras.png"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_whole(self, 1, "lots")
-        require_whole(self, 0, "batch")
+        for count in self.batch:
+            require_count("batch", count, 1)
         for name in self.layouts:
             layout_config(name)  # raises what is unknown
 
@@ -78,16 +80,19 @@ def speed(config: CamerasConfig) -> None:
 
     from camera_suite.speed import speeds
 
-    batch = config.batch or (64 if jax.default_backend() == "cpu" else 4096)
-    second = "a core's" if jax.default_backend() == "cpu" else "the wall clock's"
-    print(f"{jax.devices()[0].device_kind}, {batch} lots, {second} seconds")
-    print("| layout | what | pixels/s | agent steps/s |")
-    print("|---|---|---|---|")
+    on_cpu, missing = jax.default_backend() == "cpu", choose_gl()
+    batches = config.batch or ((64,) if on_cpu else (1024, 4096, 16384))
+    second = "a core's" if on_cpu else "the wall clock's"
+    print(f"{jax.devices()[0].device_kind}, {second} seconds")
+    if missing:
+        print(f"without MuJoCo's renderer: {missing}")
+    print("| layout | what | lots | pixels/s | agent steps/s | GiB |")
+    print("|---|---|---|---|---|---|", flush=True)
     for name in config.layouts or ("lot",):
-        for row in speeds(name, batch):
-            pixels, steps = row["pixels/s"], row["agent steps/s"]
+        for row in speeds(name, batches, draws=not missing):
             print(
-                f"| `{name}` | {row['what']} | {pixels:.3g} | {steps:,.0f} |",
+                f"| `{name}` | {row.what} | {row.lots:,} | {row.pixels * row.rate:.3g} "
+                f"| {row.rate:,.0f} | {row.memory:.2g} |",
                 flush=True,
             )
 

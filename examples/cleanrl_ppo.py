@@ -5,23 +5,27 @@ python examples/cleanrl_ppo.py
 
 Every agent of every lot is an environment; all share one policy. It prints and draws
 the parked rate during training, and measures it on other seeds. Success is `strict`:
-within the lines, straight, at rest.
+within the lines, straight, at rest. With `--cameras` agents know others and walls
+from the pictures of four cameras only.
 """
 
 import dataclasses
 import os
 import time
 from pathlib import Path
+from typing import Any
 
+import jax
 import torch
 from matplotlib.figure import Figure
 from torch import nn
 from torch.distributions import Normal
 
+from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.cli.common import enable_output_fusion
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.process import enter
-from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.config import EnvConfig, EpisodeConfig, RayConfig, RingConfig
 from carpark_mj.config.checks import (
     require_at_least,
     require_positive,
@@ -43,6 +47,7 @@ class Settings:
         lots: number of lots simulated at once.
         agents: number of agents in a lot.
         layout: layout of the lots.
+        cameras: observe pictures, and otherwise only the own motion and the goal.
         seed: seed of training; evaluation has another.
         unroll: steps between updates.
         epochs: passes over the steps of an update.
@@ -52,6 +57,7 @@ class Settings:
         gae_lambda: lambda of generalised advantage estimation.
         clip: clipping range of the probability ratio.
         entropy: weight of the entropy bonus.
+        episodes: least number of episodes of the evaluation.
         out: picture of the learning curve.
     """
 
@@ -59,6 +65,7 @@ class Settings:
     lots: int = 64
     agents: int = 2
     layout: str = "square"
+    cameras: bool = False
     seed: int = 0
     unroll: int = 64
     epochs: int = 4
@@ -68,6 +75,7 @@ class Settings:
     gae_lambda: float = 0.92
     clip: float = 0.2
     entropy: float = 1e-3
+    episodes: int = 1024
     out: Path = Path("cleanrl_ppo.png")
 
     def __post_init__(self) -> None:
@@ -75,18 +83,35 @@ class Settings:
         require_ratio(self, "discount", "gae_lambda")
         require_at_least(self, 0, "entropy")
         require_whole(self, 1, "lots", "agents", "unroll", "epochs", "minibatches")
+        require_whole(self, 1, "episodes")
 
 
 class Agent(nn.Module):
-    """Actor and critic."""
+    """Actor and critic, which share what looks at pictures.
 
-    def __init__(self, observation: int, action: int) -> None:
-        """Two hidden layers each."""
+    Observations (...) are vectors, or dictionaries of a `vector` and pictures.
+    """
+
+    def __init__(self, observation: Any, action: int) -> None:
+        """Two hidden layers each.
+
+        Args:
+            observation: any observations.
+            action: numbers of an action.
+        """
         super().__init__()
+        if isinstance(observation, dict):
+            self.eye = nn.Sequential(
+                *(nn.LazyConv2d(32, 8, 4), nn.ReLU()),
+                *(nn.LazyConv2d(64, 4, 2), nn.ReLU()),
+                *(nn.LazyConv2d(64, 3), nn.ReLU()),
+                *(nn.Flatten(), nn.LazyLinear(128), nn.ReLU()),
+            )
+        size = self.features(observation).shape[-1]
 
-        def network(size: int, gain: float) -> nn.Sequential:
-            layers = (nn.Linear(observation, 128), nn.Linear(128, 128))
-            head = nn.Linear(128, size)
+        def network(outputs: int, gain: float) -> nn.Sequential:
+            layers = (nn.Linear(size, 128), nn.Linear(128, 128))
+            head = nn.Linear(128, outputs)
             for layer in layers:
                 nn.init.orthogonal_(layer.weight, 2**0.5)
             nn.init.orthogonal_(head.weight, gain)
@@ -95,13 +120,22 @@ class Agent(nn.Module):
         self.mean, self.critic = network(action, 0.01), network(1, 1.0)
         self.log_std = nn.Parameter(torch.full((action,), -0.5))
 
-    def policy(self, observation: torch.Tensor) -> Normal:
-        """The distribution of actions; those out of range are clipped."""
-        return Normal(self.mean(observation), self.log_std.exp())
+    def features(self, observation: Any) -> torch.Tensor:
+        """Numbers (..., size) of observations."""
+        if not isinstance(observation, dict):
+            return observation
+        pictures = [x for name, x in observation.items() if name != "vector"]
+        stacked = torch.cat(pictures, dim=-3) / 255.0
+        seen = self.eye(stacked.flatten(0, -4)).unflatten(0, stacked.shape[:-3])
+        return torch.cat([observation["vector"], seen], dim=-1)
 
-    def value(self, observation: torch.Tensor) -> torch.Tensor:
+    def policy(self, observation: Any) -> Normal:
+        """The distribution of actions; those out of range are clipped."""
+        return Normal(self.mean(self.features(observation)), self.log_std.exp())
+
+    def value(self, observation: Any) -> torch.Tensor:
         """The discounted sum of rewards to come."""
-        return self.critic(observation)[..., 0]
+        return self.critic(self.features(observation))[..., 0]
 
 
 def main(settings: Settings) -> None:
@@ -115,11 +149,14 @@ def main(settings: Settings) -> None:
         num_agents=settings.agents,
         episode=EpisodeConfig(final_observation=True),
     )
+    if settings.cameras:
+        seen = CameraObservation(0, 0, rings=RingConfig(), rays=RayConfig())
+        config = dataclasses.replace(config, observation=seen)
     lots = TorchBatch(ParkingEnv(config), settings.lots)
     if lots.device.type == "cpu":
         torch.set_num_threads(1)  # JAX has the other core
     observation = lots.reset(settings.seed)
-    agent = Agent(observation.shape[-1], 2).to(lots.device)
+    agent = Agent(jax.tree.map(torch.Tensor.cpu, observation), 2).to(lots.device)
     optimizer = torch.optim.Adam(agent.parameters(), settings.learning_rate, eps=1e-5)
     scheduled = settings.learning_rate
 
@@ -127,10 +164,7 @@ def main(settings: Settings) -> None:
     steps = 0
     while (gone := (time.perf_counter() - begun) / 60 / settings.minutes) < 1.0:
         optimizer.param_groups[0]["lr"] = scheduled * (1.0 - 0.9 * gone)
-        batch = {
-            name: []
-            for name in ("observation", "action", "log_prob", "value", "reward", "done")
-        }
+        batch = []
         for _ in range(settings.unroll):
             with torch.no_grad():
                 policy, value = agent.policy(observation), agent.value(observation)
@@ -139,18 +173,19 @@ def main(settings: Settings) -> None:
                 # Bootstrap the value of truncated episodes.
                 rest = settings.discount * agent.value(step.final_observation)
             done = step.terminated | step.truncated
-            for name, tensor in (
-                ("observation", observation),
-                ("action", action),
-                ("log_prob", policy.log_prob(action).sum(-1)),
-                ("value", value),
-                ("reward", step.reward + rest * step.truncated),
-                ("done", done.float()),
-            ):
-                batch[name].append(tensor)
+            batch.append(
+                {
+                    "observation": observation,
+                    "action": action,
+                    "log_prob": policy.log_prob(action).sum(-1),
+                    "value": value,
+                    "reward": step.reward + rest * step.truncated,
+                    "done": done.float(),
+                }
+            )
             ends.append((step.success.sum(), done.sum()))
             observation = step.observation
-        data = {name: torch.stack(tensors) for name, tensors in batch.items()}
+        data = jax.tree.map(lambda *tensors: torch.stack(tensors), *batch)
         with torch.no_grad():
             advantage = gae(settings, data, agent.value(observation))
         data |= {"advantage": advantage, "target": advantage + data["value"]}
@@ -163,7 +198,7 @@ def main(settings: Settings) -> None:
             minutes = (time.perf_counter() - begun) / 60
             print(f"{minutes:5.1f} min {steps:>11,} steps {parked / ended:6.1%} parked")
             draw(settings, points)
-    rate, episodes = evaluate(agent, config, settings.seed + 10**6)
+    rate, episodes = evaluate(agent, config, settings)
     print(f"held out: {rate:.1%} of {episodes} episodes parked")
 
 
@@ -183,12 +218,12 @@ def update(
     settings: Settings, agent: Agent, optimizer: torch.optim.Optimizer, data: dict
 ) -> None:
     """Some epochs of PPO's clipped loss."""
-    flat = {name: tensor.flatten(0, 2) for name, tensor in data.items()}
+    flat = jax.tree.map(lambda tensor: tensor.flatten(0, 2), data)
     count = len(flat["reward"])
     for _ in range(settings.epochs):
         order = torch.randperm(count, device=flat["reward"].device)
         for rows in order.chunk(settings.minibatches):
-            part = {name: tensor[rows] for name, tensor in flat.items()}
+            part = jax.tree.map(lambda tensor: tensor[rows], flat)  # noqa: B023
             policy = agent.policy(part["observation"])
             log_prob = policy.log_prob(part["action"]).sum(-1)
             ratio = (log_prob - part["log_prob"]).exp()
@@ -206,14 +241,15 @@ def update(
 
 
 @torch.no_grad()
-def evaluate(agent: Agent, config: EnvConfig, seed: int) -> tuple[float, int]:
-    """The rate of parking of the mean action, one episode of each agent of 512 lots."""
-    lots = TorchBatch(JointEnv(config), 512, restart=False)
-    observation, parked = lots.reset(seed), 0
+def evaluate(agent: Agent, config: EnvConfig, settings: Settings) -> tuple[float, int]:
+    """The rate of parking of the mean action, one episode of each agent of new lots."""
+    number = -(-settings.episodes // settings.agents)
+    lots = TorchBatch(JointEnv(config), number, restart=False)
+    observation, parked = lots.reset(settings.seed + 10**6), 0
     for _ in range(config.episode.max_steps):
-        step = lots.step(agent.mean(observation))
+        step = lots.step(agent.policy(observation).mean)
         observation, parked = step.observation, parked + step.success.sum().item()
-    episodes = 512 * config.num_agents
+    episodes = number * settings.agents
     return parked / episodes, episodes
 
 

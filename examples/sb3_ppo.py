@@ -3,7 +3,8 @@
 pip install ".[sb3]" && python examples/sb3_ppo.py
 
 It writes a learning curve and prints the rates of whole episodes on other seeds;
-success is `strict`: within the lines, straight and at rest.
+success is `strict`: within the lines, straight and at rest. With `--cameras` the car
+knows others and walls from the pictures of four cameras only.
 """
 
 import dataclasses
@@ -18,9 +19,15 @@ from sb3_curve import Curve, rates  # noqa: E402
 from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
 
+from carpark_mj.cameras.encoder import CameraObservation  # noqa: E402
 from carpark_mj.cli.flags import read_flags  # noqa: E402
 from carpark_mj.cli.process import enter  # noqa: E402
-from carpark_mj.config import EnvConfig, SpawnConfig  # noqa: E402
+from carpark_mj.config import (  # noqa: E402
+    EnvConfig,
+    RayConfig,
+    RingConfig,
+    SpawnConfig,
+)
 from carpark_mj.config.checks import require_positive, require_whole  # noqa: E402
 from carpark_mj.files import require_writable  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
@@ -34,6 +41,7 @@ class Settings:
         minutes: duration of training [min].
         lots: number of lots simulated at once.
         layout: layout of the lots.
+        cameras: observe pictures, and otherwise only the own motion and the goal.
         seed: seed of training; evaluation has another.
         episodes: number of episodes of the evaluation.
         out: picture of the learning curve.
@@ -42,6 +50,7 @@ class Settings:
     minutes: float = 14.0
     lots: int = 256
     layout: str = "square"
+    cameras: bool = False
     seed: int = 0
     episodes: int = 1024
     out: Path = Path("sb3_ppo.png")
@@ -57,12 +66,17 @@ def main(settings: Settings) -> None:
     torch.set_num_threads(1)  # JAX has the other core, and theirs would fight
     name, layout = "carpark_mj/Park-v0", settings.layout
     # Three in ten episodes of training are reverse starts.
-    config = EnvConfig(spawn=SpawnConfig(reverse_ratio=0.3))
-    env = ParkVecEnv(name, settings.lots, config=config, layout=layout)
-    env = VecNormalize(VecMonitor(env), norm_reward=False)
+    config, keys = EnvConfig(layout=layout), None
+    if settings.cameras:
+        seen = CameraObservation(0, 0, rings=RingConfig(), rays=RayConfig())
+        config, keys = dataclasses.replace(config, observation=seen), ["vector"]
+    spawn = SpawnConfig(reverse_ratio=0.3)
+    training = dataclasses.replace(config, spawn=spawn)
+    env = VecMonitor(ParkVecEnv(name, settings.lots, config=training))
+    env = VecNormalize(env, norm_reward=False, norm_obs_keys=keys)
     curve = Curve(settings.minutes)
     model = PPO(
-        "MlpPolicy",
+        "MultiInputPolicy" if settings.cameras else "MlpPolicy",
         env,
         n_steps=32,
         batch_size=512,
@@ -83,8 +97,8 @@ def main(settings: Settings) -> None:
     )
     model.learn(10**9, callback=curve)
     curve.plot(settings.out, f"PPO on {name}, {layout}")
-    fresh = VecMonitor(ParkVecEnv(name, settings.lots, layout=layout))
-    fresh = VecNormalize(fresh, training=False, norm_reward=False)
+    fresh = VecMonitor(ParkVecEnv(name, settings.lots, config=config))
+    fresh = VecNormalize(fresh, training=False, norm_reward=False, norm_obs_keys=keys)
     fresh.obs_rms = env.obs_rms
     fresh.seed(settings.seed + 10**6)
     found = rates(model, fresh, settings.episodes)

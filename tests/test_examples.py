@@ -1,6 +1,7 @@
 """The examples: PPO in one file runs from end to end, bad input is one line."""
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -26,6 +27,25 @@ def test_ppo_in_one_file_trains_and_evaluates(tmp_path):
     )
     assert ended.returncode == 0, ended.stderr
     assert re.search(r"held out: [\d.]+% of 1024 episodes parked", ended.stdout)
+
+
+def test_ppo_in_one_file_learns_from_pictures(monkeypatch):
+    torch = pytest.importorskip("torch")
+    monkeypatch.syspath_prepend(EXAMPLES)
+    ppo = importlib.import_module("cleanrl_ppo")
+
+    def steps(*shape):
+        return torch.rand(8, 2, 3, *shape)
+
+    pictures = (255 * steps(2, 36, 40)).to(torch.uint8)
+    data = {name: steps() for name in ("log_prob", "reward", "advantage", "target")}
+    data |= {"observation": {"vector": steps(5), "camera_seen": pictures}}
+    agent = ppo.Agent(data["observation"], 2)
+    before = agent.eye[0].weight.clone()
+    assert agent.value(data["observation"]).shape == (8, 2, 3)
+    optimizer = torch.optim.Adam(agent.parameters())
+    ppo.update(ppo.Settings(), agent, optimizer, data | {"action": steps(2)})
+    assert (agent.eye[0].weight != before).any()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ ground in closed form, for any number of lots on any device.
 
 from carpark_mj.cameras.birds_eye import BirdsEye, channels, see_from_above
 from carpark_mj.cameras.blocks import Heights
-from carpark_mj.cameras.colour import COLOURS, colours, grey
+from carpark_mj.cameras.colour import COLOURS, colours, grey, paint
 from carpark_mj.cameras.faults import FaultConfig, Faults, draw_faults, noisy_depth
 from carpark_mj.cameras.lens import Lens
 from carpark_mj.cameras.rig import RIGS, Camera, Rig, Seen
@@ -29,6 +29,7 @@ __all__ = [
     "draw_faults",
     "grey",
     "noisy_depth",
+    "paint",
     "see",
     "see_from_above",
 ]

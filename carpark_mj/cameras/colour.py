@@ -1,5 +1,7 @@
 """Colours of what cameras see, for policies and for people."""
 
+from typing import Literal
+
 import jax
 import jax.numpy as jnp
 
@@ -21,6 +23,8 @@ COLOURS: dict[Seen, tuple[float, float, float]] = {
     Seen.SKY: (0.72, 0.82, 0.92),
     Seen.OWN_CAR: (0.16, 0.17, 0.20),
 }
+Channel = Literal["colour", "depth", "seen"]
+DARK = 20.0  # m, depth that is black
 LUMA = (0.299, 0.587, 0.114)  # Rec. 601: what a camera's grey weighs
 
 
@@ -47,6 +51,24 @@ def colours(
             raise ValueError(f"noise {noise} needs a key")
         rgb = rgb + noise * jax.random.normal(key, rgb.shape)
     return jnp.clip(rgb, 0.0, 1.0)
+
+
+def paint(pictures: Pictures, channel: Channel) -> jax.Array:
+    """Pictures to look at (..., height, width, 3) uint8.
+
+    Args:
+        pictures: what the cameras see.
+        channel: `colour`, with the shades of the sun; `depth`, the nearer the brighter;
+            `seen`, a colour for each kind.
+    """
+    if channel == "depth":
+        near = 1.0 - jnp.minimum(pictures.depth / DARK, 1.0)
+        rgb = jnp.repeat(near[..., None], 3, axis=-1)
+    elif channel == "seen":
+        rgb = jnp.array([COLOURS[kind] for kind in Seen])[pictures.seen]
+    else:
+        rgb = colours(pictures)
+    return (255.0 * rgb).astype(jnp.uint8)
 
 
 def grey(rgb: jax.Array) -> jax.Array:

@@ -1,6 +1,6 @@
 """Observations with pictures: the default encoder's vector and what cameras see.
 
-In a vector a picture is a row of numbers; Gymnasium's adapters give it its shape again.
+In a vector a picture is a row of numbers; adapters give it its shape again.
 """
 
 import dataclasses
@@ -14,7 +14,6 @@ from carpark_mj.cameras.blocks import Heights
 from carpark_mj.cameras.rig import RIGS, Rig, Seen
 from carpark_mj.cameras.see import see
 from carpark_mj.config import ENCODERS, EnvConfig
-from carpark_mj.config.checks import require_name
 from carpark_mj.observations import ContinuousObservation, Field, Part, Sight, ego
 from carpark_mj.vehicle import preset
 
@@ -47,8 +46,7 @@ class CameraObservation(ContinuousObservation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_name("camera rig", self.rig, RIGS)
-        _ = self.cameras  # refuses pictures without pixels
+        _ = self.cameras  # refuses unknown rigs and pictures without pixels
         if not self.channels or len({*self.channels}) < len(self.channels):
             raise ValueError(
                 f"channels must be one or both of depth and seen, not {self.channels}"
@@ -89,6 +87,7 @@ class CameraObservation(ContinuousObservation):
                 1.0,
                 f"distance along the pixels' rays [{rig.reach:g} m]",
                 shape=shape,
+                gamma=0.5,  # centimetres near by, decimetres far off
             ),
             "seen": Field(
                 "camera_seen",

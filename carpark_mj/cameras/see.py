@@ -48,8 +48,9 @@ def see(
     state: State,
     heights: Heights,
     faults: Faults | None = None,
+    viewers: int | None = None,
 ) -> Pictures:
-    """Pictures (num_agents, cameras, height, width) of one lot.
+    """Pictures (viewers, cameras, height, width) of one lot.
 
     Dirt hides what is behind it as the own car does, at a depth of 0.
 
@@ -58,13 +59,15 @@ def see(
         state: of the lot; cars are where they are, not where sensors measure them.
         heights: of its cars, static.
         faults: of the cameras; None = none.
+        viewers: how many agents see, the first; None = all.
     """
     boxes, cylinders = lot_blocks(state, heights)
     rays = rig.directions.reshape(len(rig.cameras), -1, 3)
     motion = state.motion
     ratio = jnp.array(heights.agents, jnp.float32)
-    ratio = ratio[0] if state.kind is None else ratio[state.kind]
-    length, width = motion.size[:, 0], motion.size[:, 1]
+    ratio = ratio[0] if state.kind is None else ratio[state.kind[:viewers]]
+    length, width = motion.size[:viewers, 0], motion.size[:viewers, 1]
+    faults = jax.tree.map(lambda fault: fault[:viewers], faults)
     scale = jnp.stack([length / 2, width / 2, length * ratio], axis=-1)
     mounts = jnp.array([camera.position for camera in rig.cameras])
     eyes = mounts * scale[:, None]  # (agents, cameras, 3)
@@ -87,7 +90,7 @@ def see(
     of_camera = jax.vmap(look, in_axes=(None, None, None, 0, 0))
     of_car = jax.vmap(of_camera, in_axes=(0, 0, 0, 0, axis))
     agents = jnp.arange(eyes.shape[0])
-    hit = of_car(agents, state.goal, motion.pose_w, eyes, aims)
+    hit = of_car(agents, state.goal[:viewers], motion.pose_w[:viewers], eyes, aims)
     hit = hit.reshape(*hit.shape[:2], rig.height, rig.width)
     if faults is not None and faults.spots.shape[-2]:
         dirt = encode(jnp.float32(0.0), int(Seen.OWN_CAR), 0)

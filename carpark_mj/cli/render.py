@@ -1,14 +1,20 @@
 """What `carpark_mj render` does: records episodes and renders them off-screen."""
 
+import contextlib
 import dataclasses
+import functools
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
 from PIL import Image
 from rich.progress import track
 
+from carpark_mj.cameras import RIGS, Rig
+from carpark_mj.cameras.colour import Channel
 from carpark_mj.cli.common import MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import EnvConfig
@@ -17,6 +23,7 @@ from carpark_mj.config.observations import Tracked
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.rendering.car_cameras import CarCameras, car_cameras
 from carpark_mj.rendering.gallery import FAMILIES, cell_size, contact_sheet, draw_lots
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import Recording, record, recording_stage
@@ -43,7 +50,10 @@ class RenderConfig:
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
             `frame.png` in the run folder, `gallery.png` here for the gallery.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
-            wheel, or `split:K`: topdown and chase:K side by side.
+            wheel, or `split:K`: topdown and chase:K side by side. Or what the first
+            agent's cameras see: a rig, as `surround`, or one of its cameras, as
+            `surround:0`.
+        channel: of the pictures of a rig: `colour`, `depth` or `seen`.
         show: comma-separated extras: `tracked` links every agent to the cars and bays
             it tracks, `rings` draws the circles in which it counts walls; of agent K
             alone with `chase:K`, `driver:K` and `split:K`.
@@ -71,6 +81,7 @@ class RenderConfig:
     environment: str = ""
     out: str = ""
     camera: str = "topdown"
+    channel: Channel = "colour"
     show: str = ""
     seconds: float = 20.0
     fps: float = 10.0
@@ -100,7 +111,8 @@ class RenderConfig:
             require_unset(self, "with --gallery", *others)
         if self.frame is not None:
             require_unset(self, "with --frame", "seconds", "fps")
-        camera_names(self.camera)
+        idle = "show" if self.rig() else "channel"
+        require_unset(self, f"with --camera {self.camera}", idle)
         if not 0 < self.seconds <= MAX_SECONDS:
             raise ValueError(
                 f"seconds must lie in (0, {MAX_SECONDS}], not {self.seconds}"
@@ -122,6 +134,23 @@ class RenderConfig:
                 raise ValueError(
                     f"{name} must be even and within 2 to {limit}, not {value}"
                 )
+
+    def rig(self, num_agents: int | None = None) -> Rig | None:
+        """The cameras of a car that `camera` names; None if it is one of the lot's.
+
+        Raises:
+            ValueError: it is neither, see `camera_names`.
+        """
+        rig = car_cameras(self.camera, (self.width, self.height))
+        if rig is None:
+            try:
+                camera_names(self.camera, num_agents)
+            except ValueError as error:
+                rigs = ", ".join(sorted(RIGS))
+                raise ValueError(
+                    f"{error}, or what cars see: {rigs}, or one camera, as surround:0"
+                ) from None
+        return rig
 
     @property
     def extras(self) -> list[str]:
@@ -165,23 +194,26 @@ def main(config: RenderConfig) -> Path:
     )
     episode = dataclasses.replace(env_config.episode, respawn=config.respawn == "true")
     env_config = dataclasses.replace(env_config, episode=episode)
-    camera_names(config.camera, env_config.num_agents)  # refuse before the work
+    rig = config.rig(env_config.num_agents)  # refuse before the work
     out = _open_output(config, driver.folder)
 
     env = ParkingEnv(env_config)
     seconds = config.seconds if config.frame is None else config.frame
     num_steps = max(1, round(seconds / env_config.sim.ctrl_dt))
     recording = record(env, driver.policy(env), num_steps, config.seed)
-    renderer = _renderer(config, env, recording)
-    try:
+    with contextlib.ExitStack() as stack:
+        if rig is not None:
+            size = config.width, config.height
+            draw = CarCameras(env, recording, rig, config.channel, size).draw
+        else:
+            renderer = _renderer(config, env, recording)
+            stack.enter_context(contextlib.closing(renderer))
+            draw = functools.partial(draw_frame, recording, renderer)
         if config.frame is not None:
-            picture = draw_frame(recording, renderer, num_frames(recording) - 1)
-            _write_png(out, Image.fromarray(picture))
+            _write_png(out, Image.fromarray(draw(num_frames(recording) - 1)))
             drawn = ""
         else:
-            drawn = f"{_write_frames(out, config.fps, recording, renderer)}, "
-    finally:
-        renderer.close()
+            drawn = f"{_write_frames(out, config.fps, recording, draw)}, "
     print(f"wrote {out}: {seconds:g} s, {drawn}camera {config.camera}")
     return out
 
@@ -197,7 +229,7 @@ def _open_output(config: RenderConfig, folder: Path) -> Path:
             else f"out must end in .png, not {out.name!r}"
         )
     missing_gl = choose_gl()
-    if missing_gl:
+    if missing_gl and (config.gallery or config.rig() is None):
         raise RenderingError(missing_gl)
     require_writable(out, new_folders=True)
     return out
@@ -225,17 +257,14 @@ def _show(config: RenderConfig, env: EnvConfig) -> Show:
 
 
 def _write_frames(
-    out: Path, fps: float, recording: Recording, renderer: LotRenderer
+    out: Path, fps: float, recording: Recording, draw: Callable[[int], np.ndarray]
 ) -> str:
     """Writes the video; returns how many frames were drawn, and how fast."""
     stride = frame_stride(recording, fps)
     indices = range(stride - 1, num_frames(recording), stride)
     out.parent.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()
-    pictures = (
-        draw_frame(recording, renderer, index)
-        for index in track(indices, "rendering", transient=True)
-    )
+    pictures = map(draw, track(indices, "rendering", transient=True))
     count = write_video(out, pictures, frames_per_second(recording) / stride)
     return f"{count} frames at {count / (time.monotonic() - begun):.1f} frames/s"
 

@@ -91,6 +91,11 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
         """Upper bound of `turn` for cars with parameters (...) [rad]."""
         return vehicle.steering_rate * ctrl_dt
 
+    def top_yaw_rate(self, ctrl_dt: float) -> float:
+        """How fast it turns cars itself at most [rad/s]; 0 = it does not."""
+        del ctrl_dt
+        return 0.0
+
     def top_speed(self, vehicle: Any, ctrl_dt: float) -> Any:
         """The highest speed of cars with parameters (...), either way [m/s]."""
         import jax.numpy as jnp

@@ -6,6 +6,7 @@ from carpark_mj.observations.compose import (
     markdown_table,
     observation_size,
     observe,
+    unpack,
 )
 from carpark_mj.observations.continuous import ContinuousObservation
 from carpark_mj.observations.fields import Field
@@ -21,4 +22,5 @@ __all__ = [
     "markdown_table",
     "observation_size",
     "observe",
+    "unpack",
 ]

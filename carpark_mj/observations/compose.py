@@ -1,4 +1,7 @@
-"""The observation vector of an environment: its encoder's values in declared order."""
+"""The observation vector of an environment: its encoder's values in declared order.
+
+Adapters take the pictures out of it.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -8,6 +11,9 @@ import jax.numpy as jnp
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations.fields import Field
 from carpark_mj.types import State
+
+VECTOR = "vector"  # name of what is no picture
+BRIGHTEST = 255
 
 
 def make_fields(config: EnvConfig) -> tuple[Field, ...]:
@@ -73,6 +79,36 @@ def _require_fit(
     else:
         return
     raise ValueError(f"the observation encoder {encoding!r} {wrong}")
+
+
+def unpack(
+    fields: Sequence[Field], observation: jax.Array
+) -> jax.Array | dict[str, jax.Array]:
+    """Takes the pictures out of observations, also under `jit`, `vmap` and in parts.
+
+    Args:
+        fields: of the observation, static.
+        observation: (..., size) float32.
+
+    Returns:
+        `VECTOR` (..., numbers) float32 of all other fields, and each picture by its
+        name, (..., *field.shape) uint8: over its range from 0 to `BRIGHTEST`, see
+        `Field.gamma`. The observation itself if it has no pictures.
+    """
+    if not any(field.shape for field in fields):
+        return observation
+    rest, found, begin = [], {}, 0
+    for field in fields:
+        part = observation[..., begin : begin + field.size]
+        begin += field.size
+        if not field.shape:
+            rest.append(part)
+            continue
+        share = (part - field.low) / (field.high - field.low)
+        bright = jnp.round(BRIGHTEST * jnp.clip(share, 0.0, 1.0) ** field.gamma)
+        picture = bright.astype(jnp.uint8)
+        found[field.name] = picture.reshape(*picture.shape[:-1], *field.shape)
+    return {VECTOR: jnp.concatenate(rest, axis=-1)} | found
 
 
 def observation_size(config: EnvConfig) -> int:

@@ -37,7 +37,15 @@ MOTION = Part(
             "speed", 1, -1.5, 1.5, "own signed speed [forward limit]", speed=math.inf
         ),
         Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
-        Field("yaw_rate", 1, -2.0, 2.0, "own yaw rate [rad/s], left > 0", speed=1.0),
+        Field(
+            "yaw_rate",
+            1,
+            -2.0,
+            2.0,
+            "own yaw rate [rad/s], left > 0",
+            speed=1.0,
+            is_yaw_rate=True,
+        ),
     ),
     _motion,
 )

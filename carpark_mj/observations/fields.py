@@ -44,10 +44,15 @@ class Field:
         metres: scale of a length [m], whose range holds on the lot only; else 0.
         speed: scale of a speed [m/s], or of a yaw rate [m/s per rad/s], whose range
             holds below the speeds of a car park only; else 0.
+        is_yaw_rate: whether it is a yaw rate [rad/s], which a back end that turns cars
+            can make larger.
         is_whole: whether its numbers are whole, from `low` to `high`.
         reveals_goal: whether it tells an agent where its own goal is; goals that are
             relabelled (`carpark_mj.wrappers.goal`) would contradict it.
-        shape: of the array that its numbers are, if that is more than a row.
+        shape: of the picture that its numbers are: views, height, width, or the last
+            two. () = they are no picture.
+        gamma: of a picture's bytes in dictionaries of observations: they are its share
+            of the range to this power. Below 1, small numbers have more of the bytes.
     """
 
     name: str
@@ -60,9 +65,11 @@ class Field:
     is_mask: bool = False
     metres: float = 0.0
     speed: float = 0.0
+    is_yaw_rate: bool = False
     is_whole: bool = False
     reveals_goal: bool = False
     shape: tuple[int, ...] = ()
+    gamma: float = 1.0
 
 
 def far(distance: jax.Array) -> jax.Array:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from flax import linen
 
-# Convolutions: sides of their kernels, and which part of `size` their channels are.
+# Convolutions: sides of their kernels, and `size` over their channels.
 LAYERS = ((4, 4), (2, 2), (2, 2))
 
 

@@ -1,6 +1,7 @@
 """A batch of lots, reset and stepped by one compiled call; as JAX or NumPy arrays.
 
 All adapters build on a batch, or on the same as torch tensors (`torch_batch.py`).
+Observations are arrays, or dictionaries of arrays where `ParkingEnv.unpack` gives some.
 """
 
 import copy
@@ -92,9 +93,7 @@ class Batch:
         """Shape of the actions: lots, agents, size."""
         return self.num_lots, self.env.num_agents, self.env.action_spec.size
 
-    def reset(
-        self, seed: Seeds = None, options: ResetOptions | None = None
-    ) -> jax.Array:
+    def reset(self, seed: Seeds = None, options: ResetOptions | None = None) -> Any:
         """Begins all lots.
 
         Args:
@@ -124,7 +123,7 @@ class Batch:
         self._state = state
         return observation
 
-    def restart(self, due: np.ndarray | jax.Array) -> jax.Array:
+    def restart(self, due: np.ndarray | jax.Array) -> Any:
         """Resets some lots, `due` (num_lots,) bool, with their own random numbers.
 
         Returns:
@@ -172,16 +171,16 @@ class Step(NamedTuple):
     @classmethod
     def of(cls, timestep: TimeStep, convert: Callable[[jax.Array], Any]) -> "Step":
         """Converts what learners need of a time step, array by array."""
-        final = timestep.final_observation
-        return cls(
-            convert(timestep.observation),
-            None if final is None else convert(final),
-            convert(timestep.reward),
-            convert(timestep.terminated),
-            convert(timestep.truncated),
-            convert(timestep.events.success),
-            convert(timestep.events.crashed),
+        step = cls(
+            timestep.observation,
+            timestep.final_observation,
+            timestep.reward,
+            timestep.terminated,
+            timestep.truncated,
+            timestep.events.success,
+            timestep.events.crashed,
         )
+        return jax.tree.map(convert, step)
 
 
 class NumpyBatch(Batch):
@@ -189,9 +188,9 @@ class NumpyBatch(Batch):
 
     def reset_numpy(
         self, seed: Seeds = None, options: ResetOptions | None = None
-    ) -> np.ndarray:
+    ) -> Any:
         """See `reset`."""
-        return np.array(self.reset(seed, options))
+        return jax.tree.map(np.array, self.reset(seed, options))
 
     def step_numpy(self, action: Any) -> Step:
         """See `step`.
@@ -233,39 +232,49 @@ class _Programs(NamedTuple):
     """The compiled functions of an environment's batches, whatever their size."""
 
     keys: Callable[[np.ndarray], jax.Array]
-    reset: Callable[[jax.Array], tuple[State, jax.Array]]
-    start: Callable[[jax.Array, ResetOptions], tuple[State, jax.Array]]
-    restart: Callable[[State, jax.Array], tuple[State, jax.Array]]
+    reset: Callable[[jax.Array], tuple[State, Any]]
+    start: Callable[[jax.Array, ResetOptions], tuple[State, Any]]
+    restart: Callable[[State, jax.Array], tuple[State, Any]]
     step: Callable[[State, Any], tuple[State, TimeStep]]
 
 
 @functools.lru_cache(maxsize=32)
 def _programs(env: Environment, restart: bool) -> _Programs:
     restart = restart and not env.respawns
+    unpack = getattr(env, "unpack", lambda observation: observation)
 
     def step(state: State, action: jax.Array) -> tuple[State, TimeStep]:
         state, timestep = jax.vmap(env.step)(state, action)
-        if not restart:
-            return state, timestep
-        seen = timestep.observation
-        state, observation = _restart(env, state, seen, ~state.active.any(axis=1))
+        seen, final = timestep.observation, timestep.final_observation
+        if restart:
+            final = seen
+            state, seen = _restart(env, state, seen, ~state.active.any(axis=1))
         return state, dataclasses.replace(
-            timestep, observation=observation, final_observation=seen
+            timestep,
+            observation=unpack(seen),
+            final_observation=None if final is None else unpack(final),
         )
 
-    def start(key: jax.Array, options: ResetOptions) -> tuple[State, jax.Array]:
-        starter: Any = env  # one that takes options
-        return starter.reset(key, options=options)
+    def reset(key: jax.Array) -> tuple[State, Any]:
+        state, seen = jax.vmap(env.reset)(key)
+        return state, unpack(seen)
 
-    def restart_due(state: State, due: jax.Array) -> tuple[State, jax.Array]:
+    def start(key: jax.Array, options: ResetOptions) -> tuple[State, Any]:
+        starter: Any = env  # one that takes options
+        state, seen = jax.vmap(starter.reset)(key, options=options)
+        return state, unpack(seen)
+
+    def restart_due(state: State, due: jax.Array) -> tuple[State, Any]:
         seen = jax.eval_shape(jax.vmap(env.reset), state.key)[1]
-        return _restart(env, state, jnp.zeros(seen.shape, seen.dtype), due)
+        none = jnp.zeros(seen.shape, seen.dtype)
+        state, seen = _restart(env, state, none, due)
+        return state, unpack(seen)
 
     # The state is the batch's own, so its buffers can be used again.
     return _Programs(
         jax.jit(jax.vmap(jax.random.key)),
-        jax.jit(jax.vmap(env.reset)),
-        jax.jit(jax.vmap(start)),
+        jax.jit(reset),
+        jax.jit(start),
         jax.jit(restart_due, donate_argnums=0),
         jax.jit(step, donate_argnums=0),
     )

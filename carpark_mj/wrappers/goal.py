@@ -29,7 +29,7 @@ from carpark_mj.types import State, TimeStep
 class GoalParking(ParkingEnv):
     """One agent whose observation ends with its own features and those of its goal.
 
-    The observation is a vector of three parts, see `split`: the fields that do not
+    The observation is a vector of three parts, see `unpack`: the fields that do not
     reveal the goal, and `FEATURES` of the car and of the goal, free of noise.
 
     Attributes:
@@ -77,9 +77,11 @@ class GoalParking(ParkingEnv):
         """Length of the vector."""
         return len(self._kept) + 2 * NUM_FEATURES
 
-    def split(self, vector: np.ndarray) -> dict[str, np.ndarray]:
+    def unpack(self, observation: jax.Array) -> dict[str, jax.Array]:
         """The parts of vectors (..., observation_size) by Gymnasium's names."""
-        parts = np.split(vector, [len(self._kept), -NUM_FEATURES], axis=-1)
+        own = len(self._kept)
+        ends = [own, own + NUM_FEATURES]
+        parts = jnp.split(observation, ends, axis=-1)
         names = "observation", "achieved_goal", "desired_goal"
         return dict(zip(names, parts, strict=True))
 

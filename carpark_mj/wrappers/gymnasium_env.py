@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any, Unpack
 
 import gymnasium
+import jax
 import numpy as np
 from gymnasium.error import ResetNeeded
 
@@ -13,7 +14,6 @@ from carpark_mj.wrappers.batch import NumpyBatch, require_shape
 from carpark_mj.wrappers.gymnasium_spaces import (
     action_space,
     observation_space,
-    split_observation,
 )
 from carpark_mj.wrappers.options import OPTIONS, Options, configure, shared_env
 from carpark_mj.wrappers.reset_options import as_reset_options
@@ -25,7 +25,8 @@ ONE_AGENT = tuple(name for name in OPTIONS if name != "agents")
 class ParkEnv(gymnasium.Env[Any, np.ndarray]):
     """One agent parks.
 
-    - observation: (size,) float32, the fields of `docs/mdp.md`.
+    - observation: (size,) float32, the fields of `docs/mdp.md`; with cameras a
+      dictionary, see `carpark_mj.observations.unpack`.
     - action: (2,) float32, steer and pedal in [-1, 1]; numbers out of range are
       clipped. On the grid: indices of an acceleration and a turn.
     - reward: the sum of the terms of `docs/mdp.md`.
@@ -93,7 +94,7 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
         observation = self._batch.reset_numpy(seed, given)
         self._running = True
         self._show()
-        return split_observation(self._batch.env, observation[0, 0]), {}
+        return _alone(observation), {}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advances by a control step; see the class.
@@ -112,8 +113,8 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
         crashed = bool(step.crashed[0, 0])
         info = {"is_success": terminated and not crashed, "crashed": crashed}
         self._show()
-        observation = split_observation(self._batch.env, step.observation[0, 0])
-        return observation, float(step.reward[0, 0]), terminated, truncated, info
+        reward = float(step.reward[0, 0])
+        return _alone(step.observation), reward, terminated, truncated, info
 
     def render(self) -> Any:
         """A picture (height, width, 3) uint8 in mode `rgb_array`, else None."""
@@ -128,6 +129,11 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
     def _show(self) -> None:
         if self.render_mode == "human":
             self._screen.show(self._batch.state)
+
+
+def _alone(observation: Any) -> Any:
+    """The observation of the only agent of the only lot."""
+    return jax.tree.map(lambda x: x[0, 0], observation)
 
 
 def one_agent(config: EnvConfig) -> EnvConfig:

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any, Unpack
 
+import jax
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -14,7 +15,6 @@ from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, one_agent
 from carpark_mj.wrappers.gymnasium_spaces import (
     action_space,
     observation_space,
-    split_observation,
 )
 from carpark_mj.wrappers.options import Options, configure, shared_env
 from carpark_mj.wrappers.reset_options import as_reset_options
@@ -110,7 +110,7 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
                 f"{self.num_envs} environments, not {len(each)}"
             )
         given = as_reset_options(each, self._batch.action_shape[:2])
-        return self._split(self._batch.reset_numpy(seed, given)), {}
+        return self._by_env(self._batch.reset_numpy(seed, given)), {}
 
     def step(
         self, actions: np.ndarray
@@ -134,7 +134,7 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             infos["final_info"] = info | {f"_{name}": done for name in info}
             infos["final_obs"] = self._final_observations(step.final_observation, done)
             infos["_final_info"] = infos["_final_obs"] = done
-        observation = self._split(step.observation)
+        observation = self._by_env(step.observation)
         return observation, step.reward.ravel(), terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -148,17 +148,18 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         """Closes the renderer."""
         self._screen.close()
 
-    def _split(self, observation: np.ndarray) -> Any:
+    def _by_env(self, observation: Any) -> Any:
         """Observations (num_envs, ...) from those of agents in lots."""
-        flat = observation.reshape(self.num_envs, -1)
-        return split_observation(self._batch.env, flat)
+        return jax.tree.map(
+            lambda x: x.reshape(self.num_envs, *x.shape[2:]), observation
+        )
 
-    def _final_observations(self, seen: np.ndarray, done: np.ndarray) -> np.ndarray:
+    def _final_observations(self, seen: Any, done: np.ndarray) -> np.ndarray:
         """Observations (num_envs,) of the environments that are done; else None."""
-        env, flat = self._batch.env, seen.reshape(self.num_envs, -1)
+        each = self._by_env(seen)
         final = np.full(self.num_envs, None, dtype=object)
         for index in np.flatnonzero(done):
-            final[index] = split_observation(env, flat[index])
+            final[index] = jax.tree.map(lambda x: x[index], each)  # noqa: B023
         return final
 
 

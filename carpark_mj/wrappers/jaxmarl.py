@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from gymnasium import spaces
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
-from jaxmarl.environments.spaces import Box, Discrete
+from jaxmarl.environments.spaces import Box, Dict, Discrete
 
 from carpark_mj.tasks.environment import AgentsEnvironment
 from carpark_mj.tasks.joint import JointEnv
@@ -26,23 +26,27 @@ Arrays = dict[str, jax.Array]
 class JaxMarlAgents(MultiAgentEnv):
     """Agents with one episode each; `step` auto-resets the lot after the last ends.
 
-    Observations (one agent's shape), rewards () and dones () are dicts by agent;
-    `dones["__all__"]` is that of the lot. An agent whose episode has ended stays done,
-    observes zeros and earns 0; with `rewards.joint` of junctions it still earns the sum
-    over all agents. Infos are (num_agents,) bool by outcome, True in the step in which
-    an episode ends.
+    Observations (one agent's shape, or a dict of arrays with pictures), rewards () and
+    dones () are dicts by agent; `dones["__all__"]` is that of the lot. An agent whose
+    episode has ended stays done, observes zeros and earns 0; with `rewards.joint` of
+    junctions it still earns the sum over all agents. Infos are (num_agents,) bool by
+    outcome, True in the step in which an episode ends.
     """
 
     outcomes = ENDINGS
 
     def __init__(
-        self, env: AgentsEnvironment, box: spaces.Box, *, discrete: bool
+        self,
+        env: AgentsEnvironment,
+        space: spaces.Box | spaces.Dict,
+        *,
+        discrete: bool,
     ) -> None:
         """Wraps an environment.
 
         Args:
             env: in which agents that have finished wait for the others.
-            box: space of an agent's observations.
+            space: of an agent's observations.
             discrete: actions are () rows of `action_table`, as for Q-learning;
                 otherwise numbers in [-1, 1].
 
@@ -58,20 +62,18 @@ class JaxMarlAgents(MultiAgentEnv):
                 "discrete=True"
             )
         self._table = jnp.asarray(action_table(spec)) if discrete else None
-        bounds = jnp.asarray(box.low), jnp.asarray(box.high)
-        seen = Box(*bounds, box.shape, jnp.dtype(box.dtype))
         act = Box(-1.0, 1.0, (spec.size,))
         if self._table is not None:
             act = Discrete(len(self._table))
         self._action_shape = (self.num_agents, *act.shape)
-        self.observation_spaces = dict.fromkeys(self.agents, seen)
+        self.observation_spaces = dict.fromkeys(self.agents, _space(space))
         self.action_spaces = dict.fromkeys(self.agents, act)
 
     @partial(jax.jit, static_argnums=(0,))
     def reset(self, key: jax.Array) -> tuple[Arrays, Any]:
         """Starts a lot; `key` is consumed."""
         state, observation = self._env.reset(key)
-        return self._by_agent(observation), state
+        return self._observed(observation), state
 
     def step_env(
         self, key: jax.Array, state: Any, actions: Arrays
@@ -91,7 +93,7 @@ class JaxMarlAgents(MultiAgentEnv):
         state, step = self._env.step(dataclasses.replace(state, key=key), action)
         done = step.terminated | step.truncated
         return (
-            self._by_agent(step.observation),
+            self._observed(step.observation),
             state,
             self._by_agent(step.reward),
             self._by_agent(done) | {"__all__": done.all()},
@@ -117,6 +119,19 @@ class JaxMarlAgents(MultiAgentEnv):
     def _by_agent(self, values: jax.Array) -> Arrays:
         return dict(zip(self.agents, values, strict=True))
 
+    def _observed(self, observation: jax.Array) -> dict[str, Any]:
+        """Observations (num_agents, ...) by agent, dictionaries if with pictures."""
+        unpack = getattr(self._env, "unpack", lambda seen: seen)
+        return {k: unpack(seen) for k, seen in self._by_agent(observation).items()}
+
+
+def _space(space: Any) -> Any:
+    """A space of Gymnasium as one of JaxMARL."""
+    if isinstance(space, spaces.Dict):
+        return Dict({name: _space(part) for name, part in space.items()})
+    bounds = jnp.asarray(space.low), jnp.asarray(space.high)
+    return Box(*bounds, space.shape, jnp.dtype(space.dtype))
+
 
 class JaxMarlParking(JaxMarlAgents):
     """A lot in which agents park; see `JaxMarlAgents`."""
@@ -135,5 +150,5 @@ class JaxMarlParking(JaxMarlAgents):
                 indices.
         """
         config = configure(options)
-        env, box = share(JointEnv, config), observation_space(config)
-        super().__init__(env, box, discrete=discrete)
+        env, space = share(JointEnv, config), observation_space(config)
+        super().__init__(env, space, discrete=discrete)

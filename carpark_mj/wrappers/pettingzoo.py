@@ -3,6 +3,7 @@
 import copy
 from typing import Any, Unpack
 
+import jax
 import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
@@ -19,7 +20,7 @@ from carpark_mj.wrappers.screen import RENDER_MODES, Screen
 from carpark_mj.wrappers.spaces import action_space, flat_action, observation_space
 
 Results = tuple[
-    dict[str, np.ndarray],
+    dict[str, Any],
     dict[str, float],
     dict[str, bool],
     dict[str, bool],
@@ -54,7 +55,7 @@ def parallel_env(
     return AgentsParallelEnv(env, observation_space(config), screen, render_mode, fps)
 
 
-class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
+class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
     """Agents `agent_0`... have one episode each and leave when it ends.
 
     Actions out of range are clipped. In infos `is_success` is true in the step in which
@@ -75,7 +76,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
     def __init__(
         self,
         env: AgentsEnvironment,
-        box: spaces.Box,
+        space: spaces.Box | spaces.Dict,
         screen: Screen,
         render_mode: str | None,
         fps: float,
@@ -84,7 +85,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
         Args:
             env: in which agents that have finished wait for the others.
-            box: space of an agent's observations.
+            space: of an agent's observations.
             screen: draws its states.
             render_mode: see `parallel_env`.
             fps: control steps per second.
@@ -105,14 +106,15 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         self.agents: list[str] = []
         # Of each agent its own, so that they can be seeded apart.
         self._spaces = {
-            agent: (copy.deepcopy(box), action_space(env.action_spec))
+            agent: (copy.deepcopy(space), action_space(env.action_spec))
             for agent in self.possible_agents
         }
-        low, high = (np.tile(b.ravel(), env.num_agents) for b in (box.low, box.high))
-        self.state_space = spaces.Box(low, high, dtype=box.dtype.type)
+        box: Any = spaces.flatten_space(space)
+        low, high = (np.tile(bound, env.num_agents) for bound in (box.low, box.high))
+        self.state_space = spaces.Box(low, high, dtype=box.dtype)
 
-    def observation_space(self, agent: str) -> spaces.Box:
-        """The vector (observation_size,) float32 of `docs/mdp.md`."""
+    def observation_space(self, agent: str) -> spaces.Box | spaces.Dict:
+        """The vector (observation_size,) float32 of `docs/mdp.md`, or with pictures."""
         return self._spaces[agent][0]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
@@ -121,7 +123,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Resets the lot.
 
         Args:
@@ -135,10 +137,10 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
                 impossible start, such as an unknown bay or a pose on a wall.
         """
         given = self._read_options(options)
-        observation = self._lots.reset_numpy(seed, given)[0]
-        self._observation = observation.copy()  # callers may change what they get
+        observation = self._lots.reset_numpy(seed, given)
+        self._observation = _in_a_row(observation)  # callers may change what they get
         self.agents = self.possible_agents
-        active = self._by_agent(np.asarray(self._lots.state.active[0]))
+        active = self._by_agent(np.asarray(self._lots.state.active))
         self.agents = [agent for agent, drives in active.items() if drives]
         self._show()
         return self._by_agent(observation), {agent: {} for agent in self.agents}
@@ -171,18 +173,17 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
             row = self.possible_agents.index(agent)
             action[0, row] = flat_action(actions[agent], spec)
         step = self._lots.step_numpy(action)
-        observation = step.observation[0]
-        self._observation = observation.copy()
+        self._observation = _in_a_row(step.observation)
         ends = step.reward, step.terminated, step.truncated, step.success, step.crashed
         rewards, terminations, truncations, success, crashed = (
-            {agent: value.item() for agent, value in self._by_agent(values[0]).items()}
+            {agent: value.item() for agent, value in self._by_agent(values).items()}
             for values in ends
         )
         infos = {
             agent: {"is_success": success[agent], "crashed": crashed[agent]}
             for agent in self.agents
         }
-        observations = self._by_agent(observation)
+        observations = self._by_agent(step.observation)
         self.agents = [
             agent
             for agent in self.agents
@@ -200,7 +201,7 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         if self._observation is None:
             EnvLogger.error_state_before_reset()
             raise AssertionError
-        return self._observation.flatten()
+        return self._observation.copy()
 
     def render(self) -> np.ndarray | None:
         """Draws the lot: (height, width, 3) uint8 in mode `rgb_array`, or a window."""
@@ -238,7 +239,17 @@ class AgentsParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         if self.render_mode == "human":
             self.render()
 
-    def _by_agent(self, values: np.ndarray) -> dict[str, Any]:
-        """Values (num_agents, ...) of the agents that are driving, by name."""
-        by_name = dict(zip(self.possible_agents, values, strict=True))
-        return {agent: by_name[agent] for agent in self.agents}
+    def _by_agent(self, values: Any) -> dict[str, Any]:
+        """Values (1, num_agents, ...) of the agents that are driving, by name."""
+        rows = {agent: self.possible_agents.index(agent) for agent in self.agents}
+        return {
+            agent: jax.tree.map(lambda x: x[0, row], values)  # noqa: B023
+            for agent, row in rows.items()
+        }
+
+
+def _in_a_row(observation: Any) -> np.ndarray:
+    """All numbers of a lot's observations (1, num_agents, ...), agent by agent."""
+    parts = jax.tree.leaves(observation)
+    rows = [part.reshape(part.shape[1], -1) for part in parts]
+    return np.concatenate(rows, axis=1).flatten()

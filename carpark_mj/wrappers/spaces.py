@@ -1,7 +1,7 @@
 """Gymnasium's spaces of what one agent observes and does."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,21 +11,33 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import layout_config
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import Field, make_fields
+from carpark_mj.observations.compose import BRIGHTEST, VECTOR
 from carpark_mj.precision import is_real
 from carpark_mj.vehicle import preset
 
 
-def observation_space(
-    config: EnvConfig, fields: Sequence[Field] | None = None
-) -> spaces.Box:
-    """The vector (size,) float32 of some fields; by default of the whole observation.
+def observation_space(config: EnvConfig) -> spaces.Box | spaces.Dict:
+    """Space of what `ParkingEnv.unpack` gives: a vector, or that and pictures."""
+    fields = make_fields(config)
+    pictures = [field for field in fields if field.shape]
+    vector = vector_space(config, (field for field in fields if not field.shape))
+    if not pictures:
+        return vector
+    parts: dict[str, spaces.Space[Any]] = {VECTOR: vector}
+    for field in pictures:
+        parts[field.name] = spaces.Box(0, BRIGHTEST, field.shape, np.uint8)
+    return spaces.Dict(parts)
+
+
+def vector_space(config: EnvConfig, fields: Iterable[Field]) -> spaces.Box:
+    """The vector (size,) float32 of some fields.
 
     Bounds are the ranges of the fields. If walls do not keep cars on the lot, or cars
     are faster than in a car park, bounds of lengths and speeds are what a car can reach
-    in an episode. Noise of sensors is unbounded.
+    in an episode; those of a yaw rate reach as far as the back end turns cars. Noise of
+    sensors is unbounded.
     """
-    if fields is None:
-        fields = make_fields(config)
+    fields = tuple(fields)
     size = [field.size for field in fields]
     more = np.array([_excess(config, field) for field in fields])
     low = np.array([field.low for field in fields])
@@ -38,11 +50,14 @@ def observation_space(
 
 def _excess(config: EnvConfig, field: Field) -> float:
     """By how much the numbers of a field may exceed its range."""
-    lot = layout_config(config.layout)
-    fast = not config.physics_config.keeps_ranges
+    lot, physics = layout_config(config.layout), config.physics_config
+    fast = not physics.keeps_ranges
     varies = bool(field.metres or field.speed)
     if varies and config.sensors.is_on:
         return math.inf
+    turns = physics.top_yaw_rate(config.sim.ctrl_dt) if field.is_yaw_rate else 0.0
+    if turns > field.high:
+        return turns - field.high
     if not varies or (lot.is_enclosed and not fast):
         return 0.0
     cars = [preset(name) for name in (config.vehicle, *config.fleet.agents)]

@@ -3,6 +3,8 @@
 # An extra that the type checker does without.
 # pyright: reportMissingImports=false
 
+from typing import Any
+
 import jax
 import torch
 
@@ -26,19 +28,18 @@ class TorchBatch:
         self.batch = Batch(env, num_lots, restart)
         self.device = torch.from_dlpack(jax.numpy.zeros(1)).device
 
-    def reset(
-        self, seed: Seeds = None, options: ResetOptions | None = None
-    ) -> torch.Tensor:
+    def reset(self, seed: Seeds = None, options: ResetOptions | None = None) -> Any:
         """Begins all lots; see `Batch.reset`.
 
         Returns:
-            Observations (num_lots, num_agents, observation_size) float32.
+            Observations (num_lots, num_agents, observation_size) float32, or a
+            dictionary with pictures, see `carpark_mj.observations.unpack`.
         """
-        return torch.from_dlpack(self.batch.reset(seed, options))
+        return _to_torch(self.batch.reset(seed, options))
 
-    def restart(self, due: torch.Tensor) -> torch.Tensor:
+    def restart(self, due: torch.Tensor) -> Any:
         """Resets some lots, `due` (num_lots,) bool; see `Batch.restart`."""
-        return torch.from_dlpack(self.batch.restart(_to_jax(due, self.device)))
+        return _to_torch(self.batch.restart(_to_jax(due, self.device)))
 
     def step(self, action: torch.Tensor) -> Step:
         """Advances all lots by a control step; see `Batch.step`.
@@ -57,6 +58,10 @@ class TorchBatch:
         dtype = torch.float32 if self.batch.env.action_spec.continuous else torch.int32
         timestep = self.batch.step(_to_jax(action.to(dtype), self.device))
         return Step.of(timestep, torch.from_dlpack)
+
+
+def _to_torch(arrays: Any) -> Any:
+    return jax.tree.map(torch.from_dlpack, arrays)
 
 
 def _to_jax(tensor: torch.Tensor, device: torch.device) -> jax.Array:

@@ -6,7 +6,7 @@
 from typing import Any, Unpack
 
 import torch
-from gymnasium.spaces import Box
+from gymnasium import spaces
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
@@ -31,7 +31,7 @@ class TorchRLAgents(EnvBase):
     (lots, agents), `observation`, `action`, `reward`, `done`, `terminated`, `truncated`
     and, in `info`, whether the agent succeeded or `crashed` in the step; at the root
     `done`, `terminated` and `truncated` (lots, 1) of the lots, which are done when all
-    of their agents are.
+    of their agents are. An observation with pictures is a dictionary.
 
     An agent whose episode has ended stays terminated, observes zeros and earns 0 until
     its lot is reset; with `rewards.joint` of junctions it still earns the sum over all
@@ -48,7 +48,7 @@ class TorchRLAgents(EnvBase):
     def __init__(
         self,
         env: AgentsEnvironment,
-        box: Box,
+        space: spaces.Box | spaces.Dict,
         screen: Screen,
         lots: int,
         *,
@@ -59,7 +59,7 @@ class TorchRLAgents(EnvBase):
 
         Args:
             env: in which agents that have finished wait for the others.
-            box: space of an agent's observations.
+            space: of an agent's observations.
             screen: draws its states.
             lots: number of lots.
             device: must be JAX's; None = that.
@@ -87,15 +87,11 @@ class TorchRLAgents(EnvBase):
         self._table = None
         if discrete:
             self._table = torch.from_numpy(action_table(spec)).to(on)
-        self._make_specs(box)
+        self._make_specs(space)
 
-    def _make_specs(self, box: Box) -> None:
+    def _make_specs(self, space: spaces.Box | spaces.Dict) -> None:
         """Specs of one lot; those of the batch follow from them."""
         agents = (self._env.num_agents,)
-        low, high = (
-            torch.tensor(bound).expand(*agents, *box.shape)
-            for bound in (box.low, box.high)
-        )
         action = (
             Bounded(-1.0, 1.0, (*agents, self._env.action_spec.size))
             if self._table is None
@@ -110,14 +106,10 @@ class TorchRLAgents(EnvBase):
         def grouped(specs: dict[str, Any]) -> Composite:
             return Composite({GROUP: Composite(specs, shape=agents)}).to(self.device)
 
-        # Samples of `Bounded` are not finite where a bound is infinite.
-        seen = Bounded(low, high, dtype=low.dtype)
-        if not (low.isfinite() & high.isfinite()).all():
-            seen = Unbounded(low.shape, dtype=low.dtype)
         info = Composite(flags((self.success, "crashed"), *agents), shape=agents)
         self.full_action_spec_unbatched = grouped({"action": action})
         self.full_observation_spec_unbatched = grouped(
-            {"observation": seen, "info": info}
+            {"observation": _spec(space, agents), "info": info}
         )
         self.full_reward_spec_unbatched = grouped({"reward": Unbounded((*agents, 1))})
         done = grouped(flags(_ENDS, *agents))
@@ -200,6 +192,21 @@ class TorchRLAgents(EnvBase):
         super().close(raise_if_closed=raise_if_closed)
 
 
+def _spec(space: Any, agents: tuple[int]) -> Any:
+    """That of the observations (agents, ...) of a space, a dictionary's nested."""
+    if isinstance(space, spaces.Dict):
+        parts = {name: _spec(part, agents) for name, part in space.items()}
+        return Composite(parts, shape=agents)
+    low, high = (
+        torch.tensor(bound).expand(*agents, *space.shape)
+        for bound in (space.low, space.high)
+    )
+    # Samples of `Bounded` are not finite where a bound is infinite.
+    if not (low.isfinite() & high.isfinite()).all():
+        return Unbounded(low.shape, dtype=low.dtype)
+    return Bounded(low, high, dtype=low.dtype)
+
+
 class TorchRLParking(TorchRLAgents):
     """Lots in which agents park; see `TorchRLAgents`."""
 
@@ -228,6 +235,7 @@ class TorchRLParking(TorchRLAgents):
                 actions where some parts are indices.
         """
         config = configure(options)
-        env, box = share(JointEnv, config), observation_space(config)
-        super().__init__(env, box, Screen(env), lots, device=device, discrete=discrete)
+        env, space = share(JointEnv, config), observation_space(config)
+        screen = Screen(env)
+        super().__init__(env, space, screen, lots, device=device, discrete=discrete)
         self._seed = seed

@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -15,15 +14,15 @@ from carpark_mj.cameras import (
     RIGS,
     BirdsEye,
     Heights,
-    Pictures,
     Seen,
-    colours,
+    paint,
     see,
     see_from_above,
 )
+from carpark_mj.cameras.colour import Channel
 from carpark_mj.files import write_atomically
 
-SHOWN = 20.0  # m, depth that is black
+CHANNELS: tuple[Channel, ...] = ("depth", "seen", "colour")
 GAP = 4  # pixels between pictures
 ENLARGED = 3
 
@@ -31,6 +30,7 @@ ENLARGED = 3
 def mosaic(layouts: Sequence[str], seed: int = 0) -> np.ndarray:
     """The cameras of one car in lots of some layouts, (rows, columns, 3) uint8."""
     sheets = []
+    palette = (255 * np.array([COLOURS[kind] for kind in Seen])).astype(np.uint8)
     for layout in layouts:
         env = environment(layout)
         state = jax.jit(lambda key: env.reset(key)[0])(jax.random.key(seed))  # noqa: B023
@@ -40,8 +40,9 @@ def mosaic(layouts: Sequence[str], seed: int = 0) -> np.ndarray:
         own = jax.tree.map(lambda x: x[0], pictures)
         config = BirdsEye(3 * rig.height + 2 * GAP)
         above = jax.jit(see_from_above, static_argnums=0)(config, state)[0]
-        rows = np.concatenate([_row(images) for images in _channels(own)])[:-GAP]
-        sheets.append(np.concatenate([rows, _framed(_palette()[above])[:-GAP]], axis=1))
+        painted = [np.asarray(paint(own, name)) for name in CHANNELS]
+        rows = np.concatenate([_row(images) for images in painted])[:-GAP]
+        sheets.append(np.concatenate([rows, _framed(palette[above])[:-GAP]], axis=1))
         sheets.append(np.full((2 * GAP, sheets[0].shape[1], 3), 255, np.uint8))
     return np.concatenate(sheets[:-1])
 
@@ -52,26 +53,6 @@ def write_mosaic(path: Path, layouts: Sequence[str], seed: int = 0) -> None:
     size = (image.width * ENLARGED, image.height * ENLARGED)
     image = image.resize(size, Image.Resampling.NEAREST)
     write_atomically(path, lambda temporary: image.save(temporary, format="PNG"))
-
-
-def _bytes(values: Any) -> np.ndarray:
-    """Values in [0, 1] as uint8."""
-    return (255 * np.asarray(values)).astype(np.uint8)
-
-
-def _palette() -> np.ndarray:
-    return _bytes([COLOURS[kind] for kind in Seen])
-
-
-def _channels(own: Pictures) -> list[np.ndarray]:
-    """Depth, classes and colours (cameras, height, width, 3) uint8."""
-    near = 1.0 - np.minimum(np.asarray(own.depth) / SHOWN, 1.0)
-    depth = np.repeat(_bytes(near)[..., None], 3, axis=-1)
-    return [
-        depth,
-        _palette()[np.asarray(own.seen)],
-        _bytes(colours(own)),
-    ]
 
 
 def _row(images: np.ndarray) -> np.ndarray:

@@ -4,59 +4,91 @@ On a CPU a second is one of a core, of all threads together, which other work on
 machine disturbs far less; on a GPU it is one of the wall clock.
 """
 
-from collections.abc import Callable, Iterator
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
-import mujoco
 
 from camera_suite.lots import environment
-from camera_suite.reference import BlockStage
 from carpark_mj import ParkingEnv
 from carpark_mj.benchmarking.timing import CLOCKS, best_time
-from carpark_mj.cameras import RIGS, BirdsEye, Heights, Rig, see, see_from_above
+from carpark_mj.cameras import (
+    RIGS,
+    BirdsEye,
+    Heights,
+    Pictures,
+    Rig,
+    see,
+    see_from_above,
+)
 
 REPEATS = 5
-Row = dict[str, str | float]
 
 
-def speeds(layout: str, batch: int) -> Iterator[Row]:
-    """Rows of a table: what, pixels/s and agent steps/s.
+@dataclasses.dataclass(frozen=True)
+class Speed:
+    """A row of the table.
+
+    Attributes:
+        what: is drawn.
+        lots: at once, with one agent each.
+        rate: of them [1/s].
+        pixels: of the pictures of an agent.
+        memory: of the program, the pictures included [GiB].
+    """
+
+    what: str
+    lots: int
+    rate: float
+    pixels: int
+    memory: float = 0.0
+
+
+def speeds(layout: str, batches: Sequence[int], draws: bool) -> Iterator[Speed]:
+    """Rows of a table.
 
     Args:
-        layout: of the lots, with one agent each.
-        batch: number of lots.
+        layout: of the lots.
+        batches: numbers of lots.
+        draws: whether MuJoCo can draw.
     """
     env = environment(layout, people=False, agents=1)
     rig, heights, above = RIGS["surround"], Heights.of(env.fleet), BirdsEye()
-    keys = jax.random.split(jax.random.key(0), batch)
-    states = jax.jit(jax.vmap(lambda key: env.reset(key)[0]))(keys)
     cameras = len(rig.cameras) * rig.width * rig.height
-    yield _row(
-        "surround", cameras, _lots(lambda s: see(rig, s, heights), states, batch)
-    )
-    seen = _lots(lambda s: see(rig, s, heights).seen, states, batch)
-    yield _row("surround, classes only", cameras, seen)
-    pixels = above.pixels**2
-    yield _row(
-        "bird's eye", pixels, _lots(lambda s: see_from_above(above, s), states, batch)
-    )
-    first = jax.tree.map(lambda x: x[0], states)
-    yield _row("MuJoCo's renderer", cameras, 1 / _mujoco_seconds(env, first, rig))
+    looks: list[tuple[str, int, Callable[[Any], Any]]] = [
+        ("surround", cameras, lambda state: _drawn(see(rig, state, heights))),
+        ("surround, classes only", cameras, lambda s: see(rig, s, heights).seen),
+        ("bird's eye", above.pixels**2, lambda s: see_from_above(above, s)),
+    ]
+    reset = jax.jit(jax.vmap(lambda key: env.reset(key)[0]))
+    states = None
+    for lots in batches:
+        states = reset(jax.random.split(jax.random.key(0), lots))
+        for what, pixels, look in looks:
+            rate, memory = _lots(look, states, lots)
+            yield Speed(what, lots, rate, pixels, memory)
+    if draws and states is not None:
+        first = jax.tree.map(lambda x: x[0], states)
+        yield Speed(
+            "MuJoCo's renderer", 1, 1 / _mujoco_seconds(env, first, rig), cameras
+        )
 
 
-def _row(what: str, pixels: int, rate: float) -> Row:
-    return {"what": what, "pixels/s": pixels * rate, "agent steps/s": rate}
+def _drawn(pictures: Pictures) -> tuple[jax.Array, jax.Array]:
+    """Depth and classes, as MuJoCo draws them."""
+    return pictures.depth, pictures.seen
 
 
-def _lots(look: Callable[[Any], Any], states: Any, batch: int) -> float:
-    """Lots a second: all at once on a GPU, one after the other on a CPU."""
-    if jax.default_backend() == "cpu":
-        run = jax.jit(lambda states: jax.lax.map(look, states))
-    else:
-        run = jax.jit(jax.vmap(look))
+def _lots(look: Callable[[Any], Any], states: Any, lots: int) -> tuple[float, float]:
+    """Lots a second and GiB: all at once on a GPU, one after the other on a CPU."""
+    on_cpu = jax.default_backend() == "cpu"
+    looked = (lambda s: jax.lax.map(look, s)) if on_cpu else jax.vmap(look)
+    run = jax.jit(looked).lower(states).compile()
+    used: Any = run.memory_analysis()
+    memory = used.temp_size_in_bytes + used.output_size_in_bytes
     jax.block_until_ready(run(states))
-    return batch / best_time(lambda: run(states), REPEATS, _clock())
+    return lots / best_time(lambda: run(states), REPEATS, _clock()), memory / 2**30
 
 
 def _clock() -> Callable[[], float]:
@@ -65,6 +97,10 @@ def _clock() -> Callable[[], float]:
 
 def _mujoco_seconds(env: ParkingEnv, state: Any, rig: Rig) -> float:
     """Seconds in which MuJoCo draws depth and segmentation of as many pictures."""
+    import mujoco
+
+    from camera_suite.reference import BlockStage
+
     stage = BlockStage(
         jax.device_get(state.layout),
         env.vehicle,

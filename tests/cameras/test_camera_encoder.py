@@ -4,14 +4,19 @@ import dataclasses
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.cameras import Heights, see
+import carpark_mj
+from carpark_mj.cameras import Heights, Seen, see
 from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import ENCODERS, EnvConfig, GoalConfig, RayConfig, RingConfig
-from carpark_mj.observations import observation_size
+from carpark_mj.observations import make_fields, observation_size
+from carpark_mj.observations import unpack as unpack_fields
+from carpark_mj.registry import environment
 from carpark_mj.wrappers.gymnasium_env import ParkEnv
+from carpark_mj.wrappers.gymnasium_vector import ParkVectorEnv
 
 OBSERVATION = CameraObservation(
     1, 1, rings=RingConfig(), rays=RayConfig(), width=6, height=4
@@ -25,6 +30,13 @@ CONFIG = EnvConfig(
 )
 
 
+SHAPES = {
+    "vector": (observation_size(CONFIG) - 2 * 4 * 4 * 6,),
+    "camera_depth": (4, 4, 6),
+    "camera_seen": (4, 4, 6),
+}
+
+
 @functools.cache
 def env():
     return ParkEnv(config=CONFIG)
@@ -35,26 +47,81 @@ def test_pictures_are_what_the_cameras_see():
     batch = env()._batch
     state = jax.tree.map(lambda x: x[0], batch.state)
     pictures = see(OBSERVATION.cameras, state, Heights.of(batch.env.fleet))
-    depth = pictures.depth[0] / OBSERVATION.cameras.reach
-    np.testing.assert_allclose(observation["camera_depth"], depth, atol=1e-5)
-    np.testing.assert_array_equal(observation["camera_seen"], pictures.seen[0])
+    depth = (observation["camera_depth"] / 255) ** 2 * OBSERVATION.cameras.reach
+    # At most half a byte of the square root.
+    near = np.sqrt(pictures.depth[0] * OBSERVATION.cameras.reach) / 255 + 1e-3
+    assert (np.abs(depth - pictures.depth[0]) <= near).all()
+    seen = np.round(observation["camera_seen"] * (max(Seen) / 255))
+    np.testing.assert_array_equal(seen, pictures.seen[0])
 
 
-def test_gymnasium_has_a_dictionary_of_the_vector_and_the_pictures():
-    space = env().observation_space
-    observation, _ = env().reset(seed=3)
-    assert space.contains(observation)
-    assert {name: box.shape for name, box in space.items()} == {
-        "vector": (observation_size(CONFIG) - 2 * 4 * 4 * 6,),
-        "camera_depth": (4, 4, 6),
-        "camera_seen": (4, 4, 6),
-    }
-    env().action_space.seed(0)
-    for _ in range(20):
-        stepped, _, terminated, truncated, _ = env().step(env().action_space.sample())
-        assert space.contains(stepped)
-        if terminated or truncated:
-            env().reset()
+def test_pictures_are_taken_out_of_vectors_of_any_shape():
+    vector = jax.random.uniform(jax.random.key(0), (1, observation_size(CONFIG)))
+    unpack = jax.jit(functools.partial(unpack_fields, make_fields(CONFIG)))
+    alone, many = unpack(vector[0]), unpack(jnp.tile(vector, (2, 3, 1)))
+    assert {name: x.shape for name, x in alone.items()} == SHAPES
+    for name, array in alone.items():
+        assert array.dtype == (jnp.float32 if name == "vector" else jnp.uint8)
+        np.testing.assert_array_equal(many[name][1, 2], array)
+
+
+def gymnasium_vector():
+    envs = ParkVectorEnv(2, config=CONFIG)
+    envs.reset(seed=3)
+    return envs.step(np.zeros((2, 2)))[0], 1
+
+
+def pettingzoo():
+    pytest.importorskip("pettingzoo")
+    agents = carpark_mj.parallel_env(config=CONFIG)
+    observation = agents.reset(seed=3)[0]["agent_0"]
+    assert agents.observation_space("agent_0").contains(observation)
+    assert agents.state_space.contains(agents.state())
+    assert agents.state().size == observation_size(CONFIG)
+    observation = agents.step({"agent_0": np.zeros(2)})[0]["agent_0"]
+    return observation, 0
+
+
+def torchrl():
+    pytest.importorskip("torchrl")
+    from torchrl.envs.utils import check_env_specs
+
+    from carpark_mj.wrappers.torchrl import TorchRLParking
+
+    lots = TorchRLParking(2, seed=3, config=CONFIG)
+    check_env_specs(lots)
+    lots.set_seed(3)
+    tensors = lots.reset()
+    tensors["agents", "action"] = (
+        tensors["agents", "observation", "vector"][..., :2] * 0
+    )
+    seen = lots.step(tensors)["next", "agents", "observation"]
+    return {name: seen[name].numpy() for name in seen.keys()}, 2  # noqa: SIM118
+
+
+def jaxmarl():
+    pytest.importorskip("jaxmarl")
+    from carpark_mj.wrappers.jaxmarl import JaxMarlParking
+
+    lot = JaxMarlParking(config=CONFIG)
+    observation, state = lot.reset(jax.random.key(3))
+    assert lot.observation_space("agent_0").contains(observation["agent_0"])
+    action = {"agent_0": jnp.zeros(2)}
+    return jax.jit(lot.step_env)(state.key, state, action)[0]["agent_0"], 0
+
+
+@pytest.mark.parametrize("adapter", [gymnasium_vector, pettingzoo, torchrl, jaxmarl])
+def test_all_adapters_give_the_same_pictures(adapter):
+    env().reset(seed=3)
+    expected = env().step(np.zeros(2, np.float32))[0]
+    assert env().observation_space.contains(expected)
+    observation, axes = adapter()
+    assert {name: x.shape[axes:] for name, x in observation.items()} == SHAPES
+    for name, array in expected.items():
+        found = np.asarray(observation[name])[(0,) * axes]
+        assert found.dtype == array.dtype
+        # Programs may round differently.
+        np.testing.assert_allclose(found, array, atol=1e-4 if name == "vector" else 1)
 
 
 def test_a_goal_that_is_only_seen_is_in_no_number():
@@ -66,6 +133,14 @@ def test_a_goal_that_is_only_seen_is_in_no_number():
     assert untold == {"camera_seen"} < told
     with pytest.raises(ValueError, match="goal 'seen' needs fixed goals"):
         dataclasses.replace(CONFIG, observation=seen, goals=GoalConfig(dynamic=True))
+
+
+def test_who_sees_is_told_of_no_other_car_and_no_wall():
+    fields = make_fields(environment("sees"))
+    assert not {field.group for field in fields} - {""}
+    assert not {field.name for field in fields} & {"rays", "ultrasound"}
+    assert not any(field.name.startswith("ring_") for field in fields)
+    assert {"camera_depth", "camera_seen"} < {field.name for field in fields}
 
 
 def test_it_is_chosen_by_name():

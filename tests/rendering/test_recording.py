@@ -9,10 +9,12 @@ import pytest
 from helpers.sliding import SlidePhysics
 from jax.experimental.compilation_cache import compilation_cache
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.cameras import Heights, paint, see
+from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate
-from carpark_mj.observations import make_fields
+from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.policy.baselines import random_policy
 from carpark_mj.policy.networks import (
     NetworkConfig,
@@ -22,8 +24,10 @@ from carpark_mj.policy.networks import (
 )
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.rendering import recording as record_module
+from carpark_mj.rendering.car_cameras import CarCameras, car_cameras
 from carpark_mj.rendering.live import LiveLot
 from carpark_mj.rendering.recording import parked_trace, record
+from carpark_mj.rendering.snapshot import num_frames
 from carpark_mj.types import NO_BAY
 
 
@@ -43,6 +47,35 @@ def test_the_length_of_the_stretches_makes_no_difference(env, steps, monkeypatch
         parts = (getattr(story, field.name) for story in (again, once))
         for found, expected in zip(*map(jax.tree.leaves, parts), strict=True):
             np.testing.assert_array_equal(found, expected, field.name)
+
+
+def test_the_cameras_of_a_car_see_the_state_that_was_recorded():
+    config = EnvConfig(
+        num_agents=2,
+        num_parked_cars=4,
+        observation=ContinuousObservation(own_car=True),
+        fleet=FleetConfig(agents=("city", "van"), parked_cars=("van", "city")),
+        movers=("cart",),
+    )
+    env, seed, size = ParkingEnv(config, SlidePhysics()), 3, (32, 24)
+    action = jnp.array([[0.0, 1.0], [0.0, -1.0]])
+    story = record(env, lambda observation, key: (action, {}), 2, seed)
+    state, _ = jax.jit(lambda key: env.reset(key, "test"))(
+        jax.random.split(evaluation_key(seed))[0]
+    )
+    for _ in range(2):
+        state, _ = jax.jit(env.step)(state, action)
+    rig = car_cameras("surround", size)
+    assert rig is not None
+    heights = Heights.of(env.fleet)
+    pictures = jax.jit(lambda state: see(rig, state, heights))(state)
+    for channel in ("colour", "depth"):
+        cameras = CarCameras(env, story, rig, channel, size)
+        frame = cameras.draw(num_frames(story) - 1)
+        front, rear, left, right = np.asarray(paint(pictures, channel))[0].astype(int)
+        rows = np.hstack([front, rear]), np.hstack([left, right])
+        # Programs may round differently, at edges too.
+        assert (np.abs(frame - np.vstack(rows)) <= 1).mean() > 0.995
 
 
 class PushPhysics(SlidePhysics):

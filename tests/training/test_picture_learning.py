@@ -1,5 +1,6 @@
-"""Updates from pictures: advantages a step at a time, and what learns."""
+"""Updates from pictures, and policies that learn to see."""
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -9,8 +10,10 @@ import numpy as np
 import optax
 from jax.flatten_util import ravel_pytree
 
+from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.fields import Field
 from carpark_mj.policy.networks import NetworkConfig, make_networks, network_inputs
 from carpark_mj.policy.normalizer import init_normalizer
@@ -20,6 +23,7 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.loss import ppo_loss
 from carpark_mj.training.ppo.state import AXIS
+from carpark_mj.training.ppo.widening import new_fields, widen
 
 LENGTH, AGENTS = 3, 4
 FIELDS = (
@@ -84,3 +88,33 @@ def test_an_update_values_all_steps_and_teaches_the_layers_of_pictures(monkeypat
         layers = moved["params"]["SetEncoder_0"]["pictures_1x4x4"]
         assert min(jax.tree.leaves(layers)) > 0.0
         assert all(np.isfinite(x).all() for x in jax.tree.leaves(new))
+
+
+def test_a_critic_that_learns_to_see_judges_as_before():
+    blind, sees = (
+        dataclasses.replace(CONFIG.env, observation=observation)
+        for observation in (
+            ContinuousObservation(),
+            CameraObservation(width=4, height=3),
+        )
+    )
+    config = dataclasses.replace(CONFIG, env=sees)
+    assert new_fields(config, blind) == ["camera_depth", "camera_seen"]
+
+    def begin(env, key):
+        fields = make_fields(env)
+        critic = make_networks(config.networks, fields, ActionSpec(2)).value_network
+        inputs = network_inputs(config.networks, fields)
+        weights = {"normalizer": init_normalizer(inputs), "value": critic.init(key)}
+        return critic, weights, inputs.size
+
+    before, theirs, fewer = begin(blind, jax.random.key(0))
+    after, new, size = begin(sees, jax.random.key(1))
+    ours = widen(config, blind, theirs, new)
+    assert jax.tree.map(jnp.shape, ours) == jax.tree.map(jnp.shape, new)
+    seen = jax.random.uniform(jax.random.key(2), (5, size))  # pictures come last
+    np.testing.assert_allclose(
+        after.apply(ours["normalizer"], ours["value"], seen),
+        before.apply(theirs["normalizer"], theirs["value"], seen[:, :fewer]),
+        rtol=1e-5,
+    )

@@ -1,5 +1,7 @@
 """Stable-Baselines3: its protocol of ends, its seeds, and its learners."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -8,9 +10,11 @@ from gymnasium.error import ResetNeeded
 pytest.importorskip("stable_baselines3", reason='pip install ".[sb3]"')
 
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3.common.torch_layers import NatureCNN
 from stable_baselines3.common.vec_env import VecMonitor
 
-from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.cameras.encoder import CameraObservation
+from carpark_mj.config import EnvConfig, EpisodeConfig, RayConfig, RingConfig
 from carpark_mj.wrappers.sb3 import ParkVecEnv
 
 PARK, GOAL, MANY = (
@@ -104,6 +108,21 @@ def test_ppo_trains():
     model = PPO("MlpPolicy", VecMonitor(ParkVecEnv(PARK, 4)), n_steps=8, batch_size=32)
     model.learn(64)
     assert model.num_timesteps == 64
+
+
+def test_ppo_looks_at_pictures_through_convolutions():
+    cameras = CameraObservation(
+        0, 0, rings=RingConfig(), rays=RayConfig(), rig="rear", width=36, height=36
+    )
+    config = EnvConfig(num_parked_cars=2, physics="bicycle", observation=cameras)
+    env = VecMonitor(ParkVecEnv(PARK, 4, config=config))
+    model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=128, n_epochs=1)
+    extractors: Any = model.policy.features_extractor.extractors
+    before = extractors["camera_seen"].cnn[0].weight.clone()
+    model.learn(256)
+    for name in ("camera_depth", "camera_seen"):
+        assert isinstance(extractors[name], NatureCNN)
+    assert (extractors["camera_seen"].cnn[0].weight != before).any()
 
 
 def test_sac_relabels_goals_and_keeps_what_crashes_cost():

@@ -118,7 +118,7 @@ class GridPhysics(FactoredPhysics[GridState]):
         return Motion(
             pose_w=pose,
             velocity_b=jnp.stack([speed, still], axis=-1),
-            yaw_rate=-state.turn * jnp.float32(self._turn / self.ctrl_dt),
+            yaw_rate=-state.turn * self.grid.yaw_rate_step(self.ctrl_dt),
             steering=still,
             size=state.vehicle.size,
             trace_w=pose[..., None, :],

@@ -5,6 +5,8 @@ import math
 import pkgutil
 from typing import Any
 
+import numpy as np
+
 from carpark_mj.config import PHYSICS, WORLD_UNIT, EnvConfig, PhysicsConfig
 from carpark_mj.config.checks import require_whole
 
@@ -85,6 +87,14 @@ class GridConfig(PhysicsConfig):
         """That of the sharpest turn."""
         del vehicle, ctrl_dt
         return self.max_turn * 2 * math.pi / self.headings
+
+    def yaw_rate_step(self, ctrl_dt: float) -> np.float32:
+        """The yaw rate of a turn by one heading [rad/s]."""
+        return np.float32(2 * math.pi / self.headings / ctrl_dt)
+
+    def top_yaw_rate(self, ctrl_dt: float) -> float:
+        """That of the sharpest turn."""
+        return float(self.max_turn * self.yaw_rate_step(ctrl_dt))
 
     def top_speed(self, vehicle: Any, ctrl_dt: float) -> float:
         """That of the highest level."""

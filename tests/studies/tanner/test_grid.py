@@ -16,11 +16,13 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import sanitize_indices
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.terminations import detect_events
+from carpark_mj.observations import make_fields
 from carpark_mj.registry import ENVIRONMENTS, environment
 from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.studies.tanner.grid import GridPhysics
 from carpark_mj.studies.tanner.grid_config import COARSE, FINE, GridConfig
 from carpark_mj.vehicle import make_vehicle, preset
+from carpark_mj.wrappers.spaces import observation_space
 
 BOX = make_vehicle(preset("tanner"))
 KEEP = 1  # the coarse grid's middle choice: no acceleration, no turn
@@ -80,6 +82,18 @@ def test_cars_turn_at_rest_if_the_grid_lets_them():
     np.testing.assert_array_equal(
         path.point[:, 0], [[0, 1], [1, 2], [1, 2], [1, 2], [1, 1]]
     )
+
+
+@pytest.mark.parametrize("grid", [COARSE, FINE], ids=["coarse", "fine"])
+def test_the_sharpest_turns_are_the_bounds_of_the_observed_yaw_rate(grid):
+    config = EnvConfig(physics=grid)
+    names = [field.name for field in make_fields(config) for _ in range(field.size)]
+    index, space = names.index("yaw_rate"), observation_space(config)
+    fastest, (_, turns) = 2 * grid.max_acceleration, grid.choices
+    physics, state = start(grid, np.zeros((2, 3)))
+    state = physics.step(state, jnp.array([[fastest, 0], [fastest, turns - 1]]))
+    bounds = space.high[index], space.low[index]
+    np.testing.assert_array_equal(physics.read(state).yaw_rate, bounds)
 
 
 def test_a_fine_move_by_hand():
