@@ -7,7 +7,7 @@ that overlaps an obstacle is rejected: an agent without a free start waits.
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -39,7 +39,6 @@ class SpawnInputs:
         cars: (num_agents,) parameters of the cars drawn for agents that begin; None =
             only the centres of cars are known.
         movers: where they are.
-        clear: whether starts are clear of all obstacles but movers.
     """
 
     layout: Layout
@@ -49,7 +48,6 @@ class SpawnInputs:
     fits: BayFits
     cars: Vehicle | None = None
     movers: Movers = NO_MOVERS
-    clear: bool = struct.field(pytree_node=False, default=False)
 
 
 @struct.dataclass
@@ -113,7 +111,6 @@ class Surroundings:
             spawn.
         obstacles: all obstacles but the agents; starts do not overlap them.
         movers: those of them that `min_distance` applies to, as to agents.
-        clear: see `SpawnInputs`.
     """
 
     pose_w: jax.Array
@@ -123,7 +120,6 @@ class Surroundings:
     size: jax.Array | None
     obstacles: tuple[Group, ...]
     movers: tuple[Group, ...] = ()
-    clear: bool = struct.field(pytree_node=False, default=False)
 
     def distance(self, xy: jax.Array) -> jax.Array:
         """Distance (n,) [m] of points (n, 2) to the nearest other agent's centre.
@@ -162,20 +158,15 @@ class Surroundings:
         """(n,) bool, whether the car at poses (n, 3) would overlap any but agents."""
         if self.size is None:
             return jnp.zeros(pose.shape[:1], bool)
-        return _blocks(self.movers if self.clear else self.obstacles, pose, self.size)
+        return self.blocks(pose, self.size)
 
     def blocks(self, pose: jax.Array, size: jax.Array) -> jax.Array:
         """(n,) bool, whether a box (2,) [m] at poses (n, 3) overlaps `obstacles`."""
-        return _blocks(self.obstacles, pose, size)
-
-
-def _blocks(groups: Sequence[Group], pose: jax.Array, size: jax.Array) -> jax.Array:
-    """(n,) bool, whether a box (2,) [m] at poses (n, 3) overlaps any of groups."""
-    hits = [
-        (group.overlap(pose[:, None], size) & group.counts(1)).any(axis=1)
-        for group in groups
-    ]
-    return functools.reduce(jnp.logical_or, hits)
+        hits = [
+            (group.overlap(pose[:, None], size) & group.counts(1)).any(axis=1)
+            for group in self.obstacles
+        ]
+        return functools.reduce(jnp.logical_or, hits)
 
 
 def surroundings(
@@ -206,7 +197,6 @@ def surroundings(
         size=size,
         obstacles=lot_obstacles(inputs.layout, None, parked, inputs.movers),
         movers=inputs.movers.groups,
-        clear=inputs.clear,
     )
 
 
