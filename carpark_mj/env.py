@@ -44,6 +44,7 @@ from carpark_mj.observations import (
     sensors,
     unpack,
 )
+from carpark_mj.physics import emergency_brake
 from carpark_mj.physics.base import (
     Halting,
     Physics,
@@ -333,6 +334,7 @@ class ParkingEnv:
     def _move(self, state: State, controls: jax.Array, keys: StepKeys) -> State:
         """The state when the cars have moved and their motion has been measured."""
         config, memory = self.config, self.config.observation.remember(state)
+        controls = emergency_brake.override(config.sim, state, controls)
         physics = self.physics.step(state.physics, controls)
         motion = self.physics.read(physics)
         if isinstance(self.physics, Halting) and config.episode.kerb_speed:
