@@ -181,8 +181,8 @@ class EnvConfig(OldNames):
             )
         if self.sim.emergency_brake and not physics.actuated:
             raise ValueError(
-                f"sim.emergency_brake {self.sim.emergency_brake} needs cars with brakes "
-                f"of `vehicle.drive`: a physics other than {physics.back_end}"
+                f"sim.emergency_brake {self.sim.emergency_brake} needs cars that brake "
+                f"by a pedal: a physics other than {physics.back_end}"
             )
         scale = self.episode.hitbox_scale
         if scale != 1.0 and physics.contacts:
