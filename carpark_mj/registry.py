@@ -35,6 +35,15 @@ DYNAMIC = dataclasses.replace(
 # Lots of every family, some or many cars of all kinds, imperfect sensors. Exploration
 # finds tight bays too rarely to begin with: more pay for the way into the bay.
 _CARS = ("city", "compact", "sedan", "sedan_fwd", "suv", "van")
+_OBSERVATION = ContinuousObservation(
+    tracked_agents=7,
+    tracked_parked_cars=6,
+    share=ShareConfig(steering=True, priority=True),
+    own_car=True,
+    lines=True,
+    route=True,
+    rays=RayConfig(72),  # one every 5 degrees
+)
 ANYWHERE = EnvConfig(
     layout="square,square_compact,street,street_parallel,angled,lot,garage_row,dead_end",
     num_agents=8,
@@ -53,15 +62,7 @@ ANYWHERE = EnvConfig(
         closeness=0.0,
         time=2.5,  # dear, against standing where they might turn either way
     ),
-    observation=ContinuousObservation(
-        tracked_agents=7,
-        tracked_parked_cars=6,
-        share=ShareConfig(steering=True, priority=True),
-        own_car=True,
-        lines=True,
-        route=True,
-        rays=RayConfig(72),  # one every 5 degrees
-    ),
+    observation=_OBSERVATION,
     # [est] of loaded or worn cars on a dry or wet surface.
     randomization=RandomizationConfig(
         mass=(0.9, 1.2),
@@ -87,9 +88,7 @@ CONSIDERATE = dataclasses.replace(
     reward=dataclasses.replace(
         ANYWHERE.reward, time=3.0, extra={"person": 5.0, "comfort": 16.0}
     ),
-    observation=dataclasses.replace(
-        ANYWHERE.observation, tracked_agents=3, tracked_movers=6
-    ),
+    observation=dataclasses.replace(_OBSERVATION, tracked_agents=3, tracked_movers=6),
 )
 # The same for cars that see: of others and of the lot they know what four cameras show,
 # of themselves and of the way to their goal what the car tells.
