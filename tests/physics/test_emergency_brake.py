@@ -48,7 +48,7 @@ def scene(speed, *people, present=True, steering=0.0, kind=ObstacleKind.PERSON):
     motion = cars([(0.0, 0.0, 0.0)], speed=speed, steering=steering, size=SIZE)
     vehicle = jax.tree.map(lambda x: x[None], VEHICLE)
     state = state_of(PLACE, motion, 0, movers=Movers((), ((discs,),)))
-    return state.replace(physics=PHYSICS.init(motion.pose_w, vehicle))
+    return dataclasses.replace(state, physics=PHYSICS.init(motion.pose_w, vehicle))
 
 
 @functools.partial(jax.jit, static_argnums=2)
@@ -134,7 +134,8 @@ def drive():
             people, moving, wish = carry
             keys = jax.random.split(key, 3)
             motion, movers = PHYSICS.read(moving), place_movers((PEOPLE,), (people,))
-            state = state_of(layout, motion, 0, movers=movers).replace(physics=moving)
+            state = state_of(layout, motion, 0, movers=movers)
+            state = dataclasses.replace(state, physics=moving)
             # One drives at random, the other at the nearest person.
             new = jax.random.uniform(keys[0], (2,), minval=-1.0)
             wish = jnp.where(jax.random.bernoulli(keys[1], 0.1), new, wish)
