@@ -11,13 +11,14 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry import boxes_overlap, move_forward, wrap_angle
+from carpark_mj.geometry import boxes_overlap, move_forward, norm, wrap_angle
 from carpark_mj.geometry.obstacles import Boxes, Group
 from carpark_mj.movers.outlines import AWAY
 from carpark_mj.types import State
 from carpark_mj.vehicle.presets import CITY
 
 MARGIN = 0.3  # m on all sides: the steering may still turn, brakes build up
+STANDS = 1.0  # m, length of the zone of a car that stands, without the car
 STILL = 1e-4  # m, what rounding may change of a gap
 
 
@@ -182,16 +183,23 @@ def would_hit(lot: State, pose: jax.Array, size: jax.Array, dt: float) -> jax.Ar
 
 
 def keep_off(
-    xy: jax.Array, move: jax.Array, radius: jax.Array, enter: Zones, stop: Zones
+    xy: jax.Array,
+    move: jax.Array,
+    goal: jax.Array,
+    radius: jax.Array,
+    enter: Zones,
+    stop: Zones,
 ) -> jax.Array:
     """Moves (n, 2) [m] of discs, cut so that none is the cause of a collision.
 
-    Nobody steps into a zone, but goes along its edge. Whoever is in one because a car
-    came goes on, but where the car cannot stop neither nearer to it nor before it.
+    Nobody steps into a zone, but goes along its edge, round a car that stands. Whoever
+    is in one because a car came goes on, but where the car cannot stop neither nearer
+    to it nor before it.
 
     Args:
         xy: (n, 2) centres [m].
         move: (n, 2) as wanted [m].
+        goal: (n, 2) where they head for [m].
         radius: (n,) [m].
         enter: zones that nobody steps into, (n, cars).
         stop: zones where cars cannot stop, within those.
@@ -225,9 +233,18 @@ def keep_off(
     bad = wrong(own)
     own_x, own_y = own[..., 0], own[..., 1]
     is_end = (x >= enter.ahead + reach) | (x <= -enter.behind - reach)
+    # Past a car that stands by the end, or side, that is the shorter way.
+    length, there = norm(move)[:, None], enter.local(goal)
+    stands = enter.ahead + enter.behind - 2 * stop.half[:, 0] < STANDS
+    front = x + there[..., 0] > enter.ahead - enter.behind
+    round_x = jnp.where(front, length, -length)
+    round_y = jnp.where(y + there[..., 1] > 0.0, length, -length)
+    edge_x, edge_y = (
+        jnp.where(stands, a, b) for a, b in ((round_x, own_x), (round_y, own_y))
+    )
     towards = jnp.minimum(own_x * out_x + own_y * out_y, 0.0) / (square + STILL**2)
-    slid_x = jnp.where(was_in, own_x - towards * out_x, jnp.where(is_end, 0.0, own_x))
-    slid_y = jnp.where(was_in, own_y - towards * out_y, jnp.where(is_end, own_y, 0.0))
+    slid_x = jnp.where(was_in, own_x - towards * out_x, jnp.where(is_end, 0.0, edge_x))
+    slid_y = jnp.where(was_in, own_y - towards * out_y, jnp.where(is_end, edge_y, 0.0))
     slid = (
         enter.cos * slid_x - enter.sin * slid_y,
         enter.sin * slid_x + enter.cos * slid_y,

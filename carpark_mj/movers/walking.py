@@ -61,7 +61,7 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     force = jnp.where(straight[:, None], 0.0, forces)
     velocity = social_force.advance(people.velocity, wanted, force, dt)
     velocity = social_force.limit(velocity, speed)
-    move = keep_off(people.xy, velocity * dt, people.radius, enter, stop)
+    move = keep_off(people.xy, velocity * dt, waypoint, people.radius, enter, stop)
     move = jnp.where(people.present[:, None], move, 0.0)
     xy = people.xy + move
     arrived = norm(waypoint - xy) < ARRIVED

@@ -188,6 +188,13 @@ def test_people_walk_everywhere_but_never_through_walls(drive):
         assert 0.8 < np.median(speed[people.phase == 2]) < 1.9
 
 
+def test_people_walk_round_a_car_that_stands(drive):
+    people = drive[STANDS][0]
+    walks = (people.phase != 0) & people.present
+    stuck = np.linalg.norm(people.velocity, axis=-1) < 0.1
+    assert stuck[walks].mean() < 0.05
+
+
 def test_density_and_shares_are_those_asked_for(drive):
     several = dataclasses.replace(PEOPLE, number=20, density=(0.1, 0.9))
     make = jax.jit(jax.vmap(lambda key: several.init(key, LOT)))
