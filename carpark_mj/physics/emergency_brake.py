@@ -32,12 +32,12 @@ def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
     """Controls (num_agents, 2) of which the pedal brakes where people are in danger.
 
     Args:
-        sim: with `emergency_brake`; where that is 0, the controls are returned.
+        sim: with a positive `emergency_brake`.
         state: of the lot, at the start of the control step.
         controls: steer and pedal in [-1, 1] that drivers command.
     """
     groups = [group for group in state.movers.groups if group.kind in PROTECTED]
-    if not (sim.emergency_brake and groups):
+    if not groups:
         return controls
     with jax.named_scope("emergency_brake"):
         car = in_conditions(state.physics.vehicle, sim)
