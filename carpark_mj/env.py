@@ -333,6 +333,10 @@ class ParkingEnv:
     def _move(self, state: State, controls: jax.Array, keys: StepKeys) -> State:
         """The state when the cars have moved and their motion has been measured."""
         config, memory = self.config, self.config.observation.remember(state)
+        if config.sim.emergency_brake:
+            from carpark_mj.physics import emergency_brake  # only such cars load it
+
+            controls = emergency_brake.override(config.sim, state, controls)
         physics = self.physics.step(state.physics, controls)
         motion = self.physics.read(physics)
         if isinstance(self.physics, Halting) and config.episode.kerb_speed:
@@ -343,13 +347,12 @@ class ParkingEnv:
         all_drive = config.episode.respawn and state.present is None
         if not (all_drive or config.physics_config.contacts):
             physics, motion = _freeze(state, physics, motion)
-        parked_cars = state.parked_cars
-        pose_w = self.physics.parked_poses(physics, parked_cars.pose_w)
+        pose_w = self.physics.parked_poses(physics, state.parked_cars.pose_w)
         return dataclasses.replace(
             state,
             physics=physics,
             motion=motion,
-            parked_cars=dataclasses.replace(parked_cars, pose_w=pose_w),
+            parked_cars=dataclasses.replace(state.parked_cars, pose_w=pose_w),
             memory=memory,
             movers=self._episodes.step_movers(state, keys),
             step=state.step + state.active,

@@ -15,6 +15,7 @@ from carpark_mj.config import (
     RingConfig,
     SensorConfig,
     ShareConfig,
+    SimConfig,
 )
 from carpark_mj.extensions import Registry
 from carpark_mj.observations import ContinuousObservation
@@ -79,11 +80,13 @@ ANYWHERE = EnvConfig(
 )
 
 # Up to four of them among people of whom more or fewer give way. Whoever waits for
-# people needs more time; who hits one has crashed, and pays `person` besides.
+# people needs more time; who hits one has crashed, and pays `person` besides. Cars have
+# emergency braking, so that what remains to learn is to get on without it.
 CONSIDERATE = dataclasses.replace(
     ANYWHERE,
     num_agents=4,
     movers=("pedestrians:number=0..20,attention=0.5..1.0",),
+    sim=SimConfig(emergency_brake=0.3),
     episode=EpisodeConfig(max_steps=400),  # 80 s
     reward=dataclasses.replace(
         ANYWHERE.reward, time=3.0, extra={"person": 5.0, "comfort": 16.0}

@@ -179,6 +179,11 @@ class EnvConfig(OldNames):
                 f"reward.reeds_shepp_reach {self.reward.reeds_shepp_reach} needs cars "
                 f"that steer: a physics other than {physics.back_end}"
             )
+        if self.sim.emergency_brake and not physics.actuated:
+            raise ValueError(
+                f"sim.emergency_brake {self.sim.emergency_brake} needs cars that brake "
+                f"by a pedal: a physics other than {physics.back_end}"
+            )
         scale = self.episode.hitbox_scale
         if scale != 1.0 and physics.contacts:
             raise ValueError(

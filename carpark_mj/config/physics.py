@@ -15,6 +15,7 @@ BRUSH_SIM_DT = 0.02  # s; bristles and wheels ring from 0.04 s on
 MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
 MAX_DELAY = 2.0  # s, of an actuator
 MAX_CREEP = 2.0  # m/s^2
+MAX_GAP = 2.0  # m, to people, of emergency braking
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +43,8 @@ class SimConfig(CheckedConfig):
         pedal_delay: the same of drive and brakes.
         creep: acceleration from rest of an automatic whose engine idles, no pedal
             pressed [m/s^2]; 0 = none, about 0.4 in real cars (`docs/vehicle.md`).
+        emergency_brake: gap to people [m] that automatic emergency braking keeps ahead
+            of a car that moves; 0 = it has none. See `docs/people.md`.
     """
 
     sim_dt: float = 0.01
@@ -56,6 +59,7 @@ class SimConfig(CheckedConfig):
     steering_delay: float = 0.0
     pedal_delay: float = 0.0
     creep: float = 0.0
+    emergency_brake: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -97,6 +101,7 @@ class SimConfig(CheckedConfig):
                     f"[0, {MAX_DELAY}] s, not {delay}"
                 )
         require_within(self, 0.0, MAX_CREEP, "m/s^2", "creep")
+        require_within(self, 0.0, MAX_GAP, "m", "emergency_brake")
         if not abs(self.grade_x) < 1.0:
             raise ValueError(f"grade_x must lie within (-1, 1), not {self.grade_x}")
         start, end, grade = self.ramp

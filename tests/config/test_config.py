@@ -61,6 +61,12 @@ IMPOSSIBLE = [
     (SimConfig, {"ramp": (0.0, 1.0, 0.5), "grade_x": 0.6}, r"grade_x lies .* 0.5\)"),
     (SimConfig, {"ramp": (0.0, 1.0, math.nan)}, r"ramp must be .* nan\)"),
     (SimConfig, {"creep": -0.4}, r"creep must lie within \[0, 2\] m/s\^2, not -0.4"),
+    (SimConfig, {"emergency_brake": -0.1}, r"emergency_brake .* \[0, 2\] m, not -0.1"),
+    (
+        EnvConfig,
+        {"sim": SimConfig(emergency_brake=0.3), "physics": "grid"},
+        "sim.emergency_brake 0.3 needs .* a physics other than grid",
+    ),
     (SimConfig, {"grade_x": 1.0}, "grade_x must lie within .* not 1.0"),
     (SimConfig, {"grade_x": math.nan}, "grade_x must lie within .* not nan"),
     (SpawnConfig, {"close_ratio": 1.5}, "close_ratio must lie in .* not 1.5"),

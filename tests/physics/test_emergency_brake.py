@@ -1,0 +1,192 @@
+"""Emergency braking: by hand, and against drivers who drive at people."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import cars, lot
+from helpers.states import state_of
+
+from carpark_mj.config import EnvConfig, SimConfig
+from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.env import ParkingEnv
+from carpark_mj.geometry import box_disc_overlap, move_forward, norm, rotate
+from carpark_mj.geometry.obstacles import Discs, Movers
+from carpark_mj.layouts import layout_config
+from carpark_mj.movers import Pedestrians
+from carpark_mj.obstacles import place_movers
+from carpark_mj.physics.emergency_brake import ASIDE, override
+from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.vehicle import COMPACT, make_vehicle
+
+GAP = 0.3  # m, that it keeps
+SIM = SimConfig(emergency_brake=GAP)
+DT, STEPS, LOTS, RADIUS = SIM.ctrl_dt, 300, 6, 0.3
+VEHICLE = make_vehicle(COMPACT)
+PEOPLE = Pedestrians(number=15, children=0.3, attention=0.3)
+PHYSICS = MjxPhysics(SimConfig())
+PLACE = lot([(30.0, 0.0, 0.0)])
+SIZE = COMPACT.length, COMPACT.width
+HALF = SIZE[0] / 2, SIZE[1] / 2
+COASTS = jnp.zeros(2)
+AWAY = 1e3  # m
+
+
+def scene(speed, *people, present=True, steering=0.0, kind=ObstacleKind.PERSON):
+    """A car at the origin, and people (x, y, vx, vy)."""
+    there = jnp.array(people, jnp.float32).reshape(-1, 4)
+    discs = Discs(
+        there[:, :2],
+        jnp.full(len(there), RADIUS),
+        there[:, 2:],
+        jnp.full(len(there), present),
+        kind=kind,
+    )
+    motion = cars([(0.0, 0.0, 0.0)], speed=speed, steering=steering, size=SIZE)
+    vehicle = jax.tree.map(lambda x: x[None], VEHICLE)
+    state = state_of(PLACE, motion, 0, movers=Movers((), ((discs,),)))
+    return dataclasses.replace(state, physics=PHYSICS.init(motion.pose_w, vehicle))
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def pedal(state, controls, sim=SIM):
+    """The pedal that the car gets."""
+    return override(sim, state, jnp.asarray(controls)[None])[0, 1]
+
+
+# Speed [m/s] and pedal; the way of a step that accelerates by 2 m/s² or brakes by up to
+# 4 m/s², and then of full braking [m].
+WAYS = {
+    (2.0, 0.0): 2.0 * 0.2 + 2.0**2 / 8,
+    (2.0, 1.0): 2.2 * 0.2 + 2.4**2 / 8,
+    (2.0, -1.0): 1.6 * 0.2 + 1.2**2 / 8,
+    (3.0, 1.0): 3.0 * 0.2 + 3.0**2 / 8,  # as fast as it can
+    (0.0, 1.0): 0.2 * 0.2 + 0.4**2 / 8,
+    (0.0, 0.5): 0.1 * 0.2 + 0.2**2 / 8,
+    (-1.0, -1.0): 1.2 * 0.2 + 1.4**2 / 8,
+}
+
+
+@pytest.mark.parametrize(("speed", "command"), WAYS)
+def test_it_brakes_where_the_way_to_a_stop_leaves_less_than_the_gap(speed, command):
+    side = np.sign(speed or command)
+    for more, brakes in ((-0.02, True), (0.02, False)):
+        gap = WAYS[speed, command] + GAP + ASIDE + more
+        x = side * (HALF[0] + gap + RADIUS)
+        stop = -np.sign(speed) if brakes else command
+        got = pedal(scene(speed, (x, 0.0, 0.0, 0.0)), [0.0, command])
+        assert float(got) == pytest.approx(stop)
+
+
+BESIDE = HALF[1] + RADIUS
+# A car at 1 m/s with the pedal released.
+OTHERS = {
+    "behind": ((-HALF[0] - RADIUS - 0.1, 0.0, 0.0, 0.0), 0.0, False),
+    "beside it, close": ((1.0, BESIDE + 0.05, 0.0, 0.0), 0.0, False),
+    "where it turns": ((HALF[0], BESIDE + 0.05, 0.0, 0.0), 1.0, True),
+    "where the tail swings": ((-HALF[0] + 0.1, -BESIDE - 0.02, 0.0, 0.0), 1.0, True),
+    "about to come before it": ((HALF[0] + 0.5, BESIDE + 0.3, 0.0, -1.3), 0.0, True),
+    "about to leave its way": ((HALF[0] + 1.0, BESIDE + 0.2, 0.0, 1.3), 0.0, False),
+}
+
+
+@pytest.mark.parametrize("who", OTHERS)
+def test_it_brakes_for_whom_it_would_drive_at(who):
+    person, steering, brakes = OTHERS[who]
+    angle = steering * COMPACT.max_steering
+    got = pedal(scene(1.0, person, steering=angle), [steering, 0.0])
+    assert bool(got < 0.0) == brakes
+
+
+def test_only_people_who_are_there_count_and_without_any_the_controls_are_the_same():
+    near, controls = (HALF[0] + 0.5, 0.0, 0.0, 0.0), jnp.array([[0.3, 0.7]])
+    assert float(pedal(scene(1.0, near), controls[0])) == -1.0
+    absent = scene(1.0, near, present=False)
+    assert float(pedal(absent, controls[0])) == pytest.approx(0.7)
+    cart = scene(1.0, near, kind=ObstacleKind.MOVER)
+    assert override(SIM, cart, controls) is controls
+
+
+def test_brakes_that_hold_less_or_later_begin_earlier():
+    state = scene(2.0, (HALF[0] + RADIUS + 2.0, 0.0, 0.0, 0.0))
+    others = {"surface": "ice", "grade_x": 0.2, "pedal_delay": 0.5}
+    assert pedal(state, COASTS) == 0.0
+    for setting, value in others.items():
+        sim = dataclasses.replace(SIM, **{setting: value})
+        assert pedal(state, COASTS, sim) == -1.0, setting
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Contacts with people, and speeds, of two cars a lot, with the option or not."""
+    vehicles = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *x.shape)), VEHICLE)
+    size = VEHICLE.size
+
+    def one(layout, key, on):
+        first = layout.spawn_pose[0]
+        start = jnp.stack([move_forward(first, x) for x in (-3.0, 3.0)])
+
+        def step(carry, key):
+            people, moving, wish = carry
+            keys = jax.random.split(key, 3)
+            motion, movers = PHYSICS.read(moving), place_movers((PEOPLE,), (people,))
+            state = state_of(layout, motion, 0, movers=movers)
+            state = dataclasses.replace(state, physics=moving)
+            # One drives at random, the other at the nearest person.
+            new = jax.random.uniform(keys[0], (2,), minval=-1.0)
+            wish = jnp.where(jax.random.bernoulli(keys[1], 0.1), new, wish)
+            to = people.xy - motion.xy[1] + AWAY * ~people.present[:, None]
+            x, y = rotate(to[jnp.argmin(norm(to))], -motion.pose_w[1, 2])
+            way = jnp.where(x > 0.0, 1.0, -1.0)
+            steer = jnp.clip(way * 2.0 * jnp.arctan2(y, jnp.abs(x)), -1.0, 1.0)
+            wanted = jnp.stack([wish, jnp.stack([steer, way])])
+            controls = jnp.where(on, override(SIM, state, wanted), wanted)
+            moving = PHYSICS.step(moving, controls)
+            walked, after = (
+                PEOPLE.step(keys[2], people, state, DT),
+                PHYSICS.read(moving),
+            )
+            count = after.trace_w.shape[1]
+            share = (jnp.arange(count) + 1.0) / count
+            there = people.xy + share[:, None, None] * (walked.xy - people.xy)
+            trace = jnp.swapaxes(after.trace_w, 0, 1)[:, :, None]
+            hit = box_disc_overlap(trace, size, there[:, None], people.radius)
+            hit = (hit & people.present).any(axis=(0, 2))
+            # Who leaves the lot, or has hit somebody, begins anew when there is room.
+            out = (jnp.abs(after.xy) > layout.extent - 2.0).any(axis=-1) | hit
+            taken = box_disc_overlap(
+                start[:, None], size, walked.xy, walked.radius + GAP
+            )
+            again = start + 100.0 * taken.any(axis=1)[:, None]
+            moving = PHYSICS.place(moving, out, again, vehicles)
+            return (walked, moving, wish), (hit, jnp.abs(motion.speed))
+
+        begin = PHYSICS.init(start + 100.0, vehicles)
+        carry = PEOPLE.init(key, layout), begin, jnp.zeros(2)
+        return jax.lax.scan(step, carry, jax.random.split(key, STEPS))[1]
+
+    make = jax.vmap(layout_config("mixture").generate)
+    lots = make(jax.random.split(jax.random.key(0), LOTS))
+    keys = jax.random.split(jax.random.key(1), LOTS)
+    run = jax.jit(jax.vmap(one, (0, 0, None)))
+    return [jax.device_get(run(lots, keys, on)) for on in (True, False)]
+
+
+def test_who_drives_at_people_hits_them_without_it_and_nobody_with_it(drive):
+    (hit, speed), (hits, _) = drive
+    assert not hit.any()
+    assert (hits.sum(axis=(0, 1)) > 10).all()
+    assert ((speed > 1.0).mean(axis=(0, 1)) > 0.1).all()  # it drives for all that
+
+
+@pytest.mark.parametrize("gap", [0.0, GAP])
+def test_the_program_of_a_step_brakes_only_where_asked_to(gap):
+    sim, people = SimConfig(emergency_brake=gap), ("pedestrians:number=1",)
+    env = ParkingEnv(EnvConfig(num_agents=1, sim=sim, movers=people))
+    state, _ = jax.eval_shape(env.reset, jax.random.key(0))
+    program = jax.make_jaxpr(env.step)(state, jnp.zeros((1, 2)))
+    text = program.pretty_print(name_stack=True)
+    assert ("emergency_brake" in text) == (gap > 0.0)
