@@ -91,11 +91,12 @@ CONSIDERATE = dataclasses.replace(
     ),
     env=environment("considerate"),
 )
-# Pictures take the time: as many steps as fit into an hour, fewer in an update.
+# Pictures take the time: fewer steps in an update, and as many in all as an H200 makes
+# in these minutes.
 SEES = dataclasses.replace(
     ANYWHERE,
     preset="sees",
-    num_steps=800_000_000,
+    num_steps=450_000_000,
     minutes=55.0,
     num_lots=1024,
     num_minibatches=8,
