@@ -300,8 +300,8 @@ class Learner:
         curriculum, length = self.config.curriculum, self.config.unroll_length
         scales = dict.fromkeys(self.scaled, crash_scale(curriculum, progress))
         share = neighbour_share(curriculum, progress)
-        more = {"neighbour_share": share, "teacher": self.teacher}
-        return collect(self.env, state.env, actor, key, length, scales, **more)
+        given = (self.env, state.env, actor, key, length, scales)
+        return collect(*given, neighbour_share=share, teacher=self.teacher)
 
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array
