@@ -1,8 +1,9 @@
 """Agents that drive on planned paths; they replan when they are stuck.
 
 They know the true state of the lot: parked cars, walls and discs when they plan, the
-positions of other agents and of movers while they drive. An agent stops for what is on
-its path or, of movers, soon will be, and after a while plans around what is there.
+positions of other agents and of movers while they drive. An agent slows down for
+movers that are on its path or soon will be, creeps up to them, stops for whatever is
+close, and after a while plans around what is there.
 Everything here is NumPy, on the host.
 """
 
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from carpark_mj.planning.obstacles import FreeSpace, Solids
-from carpark_mj.planning.paths import PlannedPath, centre, rear_axle
+from carpark_mj.planning.paths import CREEP, CRUISE, PlannedPath, centre, rear_axle
 from carpark_mj.planning.search import Search, SearchConfig, search
 from carpark_mj.planning.tracking import (
     STANDING,
@@ -27,7 +28,8 @@ from carpark_mj.vehicle import VehicleParameters
 
 LOOK_AHEAD = 2.5  # m of the path that must be free, more than cars need to stop
 FORESEEN = (0.0, 0.4, 0.8, 1.2, 1.6, 2.0)  # s, when movers must not be there
-PASSING = 0.4  # m kept from movers by a path that leads around them
+PACES = (CRUISE, 0.6, CREEP)  # m/s among movers; less must be free of them when slow
+PASSING = 0.2  # m kept from movers by a path that leads around them
 GAP = 0.3  # m kept from them
 PATIENCE = 20  # control steps until an agent that stands plans again
 PATIENCE_MOVERS = 40  # the same where there are movers, which often go away
@@ -90,16 +92,15 @@ class Agent:
         command = self._follow(sight)
         if command is not None and command.error > ASTRAY:
             self._plan(sight, sight.solids)
-            command = self._follow(sight)
         # Wheels that turn from lock to lock take less time than the patience.
         self._stuck = self._stuck + 1 if abs(sight.speed) < STANDING else 0
         pose, size, _ = sight.movers
         if self._stuck >= (PATIENCE_MOVERS if len(pose) else PATIENCE):
             solids = sight.solids.with_boxes(*sight.others)
             self._plan(sight, solids.with_boxes(pose, size + 2 * PASSING))
-            command = self._follow(sight)
-        blocked = self._is_blocked(sight)
-        if blocked or command is None:
+        pace = self._pace(sight)
+        command = self._follow(sight, pace)
+        if pace == 0.0 or command is None:
             return 0.0, brake(sight.speed, sight.car, self._dt)
         self._progress = command.progress
         return command.steer, command.pedal
@@ -117,31 +118,42 @@ class Agent:
             self._path, self._progress = found.path, Progress()
         self.searches.append(found)
 
-    def _follow(self, sight: Sight) -> Command | None:
+    def _follow(self, sight: Sight, pace: float = CRUISE) -> Command | None:
         if self._path is None:
             return None
         driven = Driven(rear_axle(sight.car, sight.pose), sight.speed, sight.steering)
-        return track(self._path, self._progress, sight.car, driven, self._dt)
+        return track(self._path, self._progress, sight.car, driven, self._dt, pace)
 
-    def _is_blocked(self, sight: Sight) -> bool:
-        """Whether something is on the next stretch of the path, or about to be."""
-        pose, size = sight.others
-        mover, mover_size, velocity = sight.movers
-        for seconds in FORESEEN if len(mover) else ():
-            there = mover + np.pad(velocity * seconds, ((0, 0), (0, 1)))
-            pose = np.concatenate([pose, there])
-            size = np.concatenate([size, mover_size])
-        reach = math.hypot(sight.car.length, sight.car.width) + LOOK_AHEAD + GAP
+    def _pace(self, sight: Sight) -> float:
+        """The highest speed [m/s] at which nothing gets in the way; 0 = stop."""
+        if not self._is_free(sight, LOOK_AHEAD, GAP, *sight.others):
+            return 0.0
+        pose, size, velocity = sight.movers
+        for pace in PACES:
+            share = pace / CRUISE
+            foreseen = FORESEEN if pace > CREEP else (0.0,)
+            moves = (velocity * (share * seconds) for seconds in foreseen)
+            there = [pose + np.pad(move, ((0, 0), (0, 1))) for move in moves]
+            soon = np.concatenate(there), np.tile(size, (len(there), 1))
+            if self._is_free(sight, LOOK_AHEAD * share, GAP * share, *soon):
+                return pace
+        return 0.0
+
+    def _is_free(
+        self, sight: Sight, way: float, gap: float, pose: np.ndarray, size: np.ndarray
+    ) -> bool:
+        """Whether boxes (k, 3), (k, 2) leave a gap to the next stretch of the path."""
+        reach = math.hypot(sight.car.length, sight.car.width) + way + gap
         near = np.hypot(*(pose[:, :2] - sight.pose[:2]).T) < reach + size.max(
             axis=-1, initial=0.0
         )
         path, (number, point) = self._path, self._progress
         if path is None or number == len(path.segments) or not near.any():
-            return False
+            return True
         segment = path.segments[number]
         ahead = segment.distance - segment.distance[point]
-        points = segment.pose[(ahead >= 0) & (ahead <= LOOK_AHEAD)][::10]
+        points = segment.pose[(ahead >= 0) & (ahead <= way)][::10]
         nothing = Solids(pose[near], size[near], np.zeros((0, 2)), np.zeros(0))
-        wide = sight.car.length + 2 * GAP, sight.car.width + 2 * GAP
+        wide = sight.car.length + 2 * gap, sight.car.width + 2 * gap
         here = FreeSpace(nothing, wide, sight.extent, grid=False)
-        return not all(here.is_free(*place) for place in centre(sight.car, points))
+        return all(here.is_free(*place) for place in centre(sight.car, points))

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.planning.paths import CREEP, PlannedPath, Segment
+from carpark_mj.planning.paths import CREEP, CRUISE, PlannedPath, Segment
 from carpark_mj.vehicle import COMPACT, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.drive import SWITCH_SPEED, close_hold, hold_braking
 
@@ -79,8 +79,9 @@ def track(
     car: VehicleParameters,
     driven: Driven,
     dt: float,
+    pace: float = CRUISE,
 ) -> Command:
-    """The action of a control step of `dt` [s]."""
+    """The action of a control step of `dt` [s], at a highest speed `pace` [m/s]."""
     number, point = progress
     if number >= len(path.segments):
         return Command(0.0, brake(driven.speed, car, dt), progress, 0.0)
@@ -93,14 +94,14 @@ def track(
         after = Progress(number + 1, 0)
         if after.segment == len(path.segments):
             return Command(steering / car.max_steering, 0.0, after, error)
-        return track(path, after, car, driven, dt)
+        return track(path, after, car, driven, dt, pace)
     wrong = abs(steering - driven.steering)
     wheels_off = wrong > (WHEELS_SET if stands else WHEELS_OFF)
     if wheels_off or driven.speed * segment.gear < -STANDING:
         pedal = brake(driven.speed, car, dt)
     else:
         limit = float(np.interp(along, segment.distance, segment.speed))
-        speed = abs(driven.speed)
+        limit, speed = min(limit, pace), abs(driven.speed)
         pedal = segment.gear * _pedal(speed, limit, left, car, dt)
     return Command(steering / car.max_steering, pedal, Progress(number, point), error)
 

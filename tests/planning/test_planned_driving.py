@@ -8,8 +8,15 @@ from helpers.planned import CAR, case
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.planning import search as search_module
-from carpark_mj.planning.driving import MAX_PLANS, PATIENCE, Agent, Sight
-from carpark_mj.planning.paths import centre
+from carpark_mj.planning.driving import (
+    LOOK_AHEAD,
+    MAX_PLANS,
+    PACES,
+    PATIENCE,
+    Agent,
+    Sight,
+)
+from carpark_mj.planning.paths import CRUISE, centre
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.planning.search import SearchConfig
 from carpark_mj.registry import environment
@@ -150,7 +157,7 @@ def test_the_planner_drives_one_lot_as_it_drives_a_batch():
     assert alone.shape == (1, 2)
 
 
-def test_an_agent_stops_for_who_is_about_to_step_onto_its_path():
+def test_an_agent_slows_down_for_who_is_about_to_step_onto_its_path():
     # From beside the path: in 2 s it is crossed at 1 m/s, and not by who stands.
     agent = Agent((0,), 0.2, SearchConfig(paths=1))
     free = agent.act(sight(begins=True))
@@ -160,8 +167,29 @@ def test_an_agent_stops_for_who_is_about_to_step_onto_its_path():
     aside = CAR.width / 2 + 1.0
     beside = point + np.array([-aside * np.sin(yaw), aside * np.cos(yaw), 0.0])
     towards = np.array([[np.sin(yaw), -np.cos(yaw)]])
-    for speed, stops in ((0.0, False), (1.0, True), (-1.0, False)):
+    for speed, slows in ((0.0, False), (1.0, True), (-1.0, False)):
         mover = beside[None], np.full((1, 2), 0.6), speed * towards
         seen = sight()._replace(movers=mover)
-        assert agent._is_blocked(seen) == stops, speed
+        assert (agent._pace(seen) < CRUISE) == slows, speed
     assert free != (0.0, 0.0)
+
+
+def test_an_agent_creeps_up_to_who_stands_on_its_path_and_can_stop():
+    agent = Agent((0,), 0.2, SearchConfig(paths=1))
+    agent.act(sight(begins=True))
+    start, segment = sight().pose, agent._path.segments[0]
+    assert segment.length > LOOK_AHEAD
+    paces = []
+    gaps = np.arange(0.0, 4.0, 0.1)  # m from the bumper, straight ahead
+    for gap in gaps:
+        reach = segment.gear * (CAR.length / 2 + gap + 0.3)
+        there = start + reach * np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
+        mover = there[None], np.full((1, 2), 0.6), np.zeros((1, 2))
+        paces.append(agent._pace(sight()._replace(movers=mover)))
+    paces = np.array(paces)
+    assert (np.diff(paces) >= 0.0).all()
+    assert set(paces) == {0.0, *PACES}
+    assert paces[0] == 0.0
+    # The delay is a control step.
+    stopping = paces * 0.2 + paces**2 / (2 * CAR.max_deceleration)
+    assert (stopping <= gaps)[paces > 0.0].all()
