@@ -70,7 +70,7 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     move = jnp.where(people.present[:, None], move, 0.0)
     xy = people.xy + move
     left = norm(waypoint - xy)
-    halted = (people.phase == ACROSS) | (rests & _by_waiting(people.xy, cars))
+    halted = ~rests | _by_waiting(people.xy, cars)
     halted = halted & (distance - left < SLOW * dt)
     people = dataclasses.replace(
         people,
@@ -134,13 +134,22 @@ def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> Peopl
     due = due & (people.leader == jnp.arange(count))
     who = jnp.argmax(jnp.where(due, people.clock, -1.0))
     here, inside = people.target[who], people.inside[who]
+    # Who is in a bay, or has a car before the gap, looks out between what stands there.
+    boxes = _boxes(cars)
+    blocks = jnp.concatenate([places.blocks, boxes])
     start = jnp.where(inside, places.edge[here], people.xy[who])
+    shut = meet(start[None], start[None], blocks)[0]
+    inside = inside & ~shut
+    start = jnp.where(shut, people.xy[who], start)
     most = places.mask.shape[0]
     found = jnp.minimum((chance[1:] * most).astype(jnp.int32), most - 1)
     ends = places.edge[found]
     starts = jnp.broadcast_to(start, ends.shape)
-    blocks = jnp.concatenate([places.blocks, _boxes(cars)])
-    good = places.mask[found] & (found != here) & ~meet(starts, ends, blocks)
+    bodies = jnp.concatenate([_parked(lot), places.walls, boxes])
+    hidden = jnp.where(
+        shut, meet(starts, ends, bodies), meet(starts, ends, blocks)
+    )
+    good = places.mask[found] & (found != here) & ~hidden
     good = good & ~_by_waiting(ends, cars)
     # The nearest of them, so that most walks are short.
     target = found[jnp.argmin(jnp.where(good, norm(ends - start), jnp.inf))]
