@@ -67,7 +67,9 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     velocity = social_force.advance(people.velocity, wanted, force, dt)
     velocity = social_force.limit(velocity, speed)
     move = keep_off(people.xy, velocity * dt, waypoint, people.radius, enter, stop)
-    move = jnp.where(people.present[:, None], move, 0.0)
+    # Nobody is pushed out of the lot.
+    stays = (jnp.abs(people.xy + move) < lot.layout.extent).all(axis=-1)
+    move = jnp.where((people.present & stays)[:, None], move, 0.0)
     xy = people.xy + move
     left = norm(waypoint - xy)
     halted = ~rests | _by_waiting(people.xy, cars)
@@ -146,9 +148,7 @@ def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> Peopl
     ends = places.edge[found]
     starts = jnp.broadcast_to(start, ends.shape)
     bodies = jnp.concatenate([_parked(lot), places.walls, boxes])
-    hidden = jnp.where(
-        shut, meet(starts, ends, bodies), meet(starts, ends, blocks)
-    )
+    hidden = jnp.where(shut, meet(starts, ends, bodies), meet(starts, ends, blocks))
     good = places.mask[found] & (found != here) & ~hidden
     good = good & ~_by_waiting(ends, cars)
     # The nearest of them, so that most walks are short.

@@ -162,7 +162,7 @@ def test_so_it_is_with_tyres_brakes_and_steering_of_the_default_physics():
 
         begin = physics.init(start + 100.0, vehicles)
         people = PEOPLE.init(key, layout)
-        keys = jax.random.split(key, 200)
+        keys = jax.random.split(key, 300)
         return jax.lax.scan(step, (people, begin, jnp.zeros((2, 2))), keys)[1]
 
     run = jax.jit(jax.vmap(one, (0, 0, None)))
