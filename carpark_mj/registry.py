@@ -87,9 +87,9 @@ CONSIDERATE = dataclasses.replace(
     num_agents=4,
     movers=("pedestrians:number=0..20,attention=0.5..1.0",),
     sim=SimConfig(emergency_brake=0.3),
-    episode=EpisodeConfig(max_steps=400),  # 80 s
+    episode=EpisodeConfig(max_steps=600),  # 120 s
     reward=dataclasses.replace(
-        ANYWHERE.reward, time=3.0, extra={"person": 5.0, "comfort": 16.0}
+        ANYWHERE.reward, time=3.0, extra={"person": 5.0, "comfort": 4.0}
     ),
     observation=dataclasses.replace(_OBSERVATION, tracked_agents=3, tracked_movers=6),
 )

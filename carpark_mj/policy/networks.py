@@ -46,7 +46,7 @@ class NetworkConfig(CheckedConfig):
     encoder: EncoderName = "set"
     own_size: int = 128
     entity_size: int = 64
-    picture_size: int = 128
+    picture_size: int = 64
     min_std: float = MIN_STD
 
     def __post_init__(self) -> None:
@@ -57,7 +57,7 @@ class NetworkConfig(CheckedConfig):
                     f"{name} must be positive sizes, not {getattr(self, name)}"
                 )
         require_whole(self, 1, "own_size", "entity_size")
-        require_whole(self, 4, "picture_size")  # convolutions have a quarter of it
+        require_whole(self, 2, "picture_size")  # the first convolution has half of it
         require_positive(self, "min_std")
 
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from flax import linen
 
 # Convolutions: sides of their kernels, and `size` over their channels.
-LAYERS = ((4, 4), (2, 2), (2, 2))
+LAYERS = ((4, 2), (2, 1), (2, 1))
 
 
 class PictureEncoder(linen.Module):

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from camera_suite.lots import environment
 from carpark_mj import ParkingEnv
@@ -22,6 +23,7 @@ from carpark_mj.cameras import (
     see,
     see_from_above,
 )
+from carpark_mj.cameras.encoder import CameraObservation
 
 REPEATS = 5
 
@@ -53,13 +55,16 @@ def speeds(layout: str, batches: Sequence[int], draws: bool) -> Iterator[Speed]:
         batches: numbers of lots.
         draws: whether MuJoCo can draw.
     """
-    env = environment(layout, people=False, agents=1)
+    blind = environment(layout, people=False, agents=1)
+    env = ParkingEnv(dataclasses.replace(blind.config, observation=CameraObservation()))
+    still = jnp.zeros((env.num_agents, env.action_spec.size))
     rig, heights, above = RIGS["surround"], Heights.of(env.fleet), BirdsEye()
     cameras = len(rig.cameras) * rig.width * rig.height
     looks: list[tuple[str, int, Callable[[Any], Any]]] = [
         ("surround", cameras, lambda state: _drawn(see(rig, state, heights))),
         ("surround, classes only", cameras, lambda s: see(rig, s, heights).seen),
         ("bird's eye", above.pixels**2, lambda s: see_from_above(above, s)),
+        ("step with surround", cameras, lambda s: env.step(s, still)[1].observation),
     ]
     reset = jax.jit(jax.vmap(lambda key: env.reset(key)[0]))
     states = None

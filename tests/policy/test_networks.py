@@ -169,7 +169,7 @@ def test_gradients_are_finite_where_a_set_is_empty(many):
     [
         ({"own_size": 0}, "own_size must be at least 1, not 0"),
         ({"entity_size": -1}, "entity_size must be at least 1, not -1"),
-        ({"picture_size": 3}, "picture_size must be at least 4, not 3"),
+        ({"picture_size": 1}, "picture_size must be at least 2, not 1"),
         ({"policy_layers": (8, 0)}, r"policy_layers must be .*, not \(8, 0\)"),
         ({"encoder": "sets"}, "unknown encoder 'sets'"),
         ({"min_std": 0.0}, "min_std must be positive, not 0.0"),

@@ -89,7 +89,10 @@ def test_the_share_rises_from_nothing_and_stays_at_its_end():
 
 @pytest.mark.parametrize(("done", "expected"), [(0.0, 0.0), (0.4, 0.25), (1.0, 0.5)])
 def test_a_training_shares_by_its_progress(monkeypatch, done, expected):
-    monkeypatch.setattr(learner_module, "collect", lambda *given: given[-1])
+    def told(*given, **more):
+        return more["neighbour_share"]
+
+    monkeypatch.setattr(learner_module, "collect", told)
     monkeypatch.setattr(learner_module, "make_policy", lambda *given, **more: None)
     config = PPOConfig(
         num_steps=6_400_000, curriculum=CurriculumConfig(neighbour_share=0.5)

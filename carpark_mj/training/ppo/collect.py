@@ -13,6 +13,8 @@ from carpark_mj.wrappers.brax import BraxParking
 
 # `(observation, key) -> (action, extras)` with Brax's extras of a stochastic policy.
 Actor = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]
+# Actions (lots * agents, size) in the states of lots.
+Teacher = Callable[[Any], jax.Array]
 
 
 @struct.dataclass
@@ -29,6 +31,7 @@ class Rollout:
         final_observation: (agents, size) after the last step.
         weight: 0.0 of steps that are not to be learned from, those of absent agents,
             else 1.0; None = all 1.
+        advice: actions of a teacher; None = there is none.
     """
 
     observation: jax.Array
@@ -39,6 +42,7 @@ class Rollout:
     truncated: jax.Array
     final_observation: jax.Array
     weight: jax.Array | None = None
+    advice: jax.Array | None = None
 
 
 @struct.dataclass
@@ -64,6 +68,7 @@ def collect(
     length: int,
     scales: Mapping[str, jax.Array],
     neighbour_share: jax.Array | None = None,
+    teacher: Teacher | None = None,
 ) -> tuple[Any, Rollout, Totals]:
     """Drives all agents for some steps; returns the state after them as well.
 
@@ -77,6 +82,7 @@ def collect(
             is reported has none.
         neighbour_share: () weight of the neighbours' mean reward in the rewards to
             learn from, see `neighbours_mean`; None = 0.
+        teacher: gives `Rollout.advice`.
     """
 
     def step(carry: Any, key: jax.Array) -> tuple[Any, Any]:
@@ -100,17 +106,20 @@ def collect(
             done - info["truncation"],
             info["truncation"],
         )
-        return (after, totals), (taken, state.info["present"])
+        advice = teacher(state.pipeline_state) if teacher is not None else None
+        return (after, totals), (taken, state.info["present"], advice)
 
     info = env_state.info
     zeros = jax.tree.map(
         jnp.zeros_like,
         Totals(info["episode_done"], info["episode_metrics"], info["reward_terms"]),
     )
-    (env_state, totals), (taken, present) = jax.lax.scan(
+    (env_state, totals), (taken, present, advice) = jax.lax.scan(
         step, (env_state, zeros), jax.random.split(key, length)
     )
-    rollout = Rollout(*taken, final_observation=env_state.obs, weight=present)
+    rollout = Rollout(
+        *taken, final_observation=env_state.obs, weight=present, advice=advice
+    )
     return env_state, rollout, totals
 
 

@@ -44,6 +44,15 @@ def neighbour_share(config: CurriculumConfig, progress: jax.Array) -> jax.Array 
     return schedule(0.0, config.neighbour_share, _within(progress, *SHARE_RISES))
 
 
+def teacher_cost(config: CurriculumConfig, progress: jax.Array) -> jax.Array | None:
+    """Weight () of the distance to the teacher's actions; None without a teacher."""
+    if not config.teacher:
+        return None
+    return schedule(
+        config.teacher_cost, 0.0, _within(progress, 0, config.teacher_until)
+    )
+
+
 def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
     """Progress () from 0 at `start` to 1 at `end`; a step if they are the same."""
     part = (progress - start) / max(end - start, 1e-6)

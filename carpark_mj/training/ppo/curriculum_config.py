@@ -28,6 +28,10 @@ class CurriculumConfig(CheckedConfig):
         neighbour_share: weight, at the end, of the mean reward of the other agents
             within 15 m, which is added to an agent's own in the rewards to learn from.
             From progress 0.2 to 0.6 it rises linearly from 0: agents begin selfish.
+        teacher: policy whose actions are imitated where the agents get to, as a name, a
+            run or a checkpoint; "" = none. It observes what it was trained on.
+        teacher_cost: weight, at the start, of the squared distance to its actions.
+        teacher_until: progress at which that weight, falling linearly, is 0.
     """
 
     crash_scale: float = 1.0
@@ -37,13 +41,17 @@ class CurriculumConfig(CheckedConfig):
     reverse_ratio: float = 0.0
     target_rate: float = 0.0
     neighbour_share: float = 0.0
+    teacher: str = ""
+    teacher_cost: float = 1.0
+    teacher_until: float = 0.5
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_at_least(self, 0.0, "crash_scale", "neighbour_share")
+        require_at_least(self, 0.0, "crash_scale", "neighbour_share", "teacher_cost")
         require_ratio(
             self, "crash_until", "conflict_ratio", "reverse_ratio", "target_rate"
         )
+        require_ratio(self, "teacher_until")
         if not 0.0 <= self.discount_end < 1.0:
             raise ValueError(
                 f"discount_end must lie in [0, 1), not {self.discount_end}"

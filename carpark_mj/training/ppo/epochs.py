@@ -15,7 +15,7 @@ from carpark_mj.policy.normalizer import update_normalizer
 from carpark_mj.training.ppo.advantages import compute_advantages
 from carpark_mj.training.ppo.collect import Rollout, drop_absent
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import discount, schedule
+from carpark_mj.training.ppo.curriculum import discount, schedule, teacher_cost
 from carpark_mj.training.ppo.loss import Minibatch, Weights
 from carpark_mj.training.ppo.state import AXIS, TrainingState
 from carpark_mj.training.ppo.variants import variant
@@ -52,6 +52,7 @@ def learn(
     weights = Weights(
         entropy_cost=schedule(config.entropy_cost, config.entropy_cost_end, progress),
         clip=schedule(config.clip, config.clip_end, progress),
+        teacher_cost=teacher_cost(config.curriculum, progress),
     )
     details = variant(config.variant)
     normalizer = state.normalizer
@@ -94,6 +95,7 @@ def learn(
             advantage=advantage,
             target=target,
             weight=weight,
+            advice=rollout.advice,
         )
 
     steps_for = details.prepared(prepare, unravel(start), networks, normalizer)

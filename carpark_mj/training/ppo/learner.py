@@ -39,6 +39,7 @@ from carpark_mj.training.ppo.curriculum import (
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.families import make_families
 from carpark_mj.training.ppo.state import AXIS, TrainingState, no_steps, state_specs
+from carpark_mj.training.ppo.teacher import make_teacher
 from carpark_mj.training.ppo.variants import variant
 from carpark_mj.wrappers.brax import BraxParking
 
@@ -93,6 +94,7 @@ class Learner:
         self.scaled = [name for name in SCALED if name in term_weights(config.env)]
         fields, action = make_fields(config.env), self.env.env.action_spec
         self.inputs = network_inputs(config.networks, fields)
+        self.teacher = make_teacher(config)
         dtype = jnp.bfloat16 if config.half_precision else jnp.float32
         arithmetic = Arithmetic(has_triton(), dtype)
         self.networks = make_networks(config.networks, fields, action, arithmetic)
@@ -298,7 +300,8 @@ class Learner:
         curriculum, length = self.config.curriculum, self.config.unroll_length
         scales = dict.fromkeys(self.scaled, crash_scale(curriculum, progress))
         share = neighbour_share(curriculum, progress)
-        return collect(self.env, state.env, actor, key, length, scales, share)
+        given = (self.env, state.env, actor, key, length, scales)
+        return collect(*given, neighbour_share=share, teacher=self.teacher)
 
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array

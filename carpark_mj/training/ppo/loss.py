@@ -29,6 +29,7 @@ class Minibatch:
         target: of the critic.
         weight: 0.0 of steps that no loss counts, those of absent agents and truncated
             ones, else 1.0.
+        advice: what a teacher would have done; None = there is none.
     """
 
     observation: jax.Array
@@ -37,6 +38,7 @@ class Minibatch:
     advantage: jax.Array
     target: jax.Array
     weight: jax.Array
+    advice: jax.Array | None = None
 
 
 @struct.dataclass
@@ -46,10 +48,12 @@ class Weights:
     Attributes:
         entropy_cost: weight of the entropy bonus.
         clip: clipping of the probability ratio.
+        teacher_cost: weight of the distance to a teacher's actions.
     """
 
     entropy_cost: jax.Array
     clip: jax.Array
+    teacher_cost: jax.Array | None = None
 
 
 def balance(weight: jax.Array) -> jax.Array:
@@ -114,8 +118,13 @@ def ppo_loss(
     v_loss = VALUE_COST * mean(jnp.square(batch.target - value))
     entropy_loss = -weights.entropy_cost * mean(distribution.entropy(logits, key))
     total_loss = policy_loss + v_loss + entropy_loss
+    told = {}
+    if batch.advice is not None and weights.teacher_cost is not None:
+        apart = jnp.square(distribution.mode(logits) - batch.advice).sum(axis=-1)
+        told["teacher_distance"] = mean(apart)
+        total_loss += weights.teacher_cost * told["teacher_distance"]
 
-    return total_loss, {
+    return total_loss, told | {
         "total_loss": total_loss,
         "policy_loss": policy_loss,
         "v_loss": v_loss,

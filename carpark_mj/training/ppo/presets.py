@@ -92,7 +92,7 @@ CONSIDERATE = dataclasses.replace(
     env=environment("considerate"),
 )
 # Pictures take the time: fewer steps in an update, and as many in all as an H200 makes
-# in these minutes.
+# in these minutes. Who knows where the others are shows at first what to do.
 SEES = dataclasses.replace(
     ANYWHERE,
     preset="sees",
@@ -101,5 +101,7 @@ SEES = dataclasses.replace(
     num_lots=1024,
     num_minibatches=8,
     learning_rate=5e-4,
+    curriculum=dataclasses.replace(ANYWHERE.curriculum, teacher="anywhere"),
+    networks=NetworkConfig((256, 256), (256, 256, 256), min_std=0.1),
     env=environment("sees"),
 )

@@ -1,0 +1,128 @@
+"""Teachers: their actions where agents get to, and what they add to the loss."""
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from carpark_mj.config import EnvConfig, GoalConfig, RayConfig, RingConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations import ContinuousObservation
+from carpark_mj.observations.fields import Field
+from carpark_mj.observations.sets import ObservationSets
+from carpark_mj.policy.networks import NetworkConfig, make_networks
+from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.training.ppo import teacher as teachers
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.curriculum import teacher_cost
+from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.ppo.epochs import network_params
+from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
+from carpark_mj.training.ppo.state import AXIS
+from carpark_mj.training.ppo.teacher import make_teacher
+
+BLIND = ContinuousObservation(1, 1, rings=RingConfig(), rays=RayConfig())
+KNOWS = dataclasses.replace(BLIND, lines=True)
+TAUGHT = CurriculumConfig(teacher="somebody")
+CONFIG = PPOConfig(
+    curriculum=TAUGHT,
+    env=EnvConfig(
+        num_agents=2, num_parked_cars=1, physics="bicycle", observation=BLIND
+    ),
+)
+
+
+def knows(monkeypatch, observation):
+    """A teacher whose action is the end of its observation."""
+
+    def load(name, env=None):
+        assert name == "somebody"
+        return SimpleNamespace(
+            env=env or dataclasses.replace(CONFIG.env, observation=observation),
+            policy=lambda seen, key: (seen[:, -2:], {}),
+        )
+
+    monkeypatch.setattr(teachers, "load_policy", load)
+
+
+def test_a_teacher_acts_on_its_own_observation_of_the_same_lots(monkeypatch):
+    knows(monkeypatch, KNOWS)
+    teacher = make_teacher(CONFIG)
+    assert teacher is not None
+    env = ParkingEnv(dataclasses.replace(CONFIG.env, observation=KNOWS))
+
+    def look(keys):
+        lots, seen = jax.vmap(env.reset)(keys)
+        return teacher(lots), seen
+
+    advice, seen = jax.jit(look)(jax.random.split(jax.random.key(0), 3))
+    np.testing.assert_allclose(advice, seen.reshape(6, -1)[:, -2:], atol=1e-6)
+    assert np.std(advice) > 0.0
+
+
+def test_without_a_teacher_there_is_none():
+    assert make_teacher(PPOConfig()) is None
+    assert teacher_cost(CurriculumConfig(), jnp.float32(0.0)) is None
+
+
+def test_its_weight_falls_linearly_to_zero():
+    config = dataclasses.replace(TAUGHT, teacher_cost=4.0, teacher_until=0.5)
+    progress = jnp.array([0.0, 0.125, 0.5, 0.9])
+    found = jnp.stack([jnp.asarray(teacher_cost(config, x)) for x in progress])
+    np.testing.assert_allclose(found, [4.0, 3.0, 0.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("observation", "env", "message"),
+    [
+        (KNOWS, {"goals": GoalConfig(True, 1)}, "needs actions of numbers alone"),
+        (
+            dataclasses.replace(BLIND, rings=RingConfig((5.0,), history=2)),
+            {},
+            "curriculum.teacher somebody remembers",
+        ),
+    ],
+)
+def test_teachers_of_others_are_refused(monkeypatch, observation, env, message):
+    knows(monkeypatch, observation)
+    changed = dataclasses.replace(CONFIG.env, **env)
+    with pytest.raises(ValueError, match=message):
+        make_teacher(dataclasses.replace(CONFIG, env=changed))
+
+
+def test_the_loss_counts_the_distance_of_the_mode_where_steps_count():
+    networks = make_networks(
+        NetworkConfig((4,), (4,), encoder="flat"),
+        [Field("x", 3, -1.0, 1.0, "")],
+        ActionSpec(2),
+    )
+
+    def losses(key):
+        keys = jax.random.split(key, 5)
+        seen, raw = jax.random.normal(keys[0], (6, 3)), jnp.ones((6, 2))
+        policy = networks.policy_network.init(keys[1])
+        params = network_params(policy, networks.value_network.init(keys[2]))
+        advice = jax.random.uniform(keys[3], (6, 2), minval=-1.0)
+        weight = jnp.array([1.0, 0.0, 1.0, 0.0, 1.0, 1.0])
+        steps = Minibatch(seen, raw, -weight, weight, weight, weight, advice)
+        weights = Weights(jnp.float32(0.1), jnp.float32(0.2), jnp.float32(3.0))
+        normalizer = init_normalizer(ObservationSets(3))
+        given = (params, networks, normalizer)
+        alone = dataclasses.replace(steps, advice=None)
+        totals = [
+            ppo_loss(*given, batch, weights, keys[4])[0] for batch in (steps, alone)
+        ]
+        logits = networks.policy_network.apply(normalizer, policy, seen)
+        distribution: Any = networks.parametric_action_distribution
+        return totals, distribution.mode(logits), advice, weight
+
+    key = jax.random.split(jax.random.key(1), 1)
+    found = jax.jit(jax.vmap(losses, axis_name=AXIS))(key)
+    (taught, alone), mode, advice, weight = jax.tree.map(lambda x: x[0], found)
+    distance = (np.square(mode - advice).sum(axis=-1) * weight).sum() / weight.sum()
+    assert float(taught - alone) == pytest.approx(3.0 * float(distance), rel=1e-4)
