@@ -195,6 +195,19 @@ def test_people_walk_round_a_car_that_stands(drive):
     assert stuck[walks].mean() < 0.05
 
 
+def test_nobody_stays_for_long_by_a_car_that_waits(drive):
+    people, first = drive[STANDS][0], MANY.spawn_pose[:, 0]
+    close = np.zeros(people.present.shape, bool)
+    for x in (-3.0, 3.0):
+        car = jax.vmap(move_forward, (0, None))(first, x)[:, None, None]
+        size, reach = jnp.array([4.0, 1.8]), jnp.array(1.0)
+        close |= np.asarray(box_disc_overlap(car, size, people.xy, reach))
+    close &= people.present
+    assert close.any()  # they pass by
+    windows = np.lib.stride_tricks.sliding_window_view(close, int(20.0 / DT), axis=1)
+    assert windows.all(axis=-1).mean() < 1e-3
+
+
 def test_density_and_shares_are_those_asked_for(drive):
     several = dataclasses.replace(PEOPLE, number=20, density=(0.1, 0.9))
     make = jax.jit(jax.vmap(lambda key: several.init(key, LOT)))
