@@ -128,6 +128,7 @@ class Pedestrians(Mover):
             phase=jnp.full(n, REST, jnp.int32),
             inside=jnp.zeros(n, bool),
             clock=-jax.random.uniform(next(keys), (n,), maxval=FIRST_REST)[leader],
+            halted=jnp.zeros(n),
             near=jnp.broadcast_to(
                 jnp.array([AWAY, AWAY, 1.0, 0.0, 0.0, 0.0]), (n, NEAR, 6)
             ),

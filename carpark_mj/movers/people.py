@@ -27,6 +27,7 @@ class People:
         phase: int32, of the walk, see `carpark_mj.movers.walking`.
         inside: bool, whether it ends between parked cars.
         clock: time since the phase began; negative = of rest left [s].
+        halted: time without headway, on the way or by a car that waits [s].
         near: (n, k, 6) outlines of parked cars and walls that are near.
         turn: () int32, whose are looked up next.
         places: of the lot.
@@ -48,6 +49,7 @@ class People:
     phase: jax.Array
     inside: jax.Array
     clock: jax.Array
+    halted: jax.Array
     near: jax.Array
     turn: jax.Array
     places: Places

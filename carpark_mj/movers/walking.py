@@ -30,6 +30,10 @@ STAY, LONG_STAY = 5.0, 40.0  # s, mean rest at a place, of those who mostly stan
 GOES_IN = 0.3  # probability that an adult goes between the cars at the end of a walk
 RUN = 2.5  # m/s, of children who run
 HEADWAY = 3.0  # s, who gives way leaves a car as much
+PATIENCE = 2.0, 5.0  # s without headway until who gives way, or not, turns elsewhere
+SLOW = 0.2  # m/s, what is no headway
+WAITS = 0.1  # m/s, cars that are slower wait
+CLOSE = 1.5  # m from a car that waits: nobody rests there
 ASIDE = 0.5  # m, how far from a car's way those who give way step aside
 BODY = 15.0  # 1/s², parts two discs in about a step of 0.2 s
 NEAR = 4  # boxes whose forces act on a person
@@ -41,7 +45,8 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     """The people after a control step; `lot` is the state before it."""
     # All numbers of a step at once: every call for some would cost as much.
     chance = jax.random.uniform(key, (people.speed.shape[0] + CANDIDATES + 1,))
-    people = _set_out(chance[: CANDIDATES + 1], _find_near(people, lot), lot)
+    cars, people = cars_of(lot, dt), _find_near(people, lot)
+    people = _set_out(chance[: CANDIDATES + 1], people, cars, lot)
     waypoint = _waypoint(people)
     to_go = waypoint - people.xy
     distance = norm(to_go)
@@ -55,19 +60,28 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     gives_way = people.attentive[:, None] * HEADWAY
     enter = stopping_zones(lot, dt, gives_way)
     wanted = pace[:, None] * heading + _step_aside(people, enter, stop)
-    forces = _forces(people, cars_of(lot, dt), heading)
+    forces = _forces(people, cars, heading)
     straight = people.straight | (people.child & ~rests)
     straight = straight | (people.phase != ACROSS)
     force = jnp.where(straight[:, None], 0.0, forces)
     velocity = social_force.advance(people.velocity, wanted, force, dt)
     velocity = social_force.limit(velocity, speed)
     move = keep_off(people.xy, velocity * dt, waypoint, people.radius, enter, stop)
-    move = jnp.where(people.present[:, None], move, 0.0)
+    # Nobody is pushed out of the lot.
+    stays = (jnp.abs(people.xy + move) < lot.layout.extent).all(axis=-1)
+    move = jnp.where((people.present & stays)[:, None], move, 0.0)
     xy = people.xy + move
-    arrived = norm(waypoint - xy) < ARRIVED
-    clock = people.clock + dt
-    people = dataclasses.replace(people, xy=xy, velocity=move / dt, clock=clock)
-    return _go_on(chance[CANDIDATES + 1 :], people, arrived)
+    left = norm(waypoint - xy)
+    halted = ~rests | _by_waiting(people.xy, cars)
+    halted = halted & (distance - left < SLOW * dt)
+    people = dataclasses.replace(
+        people,
+        xy=xy,
+        velocity=move / dt,
+        clock=people.clock + dt,
+        halted=jnp.maximum(people.halted + jnp.where(halted, dt, -dt), 0.0),
+    )
+    return _go_on(chance[CANDIDATES + 1 :], people, left < ARRIVED)
 
 
 def _waypoint(people: People) -> jax.Array:
@@ -89,7 +103,11 @@ def _go_on(chance: jax.Array, people: People, arrived: jax.Array) -> People:
     rest = -jnp.log1p(-chance) * jnp.where(people.stands, LONG_STAY, STAY)
     next_phase = jnp.where(phase == OUT, ACROSS, REST)
     next_phase = jnp.where((phase == ACROSS) & inside, IN, next_phase)
-    late = people.clock > LEG
+    with_next = jnp.roll(people.leader, -1) == people.leader
+    halted = jnp.where(with_next, jnp.roll(people.halted, -1), 0.0)
+    halted = jnp.maximum(people.halted, halted)
+    gives_up = halted > jnp.where(people.attentive, *PATIENCE)
+    late = (people.clock > LEG) | gives_up
     changes = (phase != REST) & (arrived | late)
     # Who comes too late is where the walk ends, for want of a better place.
     phase = jnp.where(changes, jnp.where(late, REST, next_phase), phase)
@@ -97,13 +115,18 @@ def _go_on(chance: jax.Array, people: People, arrived: jax.Array) -> People:
     stays = changes & (phase == REST)
     clock = jnp.where(changes, 0.0, people.clock)
     clock = jnp.where(stays, jnp.where(late, 0.0, -rest), clock)
+    clock = jnp.where(gives_up, jnp.maximum(clock, 0.0), clock)
     lead = people.leader
     return dataclasses.replace(
-        people, phase=phase[lead], inside=inside[lead], clock=clock[lead]
+        people,
+        phase=phase[lead],
+        inside=inside[lead],
+        clock=clock[lead],
+        halted=jnp.where(gives_up[lead], 0.0, people.halted),
     )
 
 
-def _set_out(chance: jax.Array, people: People, lot: State) -> People:
+def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> People:
     """People of whom the one that has rested longest sets out, if it is time.
 
     One in a step: looking for ways is the costliest of all.
@@ -113,12 +136,21 @@ def _set_out(chance: jax.Array, people: People, lot: State) -> People:
     due = due & (people.leader == jnp.arange(count))
     who = jnp.argmax(jnp.where(due, people.clock, -1.0))
     here, inside = people.target[who], people.inside[who]
+    # Who is in a bay, or has a car before the gap, looks out between what stands there.
+    boxes = _boxes(cars)
+    blocks = jnp.concatenate([places.blocks, boxes])
     start = jnp.where(inside, places.edge[here], people.xy[who])
+    shut = meet(start[None], start[None], blocks)[0]
+    inside = inside & ~shut
+    start = jnp.where(shut, people.xy[who], start)
     most = places.mask.shape[0]
     found = jnp.minimum((chance[1:] * most).astype(jnp.int32), most - 1)
     ends = places.edge[found]
     starts = jnp.broadcast_to(start, ends.shape)
-    good = places.mask[found] & (found != here) & ~meet(starts, ends, places.blocks)
+    bodies = jnp.concatenate([_parked(lot), places.walls, boxes])
+    hidden = jnp.where(shut, meet(starts, ends, bodies), meet(starts, ends, blocks))
+    good = places.mask[found] & (found != here) & ~hidden
+    good = good & ~_by_waiting(ends, cars)
     # The nearest of them, so that most walks are short.
     target = found[jnp.argmin(jnp.where(good, norm(ends - start), jnp.inf))]
     goes = due[who] & good.any()
@@ -181,9 +213,19 @@ def _forces(people: People, cars: Cars, heading: jax.Array) -> jax.Array:
     overlap = (people.radius[:, None] + people.radius) * by_distance - 1.0
     part = BODY * jnp.maximum(overlap, 0.0)
     force = (fx + part * x).sum(axis=1), (fy + part * y).sum(axis=1)
-    boxes = outlines(cars.pose, cars.size, jnp.ones(cars.size.shape[0], bool))
-    borders = _border_force(xy, people.near) + _border_force(xy, boxes[None])
+    borders = _border_force(xy, people.near) + _border_force(xy, _boxes(cars)[None])
     return jnp.stack(force, axis=-1) + borders
+
+
+def _boxes(cars: Cars) -> jax.Array:
+    return outlines(cars.pose, cars.size, jnp.ones(cars.size.shape[0], bool))
+
+
+def _by_waiting(xy: jax.Array, cars: Cars) -> jax.Array:
+    """(n,) bool, whether points are close to a car that waits."""
+    x, y = offsets(xy[:, None], _boxes(cars))
+    waits = jnp.abs(cars.speed) < WAITS
+    return ((x * x + y * y < CLOSE**2) & waits).any(axis=1)
 
 
 def _border_force(xy: jax.Array, boxes: jax.Array) -> jax.Array:

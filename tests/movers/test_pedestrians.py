@@ -162,7 +162,7 @@ def test_so_it_is_with_tyres_brakes_and_steering_of_the_default_physics():
 
         begin = physics.init(start + 100.0, vehicles)
         people = PEOPLE.init(key, layout)
-        keys = jax.random.split(key, 200)
+        keys = jax.random.split(key, 300)
         return jax.lax.scan(step, (people, begin, jnp.zeros((2, 2))), keys)[1]
 
     run = jax.jit(jax.vmap(one, (0, 0, None)))
@@ -193,6 +193,19 @@ def test_people_walk_round_a_car_that_stands(drive):
     walks = (people.phase != 0) & people.present
     stuck = np.linalg.norm(people.velocity, axis=-1) < 0.1
     assert stuck[walks].mean() < 0.05
+
+
+def test_nobody_stays_for_long_by_a_car_that_waits(drive):
+    people, first = drive[STANDS][0], MANY.spawn_pose[:, 0]
+    close = np.zeros(people.present.shape, bool)
+    for x in (-3.0, 3.0):
+        car = jax.vmap(move_forward, (0, None))(first, x)[:, None, None]
+        size, reach = jnp.array([4.0, 1.8]), jnp.array(1.0)
+        close |= np.asarray(box_disc_overlap(car, size, people.xy, reach))
+    close &= people.present
+    assert close.any()  # they pass by
+    windows = np.lib.stride_tricks.sliding_window_view(close, int(20.0 / DT), axis=1)
+    assert windows.all(axis=-1).mean() < 1e-3
 
 
 def test_density_and_shares_are_those_asked_for(drive):
