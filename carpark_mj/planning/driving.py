@@ -2,8 +2,8 @@
 
 They know the true state of the lot: parked cars, walls and discs when they plan, the
 positions of other agents and of movers while they drive. An agent slows down for
-movers that are on its path or soon will be, creeps up to them, stops for whatever is
-close, and after a while plans around what is there.
+movers that are on its path or soon will be, stops for whatever is close, and after a
+while plans around what is there.
 Everything here is NumPy, on the host.
 """
 
@@ -29,6 +29,7 @@ from carpark_mj.vehicle import VehicleParameters
 LOOK_AHEAD = 2.5  # m of the path that must be free, more than cars need to stop
 FORESEEN = (0.0, 0.4, 0.8, 1.2, 1.6, 2.0)  # s, when movers must not be there
 PACES = (CRUISE, 0.6, CREEP)  # m/s among movers; less must be free of them when slow
+ROOM = 1.25  # m before movers that stand, to drive around them
 PASSING = 0.2  # m kept from movers by a path that leads around them
 GAP = 0.3  # m kept from them
 PATIENCE = 20  # control steps until an agent that stands plans again
@@ -129,6 +130,10 @@ class Agent:
         if not self._is_free(sight, LOOK_AHEAD, GAP, *sight.others):
             return 0.0
         pose, size, velocity = sight.movers
+        still = np.hypot(*velocity.T) < STANDING
+        stand = pose[still], size[still]
+        if not self._is_free(sight, ROOM, GAP * CREEP / CRUISE, *stand):
+            return 0.0
         for pace in PACES:
             share = pace / CRUISE
             foreseen = FORESEEN if pace > CREEP else (0.0,)

@@ -174,7 +174,7 @@ def test_an_agent_slows_down_for_who_is_about_to_step_onto_its_path():
     assert free != (0.0, 0.0)
 
 
-def test_an_agent_creeps_up_to_who_stands_on_its_path_and_can_stop():
+def test_an_agent_creeps_up_to_who_is_on_its_path_and_can_stop():
     agent = Agent((0,), 0.2, SearchConfig(paths=1))
     agent.act(sight(begins=True))
     start, segment = sight().pose, agent._path.segments[0]
@@ -184,7 +184,7 @@ def test_an_agent_creeps_up_to_who_stands_on_its_path_and_can_stop():
     for gap in gaps:
         reach = segment.gear * (CAR.length / 2 + gap + 0.3)
         there = start + reach * np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
-        mover = there[None], np.full((1, 2), 0.6), np.zeros((1, 2))
+        mover = there[None], np.full((1, 2), 0.6), np.array([[0.0, 0.05]])
         paces.append(agent._pace(sight()._replace(movers=mover)))
     paces = np.array(paces)
     assert (np.diff(paces) >= 0.0).all()
