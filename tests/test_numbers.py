@@ -78,7 +78,7 @@ def card_rates(name):
     return {command: re.findall(RATE, rates) for command, rates in rows}
 
 
-@pytest.mark.parametrize("name", ["dynamic", "anywhere"])
+@pytest.mark.parametrize("name", ["dynamic", "anywhere", "considerate", "sees"])
 def test_results_have_the_rates_of_the_cards(name):
     """Parked and crashed of every row of the card that the page has."""
     rows = [line for line in RESULTS.splitlines() if line.startswith(f"| `{name}`")]

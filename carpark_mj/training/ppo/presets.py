@@ -82,7 +82,7 @@ CONSIDERATE = dataclasses.replace(
     preset="considerate",
     warm_start="anywhere",
     critic_steps=40_000_000,
-    num_steps=1_500_000_000,
+    num_steps=1_150_000_000,
     learning_rate=4e-4,
     entropy_cost=2e-3,
     discount=0.997,
@@ -92,12 +92,11 @@ CONSIDERATE = dataclasses.replace(
     env=environment("considerate"),
 )
 # Pictures take the time: fewer steps in an update, and as many in all as an H200 makes
-# in these minutes. Who knows where the others are shows at first what to do.
+# in 21 minutes. Who knows where the others are shows at first what to do.
 SEES = dataclasses.replace(
     ANYWHERE,
     preset="sees",
-    num_steps=450_000_000,
-    minutes=55.0,
+    num_steps=150_000_000,
     num_lots=1024,
     num_minibatches=8,
     learning_rate=5e-4,
