@@ -194,7 +194,7 @@ def keep_off(
 
     Nobody steps into a zone, but goes along its edge, round a car that stands. Whoever
     is in one because a car came goes on, but where the car cannot stop neither nearer
-    to it nor before it.
+    to it nor to its way.
 
     Args:
         xy: (n, 2) centres [m].
@@ -222,10 +222,9 @@ def keep_off(
         there = here + own
         beyond_x, beyond_y = outward(there[..., 0], there[..., 1])
         nearer = jnp.sqrt(beyond_x * beyond_x + beyond_y * beyond_y) < gap - STILL
-        comes_before = beside & (jnp.abs(there[..., 1]) < strip)
-        return (enter.hold(there, reach) & ~was_in) | (
-            too_near & (nearer | comes_before)
-        )
+        # Nor nearer to its way, where the car may come before they have passed.
+        closes_in = beside & (jnp.abs(there[..., 1]) < jnp.abs(y) - STILL)
+        return (enter.hold(there, reach) & ~was_in) | (too_near & (nearer | closes_in))
 
     # Along the edge of the zone, or round the car, of each; then of the nearest in the
     # way: choosing among results is cheaper than among what they are made of.

@@ -2,8 +2,9 @@
 
 A car brakes fully in a step if what its driver commands would bring it so near to a
 person that it could not stop before them afterwards. It reads true positions, as a
-perfect sensor would; the steering stays the driver's. It brakes for a danger that the
-car makes: who comes nearer to a car that stands or drives away does not matter.
+perfect sensor would. The steering is held while it brakes, so that the car stays on
+the way that was looked at. It brakes for a danger that the car makes: who comes nearer
+to a car that stands or drives away does not matter.
 """
 
 import dataclasses
@@ -22,14 +23,15 @@ from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import Vehicle
 
 PROTECTED = (ObstacleKind.PERSON,)
-ASIDE = 0.1  # m, gap beside the swept area within which somebody is in danger [est]
+ASIDE = 0.15  # m, gap beside the swept area within which somebody is in danger [est]
 NEARER = 0.9  # of the present gap: what keeps more of it does not approach
 LEAST = 0.1  # m/s², assumed of brakes that do not hold the car on its slope
+WIDER = 0.8  # of the steering's curvature: cars turn wider the faster they are [est]
 PLACES, ARCS = 4, 3  # looked at along a way, and ways between two steering angles
 
 
 def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
-    """Controls (num_agents, 2) of which the pedal brakes where people are in danger.
+    """Controls (num_agents, 2) that brake and hold the steering near people in danger.
 
     Args:
         sim: with a positive `emergency_brake`.
@@ -45,8 +47,10 @@ def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
         found = [endangered(state.motion, pose, time, group) for group in groups]
         stop = stopping_action(state.motion.speed)[:, 1]
         danger = jnp.stack(found).any(axis=0)
+        held = state.motion.steering / car.max_steering
+        steer = jnp.where(danger, held, controls[:, 0])
         pedal = jnp.where(danger, stop, controls[:, 1])
-        return jnp.stack([controls[:, 0], pedal], axis=-1)
+        return jnp.stack([steer, pedal], axis=-1)
 
 
 def stopping_way(
@@ -82,7 +86,7 @@ def sweep(
 ) -> tuple[jax.Array, jax.Array]:
     """Where cars (n,) come until they stand, on arcs between two steering angles.
 
-    The angles are the present one and the one that the steering reaches by then.
+    The angles are the present one and that of the next step, when the steering is held.
 
     Returns:
         Poses (n, k, 3) of their centres and the times (n, k) at which they are there
@@ -95,10 +99,15 @@ def sweep(
     way = jnp.where(forwards, ahead[0], -behind[0])
     duration = jnp.where(forwards, ahead[1], behind[1])
     turn = jnp.clip(steer, -1.0, 1.0) * car.max_steering - motion.steering
-    most = car.steering_rate * duration
+    # The steering is obeyed for a step, and held while the car brakes.
+    most = car.steering_rate * (sim.ctrl_dt + sim.steering_delay)
     turn = jnp.clip(turn, -most, most)
-    angle = motion.steering[:, None] + turn[:, None] * jnp.linspace(0.0, 1.0, ARCS)
-    curvature = jnp.tan(angle) / car.wheelbase[:, None]
+    now = jnp.tan(motion.steering) / car.wheelbase
+    soon = jnp.tan(motion.steering + turn) / car.wheelbase
+    low, high = jnp.minimum(now, soon), jnp.maximum(now, soon)
+    low, high = jnp.minimum(low, WIDER * low), jnp.maximum(high, WIDER * high)
+    part = jnp.linspace(0.0, 1.0, ARCS)
+    curvature = low[:, None] + (high - low)[:, None] * part
     share = (jnp.arange(PLACES) + 1.0) / PLACES
     along = way[:, None, None] * share
     half_turn = along * curvature[..., None] / 2

@@ -17,7 +17,7 @@ from carpark_mj.geometry import box_disc_overlap, move_forward, rotate
 from carpark_mj.geometry.obstacles import Boxes, Movers
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Pedestrians
-from carpark_mj.movers.stopping import stopping_zones
+from carpark_mj.movers.stopping import keep_off, stopping_zones
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.vehicle.drive import stopping_action
@@ -123,6 +123,25 @@ def test_a_car_that_brakes_for_who_is_near_hits_nobody_and_one_that_does_not_doe
     assert hits[DRIVES] > 50
     for mode in (BRAKES, DRIVER_BRAKES):
         assert (drive[mode][2] > 1.0).mean() > 0.05  # it drives for all that
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_nobody_beside_a_cars_way_comes_nearer_to_it_where_the_car_cannot_stop(side):
+    size = COMPACT.length, COMPACT.width
+    physics, car = MjxPhysics(SimConfig()), make_vehicle(COMPACT)
+    motion = cars([(0.0, 0.0, 0.0)], speed=2.0, size=size)
+    vehicle = jax.tree.map(lambda x: x[None], car)
+    lot = state_of(LOT, motion, 0)
+    lot = lot.replace(physics=physics.init(motion.pose_w, vehicle))
+    radius, ahead = jnp.array([0.25]), size[0] / 2 + 0.4
+    xy = jnp.array([[ahead, side * (size[1] / 2 + 0.35)]])
+    zones = jax.jit(stopping_zones, static_argnums=1)(lot, DT)
+    assert bool(zones.hold(zones.local(xy), radius[:, None])[0, 0])
+    for across, goes in ((-0.06, False), (0.0, True), (0.06, True)):
+        move = jnp.array([[0.4, side * across]])
+        found = keep_off(xy, move, xy + 50 * move, radius, zones, zones)
+        assert bool(jnp.abs(found[0, 1]) > 1e-3) == (goes and across > 0.0)
+        assert bool(jnp.abs(found[0] - move[0]).max() < 1e-6) == goes
 
 
 def test_so_it_is_with_tyres_brakes_and_steering_of_the_default_physics():

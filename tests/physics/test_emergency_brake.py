@@ -101,6 +101,28 @@ def test_it_brakes_for_whom_it_would_drive_at(who):
     assert bool(got < 0.0) == brakes
 
 
+def test_the_steering_is_held_while_it_brakes_and_else_the_drivers():
+    near, far = (HALF[0] + 0.5, 0.0, 0.0, 0.0), (HALF[0] + 5.0, 0.0, 0.0, 0.0)
+    for person, brakes in ((near, True), (far, False)):
+        state = scene(1.0, person, steering=0.25 * COMPACT.max_steering)
+        steer = override(SIM, state, jnp.array([[-1.0, 0.0]]))[0, 0]
+        assert float(steer) == pytest.approx(0.25 if brakes else -1.0)
+
+
+def test_cars_turn_wider_than_they_steer():
+    """Somebody beyond the circle of the front corner is in danger at speed."""
+    radius = COMPACT.wheelbase / np.tan(COMPACT.max_steering)
+    centre = np.array([-COMPACT.centre_offset, radius])
+    corner = np.hypot(HALF[0] + COMPACT.centre_offset, HALF[1] + radius)
+    way = 2.0 * 0.2 + 2.0**2 / 8 + GAP
+    ahead = way / radius + np.arctan2(HALF[0] + COMPACT.centre_offset, HALF[1] + radius)
+    towards = np.array([np.sin(ahead), -np.cos(ahead)])
+    for more, brakes in ((0.02, True), (0.6, False)):
+        x, y = centre + (corner + RADIUS + ASIDE + more) * towards
+        state = scene(2.0, (x, y, 0.0, 0.0), steering=COMPACT.max_steering)
+        assert bool(pedal(state, [1.0, 0.0]) < 0.0) == brakes
+
+
 def test_only_people_who_are_there_count_and_without_any_the_controls_are_the_same():
     near, controls = (HALF[0] + 0.5, 0.0, 0.0, 0.0), jnp.array([[0.3, 0.7]])
     assert float(pedal(scene(1.0, near), controls[0])) == -1.0
