@@ -17,6 +17,7 @@ from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.training.ppo import learner as learners
 from carpark_mj.training.ppo import teacher as teachers
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import teacher_cost
@@ -63,6 +64,19 @@ def test_a_teacher_acts_on_its_own_observation_of_the_same_lots(monkeypatch):
     advice, seen = jax.jit(look)(jax.random.split(jax.random.key(0), 3))
     np.testing.assert_allclose(advice, seen.reshape(6, -1)[:, -2:], atol=1e-6)
     assert np.std(advice) > 0.0
+
+
+def test_a_training_collects_with_its_teacher(monkeypatch):
+    knows(monkeypatch, KNOWS)
+    monkeypatch.setattr(learners, "collect", lambda *given, **more: more["teacher"])
+    monkeypatch.setattr(learners, "make_policy", lambda *given, **more: None)
+    state: Any = SimpleNamespace(
+        update=jnp.int32(0), seconds=0.0, normalizer=None, policy=None, env=None
+    )
+    learner = learners.Learner(CONFIG)
+    assert learner.teacher is not None
+    found: Any = learner._collect(state, jax.random.key(0))
+    assert found is learner.teacher
 
 
 def test_without_a_teacher_there_is_none():
