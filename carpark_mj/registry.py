@@ -79,13 +79,17 @@ ANYWHERE = EnvConfig(
     ),
 )
 
-# Up to four of them among people of whom more or fewer give way. Whoever waits for
-# people needs more time; who hits one has crashed, and pays `person` besides. Cars have
+# Up to four of them among people of whom more or fewer give way, carts, and drivers.
+# Whoever waits for others needs more time; who hits one has crashed, and pays `person` besides. Cars have
 # emergency braking, so that what remains to learn is to get on without it.
 CONSIDERATE = dataclasses.replace(
     ANYWHERE,
     num_agents=4,
-    movers=("pedestrians:number=0..20,attention=0.5..1.0",),
+    movers=(
+        "pedestrians:number=0..20,attention=0.5..1.0",
+        *("cart", "cart"),
+        "drivers:number=2",
+    ),
     sim=SimConfig(emergency_brake=0.3),
     episode=EpisodeConfig(max_steps=600),  # 120 s
     reward=dataclasses.replace(
