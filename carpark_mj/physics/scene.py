@@ -157,7 +157,7 @@ class ScenePhysics:
         """Advances one lot, no mover there, by a control step; batch by `jax.vmap`."""
         nobody = absent(sum(self._counts))
         with jax.named_scope("physics"):
-            return self._step(state, controls, lambda left: nobody)
+            return self._step(state, controls, lambda left, pose_w: nobody)
 
     @full_float32
     def step_among(
@@ -179,15 +179,24 @@ class ScenePhysics:
                 f"{self._counts}: give ScenePhysics those of the lot"
             )
         with jax.named_scope("physics"):
-            return self._step(state, controls, partial(solids_within, before, after))
+            size = state.vehicle.size
+            movers = partial(solids_within, before, after, size=size)
+            return self._step(state, controls, movers)
 
     def _step(
         self,
         state: SceneState,
         controls: jax.Array,
-        movers: Callable[[jax.Array], Solids],
+        movers: Callable[[jax.Array, jax.Array], Solids],
     ) -> SceneState:
-        """Advances one lot; `movers` when a share () of the step is left."""
+        """Advances one lot.
+
+        Args:
+            state: current state.
+            controls: of the cars.
+            movers: when a share () of the step is left and cars are at poses
+                (num_agents, 3).
+        """
         cars = state.cars
         vehicle = in_conditions(state.vehicle, self.sim)
         masses = Masses(vehicle.body_mass, vehicle.body_inertia, vehicle.body_ipos)
@@ -200,7 +209,7 @@ class ScenePhysics:
 
         def substep(carry: _Carry) -> _Carry:
             car, parked_qpos, parked_qvel, touched, number = carry
-            solids = movers(1.0 - number / self.sim.num_substeps)
+            solids = movers(1.0 - number / self.sim.num_substeps, poses(carry))
             qfrc, ctrl, tyres, actuators = forces(vehicle, car, controls)
             moving = Moving(car.qpos, car.qvel, parked_qpos, parked_qvel)
             shapes = jax.tree.map(

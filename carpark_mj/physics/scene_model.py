@@ -67,6 +67,7 @@ class SceneModel:
         qpos_address: where the agents' blocks of 13 and then the parked cars' (x, y,
             yaw) lie in `qpos`.
         qvel_address: the same for blocks of 12 in `qvel`.
+        movers: their bodies.
         num_kinds: of obstacles, columns of `Motion.touched`.
     """
 
@@ -91,10 +92,10 @@ class SceneModel:
         # A blown-up car must stay visible as non-finite, not be put back silently.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = spec.compile()
-        self._movers = MoverBodies(self.model, movers)
+        self.movers = MoverBodies(self.model, movers)
         self._kind, self._agent = _classify_geoms(self.model)
-        self._kind[self._movers.geoms] = self._movers.kinds
-        self.num_kinds = 1 + max([ObstacleKind.WALL, *self._movers.kinds])
+        self._kind[self.movers.geoms] = self.movers.kinds
+        self.num_kinds = 1 + max([ObstacleKind.WALL, *self.movers.kinds])
         self.qpos_address = self._addresses("jnt_qposadr", CAR_NQ)
         self.qvel_address = self._addresses("jnt_dofadr", CAR_NV)
         self._ctrl = np.array(
@@ -191,7 +192,7 @@ class SceneModel:
             data.qacc_warmstart[:] = 0.0  # the result depends on the state alone
             for field, value in zip(Masses._fields, masses, strict=True):
                 getattr(model, field)[self._bodies] = value[k, :, 1:]
-            self._movers.place(model, data, Solids(*(x[k] for x in solids)))
+            self.movers.place(model, data, Solids(*(x[k] for x in solids)))
             mujoco.mj_step(model, data)
             _read_back(data.qpos, self.qpos_address, qpos[k], parked_qpos[k])
             _read_back(data.qvel, self.qvel_address, qvel[k], parked_qvel[k])

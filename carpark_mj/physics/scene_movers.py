@@ -1,9 +1,10 @@
 """Movers as bodies of a scene: solids that follow their own laws and stop cars.
 
-MuJoCo moves them from substep to substep by their poses. It takes them to stand still
-meanwhile: a contact pushes a car by how deep it is, not by a mover's velocity.
+Their poses change from substep to substep. MuJoCo takes them to stand still meanwhile:
+a contact pushes a car by how deep it is, not by a mover's velocity.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,6 +18,9 @@ from carpark_mj.geometry.obstacles import Boxes, Group
 from carpark_mj.layouts.dimensions import MOVER_HEIGHTS
 from carpark_mj.obstacles import poses_during
 from carpark_mj.scene.parts import HIDDEN
+
+# m; hulls crush that far at 14 m/s. What is deeper inside a car has appeared there.
+DEEPEST = 0.3
 
 
 class Solids(NamedTuple):
@@ -40,19 +44,31 @@ def absent(count: int) -> Solids:
 
 
 def solids_within(
-    before: Sequence[Group], after: Sequence[Group], left: jax.Array
+    before: Sequence[Group],
+    after: Sequence[Group],
+    left: jax.Array,
+    pose_w: jax.Array,
+    size: jax.Array,
 ) -> Solids:
     """Movers when a share () of a control step is left; the groups' order.
+
+    One that is far inside a car would throw it up: it is left out until the car is
+    elsewhere.
 
     Args:
         before: where they are at its start.
         after: where they are at its end.
         left: () share of the step.
+        pose_w: (num_agents, 3) agents' cars.
+        size: (num_agents, 2) their lengths and widths [m].
     """
+    core = size[:, None] - 2.0 * DEEPEST
     rows = [absent(0)]
     for old, new in zip(before, after, strict=True):
         pose = poses_during(old, new, left[None])[:, 0]
-        there = jnp.ones(new.count, bool) if new.mask is None else new.mask
+        now = dataclasses.replace(new, pose_w=pose)
+        there = ~now.overlap(pose_w[:, None], core).any(axis=0)
+        there = there if new.mask is None else there & new.mask
         feet = jnp.pad(pose[:, :2], ((0, 0), (0, 1)))
         feet = jnp.where(there[:, None], feet, absent(new.count).position)
         half = jnp.full((new.count, 1), MOVER_HEIGHTS[type(new)] / 2, feet.dtype)

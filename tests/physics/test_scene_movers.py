@@ -1,10 +1,12 @@
 """Movers in the world of scene physics: solids that stop, push and report cars."""
 
+import copy
 import functools
 import math
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from helpers.states import state_of
@@ -17,6 +19,8 @@ from carpark_mj.obstacles import trace_still
 from carpark_mj.physics.base import SolidMovers
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
+from carpark_mj.physics.scene_movers import DEEPEST, solids_within
+from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.parts import CRUSH_DAMPING, CRUSH_FREQUENCY
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
@@ -171,6 +175,20 @@ def test_a_mover_pushes_a_standing_car_at_its_own_speed():
     assert motion.speed[-3:, 0, 0] == pytest.approx(speed, rel=0.02)
 
 
+def test_what_appears_inside_a_car_does_not_throw_it():
+    physics, steps = scene(), 5
+    there = movers(car=(0.5, 0.4, 0.5, 3.7, 1.6), person=(-1.0, 0.2, 0.3))
+    nobody = tuple(group.replace(mask=~group.mask) for group in there)
+    before = batch([batch([nobody]), *[batch([there])] * (steps - 1)])
+    after = still(batch([there]), steps)
+    _, state = drive(physics, begin(physics, np.zeros(3)), before, after)
+    assert np.abs(state.cars.qvel).max() < 0.1
+    assert (
+        np.abs(state.cars.qpos[-1, 0, 0, :3] - state.cars.qpos[0, 0, 0, :3]).max()
+        < 0.01
+    )
+
+
 def test_parked_cars_are_not_pushed():
     """Doors are part of their cars, and people squeeze through gaps."""
     parked = np.array([[0.0, 5.0, 0.0]])
@@ -184,21 +202,27 @@ def test_parked_cars_are_not_pushed():
 
 
 def test_contacts_are_where_the_box_tests_find_overlaps():
-    """Random lots, shapes and sizes; not at the edge, where hulls sway."""
-    rng, count = np.random.default_rng(0), 1500
+    """Random lots, shapes and sizes; not at the edge, where hulls sway, nor deep."""
+    rng, count = np.random.default_rng(0), 2500
     sim = SimConfig(ctrl_dt=0.01, trace_dt=0.01)
     physics = scene(0, sim)
-    near = (-4.0, -4.0, -math.pi)
 
-    def box():
-        pose = rng.uniform(near, np.negative(near))
-        return tuple(map(float, (*pose, *rng.uniform(0.1, 5.0, 2))))
+    def drawn(low, high):
+        return jnp.array(rng.uniform(low, high, (count, 1, len(low))), jnp.float32)
 
-    def lot():
-        disc = rng.uniform((-4.0, -4.0, 0.1), (4.0, 4.0, 1.0))
-        return movers(tuple(map(float, disc)), box(), box())
+    def boxes():
+        pose = drawn((-4.0, -4.0, -math.pi), (4.0, 4.0, math.pi))
+        return Boxes(pose, drawn((0.1, 0.1), (5.0, 5.0)))
 
-    groups = batch([lot() for _ in range(count)])
+    centre, radius = drawn((-4.0, -4.0), (4.0, 4.0)), drawn((0.1,), (1.0,))[..., 0]
+    groups = tuple(
+        group.replace(kind=ObstacleKind[name])
+        for name, group in (
+            ("PERSON", Discs(centre, radius)),
+            ("MOVER", boxes()),
+            ("DRIVER", boxes()),
+        )
+    )
     pose = rng.uniform((-1.0, -1.0, -math.pi), (1.0, 1.0, math.pi), (count, 3))
     lots = still(groups, 1)
     motion, _ = drive(physics, begin(physics, pose), lots, lots)
@@ -207,11 +231,11 @@ def test_contacts_are_where_the_box_tests_find_overlaps():
     @jax.vmap
     def overlaps(groups, pose):
         placed = motion_at(pose)
+        there = trace_still(Movers((), (groups,)), 1)
         found = []
-        for grown in (0.0, 0.05, -0.05):
-            grown = [g.replace(size=g.size + grown) for g in groups]
-            there = trace_still(Movers((None,), (tuple(grown),)), 1)
-            hits = find_hits(state_of(LAYOUT, placed, 0, movers=there))
+        for grown in (0.0, 0.05, -0.05, 0.1 - 2.0 * DEEPEST):
+            car = placed.replace(size=placed.size + grown)
+            hits = find_hits(state_of(LAYOUT, car, 0, movers=there))
             labels = ("person", "mover", "driver")
             found.append(jnp.stack([hits[label] for label in labels], axis=-1))
         return found
@@ -221,13 +245,33 @@ def test_contacts_are_where_the_box_tests_find_overlaps():
         pose = pose[None]
         return one.replace(pose_w=pose, trace_w=pose[:, None], touched=None)
 
-    hits, grown, shrunk = map(np.asarray, overlaps(groups, jnp.array(pose)))
+    hits, grown, shrunk, deep = map(np.asarray, overlaps(groups, jnp.array(pose)))
     touched = np.asarray(motion.touched)[..., [4, 3, 5]]
     clear = grown == shrunk
     assert clear.mean() > 0.9
+    clear = clear & ~deep
     np.testing.assert_array_equal(touched[clear], hits[clear])
     for kind in range(3):
-        assert 300 < (hits & clear)[..., kind].sum() < count - 300
+        assert (hits & clear)[..., kind].sum() > 100
+        assert (~hits & clear)[..., kind].sum() > 500
+
+
+def test_bodies_are_where_pictures_show_them():
+    there = movers((1.0, 2.0, 0.3), (-3.0, 1.0, 0.4, 1.2, 0.7))
+    world, stage = scene().scene, Stage(LAYOUT, COMPACT, 1, 0, movers=there)
+    stage.place(np.zeros((1, 3)), np.zeros(1), NOBODY, None, there)
+    data = mujoco.MjData(world.model)
+    car = jnp.array([[0.0, -9.0, 0.0]]), jnp.array([[4.0, 2.0]])
+    solids = solids_within(there, there, jnp.float32(0.0), *car)
+    world.movers.place(copy.copy(world.model), data, solids)
+    mujoco.mj_kinematics(world.model, data)
+    for number, here in enumerate((True, True, False)):
+        own, seen = (d.geom(f"mover{number}") for d in (data, stage.data))
+        np.testing.assert_allclose(own.xpos, seen.xpos, atol=1e-6)
+        np.testing.assert_allclose(own.xmat, seen.xmat, atol=1e-6)
+        assert (own.xpos[2] > 0.0) == here
+        shown = stage.model.geom(f"mover{number}")
+        np.testing.assert_allclose(solids.size[number], shown.size, atol=1e-6)
 
 
 def test_other_numbers_of_movers_are_refused():
