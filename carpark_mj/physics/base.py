@@ -1,6 +1,6 @@
 """The interface between physics and task, and shared code of back ends.
 
-Every function takes any leading batch shape, except `ScenePhysics.step`.
+Every function takes any leading batch shape, except the steps of `ScenePhysics`.
 """
 
 import abc

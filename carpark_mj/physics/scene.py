@@ -2,9 +2,9 @@
 
 Agents' cars on brush tyres (the same code as `carpark_mj.physics.mjx`), parked cars
 that can be pushed, walls; all hulls collide. Movers are bodies that stop and push
-agents' cars. JAX computes the tyres of all cars, a
-host callback per substep steps the scenes. It is slow and serves to check the factored
-physics, to evaluate by contacts and to render crashes.
+agents' cars. JAX computes the tyres of all cars, a host callback per substep steps the
+scenes. It is slow and serves to check the factored physics, to evaluate by contacts and
+to render crashes.
 
 Every car follows its own `Vehicle`, as in `mjx`, except for wheelbase, track and hull:
 they are those of the parameters from which the model was built.
@@ -154,7 +154,10 @@ class ScenePhysics:
 
     @full_float32
     def step(self, state: SceneState, controls: jax.Array) -> SceneState:
-        """Advances one lot, no mover there, by a control step; batch by `jax.vmap`."""
+        """Advances one lot by one control step; batches by `jax.vmap`.
+
+        Its movers are absent.
+        """
         nobody = absent(sum(self._counts))
         with jax.named_scope("physics"):
             return self._step(state, controls, lambda left, pose_w: nobody)
@@ -167,7 +170,7 @@ class ScenePhysics:
         before: Sequence[Group],
         after: Sequence[Group],
     ) -> SceneState:
-        """Advances one lot by a control step among movers; see `SolidMovers`.
+        """Advances one lot, among movers, by one control step; see `SolidMovers`.
 
         Raises:
             ValueError: there are other numbers of movers than the scene was made for.
