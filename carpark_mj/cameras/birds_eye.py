@@ -90,7 +90,9 @@ def _stand(
         return jnp.maximum(seen, jnp.where(inside(block, x, y), block.seen, 0))
 
     nothing = jax.tree.map(lambda value: jnp.full_like(value[0], -1), seats)
-    return fold(seen, seats, nothing, meet, is_near(seats.eye[:, :2], seats.half, reach))
+    return fold(
+        seen, seats, nothing, meet, is_near(seats.eye[:, :2], seats.half, reach)
+    )
 
 
 def _in_box(box: Seat, x: jax.Array, y: jax.Array) -> jax.Array:
