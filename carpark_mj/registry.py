@@ -97,8 +97,8 @@ CONSIDERATE = dataclasses.replace(
     ),
     observation=dataclasses.replace(_OBSERVATION, tracked_agents=3, tracked_movers=6),
 )
-# The same for cars that see: of others and of the lot they know what four cameras show,
-# of themselves and of the way to their goal what the car tells.
+# The same for cars that see: of others, the lot and their bay they know what four
+# cameras show, of themselves what the car tells, and a route until the bay is in view.
 SEES = dataclasses.replace(
     ANYWHERE,
     num_agents=4,
@@ -112,6 +112,7 @@ SEES = dataclasses.replace(
         width=48,
         height=36,
         reach=12.0,
+        goal="seen",
     ),
 )
 
