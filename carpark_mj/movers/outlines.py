@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-from jax.lax import optimization_barrier
 
 AWAY = 1e6  # m, where boxes are that do not count
 
@@ -16,9 +15,7 @@ def outlines(pose: jax.Array, size: jax.Array, mask: jax.Array) -> jax.Array:
     x, y, yaw = pose.T
     half_x, half_y = size.T / 2
     x, y = jnp.where(mask, x, AWAY), jnp.where(mask, y, AWAY)
-    boxes = jnp.stack([x, y, jnp.cos(yaw), jnp.sin(yaw), half_x, half_y])
-    # Once for a box, not for each who looks at it, which XLA would do to save memory.
-    return optimization_barrier(boxes)
+    return jnp.stack([x, y, jnp.cos(yaw), jnp.sin(yaw), half_x, half_y])
 
 
 def offsets(xy: jax.Array, boxes: jax.Array) -> tuple[jax.Array, jax.Array]:

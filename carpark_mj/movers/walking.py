@@ -212,9 +212,11 @@ def _forces(people: People, cars: Cars, heading: jax.Array) -> jax.Array:
     by_distance = jax.lax.rsqrt(x * x + y * y + social_force.TINY)
     overlap = (people.radius[:, None] + people.radius) * by_distance - 1.0
     part = BODY * jnp.maximum(overlap, 0.0)
-    borders = (_border_force(xy, boxes) for boxes in (people.near, _boxes(cars)[:, None]))
-    pushes = [(fx + part * x, fy + part * y), *borders]
-    return columns(*(sum(part.sum(axis=1) for part in parts) for parts in zip(*pushes)))
+    near_x, near_y = _border_force(xy, people.near)
+    car_x, car_y = _border_force(xy, _boxes(cars)[:, None])
+    x = (fx + part * x).sum(axis=1) + near_x.sum(axis=1) + car_x.sum(axis=1)
+    y = (fy + part * y).sum(axis=1) + near_y.sum(axis=1) + car_y.sum(axis=1)
+    return columns(x, y)
 
 
 def _boxes(cars: Cars) -> jax.Array:
