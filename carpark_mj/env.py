@@ -32,11 +32,7 @@ from carpark_mj.mdp import actions, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.mdp.goals import make_goals
 from carpark_mj.mdp.progress import drives_wrong_way
-from carpark_mj.mdp.reset_options import (
-    ResetOptions,
-    check_starts,
-    read_reset_options,
-)
+from carpark_mj.mdp.reset_options import ResetOptions, check_starts, read_reset_options
 from carpark_mj.observations import (
     make_fields,
     observation_size,
@@ -47,6 +43,7 @@ from carpark_mj.observations import (
 from carpark_mj.physics.base import (
     Halting,
     Physics,
+    advance,
     make_physics,
     require_physics,
     where_cars,
@@ -337,7 +334,8 @@ class ParkingEnv:
             from carpark_mj.physics import emergency_brake  # only such cars load it
 
             controls = emergency_brake.override(config.sim, state, controls)
-        physics = self.physics.step(state.physics, controls)
+        movers = self._episodes.step_movers(state, keys)
+        physics = advance(self.physics, state.physics, controls, state.movers, movers)
         motion = self.physics.read(physics)
         if isinstance(self.physics, Halting) and config.episode.kerb_speed:
             from carpark_mj.mdp import kerbs  # only such environments load it
@@ -354,7 +352,7 @@ class ParkingEnv:
             motion=motion,
             parked_cars=dataclasses.replace(state.parked_cars, pose_w=pose_w),
             memory=memory,
-            movers=self._episodes.step_movers(state, keys),
+            movers=movers,
             step=state.step + state.active,
             sensors=sensors.measure(config.sensors, state, motion, keys.reading),
         )

@@ -22,7 +22,9 @@ __all__ = [
     "Group",
     "begin_movers",
     "lot_obstacles",
+    "mover_shapes",
     "place_movers",
+    "poses_during",
     "step_movers",
     "trace_still",
 ]
@@ -91,6 +93,15 @@ def begin_movers(movers: Sequence[Mover], layout: Layout, key: jax.Array) -> Mov
     keys = jax.random.split(key, len(movers))
     pairs = zip(movers, keys, strict=True)
     return place_movers(movers, [mover.init(key, layout) for mover, key in pairs])
+
+
+def mover_shapes(movers: Sequence[Mover], layout: Layout) -> tuple[Group, ...]:
+    """The groups of movers in lots of a layout: shapes and types instead of arrays."""
+
+    def begin(key: jax.Array) -> Movers:
+        return begin_movers(movers, layout, key)
+
+    return jax.eval_shape(begin, jax.random.key(0)).groups
 
 
 def place_movers(movers: Sequence[Mover], states: Sequence[Any]) -> Movers:
@@ -196,15 +207,24 @@ def _require_same(mover: Mover, what: str, before: Any, after: Any) -> None:
 
 
 def _trace(before: Group, after: Group, num_traces: int) -> Group:
-    """Obstacles (n,) with their poses during a step, interpolated linearly.
+    """Obstacles (n,) with their poses during a step."""
+    left = jnp.arange(num_traces - 1, -1, -1, dtype=after.pose_w.dtype) / num_traces
+    return dataclasses.replace(after, trace_w=poses_during(before, after, left))
 
-    Those that were absent before stand still.
+
+def poses_during(before: Group, after: Group, left: jax.Array) -> jax.Array:
+    """Poses (n, k, 3 or 2) of obstacles within a control step, on straight lines.
+
+    Those that were absent before stand still, where they are after it.
+
+    Args:
+        before: (n,) at its start.
+        after: (n,) at its end.
+        left: (k,) shares of the step that are left.
     """
     moved = after.pose_w - before.pose_w
     if type(after) is Boxes:
         moved = moved.at[:, 2].set(wrap_angle(moved[:, 2]))
     if before.mask is not None:
         moved = jnp.where(before.mask[:, None], moved, 0.0)
-    share = jnp.arange(num_traces - 1, -1, -1, dtype=moved.dtype) / num_traces
-    trace_w = after.pose_w[:, None] - share[:, None] * moved[:, None]
-    return dataclasses.replace(after, trace_w=trace_w)
+    return after.pose_w[:, None] - left[:, None] * moved[:, None]

@@ -79,13 +79,17 @@ ANYWHERE = EnvConfig(
     ),
 )
 
-# Up to four of them among people of whom more or fewer give way. Whoever waits for
-# people needs more time; who hits one has crashed, and pays `person` besides. Cars have
+# Up to four of them among people of whom more or fewer give way, carts, and drivers.
+# Whoever waits for others needs more time; who hits one has crashed, and pays `person` besides. Cars have
 # emergency braking, so that what remains to learn is to get on without it.
 CONSIDERATE = dataclasses.replace(
     ANYWHERE,
     num_agents=4,
-    movers=("pedestrians:number=0..20,attention=0.5..1.0",),
+    movers=(
+        "pedestrians:number=0..20,attention=0.5..1.0",
+        *("cart", "cart"),
+        "drivers:number=2",
+    ),
     sim=SimConfig(emergency_brake=0.3),
     episode=EpisodeConfig(max_steps=600),  # 120 s
     reward=dataclasses.replace(
@@ -93,8 +97,8 @@ CONSIDERATE = dataclasses.replace(
     ),
     observation=dataclasses.replace(_OBSERVATION, tracked_agents=3, tracked_movers=6),
 )
-# The same for cars that see: of others and of the lot they know what four cameras show,
-# of themselves and of the way to their goal what the car tells.
+# The same for cars that see: of others, the lot and their bay they know what four
+# cameras show, of themselves what the car tells, and a route until the bay is in view.
 SEES = dataclasses.replace(
     ANYWHERE,
     num_agents=4,
@@ -108,6 +112,7 @@ SEES = dataclasses.replace(
         width=48,
         height=36,
         reach=12.0,
+        goal="seen",
     ),
 )
 

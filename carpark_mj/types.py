@@ -43,9 +43,10 @@ class Motion:
         finite: (...) bool; False where the physics produced a non-finite number in
             the last step, or the car came to lie on its side, and was put back to its
             last state before.
-        touched: (..., 3) bool, whether the car touched another agent, a parked car, a
-            wall at any substep of the last step; None where the physics has no
-            contacts and the task finds them by box tests.
+        touched: (..., k) bool, whether the car touched an obstacle at any substep of
+            the last step: another agent, a parked car, a wall, and where movers are
+            bodies those too, in the order of `ObstacleKind`; None where the physics has
+            no contacts and the task finds them by box tests.
     """
 
     pose_w: jax.Array

@@ -1,14 +1,15 @@
 """A lot as seen straight from above each car, which points up in the picture."""
 
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.cameras.blocks import Heights, lot_blocks
-from carpark_mj.cameras.ground import SHOWS, Place, cover
+from carpark_mj.cameras.ground import SHOWS, Place, cover, is_near
 from carpark_mj.cameras.hits import fold
 from carpark_mj.cameras.rig import BODY, Seen
 from carpark_mj.cameras.trace import Seat, seat
@@ -51,15 +52,16 @@ def see_from_above(config: BirdsEye, state: State) -> jax.Array:
     x, y = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
     line_width = max(LINE_WIDTH, config.span / config.pixels)
     ahead, left = jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32)
+    reach = config.span / math.sqrt(2) + line_width
 
     def look(agent: jax.Array, goal: jax.Array, pose_w: jax.Array) -> jax.Array:
         place = Place(pose_w[:2], pose_w[2])
-        kind = cover(state.layout, goal, place, ahead, left, line_width)
+        kind = cover(state.layout, goal, place, ahead, left, line_width, reach)
         seen = jnp.array(SHOWS, jnp.int32)[kind]
         for blocks, inside in ((boxes, _in_box), (cylinders, _in_disc)):
             if blocks.low.shape[0]:
                 seats = seat(blocks, agent, pose_w, jnp.zeros(3))
-                seen = _stand(seen, seats, ahead, left, inside)
+                seen = _stand(seen, seats, ahead, left, inside, reach)
         return seen
 
     agents = jnp.arange(state.goal.shape[0])
@@ -72,7 +74,14 @@ def channels(seen: jax.Array, kinds: Sequence[Seen] = tuple(Seen)) -> jax.Array:
     return seen[..., None] == jnp.array(kinds, seen.dtype)
 
 
-def _stand(seen: jax.Array, seats: Seat, ahead: jax.Array, left: jax.Array, inside):
+def _stand(
+    seen: jax.Array,
+    seats: Seat,
+    ahead: jax.Array,
+    left: jax.Array,
+    inside: Callable[..., jax.Array],
+    reach: float,
+) -> jax.Array:
     """Pixels (n,) with what stands there; `Seen` has the ground's kinds first."""
 
     def meet(seen: jax.Array, block: Seat) -> jax.Array:
@@ -81,7 +90,9 @@ def _stand(seen: jax.Array, seats: Seat, ahead: jax.Array, left: jax.Array, insi
         return jnp.maximum(seen, jnp.where(inside(block, x, y), block.seen, 0))
 
     nothing = jax.tree.map(lambda value: jnp.full_like(value[0], -1), seats)
-    return fold(seen, seats, nothing, meet)
+    return fold(
+        seen, seats, nothing, meet, is_near(seats.eye[:, :2], seats.half, reach)
+    )
 
 
 def _in_box(box: Seat, x: jax.Array, y: jax.Array) -> jax.Array:

@@ -9,6 +9,7 @@ import math
 from typing import Literal
 
 import jax
+import jax.numpy as jnp
 
 from carpark_mj.cameras.blocks import Heights
 from carpark_mj.cameras.rig import RIGS, Rig, Seen
@@ -33,7 +34,8 @@ class CameraObservation(ContinuousObservation):
         reach: depths are at most this [m].
         channels: what of the pictures.
         goal: `pose` = its place is among the numbers; `seen` = only pictures tell it,
-            where pixels show the own bay.
+            where pixels show the own bay. A `route` then leads there, and is zeros on
+            its last stretch while a camera sees the bay.
     """
 
     rig: str = "surround"
@@ -56,7 +58,7 @@ class CameraObservation(ContinuousObservation):
                 raise ValueError(
                     f"goal 'seen' needs the channel seen of {self.channels}"
                 )
-            for name in ("lines", "route", "global_information"):
+            for name in ("lines", "global_information"):
                 if getattr(self, name):
                     raise ValueError(
                         f"{name} tells where the goal is: goal must be 'pose'"
@@ -116,6 +118,16 @@ class CameraObservation(ContinuousObservation):
         if self.goal == "seen":
             parts = [part for part in parts if part is not ego.GOAL]
         return [*parts, Part(pictured, fill)]
+
+    def see(self, env: EnvConfig, sight: Sight) -> dict[str, jax.Array]:
+        """Those of the default encoder and the pictures; see `goal`."""
+        values = super().see(env, sight)
+        if self.goal == "seen" and self.route:
+            in_view = (values["camera_seen"] == Seen.OWN_BAY).any(axis=-1)
+            silent = (in_view & ego.on_last_stretch(sight))[:, None]
+            for field in ego.ROUTE.fields:
+                values[field.name] = jnp.where(silent, 0.0, values[field.name])
+        return values
 
 
 def _heights(env: EnvConfig) -> Heights:

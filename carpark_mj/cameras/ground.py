@@ -8,7 +8,7 @@ from flax import struct
 
 from carpark_mj.cameras.hits import fold
 from carpark_mj.cameras.rig import Seen
-from carpark_mj.geometry.se2 import rotate
+from carpark_mj.geometry.se2 import norm, rotate
 from carpark_mj.layouts.dimensions import (
     ARROW_HEAD,
     ARROW_HEIGHT,
@@ -68,6 +68,7 @@ def cover(
     x: jax.Array,
     y: jax.Array,
     line_width: float = LINE_WIDTH,
+    reach: float | None = None,
 ) -> jax.Array:
     """What covers points on the ground, int32 (...).
 
@@ -78,17 +79,19 @@ def cover(
         x: (...) ahead of the place along the car's axis [m].
         y: (...) to the left [m].
         line_width: of bays [m].
+        reach: of the points from the place and of a line's width, at most [m]; None =
+            any.
     """
     own = jnp.arange(layout.num_bays) == goal
     kinds = jnp.where(own, OWN_BAY, BAY)
     best = jnp.full(jnp.shape(x), ASPHALT, jnp.int32)
     bays = _patches(layout.bay_pose, layout.bay_size, layout.bay_mask, kinds, place)
-    best = _lay(best, bays, x, y, functools.partial(_in_bay, line_width))
+    best = _lay(best, bays, x, y, functools.partial(_in_bay, line_width), reach)
     if count := layout.lane_mask.shape[-1]:
         mask = layout.lane_mask & layout.lane_one_way
         kinds = jnp.full(count, ARROW)
         lanes = _patches(layout.lane_pose, layout.lane_size, mask, kinds, place)
-        best = _lay(best, lanes, x, y, _in_arrow)
+        best = _lay(best, lanes, x, y, _in_arrow, reach)
     return best
 
 
@@ -114,7 +117,7 @@ def _patches(
     )
 
 
-def _lay(best: jax.Array, patches: _Patches, x: jax.Array, y: jax.Array, fill):
+def _lay(best: jax.Array, patches: _Patches, x: jax.Array, y: jax.Array, fill, reach):
     def meet(best: jax.Array, patch: _Patches) -> jax.Array:
         along = patch.xy[0] + patch.cos * x + patch.sin * y
         across = patch.xy[1] + patch.cos * y - patch.sin * x
@@ -122,7 +125,20 @@ def _lay(best: jax.Array, patches: _Patches, x: jax.Array, y: jax.Array, fill):
         return jnp.maximum(best, found)
 
     nothing = jax.tree.map(lambda value: jnp.full_like(value[0], -1), patches)
-    return fold(best, patches, nothing, meet)
+    matters = None if reach is None else is_near(patches.xy, patches.half, reach)
+    return fold(best, patches, nothing, meet, matters)
+
+
+def is_near(xy: jax.Array, half: jax.Array, reach: float) -> jax.Array:
+    """Whether rectangles (n,) may come within a distance [m] of a place, (n,) bool.
+
+    Args:
+        xy: (n, 2) the place in their frames [m].
+        half: (n, 2) their half lengths and widths [m], negative where there is none.
+        reach: the distance [m].
+    """
+    beyond = jnp.maximum(jnp.abs(xy) - half, 0.0)
+    return (norm(beyond) < reach) & (half[:, 0] > 0.0)
 
 
 def _in_bay(

@@ -48,6 +48,7 @@ def fold(
     things: Tree,
     padding: Tree,
     meet: Callable[[jax.Array, Tree], jax.Array],
+    matters: jax.Array | None = None,
 ) -> jax.Array:
     """Meets things one after the other, `CHUNK` of them in each pass over the pixels.
 
@@ -58,7 +59,12 @@ def fold(
         things: pytree of arrays (n, ...).
         padding: one of them that changes nothing, arrays (...).
         meet: `best` after a thing, arrays (...).
+        matters: (n,) bool, the things that can change something; None = all. Passes
+            over the others are saved.
     """
+    if matters is not None:
+        first = jnp.argsort(~matters)
+        things = jax.tree.map(lambda x: x[first], things)
     count = jax.tree.leaves(things)[0].shape[0]
     missing = -count % CHUNK
 
@@ -66,9 +72,17 @@ def fold(
         rest = jnp.broadcast_to(jnp.asarray(other, x.dtype), (missing, *x.shape[1:]))
         return jnp.concatenate([x, rest]).reshape(-1, CHUNK, *x.shape[1:])
 
-    def visit(best: jax.Array, chunk: Tree) -> tuple[jax.Array, None]:
+    def visit(best: jax.Array, chunk: Tree) -> jax.Array:
         for k in range(CHUNK):
             best = meet(best, jax.tree.map(lambda x: x[k], chunk))  # noqa: B023
-        return best, None
+        return best
 
-    return jax.lax.scan(visit, best, jax.tree.map(chunks, things, padding))[0]
+    ready = jax.tree.map(chunks, things, padding)
+    if matters is None:
+        return jax.lax.scan(lambda *at: (visit(*at), None), best, ready)[0]
+    return jax.lax.fori_loop(
+        0,
+        -(-matters.sum() // CHUNK),
+        lambda k, best: visit(best, jax.tree.map(lambda x: x[k], ready)),
+        best,
+    )

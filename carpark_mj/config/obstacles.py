@@ -29,7 +29,8 @@ class ObstacleKind(enum.IntEnum):
 class Mover(CheckedConfig, abc.ABC):
     """Base of moving obstacles that are not cars, a frozen dataclass of settings.
 
-    Agents must avoid them: contacts do not push them.
+    Agents must avoid them: contacts do not push them. They push and stop cars in
+    physics whose world has them, `scene`.
 
     Attributes:
         mover: its name in `MOVERS`.

@@ -1,7 +1,7 @@
 """Collisions: the obstacles that each agent touched during a step.
 
-Physics with contacts reports them. Otherwise footprints are tested for overlap at every
-traced instant; in crowded lots near pairs only.
+Physics with contacts reports them. Otherwise, and with movers in any case, footprints
+are tested for overlap at every traced instant; in crowded lots near pairs only.
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ def find_hits(
     Args:
         state: of the lot at the end of the step.
         hitbox_scale: () factor on all cars' lengths and widths. It has no effect in
-            physics with contacts, where only movers are tested.
+            physics with contacts.
 
     Returns:
         (num_agents,) bool by the labels of `ObstacleKind`; in a collision of two agents
@@ -37,8 +37,10 @@ def find_hits(
     """
     motion, parked_cars, movers = state.motion, state.parked_cars, state.movers
     if motion.touched is not None:
+        always = (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR, ObstacleKind.WALL)
+        kinds = {*always, *(group.kind for group in movers.groups)}
         columns = jnp.moveaxis(motion.touched, -1, 0)
-        hits = {ObstacleKind(k): column for k, column in enumerate(columns)}
+        hits = {k: columns[k] for k in sorted(kinds) if k < columns.shape[0]}
         return _labelled(_add_hits(hits, motion, movers.groups))
     motion = dataclasses.replace(motion, size=motion.size * hitbox_scale)
     size = parked_cars.size * hitbox_scale

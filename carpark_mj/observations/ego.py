@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import box_room, norm, rotate, to_local
-from carpark_mj.layouts.routes import has_lanes, nearest_lane, route_to
+from carpark_mj.layouts.routes import RouteLeft, has_lanes, nearest_lane, route_to
 from carpark_mj.observations.fields import (
     CLOSE,
     FAR,
@@ -132,9 +132,18 @@ LINES = Part(
 )
 
 
+def on_last_stretch(sight: Sight) -> jax.Array:
+    """Whether routes turn no more before the goal, (num_observers,) bool."""
+    goal_xy = sight.layout.bay_pose[sight.goal, :2]
+    return (_route_left(sight).next_xy == goal_xy).all(axis=-1)
+
+
+def _route_left(sight: Sight) -> RouteLeft:
+    return route_to(sight.state.routes, sight.layout, sight.motion.xy, sight.goal)
+
+
 def _route(sight: Sight) -> dict[str, jax.Array]:
-    motion = sight.motion
-    route = route_to(sight.state.routes, sight.layout, motion.xy, sight.goal)
+    motion, route = sight.motion, _route_left(sight)
     position = rotate(route.next_xy - motion.xy, -motion.pose_w[..., 2])
     return {
         "route_next": far(position),

@@ -8,6 +8,7 @@ import dataclasses
 from typing import TYPE_CHECKING, Any
 
 from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig
+from carpark_mj.config.obstacles import make_movers
 
 if TYPE_CHECKING:
     from carpark_mj.layouts import Layout
@@ -75,10 +76,16 @@ class SceneConfig(PhysicsConfig):
             raise ValueError(
                 f"scene physics needs the same lot for every key, not {config.layout!r}"
             )
+        from carpark_mj.obstacles import mover_shapes
         from carpark_mj.physics.scene import ScenePhysics
 
         return ScenePhysics(
-            config.sim, layout, vehicle, config.num_agents, config.num_parked_cars
+            config.sim,
+            layout,
+            vehicle,
+            config.num_agents,
+            config.num_parked_cars,
+            mover_shapes(make_movers(config.movers), layout),
         )
 
 

@@ -1,16 +1,17 @@
 """The interface between physics and task, and shared code of back ends.
 
-Every function takes any leading batch shape, except `ScenePhysics.step`.
+Every function takes any leading batch shape, except the steps of `ScenePhysics`.
 """
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, PhysicsConfig, SimConfig
+from carpark_mj.geometry.obstacles import Group, Movers
 from carpark_mj.layouts import Layout
 from carpark_mj.types import Motion, PhysicsState
 from carpark_mj.vehicle import VehicleParameters
@@ -113,6 +114,47 @@ class Halting(Protocol[S]):
                 end.
         """
         ...
+
+
+@runtime_checkable
+class SolidMovers(Protocol[S]):
+    """A back end in whose world movers are bodies, which stop and push cars."""
+
+    def step_among(
+        self,
+        state: S,
+        controls: jax.Array,
+        before: Sequence[Group],
+        after: Sequence[Group],
+    ) -> S:
+        """Advances one lot by one control step, in which movers move too.
+
+        Their contacts are columns of `Motion.touched`.
+
+        Args:
+            state: current state.
+            controls: see `Physics.step`.
+            before: where movers are at the start of the step.
+            after: where they are at its end.
+        """
+        ...
+
+
+def advance(
+    physics: Physics[S], state: S, controls: jax.Array, before: Movers, after: Movers
+) -> S:
+    """Advances one lot by one control step; movers are in the way if they are bodies.
+
+    Args:
+        physics: the back end.
+        state: current state.
+        controls: see `Physics.step`.
+        before: movers at the start of the step.
+        after: movers at its end.
+    """
+    if after.groups and isinstance(physics, SolidMovers):
+        return physics.step_among(state, controls, before.groups, after.groups)
+    return physics.step(state, controls)
 
 
 class FactoredPhysics(abc.ABC, Generic[S]):

@@ -1,15 +1,17 @@
 """One C MuJoCo world per lot, in which cars and walls collide.
 
 Agents' cars on brush tyres (the same code as `carpark_mj.physics.mjx`), parked cars
-that can be pushed, walls; all hulls collide. JAX computes the tyres of all cars, a
-host callback per substep steps the scenes. It is slow and serves to check the factored
-physics, to evaluate by contacts and to render crashes.
+that can be pushed, walls; all hulls collide. Movers are bodies that stop and push
+agents' cars. JAX computes the tyres of all cars, a host callback per substep steps the
+scenes. It is slow and serves to check the factored physics, to evaluate by contacts and
+to render crashes.
 
 Every car follows its own `Vehicle`, as in `mjx`, except for wheelbase, track and hull:
 they are those of the parameters from which the model was built.
 """
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import jax
@@ -18,12 +20,14 @@ from flax import struct
 
 from carpark_mj.config import PHYSICS, SimConfig
 from carpark_mj.geometry import move_forward, wrap_angle
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import run_substeps
 from carpark_mj.physics.coordinates import CarDynamics, centre_pose, unpack_coordinates
 from carpark_mj.physics.forces import substep_forces
 from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars, started
 from carpark_mj.physics.scene_model import Masses, Moving, SceneModel
+from carpark_mj.physics.scene_movers import Solids, absent, solids_within
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.conditions import in_conditions
@@ -33,8 +37,8 @@ from carpark_mj.vehicle.vehicle import Vehicle
 MOVED = 1e-3  # m or rad; a parked car set further away than this is moved
 
 
-# Agents' cars, parked_qpos, parked_qvel, touched.
-_Carry = tuple[CarDynamics, jax.Array, jax.Array, jax.Array]
+# Agents' cars, parked_qpos, parked_qvel, touched, number of the substep.
+_Carry = tuple[CarDynamics, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 @struct.dataclass
@@ -46,7 +50,7 @@ class SceneState:
         parked_set: (num_parked_cars, 3) footprint poses, as last set.
         parked_qpos: (num_parked_cars, 3) rear axles' centres: x, y [m], yaw [rad].
         parked_qvel: (num_parked_cars, 3) their rates.
-        touched: (num_agents, 3) bool, see `Motion.touched`.
+        touched: (num_agents, k) bool, see `Motion.touched`.
     """
 
     cars: CarState
@@ -73,6 +77,7 @@ class ScenePhysics:
         params: VehicleParameters,
         num_agents: int,
         num_parked_cars: int,
+        movers: Sequence[Group] = (),
     ) -> None:
         """Compiles the model of a lot.
 
@@ -82,13 +87,17 @@ class ScenePhysics:
             params: the vehicle of all cars.
             num_agents: agents.
             num_parked_cars: parked cars.
+            movers: the groups of obstacles that move by themselves, or their shapes.
         """
         self.sim = sim
         self._single = MjxPhysics(sim)
         self._num_agents = num_agents
         self._num_parked_cars = num_parked_cars
         self._centre_offset = params.centre_offset
-        self.scene = SceneModel(sim, layout, params, num_agents, num_parked_cars)
+        self._counts = [group.count for group in movers]
+        self.scene = SceneModel(
+            sim, layout, params, num_agents, num_parked_cars, movers
+        )
 
     @full_float32
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SceneState:
@@ -101,7 +110,7 @@ class ScenePhysics:
             parked_set=jnp.full_like(parked, jnp.inf),
             parked_qpos=parked,
             parked_qvel=parked,
-            touched=jnp.zeros((*pose_w.shape[:-1], 3), bool),
+            touched=jnp.zeros((*pose_w.shape[:-1], self.scene.num_kinds), bool),
         )
 
     def set_speed(self, state: SceneState, speed: jax.Array) -> SceneState:
@@ -145,11 +154,52 @@ class ScenePhysics:
 
     @full_float32
     def step(self, state: SceneState, controls: jax.Array) -> SceneState:
-        """Advances one lot by one control step; batches by `jax.vmap`."""
-        with jax.named_scope("physics"):
-            return self._step(state, controls)
+        """Advances one lot by one control step; batches by `jax.vmap`.
 
-    def _step(self, state: SceneState, controls: jax.Array) -> SceneState:
+        Its movers are absent.
+        """
+        nobody = absent(sum(self._counts))
+        with jax.named_scope("physics"):
+            return self._step(state, controls, lambda left, pose_w: nobody)
+
+    @full_float32
+    def step_among(
+        self,
+        state: SceneState,
+        controls: jax.Array,
+        before: Sequence[Group],
+        after: Sequence[Group],
+    ) -> SceneState:
+        """Advances one lot, among movers, by one control step; see `SolidMovers`.
+
+        Raises:
+            ValueError: there are other numbers of movers than the scene was made for.
+        """
+        counts = [group.count for group in after]
+        if counts != self._counts:
+            raise ValueError(
+                f"the lot has groups of {counts} movers, scene physics was made for "
+                f"{self._counts}: give ScenePhysics those of the lot"
+            )
+        with jax.named_scope("physics"):
+            size = state.vehicle.size
+            movers = partial(solids_within, before, after, size=size)
+            return self._step(state, controls, movers)
+
+    def _step(
+        self,
+        state: SceneState,
+        controls: jax.Array,
+        movers: Callable[[jax.Array, jax.Array], Solids],
+    ) -> SceneState:
+        """Advances one lot.
+
+        Args:
+            state: current state.
+            controls: of the cars.
+            movers: when a share () of the step is left and cars are at poses
+                (num_agents, 3).
+        """
         cars = state.cars
         vehicle = in_conditions(state.vehicle, self.sim)
         masses = Masses(vehicle.body_mass, vehicle.body_inertia, vehicle.body_ipos)
@@ -161,7 +211,8 @@ class ScenePhysics:
             return centre_pose(at, vehicle)
 
         def substep(carry: _Carry) -> _Carry:
-            car, parked_qpos, parked_qvel, touched = carry
+            car, parked_qpos, parked_qvel, touched, number = carry
+            solids = movers(1.0 - number / self.sim.num_substeps, poses(carry))
             qfrc, ctrl, tyres, actuators = forces(vehicle, car, controls)
             moving = Moving(car.qpos, car.qvel, parked_qpos, parked_qvel)
             shapes = jax.tree.map(
@@ -170,12 +221,12 @@ class ScenePhysics:
             moving, hit = jax.pure_callback(
                 self.scene.advance,
                 shapes,
-                *(moving, qfrc, ctrl, masses),
+                *(moving, qfrc, ctrl, masses, solids),
                 vmap_method="broadcast_all",
             )
             qpos, qvel, parked_qpos, parked_qvel = moving
             car = CarDynamics(qpos, qvel, tyres, actuators)
-            return car, parked_qpos, parked_qvel, touched | hit
+            return car, parked_qpos, parked_qvel, touched | hit, number + 1
 
         carry, trace = run_substeps(
             self.sim,
@@ -185,10 +236,11 @@ class ScenePhysics:
                 state.parked_qpos,
                 state.parked_qvel,
                 jnp.zeros_like(state.touched),
+                jnp.int32(0),
             ),
             poses,
         )
-        car, parked_qpos, parked_qvel, touched = carry
+        car, parked_qpos, parked_qvel, touched, _ = carry
         return SceneState(
             cars=contain_cars(cars, car, jnp.moveaxis(trace, 0, 1)),
             parked_set=state.parked_set,

@@ -8,6 +8,7 @@ import copy
 import math
 import os
 import threading
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -16,13 +17,16 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from carpark_mj.config import SimConfig
+from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.gravity import gravity_vector
+from carpark_mj.physics.scene_movers import MoverBodies, Solids
 from carpark_mj.scene.build import build_scene
+from carpark_mj.scene.movers import add_solids
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 CAR_NQ, CAR_NV, CAR_BODIES = 13, 12, 7
-AGENT, PARKED_CAR, WALL = range(3)  # columns of `Motion.touched`
 
 
 class Moving(NamedTuple):
@@ -63,6 +67,8 @@ class SceneModel:
         qpos_address: where the agents' blocks of 13 and then the parked cars' (x, y,
             yaw) lie in `qpos`.
         qvel_address: the same for blocks of 12 in `qvel`.
+        movers: their bodies.
+        num_kinds: of obstacles, columns of `Motion.touched`.
     """
 
     def __init__(
@@ -72,11 +78,13 @@ class SceneModel:
         params: VehicleParameters,
         num_agents: int,
         num_parked_cars: int,
+        movers: Sequence[Group] = (),
     ) -> None:
         """Compiles the model; arguments as in `ScenePhysics`."""
         self._num_agents = num_agents
         self._num_parked_cars = num_parked_cars
         spec = build_scene(layout, params, num_agents, (params,) * num_parked_cars)
+        add_solids(spec, movers, [f"agent{k}/hull" for k in range(num_agents)])
         spec.option.timestep = sim.sim_dt
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.gravity = gravity_vector(sim)
@@ -84,7 +92,10 @@ class SceneModel:
         # A blown-up car must stay visible as non-finite, not be put back silently.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = spec.compile()
+        self.movers = MoverBodies(self.model, movers)
         self._kind, self._agent = _classify_geoms(self.model)
+        self._kind[self.movers.geoms] = self.movers.kinds
+        self.num_kinds = 1 + max([ObstacleKind.WALL, *self.movers.kinds])
         self.qpos_address = self._addresses("jnt_qposadr", CAR_NQ)
         self.qvel_address = self._addresses("jnt_dofadr", CAR_NV)
         self._ctrl = np.array(
@@ -130,7 +141,12 @@ class SceneModel:
         return np.concatenate([*cars, np.array(parked, int)])
 
     def advance(
-        self, moving: Moving, qfrc: np.ndarray, ctrl: np.ndarray, masses: Masses
+        self,
+        moving: Moving,
+        qfrc: np.ndarray,
+        ctrl: np.ndarray,
+        masses: Masses,
+        solids: Solids,
     ) -> tuple[Moving, np.ndarray]:
         """Steps a batch of scenes by one substep; any leading shape `(...)`.
 
@@ -139,29 +155,31 @@ class SceneModel:
             qfrc: (..., num_agents, 12) forces applied.
             ctrl: (..., num_agents, 2) steering servo targets [rad].
             masses: of the agents' cars.
+            solids: the movers.
 
         Returns:
             Positions and velocities after the substep, and contacts of each agent
-            (..., num_agents, 3) bool, see `Motion.touched`.
+            (..., num_agents, num_kinds) bool, see `Motion.touched`.
         """
-        arrays = [np.array(x) for x in (*moving, qfrc, ctrl, *masses)]
+        arrays = [np.array(x) for x in (*moving, qfrc, ctrl, *masses, *solids)]
         lead = arrays[0].shape[:-2]
         count = math.prod(lead)
         flat = [x.reshape(count, *x.shape[len(lead) :]) for x in arrays]
-        touched = np.zeros((count, self._num_agents, 3), bool)
+        touched = np.zeros((count, self._num_agents, self.num_kinds), bool)
         parts = min(count, os.cpu_count() or 1)
         chunks = np.array_split(np.arange(count), parts)
         list(self._workers.map(lambda c: self._advance_some(c, flat, touched), chunks))
         after = (
             x.reshape(old.shape) for x, old in zip(flat[:4], arrays[:4], strict=True)
         )
-        return Moving(*after), touched.reshape(*lead, self._num_agents, 3)
+        return Moving(*after), touched.reshape(*lead, *touched.shape[1:])
 
     def _advance_some(
         self, scenes: np.ndarray, arrays: list[np.ndarray], touched: np.ndarray
     ) -> None:
         """Steps some scenes, writing the results into the arrays given."""
-        qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl, *masses = arrays
+        qpos, qvel, parked_qpos, parked_qvel, qfrc, ctrl, *rest = arrays
+        masses, solids = rest[:3], rest[3:]
         if not hasattr(self._own, "model"):  # masses differ from scene to scene
             self._own.model = copy.copy(self.model)
             self._own.data = mujoco.MjData(self._own.model)
@@ -174,18 +192,19 @@ class SceneModel:
             data.qacc_warmstart[:] = 0.0  # the result depends on the state alone
             for field, value in zip(Masses._fields, masses, strict=True):
                 getattr(model, field)[self._bodies] = value[k, :, 1:]
+            self.movers.place(model, data, Solids(*(x[k] for x in solids)))
             mujoco.mj_step(model, data)
             _read_back(data.qpos, self.qpos_address, qpos[k], parked_qpos[k])
             _read_back(data.qvel, self.qvel_address, qvel[k], parked_qvel[k])
             self.find_touches(data, touched[k])
 
     def find_touches(self, data: mujoco.MjData, touched: np.ndarray) -> None:
-        """Marks contacts of agents (num_agents, 3) from those in `data`."""
+        """Marks contacts of agents (num_agents, num_kinds) from those in `data`."""
         if data.ncon == 0:
             return
         first, second = data.contact.geom.T
         for a, b in ((first, second), (second, first)):
-            agents = self._kind[a] == AGENT
+            agents = self._kind[a] == ObstacleKind.AGENT
             touched[self._agent[a[agents]], self._kind[b[agents]]] = True
 
 
@@ -198,7 +217,7 @@ def _read_back(
 
 
 def _classify_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Kind of each geom (`AGENT`... or -1), and the index of its agent (or -1)."""
+    """`ObstacleKind` of each geom, movers apart, and its agent; -1 = none."""
     kind = np.full(model.ngeom, -1)
     agent = np.full(model.ngeom, -1)
     for geom in range(model.ngeom):
@@ -206,9 +225,10 @@ def _classify_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
         if name.endswith("/hull"):
             owner = name.removesuffix("/hull")
             if owner.startswith("agent"):
-                kind[geom], agent[geom] = AGENT, int(owner.removeprefix("agent"))
+                kind[geom] = ObstacleKind.AGENT
+                agent[geom] = int(owner.removeprefix("agent"))
             else:
-                kind[geom] = PARKED_CAR
+                kind[geom] = ObstacleKind.PARKED_CAR
         elif name.startswith(("wall", "disc")):
-            kind[geom] = WALL
+            kind[geom] = ObstacleKind.WALL
     return kind, agent

@@ -95,16 +95,22 @@ class Shape(NamedTuple):
     is_person: bool
 
 
+def _solid(group: Group, size: np.ndarray) -> Part:
+    """The solid of an obstacle of a size, (2,) of boxes and () of discs [m]."""
+    half = MOVER_HEIGHTS[type(group)] / 2
+    if isinstance(group, Boxes):
+        return Part(_BOX, (0, 0, half), (*size / 2, half), materials.MOVER)
+    return Part(_CYLINDER, (0, 0, half), (float(size), half, 0), materials.MOVER)
+
+
 def _shape(group: Group, row: int, number: int) -> Shape:
-    size, high = np.asarray(group.size, float)[row], MOVER_HEIGHTS[type(group)]
+    size = np.asarray(group.size, float)[row]
+    solid = _solid(group, size)
     if isinstance(group, Boxes):
         long = size[0] > LONGER_IS_CAR
-        half = (*size / 2, high / 2)
-        solid = Part(_BOX, (0, 0, high / 2), half, materials.MOVER)
         scale = np.array([*size / 2, 1.0])
         return Shape(_CAR if long else _CART, solid, scale, False)
     radius, is_person = float(size), group.kind == ObstacleKind.PERSON
-    solid = Part(_CYLINDER, (0, 0, high / 2), (radius, high / 2, 0), materials.MOVER)
     if is_person:
         return Shape(_person(number), solid, np.full(3, radius / RADIUS), True)
     return Shape([solid], solid, np.ones(3), False)
@@ -135,6 +141,34 @@ def add_movers(spec: mujoco.MjSpec, groups: Sequence[Group]) -> None:
     for name, (pos, quat) in Walkers().places(groups).items():
         body = spec.body(name)
         body.pos, body.quat = pos, quat
+
+
+def add_solids(
+    spec: mujoco.MjSpec, groups: Sequence[Group], hulls: Sequence[str]
+) -> None:
+    """Bodies `mover0`... of the solids alone, which only the geoms `hulls` touch.
+
+    So the door of a parked car and people between two of them do not push these.
+
+    Args:
+        spec: the scene.
+        groups: obstacles, or their shapes instead of arrays; their sizes are set later.
+        hulls: names of geoms.
+    """
+    slide, spin, roll = COLLIDES["friction"]
+    for number, group, _ in _rows(groups):
+        name, solid = f"mover{number}", _solid(group, np.ones(group.size.shape[1:]))
+        body = spec.worldbody.add_body(name=name, mocap=True)
+        still = {"group": HULL_GROUP, "contype": 0, "conaffinity": 0}
+        _add_geom(body, solid, np.ones(3), name, **still)
+        for hull in hulls:
+            spec.add_pair(
+                geomname1=name,
+                geomname2=hull,
+                condim=3,
+                friction=[slide, slide, spin, roll, roll],
+                solref=COLLIDES["solref"],
+            )
 
 
 def _add_geom(

@@ -46,7 +46,7 @@ CRUSH_FREQUENCY = 26.0  # rad/s
 # SAE 931842); 0.3 with this.
 CRUSH_DAMPING = 0.5
 # Cars, walls and parked cars touch each other; sheet metal slides on sheet metal.
-COLLIDES = {
+COLLIDES: dict[str, Any] = {
     "contype": 1,
     "conaffinity": 1,
     "friction": [0.4, 0.005, 0.0001],

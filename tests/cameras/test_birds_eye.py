@@ -8,6 +8,7 @@ import shapely
 from helpers.scenes import cars, lot, moved, moved_cars, moved_lot, polygons
 from helpers.states import parked_at, state_of
 
+from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.cameras import BirdsEye, Seen, channels, see_from_above
 
 CONFIG = BirdsEye(pixels=60, span=20.0)
@@ -78,6 +79,20 @@ def test_lines_are_as_wide_as_painted():
     area = 2 * 6.0 * 0.1 + 0.1 * (3.0 - 0.1)
     assert line.sum() * pixel**2 == pytest.approx(area, rel=0.02)
     assert line[-100:].sum() > 2 * line[:100].sum()  # the far end is behind
+
+
+@pytest.mark.parametrize("layout", ["lot", "angled", "dragon_lake"])
+def test_a_small_view_is_the_middle_of_a_large_one(layout):
+    env = ParkingEnv(EnvConfig(layout=layout, num_agents=2, num_parked_cars=12))
+    lots, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 8))
+    small, large = (
+        np.asarray(jax.jit(jax.vmap(lambda lot, c=c: see_from_above(c, lot)))(lots))
+        for c in (BirdsEye(24, 8.0), BirdsEye(240, 80.0))
+    )
+    # Where a pixel's middle lies on an edge, rounding decides.
+    same = small == large[..., 108:132, 108:132]
+    assert same.mean() > 0.999
+    assert {Seen.OWN_CAR, Seen.LINE, Seen.BAY} < {*np.unique(small)}
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 import carpark_mj
+from carpark_mj import ParkingEnv
 from carpark_mj.cameras import Heights, Seen, see
 from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import ENCODERS, EnvConfig, GoalConfig, RayConfig, RingConfig
 from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.observations import unpack as unpack_fields
+from carpark_mj.observations.fields import FAR
+from carpark_mj.observations.sensors import observed
 from carpark_mj.registry import environment
 from carpark_mj.wrappers.gymnasium_env import ParkEnv
 from carpark_mj.wrappers.gymnasium_vector import ParkVectorEnv
@@ -135,8 +138,33 @@ def test_a_goal_that_is_only_seen_is_in_no_number():
         dataclasses.replace(CONFIG, observation=seen, goals=GoalConfig(dynamic=True))
 
 
-def test_who_sees_is_told_of_no_other_car_and_no_wall():
+def test_a_route_leads_to_the_goal_until_a_camera_sees_it():
+    seeing = dataclasses.replace(environment("sees").observation, width=24, height=18)
+    config = dataclasses.replace(environment("sees"), layout="lot", observation=seeing)
+    told = dataclasses.replace(seeing, goal="pose")
+    keys = jax.random.split(jax.random.key(0), 32)
+    state, _ = jax.jit(jax.vmap(ParkingEnv(config).reset))(keys)
+    seen, all_told = (
+        jax.device_get(jax.jit(jax.vmap(functools.partial(x.values, config)))(state))
+        for x in (seeing, told)
+    )
+    goal = jax.vmap(lambda layout, bay: layout.bay_pose[bay])(state.layout, state.goal)
+    # On the last stretch the route's next point is as far off as the goal.
+    offset = np.asarray(goal - jax.vmap(observed)(state).pose_w)[..., :2]
+    reach = np.linalg.norm(all_told["route_next"], axis=-1) * FAR
+    last = np.abs(reach - np.linalg.norm(offset, axis=-1)) < 1e-3
+    in_view = (seen["camera_seen"] == Seen.OWN_BAY).any(axis=-1)
+    for name in ("route_next", "route_length"):
+        silent = (seen[name] == 0.0).all(axis=-1)
+        np.testing.assert_array_equal(silent, last & in_view)
+        np.testing.assert_array_equal(seen[name][~silent], all_told[name][~silent])
+    assert (last & in_view).any() and (last & ~in_view).any() and (~last).any()
+
+
+def test_who_sees_is_told_of_no_other_car_no_wall_and_no_goal():
     fields = make_fields(environment("sees"))
+    told = {field.name for field in fields if field.reveals_goal}
+    assert told == {"route_next", "route_length", "camera_seen"}
     assert not {field.group for field in fields} - {""}
     assert not {field.name for field in fields} & {"rays", "ultrasound"}
     assert not any(field.name.startswith("ring_") for field in fields)
@@ -157,7 +185,6 @@ def test_it_is_chosen_by_name():
         ({"reach": 0.0}, "reach must be positive"),
         ({"goal": "told"}, "unknown goal 'told'"),
         ({"goal": "seen", "channels": ("depth",)}, "goal 'seen' needs the channel"),
-        ({"goal": "seen", "route": True}, "route tells where the goal is"),
         ({"goal": "seen", "lines": True}, "lines tells where the goal is"),
     ],
 )

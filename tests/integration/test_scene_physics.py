@@ -15,10 +15,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import box_distance
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
-from carpark_mj.studies.busy.scripts import ScriptedBox, ScriptedPerson
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.vehicle.drive import roll_freely
@@ -304,37 +302,6 @@ def test_an_agent_that_finishes_stays_in_the_way_and_is_pushed():
         state, timestep = step(state, jnp.array([[0.0, 1.0], [0.3, 1.0]]))
     assert np.abs(np.asarray(state.motion.pose_w) - before).max() < 1e-2
     assert not timestep.events.done.any()
-
-
-def test_who_is_hit_is_reported_as_in_mjx_and_exerts_no_force():
-    person = ScriptedPerson(start=(1.0, 0.0, 0.0), trigger=1e-3)  # both stand
-    cart = ScriptedBox(start=(1.0, 7.0, 0.0), trigger=1e-3, size=(1.0, 0.6))
-    faces = np.array([1.0 - person.size[0] / 2, 1.0 - cart.size[0] / 2])
-    start = ResetOptions(pose=jnp.array([[-4.0, 0.0, 0.0], [-4.0, 7.0, 0.0]]))
-    driven = []
-    for physics in ("mjx", "scene"):
-        config = EnvConfig(num_parked_cars=0, physics=physics, movers=(person, cart))
-        env = ParkingEnv(config)
-        state, _ = jax.jit(env.reset)(jax.random.key(0), options=start)
-        step = jax.jit(env.step)
-        steps = []
-        while len(steps) < 20:
-            state, timestep = step(state, jnp.array([[0.0, 1.0]] * 2))
-            events = timestep.events
-            hits = jnp.stack([events.hit_person, events.hit_mover], axis=-1)
-            steps.append((hits, events.done, timestep.motion.trace_w))
-        driven.append([np.stack(x) for x in zip(*steps, strict=True)])
-    (hits, done, trace), judged = driven
-    last = done.argmax(axis=0)  # of the first episodes
-    for agent in range(2):
-        first = slice(last[agent] + 1)
-        for one, other in zip((hits, done), judged[:2], strict=True):
-            np.testing.assert_array_equal(one[first, agent], other[first, agent])
-        assert list(hits[last[agent], agent]) == [agent == 0, agent == 1]
-        own = trace[first, agent], judged[2][first, agent]
-        np.testing.assert_allclose(*own, atol=1e-4)
-        # So far into it that a solid would have stopped the car.
-        assert own[1][-1, -1, 0] + COMPACT.length / 2 > faces[agent] + 0.1
 
 
 def test_a_moved_parked_car_is_put_there_and_a_pushed_one_stays_pushed():

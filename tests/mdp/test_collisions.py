@@ -19,17 +19,18 @@ from helpers.scenes import (
 )
 from helpers.states import any_hit, parked_at, parked_in, state_of
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
+from carpark_mj.config import EnvConfig, EpisodeConfig, ObstacleKind, SimConfig
+from carpark_mj.geometry.obstacles import NO_MOVERS, Discs, Movers
 from carpark_mj.layouts import WallKind, build, make_layout
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.kerbs import HEIGHT, find_hits_and_kerbs, low_obstacles, stops
 
 
 @jax.jit
-def hits_of(layout, motion, parked_cars=None, hitbox_scale=1.0):
+def hits_of(layout, motion, parked_cars=None, hitbox_scale=1.0, movers=NO_MOVERS):
     """What agents touch; nobody is parked by default."""
     parked_cars = parked_at() if parked_cars is None else parked_cars
-    state = state_of(layout, motion, 0, parked_cars=parked_cars)
+    state = state_of(layout, motion, 0, parked_cars=parked_cars, movers=movers)
     return find_hits(state, hitbox_scale)
 
 
@@ -156,6 +157,16 @@ def test_physics_with_contacts_says_itself_what_was_touched():
         hits = hits_of(FAR_LOT, motion, hitbox_scale=scale)
         np.testing.assert_array_equal(np.stack([*hits.values()], axis=-1), touched)
         assert any_hit(hits).tolist() == [True, True]
+
+
+def test_contacts_with_movers_count_where_the_lot_has_such():
+    touched = jnp.array([[False, False, False, True, False, True], [False] * 6])
+    motion = crossing(False).replace(touched=touched)
+    far = Discs(jnp.array([[90.0, 0.0]]), jnp.ones(1), kind=ObstacleKind.DRIVER)
+    hits = hits_of(FAR_LOT, motion, movers=Movers((), ((far,),)))
+    assert sorted(hits) == ["agent", "driver", "parked_car", "wall"]
+    assert hits["driver"].tolist() == [True, False]
+    assert any_hit(hits_of(FAR_LOT, motion)).tolist() == [False, False]
 
 
 def test_a_parked_car_is_hit_where_it_stands_and_not_in_its_bay():

@@ -2,7 +2,8 @@
 
 It goes straight, and back if it returns. Like pedestrians it never steps into the
 stopping zone of a car (`carpark_mj.movers.stopping`): it waits, so that every contact
-can be avoided.
+can be avoided. It passes a car that stands at a smaller distance, or both would wait
+for each other.
 """
 
 import dataclasses
@@ -16,11 +17,13 @@ from carpark_mj.config.checks import require_at_least, require_positive
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import box_distance, boxes_overlap, rotate, to_local
 from carpark_mj.layouts import Layout
-from carpark_mj.movers.stopping import STILL, stopping_zones
+from carpark_mj.movers.stopping import MARGIN, STILL, cars_of, stopping_zones
 from carpark_mj.obstacles import Boxes, Discs
 from carpark_mj.types import State
 
 WAITS = -1.0  # s, clock of one that has not set out
+STANDS = 0.05  # m/s, the speed below which a car stands
+PASSING = 0.1  # m, the margin of the zone of a car that stands, instead of `MARGIN`
 
 
 @struct.dataclass
@@ -123,11 +126,14 @@ def _is_free(now: Script, there: Script, lot: State, dt: float) -> jax.Array:
     A zone is a box here, and a person one, too.
     """
     zones = stopping_zones(lot, dt)
+    stands = jnp.abs(cars_of(lot, dt).speed) < STANDS
+    less = jnp.where(stands, MARGIN - PASSING, 0.0)
     middle = jnp.stack([(zones.ahead - zones.behind) / 2, 0 * zones.aside], axis=-1)
     yaw = zones.pose[:, 2]
     xy = zones.pose[:, :2] + rotate(middle, yaw)
     zone = jnp.concatenate([xy, yaw[:, None]], axis=-1)
     size = jnp.stack([zones.ahead + zones.behind, 2 * zones.aside], axis=-1)
+    size = size - 2 * less[:, None]
 
     def seen(script: Script) -> tuple[jax.Array, jax.Array]:
         over = boxes_overlap(zone, size, script.pose, script.size)

@@ -92,7 +92,7 @@ CONSIDERATE = dataclasses.replace(
     env=environment("considerate"),
 )
 # Pictures take the time: fewer steps in an update, and as many in all as an H200 makes
-# in 21 minutes. Who knows where the others are shows at first what to do.
+# in 21 minutes. Who knows where all is shows what to do.
 SEES = dataclasses.replace(
     ANYWHERE,
     preset="sees",
@@ -100,7 +100,9 @@ SEES = dataclasses.replace(
     num_lots=1024,
     num_minibatches=8,
     learning_rate=5e-4,
-    curriculum=dataclasses.replace(ANYWHERE.curriculum, teacher="anywhere"),
+    curriculum=dataclasses.replace(
+        ANYWHERE.curriculum, teacher="anywhere", teacher_until=0.9
+    ),
     networks=NetworkConfig((256, 256), (256, 256, 256), min_std=0.1),
     env=environment("sees"),
 )

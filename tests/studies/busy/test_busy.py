@@ -18,6 +18,7 @@ from carpark_mj.studies.busy.held_out import CART, CASES, GROUPS
 from carpark_mj.studies.busy.scripts import ScriptedBox, ScriptedPerson
 from carpark_mj.studies.hope.suite import suite_env
 from carpark_mj.studies.hope.suite_cases import level_env, pick_cases
+from carpark_mj.vehicle import preset
 
 
 def test_the_file_is_drawn_again_to_the_last_byte(tmp_path):
@@ -99,7 +100,7 @@ def drive():
     env = ParkingEnv(config, SlidePhysics())
 
     @jax.jit
-    def run(x, looks):
+    def run(x, looks, pace=1.0):
         pose = jnp.stack([x, 0.0, 0.0])[None]
         options = ResetOptions(pose=pose, goal=jnp.array([9]))
         state, _ = env.reset_to_layout(
@@ -114,7 +115,7 @@ def drive():
             nose = motion.pose_w[0, 0] + motion.size[0, 0] / 2
             ahead = group.pose_w[0] - jnp.stack([nose, motion.pose_w[0, 1]])
             near = (ahead[0] > -1.0) & (ahead[0] < 2.5) & (jnp.abs(ahead[1]) < 3.0)
-            pedal = jnp.where(near & looks, 0.0, 1.0)
+            pedal = jnp.where(near & looks, 0.0, pace)
             after, timestep = env.step(state, jnp.stack([0.0, pedal])[None])
             return after, (timestep.events.hit_person[0], group.pose_w[0, 1])
 
@@ -133,3 +134,12 @@ def test_who_stops_for_people_hits_nobody_and_who_does_not_hits_some(drive, look
         if looks:  # nor does the person wait for ever
             assert y.min() < -1.9
     assert any(hits) != looks
+
+
+@pytest.mark.parametrize(("gap", "crosses"), [(0.12, False), (0.25, True)])
+def test_a_person_passes_before_a_car_that_stands(drive, gap, crosses):
+    length = preset(EnvConfig().vehicle).length
+    x = np.float32(-ScriptedPerson().size[0] / 2 - gap - length / 2)
+    hit, y = drive(x, False, 0.0)
+    assert not hit.any()
+    assert (y.min() < -1.9) == crosses
