@@ -107,6 +107,7 @@ def test_nobody_starts_on_people_or_on_what_stands_among_them(vehicle):
         vehicle=vehicle,
         num_agents=2,
         num_parked_cars=8,
+        spawn=SpawnConfig(min_distance=0.0, num_candidates=1),
         movers=("pedestrians:number=20",),
     )
     env = ParkingEnv(config, SlidePhysics())
