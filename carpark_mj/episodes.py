@@ -82,10 +82,11 @@ class Episodes:
         most = min(lot.min_bays // 2, lot.min_goals)
         self._movers = make_movers(config.movers)
         # Contacts can push parked cars into spawn regions, and movers can drive there.
-        disturbed = config.physics_config.contacts or bool(self._movers)
-        self._may_touch = disturbed or not all(
+        clear = not config.physics_config.contacts and all(
             _starts_are_free(lot, car) for car in fleet.agents
         )
+        self._may_touch = bool(self._movers) or not clear
+        self._only_movers = clear and bool(self._movers) and not fleet.mixed
         room = False
         if layout is not None and not self._may_touch:
             length = max(car.length for car in fleet.agents)
@@ -317,7 +318,9 @@ class Episodes:
         fits = bay_fits(self._config, layout, new.size, parked_cars.size)
         sized = self._fleet.mixed or self._may_touch
         sizes = (new.size, old.size) if sized else (None, None)
-        return SpawnInputs(layout, parked_cars, *sizes, fits, new, movers)
+        return SpawnInputs(
+            layout, parked_cars, *sizes, fits, new, movers, self._only_movers
+        )
 
     def _split(self, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """The lot's next key, and one each for vehicles and sensors, if they vary."""

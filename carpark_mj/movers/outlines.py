@@ -7,26 +7,31 @@ AWAY = 1e6  # m, where boxes are that do not count
 
 
 def outlines(pose: jax.Array, size: jax.Array, mask: jax.Array) -> jax.Array:
-    """Boxes (n, 3), (n, 2), (n,) as x, y, cos, sin, half length and half width."""
-    xy = jnp.where(mask[:, None], pose[:, :2], AWAY)
-    yaw = pose[:, 2:]
-    return jnp.concatenate([xy, jnp.cos(yaw), jnp.sin(yaw), size / 2], axis=-1)
+    """Boxes (n, 3), (n, 2), (n,) as (6, n).
+
+    X, y, cos, sin, half length and half width; each of them lies in one row, as loops
+    over boxes want it.
+    """
+    x, y, yaw = pose.T
+    half_x, half_y = size.T / 2
+    x, y = jnp.where(mask, x, AWAY), jnp.where(mask, y, AWAY)
+    return jnp.stack([x, y, jnp.cos(yaw), jnp.sin(yaw), half_x, half_y])
 
 
 def offsets(xy: jax.Array, boxes: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """X and y [m] from the nearest points of boxes (..., 6) to points (..., 2).
+    """X and y [m] from the nearest points of boxes (6, ...) to points (..., 2).
 
     In the boxes' frames; 0 inside.
     """
-    x, y, cos, sin, half_x, half_y = jnp.moveaxis(boxes, -1, 0)
+    x, y, cos, sin, half_x, half_y = boxes
     x, y = xy[..., 0] - x, xy[..., 1] - y
     x, y = cos * x + sin * y, cos * y - sin * x
     return x - jnp.clip(x, -half_x, half_x), y - jnp.clip(y, -half_y, half_y)
 
 
 def meet(start: jax.Array, end: jax.Array, boxes: jax.Array) -> jax.Array:
-    """Whether ways between points (n, 2) meet any of the boxes (m, 6), (n,) bool."""
-    x, y, cos, sin, half_x, half_y = jnp.moveaxis(boxes, -1, 0)
+    """Whether ways between points (n, 2) meet any of the boxes (6, m), (n,) bool."""
+    x, y, cos, sin, half_x, half_y = boxes
 
     def turn(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         return cos * x + sin * y, cos * y - sin * x
@@ -39,3 +44,12 @@ def meet(start: jax.Array, end: jax.Array, boxes: jax.Array) -> jax.Array:
     meets = (jnp.abs(x) < half_x + long) & (jnp.abs(y) < half_y + wide)
     across = jnp.abs(way_x * y - way_y * x) <= half_x * wide + half_y * long
     return (meets & across).any(axis=1)
+
+
+def columns(x: jax.Array, y: jax.Array) -> jax.Array:
+    """Vectors (n, 2) of x and y (n,): a stack that XLA computes once on a CPU.
+
+    Into one by `jnp.stack` it would fuse all that x and y are made of, which hinders
+    vectorisation.
+    """
+    return jnp.where(jnp.arange(2) == 0, x[:, None], y[:, None])

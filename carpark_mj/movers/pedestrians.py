@@ -130,7 +130,8 @@ class Pedestrians(Mover):
             clock=-jax.random.uniform(next(keys), (n,), maxval=FIRST_REST)[leader],
             halted=jnp.zeros(n),
             near=jnp.broadcast_to(
-                jnp.array([AWAY, AWAY, 1.0, 0.0, 0.0, 0.0]), (n, NEAR, 6)
+                jnp.array([AWAY, AWAY, 1.0, 0.0, 0.0, 0.0])[:, None, None],
+                (6, n, NEAR),
             ),
             turn=jnp.int32(0),
             places=places,

@@ -28,7 +28,7 @@ class People:
         inside: bool, whether it ends between parked cars.
         clock: time since the phase began; negative = of rest left [s].
         halted: time without headway, on the way or by a car that waits [s].
-        near: (n, k, 6) outlines of parked cars and walls that are near.
+        near: (6, n, k) `outlines` of parked cars and walls that are near.
         turn: () int32, whose are looked up next.
         places: of the lot.
     """

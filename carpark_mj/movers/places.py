@@ -27,8 +27,8 @@ class Places:
         edge: (n, 2) in the aisle [m], where walks begin and end.
         inner: (n, 2) between the cars of two bays [m]; of other places the edge.
         mask: (n,) bool, which of them can be reached.
-        blocks: (m, 6) `outlines` that walks must not meet: bays, and walls grown.
-        walls: (k, 6) those of walls and discs.
+        blocks: (6, m) `outlines` that walks must not meet: bays, and walls grown.
+        walls: (6, k) those of walls and discs.
     """
 
     edge: jax.Array
@@ -45,7 +45,7 @@ def make_places(layout: Layout) -> Places:
         outlines(layout.bay_pose, layout.bay_size, layout.bay_mask),
         outlines(layout.wall_pose, layout.wall_size + GROWN, layout.wall_mask),
     ]
-    blocks = jnp.concatenate(blocks)
+    blocks = jnp.concatenate(blocks, axis=1)
     pose, size = layout.lane_pose, layout.lane_size
     end = jnp.maximum(size[:, :1] / 2 - INSET, 0.0)
     ahead = rotate(jnp.array([1.0, 0.0]), pose[:, 2]) * end
@@ -69,14 +69,15 @@ def make_places(layout: Layout) -> Places:
 
 
 def _walls(layout: Layout) -> jax.Array:
-    """Outlines (k, 6) of walls, and of discs as squares."""
+    """Outlines (6, k) of walls, and of discs as squares."""
     pose = jnp.pad(layout.disc_centre, ((0, 0), (0, 1)))
     size = jnp.repeat(2.0 * layout.disc_radius[:, None], 2, axis=1)
     return jnp.concatenate(
         [
             outlines(layout.wall_pose, layout.wall_size, layout.wall_mask),
             outlines(pose, size, layout.disc_mask),
-        ]
+        ],
+        axis=1,
     )
 
 

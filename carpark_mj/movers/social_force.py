@@ -34,17 +34,16 @@ def push(offset: Pair, speed: jax.Array, heading: jax.Array) -> Pair:
     x, y = offset
     stride = speed * STEP_TIME
     ahead_x, ahead_y = x - stride * heading[:, 0], y - stride * heading[:, 1]
-    # Reciprocal square roots: quotients would take most of the time.
-    near, far = x * x + y * y + TINY, ahead_x * ahead_x + ahead_y * ahead_y + TINY
-    by_near, by_far = jax.lax.rsqrt(near), jax.lax.rsqrt(far)
-    both = near * by_near + far * by_far
+    near = jnp.sqrt(x * x + y * y + TINY)
+    far = jnp.sqrt(ahead_x * ahead_x + ahead_y * ahead_y + TINY)
+    both = near + far
     # Twice the semi-minor axis of the ellipse with foci at the ends of the step.
-    axis = jnp.maximum(both * both - stride * stride, TINY)
-    by_axis = jax.lax.rsqrt(axis)
-    size = jnp.exp(-0.5 / RANGE * axis * by_axis) * both * by_axis
-    size = 0.5 * STRENGTH / RANGE * size
-    fx = size * (x * by_near + ahead_x * by_far)
-    fy = size * (y * by_near + ahead_y * by_far)
+    axis = jnp.sqrt(jnp.maximum(both * both - stride * stride, TINY))
+    # One quotient for three unit vectors: quotients would take most of the time.
+    size = 0.5 * STRENGTH / RANGE * both / (axis * near * far)
+    size = size * jnp.exp(-0.5 / RANGE * axis)
+    fx = size * (x * far + ahead_x * near)
+    fy = size * (y * far + ahead_y * near)
     towards = -(heading[:, :1] * fx + heading[:, 1:] * fy)
     behind = towards * towards > SIGHT**2 * (fx * fx + fy * fy)
     weight = jnp.where(behind & (towards < 0.0), UNSEEN, 1.0)

@@ -13,7 +13,7 @@ from flax import struct
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import boxes_overlap, move_forward, norm, wrap_angle
 from carpark_mj.geometry.obstacles import Boxes, Group
-from carpark_mj.movers.outlines import AWAY
+from carpark_mj.movers.outlines import AWAY, columns
 from carpark_mj.types import State
 from carpark_mj.vehicle.presets import CITY
 
@@ -251,6 +251,6 @@ def keep_off(
     car = jnp.argmin(jnp.where(bad, gap, jnp.inf), axis=1)[:, None]
     chosen = jnp.arange(bad.shape[1]) == car
     slid = [jnp.where(chosen, part, 0.0).sum(axis=1) for part in slid]
-    move = jnp.where(bad.any(axis=1)[:, None], jnp.stack(slid, axis=-1), move)
+    move = jnp.where(bad.any(axis=1)[:, None], columns(*slid), move)
     stuck = wrong(enter.turn(move[:, None])).any(axis=1)
     return jnp.where(stuck[:, None], 0.0, move)

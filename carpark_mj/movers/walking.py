@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import norm
 from carpark_mj.movers import social_force
-from carpark_mj.movers.outlines import AWAY, meet, offsets, outlines
+from carpark_mj.movers.outlines import AWAY, columns, meet, offsets, outlines
 from carpark_mj.movers.people import People
 from carpark_mj.movers.stopping import (
     Cars,
@@ -138,7 +138,7 @@ def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> Peopl
     here, inside = people.target[who], people.inside[who]
     # Who is in a bay, or has a car before the gap, looks out between what stands there.
     boxes = _boxes(cars)
-    blocks = jnp.concatenate([places.blocks, boxes])
+    blocks = jnp.concatenate([places.blocks, boxes], axis=1)
     start = jnp.where(inside, places.edge[here], people.xy[who])
     shut = meet(start[None], start[None], blocks)[0]
     inside = inside & ~shut
@@ -147,7 +147,7 @@ def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> Peopl
     found = jnp.minimum((chance[1:] * most).astype(jnp.int32), most - 1)
     ends = places.edge[found]
     starts = jnp.broadcast_to(start, ends.shape)
-    bodies = jnp.concatenate([_parked(lot), places.walls, boxes])
+    bodies = jnp.concatenate([_parked(lot), places.walls, boxes], axis=1)
     hidden = jnp.where(shut, meet(starts, ends, bodies), meet(starts, ends, blocks))
     good = places.mask[found] & (found != here) & ~hidden
     good = good & ~_by_waiting(ends, cars)
@@ -188,16 +188,16 @@ def _parked(lot: State) -> jax.Array:
 
 def _find_near(people: People, lot: State) -> People:
     """People of whom every eighth looks up the boxes that are near."""
-    boxes = jnp.concatenate([_parked(lot), people.places.walls])
-    n, missing = people.near.shape[0], max(NEAR - boxes.shape[0], 0)
-    boxes = jnp.pad(boxes, ((0, missing), (0, 0)), constant_values=AWAY)
+    boxes = jnp.concatenate([_parked(lot), people.places.walls], axis=1)
+    n, missing = people.near.shape[1], max(NEAR - boxes.shape[1], 0)
+    boxes = jnp.pad(boxes, ((0, 0), (0, missing)), constant_values=AWAY)
     rows = -(-n // ROUNDS)
     who = jnp.minimum(people.turn * rows + jnp.arange(rows), n - 1)
-    x, y = offsets(people.xy[who][:, None], boxes)
-    found = boxes[jax.lax.top_k(-(x * x + y * y), NEAR)[1]]
+    x, y = offsets(people.xy[who][:, None], boxes[:, None])
+    found = boxes[:, jax.lax.top_k(-(x * x + y * y), NEAR)[1]]
     # Not a scatter, which is a loop on a CPU.
     own = jnp.arange(n) // rows == people.turn
-    near = jnp.where(own[:, None, None], found[jnp.arange(n) % rows], people.near)
+    near = jnp.where(own[:, None], found[:, jnp.arange(n) % rows], people.near)
     return dataclasses.replace(people, near=near, turn=(people.turn + 1) % ROUNDS)
 
 
@@ -212,9 +212,11 @@ def _forces(people: People, cars: Cars, heading: jax.Array) -> jax.Array:
     by_distance = jax.lax.rsqrt(x * x + y * y + social_force.TINY)
     overlap = (people.radius[:, None] + people.radius) * by_distance - 1.0
     part = BODY * jnp.maximum(overlap, 0.0)
-    force = (fx + part * x).sum(axis=1), (fy + part * y).sum(axis=1)
-    borders = _border_force(xy, people.near) + _border_force(xy, _boxes(cars)[None])
-    return jnp.stack(force, axis=-1) + borders
+    near_x, near_y = _border_force(xy, people.near)
+    car_x, car_y = _border_force(xy, _boxes(cars)[:, None])
+    x = (fx + part * x).sum(axis=1) + near_x.sum(axis=1) + car_x.sum(axis=1)
+    y = (fy + part * y).sum(axis=1) + near_y.sum(axis=1) + car_y.sum(axis=1)
+    return columns(x, y)
 
 
 def _boxes(cars: Cars) -> jax.Array:
@@ -228,12 +230,11 @@ def _by_waiting(xy: jax.Array, cars: Cars) -> jax.Array:
     return ((x * x + y * y < CLOSE**2) & waits).any(axis=1)
 
 
-def _border_force(xy: jax.Array, boxes: jax.Array) -> jax.Array:
-    """Forces (n, 2) [m/s²] of boxes (n or 1, k, 6) on people."""
+def _border_force(xy: jax.Array, boxes: jax.Array) -> social_force.Pair:
+    """X and y (n, k) of the forces [m/s²] of boxes (6, n or 1, k) on people."""
     x, y = social_force.border_push(offsets(xy[:, None], boxes))
-    cos, sin = boxes[..., 2], boxes[..., 3]
-    force = cos * x - sin * y, sin * x + cos * y
-    return jnp.stack([part.sum(axis=1) for part in force], axis=-1)
+    cos, sin = boxes[2], boxes[3]
+    return cos * x - sin * y, sin * x + cos * y
 
 
 def _step_aside(people: People, enter: Zones, stop: Zones) -> jax.Array:
@@ -244,4 +245,4 @@ def _step_aside(people: People, enter: Zones, stop: Zones) -> jax.Array:
     on_way = on_way & people.attentive[:, None]
     side = jnp.where(here[..., 1] < 0.0, -1.0, 1.0) * on_way
     x, y = -(side * enter.sin).sum(axis=1), (side * enter.cos).sum(axis=1)
-    return jnp.stack([x, y], axis=-1)
+    return columns(x, y)

@@ -39,6 +39,8 @@ class SpawnInputs:
         cars: (num_agents,) parameters of the cars drawn for agents that begin; None =
             only the centres of cars are known.
         movers: where they are.
+        clear: whether starts are clear of all that stands, so that only movers can be
+            where an agent starts.
     """
 
     layout: Layout
@@ -48,6 +50,7 @@ class SpawnInputs:
     fits: BayFits
     cars: Vehicle | None = None
     movers: Movers = NO_MOVERS
+    clear: bool = struct.field(pytree_node=False, default=False)
 
 
 @struct.dataclass
@@ -111,6 +114,7 @@ class Surroundings:
             spawn.
         obstacles: all obstacles but the agents; starts do not overlap them.
         movers: those of them that `min_distance` applies to, as to agents.
+        clear: whether only movers can be where an agent starts.
     """
 
     pose_w: jax.Array
@@ -120,6 +124,7 @@ class Surroundings:
     size: jax.Array | None
     obstacles: tuple[Group, ...]
     movers: tuple[Group, ...] = ()
+    clear: bool = struct.field(pytree_node=False, default=False)
 
     def distance(self, xy: jax.Array) -> jax.Array:
         """Distance (n,) [m] of points (n, 2) to the nearest other agent's centre.
@@ -158,15 +163,19 @@ class Surroundings:
         """(n,) bool, whether the car at poses (n, 3) would overlap any but agents."""
         if self.size is None:
             return jnp.zeros(pose.shape[:1], bool)
-        return self.blocks(pose, self.size)
+        return _overlaps(pose, self.size, self.movers if self.clear else self.obstacles)
 
     def blocks(self, pose: jax.Array, size: jax.Array) -> jax.Array:
         """(n,) bool, whether a box (2,) [m] at poses (n, 3) overlaps `obstacles`."""
-        hits = [
-            (group.overlap(pose[:, None], size) & group.counts(1)).any(axis=1)
-            for group in self.obstacles
-        ]
-        return functools.reduce(jnp.logical_or, hits)
+        return _overlaps(pose, size, self.obstacles)
+
+
+def _overlaps(pose: jax.Array, size: jax.Array, groups: tuple[Group, ...]) -> jax.Array:
+    hits = [
+        (group.overlap(pose[:, None], size) & group.counts(1)).any(axis=1)
+        for group in groups
+    ]
+    return functools.reduce(jnp.logical_or, hits)
 
 
 def surroundings(
@@ -197,6 +206,7 @@ def surroundings(
         size=size,
         obstacles=lot_obstacles(inputs.layout, None, parked, inputs.movers),
         movers=inputs.movers.groups,
+        clear=inputs.clear,
     )
 
 

@@ -97,3 +97,26 @@ def test_a_car_larger_than_lots_are_made_for_starts_clear_of_them_too(vehicle):
     assert not hit.any()
     params = preset(vehicle)
     np.testing.assert_allclose(size[0], [params.length, params.width])
+
+
+@pytest.mark.parametrize("vehicle", ["van", "compact"])
+def test_nobody_starts_on_people_or_on_what_stands_among_them(vehicle):
+    """Lots have room for the compact car among what stands, but not for the van."""
+    config = EnvConfig(
+        layout="mixture",
+        vehicle=vehicle,
+        num_agents=2,
+        num_parked_cars=8,
+        spawn=SpawnConfig(min_distance=0.0, num_candidates=1),
+        movers=("pedestrians:number=20",),
+    )
+    env = ParkingEnv(config, SlidePhysics())
+
+    def hits(key):
+        state, _ = env.reset(key)
+        found = find_hits(state)
+        return {kind: hit & state.present for kind, hit in found.items()}
+
+    hit = jax.jit(jax.vmap(hits))(jax.random.split(jax.random.key(0), 200))
+    assert "person" in hit
+    assert not any(one.any() for one in hit.values())
