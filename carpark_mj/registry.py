@@ -80,8 +80,9 @@ ANYWHERE = EnvConfig(
 )
 
 # Up to four of them among people of whom more or fewer give way, carts, and drivers.
-# Whoever waits for others needs more time; who hits one has crashed, and pays `person` besides. Cars have
-# emergency braking, so that what remains to learn is to get on without it.
+# Whoever waits for others needs more time; who hits a person pays `person` besides the
+# crash. Cars have emergency braking for people: what remains to learn is to get on
+# without it.
 CONSIDERATE = dataclasses.replace(
     ANYWHERE,
     num_agents=4,
