@@ -22,7 +22,7 @@ from carpark_mj.obstacles import Boxes, Discs
 from carpark_mj.types import State
 
 WAITS = -1.0  # s, clock of one that has not set out
-STANDS = 0.05  # m/s, the speed below which a car stands
+AT_REST = 0.05  # m/s, a car that is slower stands
 PASSING = 0.1  # m, the margin of the zone of a car that stands, instead of `MARGIN`
 
 
@@ -126,7 +126,7 @@ def _is_free(now: Script, there: Script, lot: State, dt: float) -> jax.Array:
     A zone is a box here, and a person one, too.
     """
     zones = stopping_zones(lot, dt)
-    stands = jnp.abs(cars_of(lot, dt).speed) < STANDS
+    stands = jnp.abs(cars_of(lot, dt).speed) < AT_REST
     less = jnp.where(stands, MARGIN - PASSING, 0.0)
     middle = jnp.stack([(zones.ahead - zones.behind) / 2, 0 * zones.aside], axis=-1)
     yaw = zones.pose[:, 2]

@@ -82,7 +82,7 @@ CONSIDERATE = dataclasses.replace(
     preset="considerate",
     warm_start="anywhere",
     critic_steps=40_000_000,
-    num_steps=1_150_000_000,
+    num_steps=1_810_000_000,
     learning_rate=4e-4,
     entropy_cost=2e-3,
     discount=0.997,
@@ -96,7 +96,7 @@ CONSIDERATE = dataclasses.replace(
 SEES = dataclasses.replace(
     ANYWHERE,
     preset="sees",
-    num_steps=150_000_000,
+    num_steps=160_000_000,
     num_lots=1024,
     num_minibatches=8,
     learning_rate=5e-4,
