@@ -1,5 +1,6 @@
-"""Shares of the neighbours' rewards: whose they are, and what is learned from."""
+"""Shares of the neighbours' advantages: whose they are, and what is learned from."""
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,13 +11,16 @@ import pytest
 from brax.envs.base import State as BraxState
 from flax import struct
 
-from carpark_mj.training.ppo import learner as learner_module
-from carpark_mj.training.ppo.collect import collect
+from carpark_mj.config import EnvConfig
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.training.ppo import epochs
+from carpark_mj.training.ppo.advantages import compute_advantages
+from carpark_mj.training.ppo.collect import Rollout, collect
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import SHARE_RISES, neighbour_share
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.neighbours import RANGE, neighbours_mean
+from carpark_mj.training.ppo.neighbours import RANGE, neighbours, neighbours_mean
 
 
 @struct.dataclass
@@ -38,11 +42,12 @@ def lots(xy, active=None) -> Any:
     return Lots(xy, jnp.asarray(active))
 
 
-def mean(xy, reward, active=None):
+def mean(xy, values, active=None):
     """`neighbours_mean` of one lot with agents on a line, at `xy` metres."""
     xy = np.stack([xy, np.zeros(len(xy))], axis=-1)[None]
     active = None if active is None else np.array([active])
-    return np.asarray(neighbours_mean(lots(xy, active), jnp.float32(reward)))
+    near = neighbours(lots(xy, active))
+    return np.asarray(neighbours_mean(near[None], jnp.float32(values)[None]))[0]
 
 
 def test_two_share_within_the_range_and_not_beyond():
@@ -52,21 +57,22 @@ def test_two_share_within_the_range_and_not_beyond():
 
 def test_the_mean_is_of_those_nearby_that_are_present():
     # At 20 m the last is a neighbour of the second and the third only.
-    at, paid = [0.0, 6.0, 8.0, 20.0], [1.0, 2.0, 3.0, 6.0]
-    np.testing.assert_allclose(mean(at, paid), [2.5, 10 / 3, 3.0, 2.5])
+    at, worth = [0.0, 6.0, 8.0, 20.0], [1.0, 2.0, 3.0, 6.0]
+    np.testing.assert_allclose(mean(at, worth), [2.5, 10 / 3, 3.0, 2.5])
     # An absent one neither gives nor gets, wherever it stands.
     there = [True, True, False, True]
-    np.testing.assert_allclose(mean(at, paid, there), [2.0, 3.5, 0.0, 2.0])
+    np.testing.assert_allclose(mean(at, worth, there), [2.0, 3.5, 0.0, 2.0])
 
 
 def test_lots_do_not_mix_and_the_order_of_agents_does_not_matter():
     rng = np.random.default_rng(0)
-    xy, reward = rng.uniform(0, 20, (5, 6, 2)), rng.normal(size=(5, 6))
+    xy, values = rng.uniform(0, 20, (5, 6, 2)), rng.normal(size=(5, 6))
     active = rng.random((5, 6)) < 0.8
 
     def found(lot, order):
         chosen = np.ix_(lot, order)
-        given = lots(xy[chosen], active[chosen]), jnp.float32(reward[chosen].ravel())
+        near = neighbours(lots(xy[chosen], active[chosen]))
+        given = near[None], jnp.float32(values[chosen].reshape(1, -1))
         return np.asarray(neighbours_mean(*given)).reshape(len(lot), len(order))
 
     same, every = np.arange(6), found(np.arange(5), np.arange(6))
@@ -87,45 +93,22 @@ def test_the_share_rises_from_nothing_and_stays_at_its_end():
     assert neighbour_share(CurriculumConfig(), progress) is None
 
 
-@pytest.mark.parametrize(("done", "expected"), [(0.0, 0.0), (0.4, 0.25), (1.0, 0.5)])
-def test_a_training_shares_by_its_progress(monkeypatch, done, expected):
-    def told(*given, **more):
-        return more["neighbour_share"]
-
-    monkeypatch.setattr(learner_module, "collect", told)
-    monkeypatch.setattr(learner_module, "make_policy", lambda *given, **more: None)
-    config = PPOConfig(
-        num_steps=6_400_000, curriculum=CurriculumConfig(neighbour_share=0.5)
-    )
-    update = jnp.int32(done * config.num_updates)
-    state = SimpleNamespace(
-        update=update, seconds=0.0, normalizer=None, policy=None, env=None
-    )
-    share: Any = Learner(config)._collect(cast(Any, state), jax.random.key(0))
-    assert share == pytest.approx(expected, abs=5e-3)  # whole updates
-
-
 class Parting:
-    """Two agents 5 m apart go 20 m apart and stay there; every step pays the same."""
-
-    paid = jnp.array([1.0, -2.0])
+    """Two agents 5 m apart go 20 m apart and stay there."""
 
     def step(self, state, action):
         del action
-        xy = jnp.array([[[0.0, 0.0], [20.0, 0.0]]])
-        info = state.info | {"reward_terms": {"paid": self.paid}}
-        return state.replace(pipeline_state=lots(xy), reward=self.paid, info=info)
+        return state.replace(pipeline_state=lots([[[0.0, 0.0], [20.0, 0.0]]]))
 
 
-@pytest.mark.parametrize("share", [None, 0.0, 0.5])
-def test_rewards_to_learn_from_are_shared_by_where_agents_were_before_the_step(share):
+def test_neighbours_are_those_from_before_the_step():
     zero = jnp.zeros(2)
     info = {
         "truncation": zero,
         "episode_done": zero,
         "present": jnp.ones(2),
         "episode_metrics": {},
-        "reward_terms": {"paid": zero},
+        "reward_terms": {},
     }
     state = BraxState(
         lots([[[0.0, 0.0], [5.0, 0.0]]]), jnp.zeros((2, 1)), zero, zero, {}, info
@@ -135,10 +118,94 @@ def test_rewards_to_learn_from_are_shared_by_where_agents_were_before_the_step(s
         del key
         return observation, {"raw_action": observation, "log_prob": zero}
 
-    given = None if share is None else jnp.float32(share)
-    key = jax.random.key(0)
-    _, rollout, totals = collect(cast(Any, Parting()), state, act, key, 2, {}, given)
-    near = (share or 0.0) * np.array([-2.0, 1.0])
-    np.testing.assert_array_equal(rollout.reward, [Parting.paid + near, Parting.paid])
-    # What is reported knows nothing of it.
-    np.testing.assert_array_equal(totals.reward_terms["paid"], 2 * Parting.paid)
+    def collected(**more):
+        key = jax.random.key(0)
+        return collect(cast(Any, Parting()), state, act, key, 2, {}, **more)[1].near
+
+    near = collected(with_neighbours=True)
+    np.testing.assert_array_equal(near, [[[0, 1], [1, 0]], [[0, 0], [0, 0]]])
+    assert collected() is None
+
+
+LOTS, AGENTS, TIME = 6, 3, 4
+
+
+def learned(monkeypatch, share, near, weight):
+    """Advantages with the share at its end, and those of each alone, (time, kept)."""
+    config = PPOConfig(
+        num_steps=1,
+        num_lots=LOTS,
+        num_minibatches=1,
+        num_epochs=1,
+        unroll_length=TIME,
+        env=EnvConfig(num_agents=AGENTS, min_agents=1),
+        curriculum=CurriculumConfig(neighbour_share=share),
+        networks=NetworkConfig((4,), (4,), encoder="flat"),
+    )
+    learner = Learner(config)
+    state = learner.begin(jax.random.key(0))
+    rng = np.random.default_rng(1)
+    count = LOTS * AGENTS
+    size = state.env.obs.shape[-1]
+    rollout = Rollout(
+        observation=jnp.zeros((TIME, count, size)),
+        raw_action=jnp.zeros((TIME, count, 2)),
+        log_prob=jnp.zeros((TIME, count)),
+        reward=jnp.float32(rng.normal(size=(TIME, count))),
+        terminated=jnp.zeros((TIME, count)),
+        truncated=jnp.zeros((TIME, count)),
+        final_observation=jnp.zeros((count, size)),
+        weight=weight,
+        near=near,
+    )
+    found = []
+
+    def watched(*given):
+        found.append(compute_advantages(*given))
+        return found[-1]
+
+    def prepared(prepare, params, networks, normalizer):
+        del networks, normalizer
+        found.append(prepare(params))
+        raise StopIteration
+
+    monkeypatch.setattr(epochs, "compute_advantages", watched)
+    monkeypatch.setattr(
+        epochs, "variant", lambda name: SimpleNamespace(normalizes=0, prepared=prepared)
+    )
+    state = dataclasses.replace(state, update=jnp.int32(config.num_updates))
+    given = config, learner.networks, learner.inputs, learner.optimizer, state
+    with pytest.raises(StopIteration):
+        epochs.learn(*given, rollout, jax.random.key(2))
+    (own, targets), steps = found
+    np.testing.assert_array_equal(steps.target, targets)  # the critic's are its own
+    return np.asarray(steps.advantage), np.asarray(own), np.asarray(steps.weight)
+
+
+def test_advantages_to_learn_from_have_the_neighbours_share(monkeypatch):
+    all_near = jnp.ones((TIME, LOTS * AGENTS, AGENTS), bool)
+    near = all_near & ~jnp.tile(jnp.eye(AGENTS, dtype=bool), (LOTS, 1))
+    together, own, _ = learned(monkeypatch, 0.5, near, None)
+    lot = own.reshape(TIME, LOTS, AGENTS)
+    theirs = (lot.sum(axis=-1, keepdims=True) - lot) / (AGENTS - 1)
+    np.testing.assert_allclose(together, own + 0.5 * theirs.reshape(own.shape), 1e-5)
+    together, own, _ = learned(monkeypatch, 0.0, None, None)
+    np.testing.assert_array_equal(together, own)
+
+
+def test_shares_are_of_the_own_lot_where_absent_agents_are_dropped(monkeypatch):
+    """The agents kept are in another order; one of three is absent in every lot."""
+    present = np.ones((LOTS, AGENTS), bool)
+    present[np.arange(LOTS), np.arange(LOTS) % AGENTS] = False
+    both = present[:, :, None] & present[:, None] & ~np.eye(AGENTS, dtype=bool)
+    near = jnp.broadcast_to(
+        jnp.asarray(both.reshape(-1, AGENTS)), (TIME, LOTS * AGENTS, AGENTS)
+    )
+    weight = jnp.broadcast_to(jnp.float32(present.ravel()), near.shape[:2])
+    together, own, kept = learned(monkeypatch, 1.0, near, weight)
+    assert kept[0].sum() == present.sum()  # nobody present was dropped
+    # With the whole share two that are near learn from the same.
+    shared, alone = together[0, kept[0] > 0], own[0, kept[0] > 0]
+    assert len(np.unique(shared.round(4))) == LOTS
+    assert len(np.unique(alone.round(4))) == present.sum()
+    np.testing.assert_allclose(shared.sum(), 2 * alone.sum(), rtol=1e-4)

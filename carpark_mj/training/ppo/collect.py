@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.training.ppo.neighbours import neighbours_mean
+from carpark_mj.training.ppo.neighbours import neighbours
 from carpark_mj.wrappers.brax import BraxParking
 
 # `(observation, key) -> (action, extras)` with Brax's extras of a stochastic policy.
@@ -32,6 +32,8 @@ class Rollout:
         weight: 0.0 of steps that are not to be learned from, those of absent agents,
             else 1.0; None = all 1.
         advice: actions of a teacher; None = there is none.
+        near: (time, agents, agents of a lot) bool before the step, see `neighbours`;
+            None = nobody asks.
     """
 
     observation: jax.Array
@@ -43,6 +45,7 @@ class Rollout:
     final_observation: jax.Array
     weight: jax.Array | None = None
     advice: jax.Array | None = None
+    near: jax.Array | None = None
 
 
 @struct.dataclass
@@ -67,7 +70,7 @@ def collect(
     key: jax.Array,
     length: int,
     scales: Mapping[str, jax.Array],
-    neighbour_share: jax.Array | None = None,
+    with_neighbours: bool = False,
     teacher: Teacher | None = None,
 ) -> tuple[Any, Rollout, Totals]:
     """Drives all agents for some steps; returns the state after them as well.
@@ -80,8 +83,7 @@ def collect(
         length: steps.
         scales: () factors on reward terms, by name, in the rewards to learn from. What
             is reported has none.
-        neighbour_share: () weight of the neighbours' mean reward in the rewards to
-            learn from, see `neighbours_mean`; None = 0.
+        with_neighbours: whether to give `Rollout.near`.
         teacher: gives `Rollout.advice`.
     """
 
@@ -95,9 +97,6 @@ def collect(
         sums = Totals(done, ended, info["reward_terms"])
         totals = jax.tree.map(jnp.add, totals, sums)
         reward = after.reward + _change(scales, info["reward_terms"])
-        if neighbour_share is not None:
-            lots: Any = state.pipeline_state
-            reward += neighbour_share * neighbours_mean(lots, reward)
         taken = (
             state.obs,
             drawn["raw_action"],
@@ -106,25 +105,26 @@ def collect(
             done - info["truncation"],
             info["truncation"],
         )
-        advice = teacher(state.pipeline_state) if teacher is not None else None
-        return (after, totals), (taken, state.info["present"], advice)
+        lots: Any = state.pipeline_state
+        advice = teacher(lots) if teacher is not None else None
+        near = neighbours(lots) if with_neighbours else None
+        return (after, totals), (taken, state.info["present"], advice, near)
 
     info = env_state.info
     zeros = jax.tree.map(
         jnp.zeros_like,
         Totals(info["episode_done"], info["episode_metrics"], info["reward_terms"]),
     )
-    (env_state, totals), (taken, present, advice) = jax.lax.scan(
+    (env_state, totals), (taken, *others) = jax.lax.scan(
         step, (env_state, zeros), jax.random.split(key, length)
     )
-    rollout = Rollout(
-        *taken, final_observation=env_state.obs, weight=present, advice=advice
-    )
-    return env_state, rollout, totals
+    return env_state, Rollout(*taken, env_state.obs, *others), totals
 
 
-def drop_absent(rollout: Rollout, count: int, key: jax.Array) -> Rollout:
-    """The rollout of fewer agents, absent ones dropped first.
+def drop_absent(
+    rollout: Rollout, count: int, key: jax.Array
+) -> tuple[Rollout, jax.Array]:
+    """The rollout of fewer agents, absent ones dropped first, and which are kept.
 
     Where more are present than are kept, some of those are dropped at random.
 
@@ -139,7 +139,7 @@ def drop_absent(rollout: Rollout, count: int, key: jax.Array) -> Rollout:
     final_observation = rollout.final_observation[kept]
     rollout = dataclasses.replace(rollout, final_observation=jnp.zeros(()))
     rollout = jax.tree.map(lambda x: x[:, kept] if x.ndim else x, rollout)
-    return dataclasses.replace(rollout, final_observation=final_observation)
+    return dataclasses.replace(rollout, final_observation=final_observation), kept
 
 
 def _change(

@@ -38,7 +38,7 @@ def discount(config: PPOConfig, progress: jax.Array) -> jax.Array:
 
 
 def neighbour_share(config: CurriculumConfig, progress: jax.Array) -> jax.Array | None:
-    """Weight () of the neighbours' mean reward; None if there never is any."""
+    """Weight () of the neighbours' mean advantage; None if there never is any."""
     if not config.neighbour_share:
         return None
     return schedule(0.0, config.neighbour_share, _within(progress, *SHARE_RISES))

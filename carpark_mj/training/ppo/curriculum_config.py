@@ -25,9 +25,9 @@ class CurriculumConfig(CheckedConfig):
         target_rate: rate of parked episodes by whose shortfall half of a mixture's new
             lots are drawn (`lot_life`), and their numbers of agents with them; 0 = all
             are drawn as the mixture says.
-        neighbour_share: weight, at the end, of the mean reward of the other agents
-            within 15 m, which is added to an agent's own in the rewards to learn from.
-            From progress 0.2 to 0.6 it rises linearly from 0: agents begin selfish.
+        neighbour_share: weight, at the end, of the mean advantage of the other agents
+            within 15 m, which is added to an agent's own. From progress 0.2 to 0.6 it
+            rises linearly from 0: agents begin selfish.
         teacher: policy whose actions are imitated where the agents get to, as a name, a
             run or a checkpoint; "" = none. It observes what it was trained on.
         teacher_cost: weight, at the start, of the squared distance to its actions.

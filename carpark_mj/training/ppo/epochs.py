@@ -1,5 +1,6 @@
 """What an update learns from a rollout: epochs of minibatch steps."""
 
+import dataclasses
 import math
 from typing import Any
 
@@ -15,8 +16,14 @@ from carpark_mj.policy.normalizer import update_normalizer
 from carpark_mj.training.ppo.advantages import compute_advantages
 from carpark_mj.training.ppo.collect import Rollout, drop_absent
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import discount, schedule, teacher_cost
+from carpark_mj.training.ppo.curriculum import (
+    discount,
+    neighbour_share,
+    schedule,
+    teacher_cost,
+)
 from carpark_mj.training.ppo.loss import Minibatch, Weights
+from carpark_mj.training.ppo.neighbours import neighbours_mean
 from carpark_mj.training.ppo.state import AXIS, TrainingState
 from carpark_mj.training.ppo.variants import variant
 
@@ -60,10 +67,14 @@ def learn(
         normalizer = update_normalizer(
             inputs, normalizer, rollout.observation, rollout.weight, AXIS
         )
+    share, near = neighbour_share(config.curriculum, progress), rollout.near
+    rollout = dataclasses.replace(rollout, near=None)  # of all, also of those dropped
+    num_agents = rollout.reward.shape[1]
+    kept = jnp.arange(num_agents)
     if rollout.weight is not None:
         key, drop_key = jax.random.split(key)
-        count = num_learned(config, rollout.reward.shape[1])
-        rollout = drop_absent(rollout, count, drop_key)
+        count = num_learned(config, num_agents)
+        rollout, kept = drop_absent(rollout, count, drop_key)
     weight = 1.0 - rollout.truncated
     if rollout.weight is not None:
         weight *= rollout.weight
@@ -88,6 +99,9 @@ def learn(
             discount(config, progress),
             config.gae_lambda,
         )
+        if share is not None and near is not None:
+            everyone = jnp.zeros(near.shape[:2]).at[:, kept].set(advantage)
+            advantage += share * neighbours_mean(near, everyone)[:, kept]
         return Minibatch(
             observation=rollout.observation,
             raw_action=rollout.raw_action,

@@ -33,7 +33,6 @@ from carpark_mj.training.ppo.collect import Rollout, Totals, collect
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum import (
     crash_scale,
-    neighbour_share,
     training_env,
 )
 from carpark_mj.training.ppo.epochs import learn, network_params
@@ -299,9 +298,9 @@ class Learner:
         progress = self.config.progress(state.update, state.seconds)
         curriculum, length = self.config.curriculum, self.config.unroll_length
         scales = dict.fromkeys(self.scaled, crash_scale(curriculum, progress))
-        share = neighbour_share(curriculum, progress)
         given = (self.env, state.env, actor, key, length, scales)
-        return collect(*given, neighbour_share=share, teacher=self.teacher)
+        shares = curriculum.neighbour_share > 0.0
+        return collect(*given, with_neighbours=shares, teacher=self.teacher)
 
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array

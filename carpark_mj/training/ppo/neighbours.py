@@ -1,4 +1,8 @@
-"""Shares of the neighbours' rewards: agents that learn to drive for each other."""
+"""Shares of the neighbours' advantages: agents that learn to drive for each other.
+
+Advantages and not rewards: those of an agent that parks end with its episode, so that
+sharing them would teach to stay. An advantage is 0 on average wherever the agent is.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -10,17 +14,30 @@ from carpark_mj.types import State
 RANGE = 15.0
 
 
-def neighbours_mean(lots: State, reward: jax.Array) -> jax.Array:
-    """Mean reward (lots * agents,) of the other agents nearby; 0 where there is none.
+def neighbours(lots: State) -> jax.Array:
+    """(lots * agents, agents) bool, which agents of its lot are near each agent.
+
+    Nobody is near itself, or an absent one.
 
     Args:
-        lots: (lots, ...) before the step, when those count that are present.
-        reward: (lots * agents,) of the step.
+        lots: (lots, ...).
     """
     xy, present = lots.motion.xy, lots.active
     num_agents = xy.shape[1]
-    apart = norm(xy[:, :, None] - xy[:, None])
-    near = (apart <= RANGE) & ~jnp.eye(num_agents, dtype=bool)
-    near &= present[:, :, None] & present[:, None]
-    theirs = jnp.where(near, reward.reshape(-1, 1, num_agents), 0.0).sum(axis=-1)
-    return (theirs / jnp.maximum(near.sum(axis=-1), 1)).reshape(-1)
+    near = norm(xy[:, :, None] - xy[:, None]) <= RANGE
+    near &= present[:, :, None] & present[:, None] & ~jnp.eye(num_agents, dtype=bool)
+    return near.reshape(-1, num_agents)
+
+
+def neighbours_mean(near: jax.Array, values: jax.Array) -> jax.Array:
+    """Mean (time, lots * agents) of the neighbours' values; 0 where there is none.
+
+    Args:
+        near: (time, lots * agents, agents), see `neighbours`.
+        values: (time, lots * agents).
+    """
+    num_agents = near.shape[-1]
+    lots = values.reshape(len(values), -1, 1, num_agents)
+    theirs = jnp.where(near.reshape(*lots.shape[:2], -1, num_agents), lots, 0.0)
+    total = theirs.sum(axis=-1).reshape(values.shape)
+    return total / jnp.maximum(near.sum(axis=-1), 1)
