@@ -1,6 +1,5 @@
 """Shares of the neighbours' advantages: whose they are, and what is learned from."""
 
-import dataclasses
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -13,6 +12,7 @@ from flax import struct
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.training.ppo import epochs
 from carpark_mj.training.ppo.advantages import compute_advantages
 from carpark_mj.training.ppo.collect import Rollout, collect
@@ -143,10 +143,17 @@ def learned(monkeypatch, share, near, weight):
         networks=NetworkConfig((4,), (4,), encoder="flat"),
     )
     learner = Learner(config)
-    state = learner.begin(jax.random.key(0))
+    networks, key = learner.networks, jax.random.key(0)
+    state: Any = SimpleNamespace(
+        update=jnp.int32(config.num_updates),
+        seconds=0.0,
+        normalizer=init_normalizer(learner.inputs),
+        policy=networks.policy_network.init(key),
+        value=networks.value_network.init(key),
+        optimizer=None,
+    )
     rng = np.random.default_rng(1)
-    count = LOTS * AGENTS
-    size = state.env.obs.shape[-1]
+    count, size = LOTS * AGENTS, learner.inputs.size
     rollout = Rollout(
         observation=jnp.zeros((TIME, count, size)),
         raw_action=jnp.zeros((TIME, count, 2)),
@@ -164,8 +171,8 @@ def learned(monkeypatch, share, near, weight):
         found.append(compute_advantages(*given))
         return found[-1]
 
-    def prepared(prepare, params, networks, normalizer):
-        del networks, normalizer
+    def prepared(prepare, params, *others):
+        del others
         found.append(prepare(params))
         raise StopIteration
 
@@ -173,8 +180,7 @@ def learned(monkeypatch, share, near, weight):
     monkeypatch.setattr(
         epochs, "variant", lambda name: SimpleNamespace(normalizes=0, prepared=prepared)
     )
-    state = dataclasses.replace(state, update=jnp.int32(config.num_updates))
-    given = config, learner.networks, learner.inputs, learner.optimizer, state
+    given = config, networks, learner.inputs, learner.optimizer, state
     with pytest.raises(StopIteration):
         epochs.learn(*given, rollout, jax.random.key(2))
     (own, targets), steps = found
