@@ -12,6 +12,7 @@ from carpark_mj.geometry import box_distance, to_world
 from carpark_mj.geometry.obstacles import Boxes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.movers.lanes import draw_lane
+from carpark_mj.movers.stopping import cars_of
 from carpark_mj.types import State
 
 THICK = 0.15  # m, of the beam
@@ -34,7 +35,7 @@ class Barrier(Mover):
     It closes only while no car is near, never onto one.
 
     Attributes:
-        near: gap to a car at which it opens [m].
+        near: gap to an agent or a driver at which it opens [m].
         duration: of its opening, and of its closing [s].
         mover: fixed.
     """
@@ -58,8 +59,8 @@ class Barrier(Mover):
         """It opens for a car, and closes behind the last."""
         del key
         closed = self._beam(state._replace(is_open=jnp.float32(0.0)))
-        motion = lot.motion
-        gap = box_distance(motion.pose_w, motion.size, *closed)
+        cars = cars_of(lot, dt)
+        gap = box_distance(cars.pose, cars.size, *closed)
         change = jnp.where((gap < self.near).any(), dt, -dt) / self.duration
         return state._replace(is_open=jnp.clip(state.is_open + change, 0.0, 1.0))
 

@@ -11,6 +11,8 @@ from helpers.scenes import cars, polygons
 from helpers.states import parked_in, state_of
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry.obstacles import Boxes, Movers
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Barrier, Cart, Door, RailCar
 from carpark_mj.movers.cart import ROLLING
@@ -82,6 +84,17 @@ def test_a_barrier_opens_for_who_comes_near_and_closes_behind():
     boxes, _ = watch(Barrier(), tuple(near))
     expected = width * np.clip(1 - DT / 2.0 * np.arange(1, STEPS + 1), 0.05, 1.0)
     np.testing.assert_allclose(boxes.size[:, 0, 1], expected, rtol=1e-4)
+
+
+def test_a_barrier_opens_for_drivers_too():
+    beam, _ = watch(Barrier(), AWAY)
+    near = beam.pose_w[:1, 0] - np.array([4.0, 0.0, 0.0], np.float32)
+    size, still = np.array([[4.0, 1.8]], np.float32), np.zeros((1, 2), np.float32)
+    for present in (True, False):
+        there = np.array([present])
+        driver = Boxes(near, size, still, there, kind=ObstacleKind.DRIVER)
+        _, states = watch(Barrier(), AWAY, movers=Movers((), ((driver,),)))
+        assert states.is_open[-1] == float(present)
 
 
 def test_a_door_opens_beside_a_free_bay_only():

@@ -130,8 +130,11 @@ def test_neighbours_are_those_from_before_the_step():
 LOTS, AGENTS, TIME = 6, 3, 4
 
 
-def learned(monkeypatch, share, near, weight):
-    """Advantages with the share at its end, and those of each alone, (time, kept)."""
+def learned(monkeypatch, share, near, weight, reward=None):
+    """Advantages with the share at its end, and those of each alone, (time, kept).
+
+    Rewards (time,) are those of all agents; None = at random.
+    """
     config = PPOConfig(
         num_steps=1,
         num_lots=LOTS,
@@ -154,11 +157,13 @@ def learned(monkeypatch, share, near, weight):
     )
     rng = np.random.default_rng(1)
     count, size = LOTS * AGENTS, learner.inputs.size
+    drawn = rng.normal(size=(TIME, count))
+    reward = drawn if reward is None else np.tile(reward[:, None], count)
     rollout = Rollout(
         observation=jnp.zeros((TIME, count, size)),
         raw_action=jnp.zeros((TIME, count, 2)),
         log_prob=jnp.zeros((TIME, count)),
-        reward=jnp.float32(rng.normal(size=(TIME, count))),
+        reward=jnp.float32(reward),
         terminated=jnp.zeros((TIME, count)),
         truncated=jnp.zeros((TIME, count)),
         final_observation=jnp.zeros((count, size)),
@@ -215,3 +220,22 @@ def test_shares_are_of_the_own_lot_where_absent_agents_are_dropped(monkeypatch):
     assert len(np.unique(shared.round(4))) == LOTS
     assert len(np.unique(alone.round(4))) == present.sum()
     np.testing.assert_allclose(shared.sum(), 2 * alone.sum(), rtol=1e-4)
+
+
+def test_the_mean_is_of_those_that_are_kept_where_some_present_are_dropped(monkeypatch):
+    """All are alike, so the mean is the own advantage, or 0 where all are dropped."""
+    others = ~jnp.tile(jnp.eye(AGENTS, dtype=bool), (LOTS, 1))
+    near = jnp.broadcast_to(others, (TIME, *others.shape))
+    weight = jnp.ones(near.shape[:2])
+    reward = np.arange(1.0, TIME + 1.0)
+    together, own, _ = learned(monkeypatch, 1.0, near, weight, reward)
+    assert own.shape[1] < LOTS * AGENTS
+    share = together / own - 1.0
+    np.testing.assert_allclose(share, share.round(), atol=1e-4)
+    assert share.max() == pytest.approx(1.0)
+
+
+def test_a_share_without_other_agents_is_refused():
+    alone = EnvConfig(num_agents=1)
+    with pytest.raises(ValueError, match=r"neighbour_share 0\.5 needs env\.num_agents"):
+        PPOConfig(env=alone, curriculum=CurriculumConfig(neighbour_share=0.5))

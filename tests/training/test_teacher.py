@@ -9,7 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import EnvConfig, GoalConfig, RayConfig, RingConfig
+from carpark_mj.config import (
+    EnvConfig,
+    GoalConfig,
+    RayConfig,
+    RewardConfig,
+    RingConfig,
+)
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
@@ -99,6 +105,11 @@ def test_its_weight_falls_linearly_to_zero():
             dataclasses.replace(BLIND, rings=RingConfig((5.0,), history=2)),
             {},
             "curriculum.teacher somebody remembers",
+        ),
+        (
+            dataclasses.replace(BLIND, route=True),
+            {"reward": RewardConfig(route=False)},
+            "curriculum.teacher somebody observes routes",
         ),
     ],
 )

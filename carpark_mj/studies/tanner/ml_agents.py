@@ -181,7 +181,10 @@ class MLAgents(Variant):
     normalizes = False
 
     def check(self, config: PPOConfig) -> None:
-        """Refuses continuous actions, set encoders and absent agents."""
+        """Refuses continuous actions, set encoders, absent agents, neighbours' shares.
+
+        Advantages are what targets exceed the critic by, see `prepare_steps`.
+        """
         if config.env.physics_config.continuous:
             raise ValueError(
                 "variant 'ml-agents' needs actions of choices only, env.physics "
@@ -196,6 +199,11 @@ class MLAgents(Variant):
             raise ValueError(
                 "variant 'ml-agents' needs the same number of agents in all lots, "
                 f"env.min_agents = None, not {config.env.min_agents}"
+            )
+        if config.curriculum.neighbour_share:
+            raise ValueError(
+                "variant 'ml-agents' needs curriculum.neighbour_share 0, not "
+                f"{config.curriculum.neighbour_share}"
             )
 
     def initial_weights(self, params: Any, key: jax.Array) -> tuple[Any, jax.Array]:

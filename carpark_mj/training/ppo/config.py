@@ -164,6 +164,11 @@ class PPOConfig(RunConfig):
                 f"curriculum.target_rate {self.curriculum.target_rate} needs lot_life "
                 "of at least 1, not 0"
             )
+        if self.curriculum.neighbour_share and self.env.num_agents == 1:
+            raise ValueError(
+                f"curriculum.neighbour_share {self.curriculum.neighbour_share} needs "
+                "env.num_agents of at least 2, not 1"
+            )
         if self.critic_steps and self.critic_updates >= self.num_updates:
             raise ValueError(
                 f"critic_steps must leave the actor an update of num_steps "

@@ -68,13 +68,17 @@ def learn(
             inputs, normalizer, rollout.observation, rollout.weight, AXIS
         )
     share, near = neighbour_share(config.curriculum, progress), rollout.near
-    rollout = dataclasses.replace(rollout, near=None)  # of all, also of those dropped
+    rollout = dataclasses.replace(rollout, near=None)
     num_agents = rollout.reward.shape[1]
     kept = jnp.arange(num_agents)
     if rollout.weight is not None:
         key, drop_key = jax.random.split(key)
         count = num_learned(config, num_agents)
         rollout, kept = drop_absent(rollout, count, drop_key)
+        if near is not None:  # the advantages of those dropped are not computed
+            lots = jnp.zeros(num_agents, bool).at[kept].set(True)
+            lots = lots.reshape(-1, near.shape[-1])
+            near &= jnp.repeat(lots, near.shape[-1], axis=0)
     weight = 1.0 - rollout.truncated
     if rollout.weight is not None:
         weight *= rollout.weight

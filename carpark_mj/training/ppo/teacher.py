@@ -23,7 +23,8 @@ def make_teacher(config: PPOConfig) -> Teacher | None:
 
     Raises:
         CheckpointError: it has no checkpoint.
-        ValueError: it does not drive such cars, remembers, or actions have indices.
+        ValueError: it does not drive such cars, remembers, needs routes that lots lack,
+            or actions have indices.
     """
     name = config.curriculum.teacher
     if not name:
@@ -38,6 +39,11 @@ def make_teacher(config: PPOConfig) -> Teacher | None:
         raise ValueError(
             f"curriculum.teacher {name} remembers, which only agents do that observe "
             "as it does"
+        )
+    if env.follows_routes and not config.env.follows_routes:
+        raise ValueError(
+            f"curriculum.teacher {name} observes routes, which lots have if they are "
+            "observed or rewarded: env.reward.route must be True, not False"
         )
     policy = load_policy(name, env=env).policy
 

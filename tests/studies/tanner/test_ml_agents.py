@@ -26,6 +26,7 @@ from carpark_mj.studies.tanner.ml_agents import (
 )
 from carpark_mj.training.ppo.advantages import compute_advantages
 from carpark_mj.training.ppo.collect import Rollout
+from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.loss import Minibatch, Weights
 from carpark_mj.training.ppo.parts import PRESETS
@@ -276,6 +277,10 @@ def test_an_epoch_learns_once_from_every_step_in_minibatches_from_anywhere(monke
         (
             {"variant": "ml-agents", "networks": NetworkConfig()},
             "'ml-agents' needs networks.encoder 'flat', not 'set'",
+        ),
+        (
+            {"curriculum": CurriculumConfig(neighbour_share=0.5)},
+            "'ml-agents' needs curriculum.neighbour_share 0, not 0.5",
         ),
     ],
 )
