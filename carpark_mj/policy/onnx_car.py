@@ -47,6 +47,17 @@ def require_outside(config: EnvConfig) -> None:
             f"(tracked_movers {encoder.tracked_movers}), which are no inputs of a car "
             "outside: export without --from-state"
         )
+    if pictures := [field.name for field in encoder.fields(config) if field.shape]:
+        raise ValueError(
+            f"the policy observes pictures ({', '.join(pictures)}), which a car "
+            "outside takes with its cameras: export without --from-state"
+        )
+    if encoder.ultrasound.on and encoder.ultrasound.noise:
+        raise ValueError(
+            "the policy observes ultrasound with noise (ultrasound.noise "
+            f"{encoder.ultrasound.noise}), which a model does not draw: export without "
+            "--from-state"
+        )
 
 
 def make_car_model(loaded: LoadedPolicy, rows: Rows) -> Any:

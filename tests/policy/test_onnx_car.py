@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.cli.export import ExportConfig, environment_rows
-from carpark_mj.config import EnvConfig, RingConfig
+from carpark_mj.config import EnvConfig, RingConfig, UltrasoundConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation, observe
 from carpark_mj.policy.loading import load_policy
@@ -106,6 +106,7 @@ def test_names_are_unique_and_units_those_of_lengths_angles_and_times():
 
 
 PAST = ContinuousObservation(rings=RingConfig((5.0,), history=2))
+HEARS = ContinuousObservation(ultrasound=UltrasoundConfig(on=True))
 
 
 @pytest.mark.parametrize(
@@ -114,6 +115,8 @@ PAST = ContinuousObservation(rings=RingConfig((5.0,), history=2))
         (environment("tanner-dynamic"), "reads the whole state"),
         (EnvConfig(observation=PAST), "rings.history"),
         (environment("considerate"), "tracked_movers 6"),
+        (environment("sees"), "pictures .camera_depth, camera_seen"),
+        (EnvConfig(observation=HEARS), "ultrasound.noise 0.01"),
     ],
 )
 def test_what_a_car_outside_cannot_observe_is_refused(env, reason):
