@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
@@ -88,10 +89,10 @@ def test_a_barrier_opens_for_who_comes_near_and_closes_behind():
 
 def test_a_barrier_opens_for_drivers_too():
     beam, _ = watch(Barrier(), AWAY)
-    near = beam.pose_w[:1, 0] - np.array([4.0, 0.0, 0.0], np.float32)
-    size, still = np.array([[4.0, 1.8]], np.float32), np.zeros((1, 2), np.float32)
+    near = jnp.asarray(beam.pose_w[:1, 0]) - jnp.array([4.0, 0.0, 0.0])
+    size, still = jnp.array([[4.0, 1.8]]), jnp.zeros((1, 2))
     for present in (True, False):
-        there = np.array([present])
+        there = jnp.array([present])
         driver = Boxes(near, size, still, there, kind=ObstacleKind.DRIVER)
         _, states = watch(Barrier(), AWAY, movers=Movers((), ((driver,),)))
         assert states.is_open[-1] == float(present)
