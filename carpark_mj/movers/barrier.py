@@ -16,7 +16,7 @@ from carpark_mj.movers.stopping import cars_of
 from carpark_mj.types import State
 
 THICK = 0.15  # m, of the beam
-RAISED = 0.05  # share of the beam's length that is left when it is open
+RAISED = 0.05  # share of the beam's length that is left until it is open
 
 
 class BarrierState(NamedTuple):
@@ -65,9 +65,10 @@ class Barrier(Mover):
         return state._replace(is_open=jnp.clip(state.is_open + change, 0.0, 1.0))
 
     def obstacles(self, state: BarrierState) -> list[Boxes]:
-        """The beam."""
+        """The beam until it is open; drivers would wait for what is left of it."""
         pose, size = self._beam(state)
-        return [Boxes(pose[None], size[None], mask=state.there[None])]
+        there = state.there & (state.is_open < 1.0)
+        return [Boxes(pose[None], size[None], mask=there[None])]
 
     def _beam(self, state: BarrierState) -> tuple[jax.Array, jax.Array]:
         """Pose (3,) and size (2,): from the lane's right edge, shorter when raised."""

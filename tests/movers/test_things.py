@@ -85,6 +85,8 @@ def test_a_barrier_opens_for_who_comes_near_and_closes_behind():
     boxes, _ = watch(Barrier(), tuple(near))
     expected = width * np.clip(1 - DT / 2.0 * np.arange(1, STEPS + 1), 0.05, 1.0)
     np.testing.assert_allclose(boxes.size[:, 0, 1], expected, rtol=1e-4)
+    assert boxes.mask[:9].all()
+    assert not boxes.mask[10:].any()  # nothing of it is left in the lane
 
 
 def test_a_barrier_opens_for_drivers_too():
