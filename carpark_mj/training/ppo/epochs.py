@@ -76,9 +76,9 @@ def learn(
         count = num_learned(config, num_agents)
         rollout, kept = drop_absent(rollout, count, drop_key)
         if near is not None:  # the advantages of those dropped are not computed
-            lots = jnp.zeros(num_agents, bool).at[kept].set(True)
-            lots = lots.reshape(-1, near.shape[-1])
-            near &= jnp.repeat(lots, near.shape[-1], axis=0)
+            is_kept = jnp.zeros(num_agents, bool).at[kept].set(True)
+            of_lots = is_kept.reshape(-1, near.shape[-1])
+            near &= jnp.repeat(of_lots, near.shape[-1], axis=0)
     weight = 1.0 - rollout.truncated
     if rollout.weight is not None:
         weight *= rollout.weight
