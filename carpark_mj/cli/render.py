@@ -102,8 +102,8 @@ class RenderConfig:
         require_seed(self.seed)
         if bool(self.run) == self.gallery:
             raise ValueError(
-                "give a run folder, zero, random or planner, or --gallery"
-                + (", not both" if self.run else "")
+                "give a pretrained policy, a run folder, zero, random or planner, "
+                "or --gallery" + (", not both" if self.run else "")
             )
         if self.gallery:
             shown = ("run", "out", "gallery", "width", "seed")
