@@ -259,8 +259,14 @@ def _missing(lines: Sequence[str]) -> str:
 
 def _kinds(metavar: str) -> str:
     """What a flag takes, for example `{None}|INT`, in words."""
-    words = {"INT": "a whole number", "FLOAT": "a number", "{None}": "None"}
-    return " or ".join(words.get(kind, kind) for kind in metavar.split("|"))
+
+    def word(kind: str) -> str:
+        kind = kind.strip("{}")
+        if set(kind.split()) == {"FLOAT"} and " " in kind:
+            return f"{len(kind.split())} numbers"
+        return {"INT": "a whole number", "FLOAT": "a number"}.get(kind, kind)
+
+    return " or ".join(map(word, metavar.split("|")))
 
 
 def _choices(listed: re.Match[str]) -> str:

@@ -46,6 +46,7 @@ class Settings:
         span: from where to where.
         part: of the span.
         size: of the eye.
+        at: x, y and z.
     """
 
     count: int = 3
@@ -53,6 +54,7 @@ class Settings:
     span: Range = (0.0, 1.0)
     part: Range | None = None
     size: float | None = None
+    at: tuple[float, float, float] | None = None
 
 
 def test_the_flags_of_a_union_are_those_of_the_default():
@@ -67,6 +69,10 @@ WIDE = "x" * 300
 BAD = {
     "value": (["--count", "1.5"], "--count takes a whole number, not '1.5'"),
     "value or none": (["--size", "a"], "--size takes None or a number, not 'a'"),
+    "values": (
+        ["--at", "1", "2", "a"],
+        "--at takes None or 3 numbers, not '1', '2', 'a'",
+    ),
     "refused": (["--eye.far-reach", "11"], "far_reach must be at most 10, not 11.0"),
     "choice": (["--eye.kind", "none"], "invalid choice 'none' for argument"),
     "near miss": (
@@ -124,7 +130,9 @@ def test_a_short_help_lists_some_and_names_the_others(capsys):
     assert stop.value.code == 0
     printed = capsys.readouterr().out
     assert "how many there are" in printed
-    assert "which --help-all explains: --eye.*, --span, --part, --size\n" in printed
+    assert (
+        "which --help-all explains: --eye.*, --span, --part, --size, --at\n" in printed
+    )
     assert "--eye.reach" not in printed
     for arguments, short in ((["--help-all"], ("count",)), (["--help"], ())):
         with pytest.raises(SystemExit):

@@ -347,6 +347,7 @@ EVALUATION_BAD = {
         "give RUN or --policy RUN, not both",
     ),
     "missing run": (("nowhere",), "no run folder or checkpoint at nowhere"),
+    "misspelled": (("plannr",), "planner, random, zero"),
     "no episodes": (("--policy", "zero", "--episodes", "0"), "episodes must be at"),
     "unwritable": (
         ("--policy", "zero", "--out", "/proc/x"),
