@@ -141,6 +141,8 @@ def load_extensions() -> None:
                 importlib.import_module(name)
             except Exception as error:
                 why = " ".join(str(error).split()) or type(error).__name__
+                if isinstance(error, ModuleNotFoundError) and error.name == name:
+                    why += "; install it, or put its folder into PYTHONPATH"
                 _broken[name] = why
         # Not tried again: parts registered before the failure exist already.
         if name in _broken:

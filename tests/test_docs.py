@@ -37,6 +37,7 @@ from carpark_mj.config import (
 from carpark_mj.mdp.rewards import TERMS, goal_weights
 from carpark_mj.observations import make_fields, markdown_table, observation_size
 from carpark_mj.policy.plain_inputs import markdown_inputs
+from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.programs.benchmark import BenchmarkConfig
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.studies.cederle.experiments.program import JunctionStudyConfig
@@ -360,6 +361,13 @@ def test_rows_that_list_parked_rules_list_all():
     assert len(rows) > 2
     for row in rows:
         assert {*re.findall(r"`(\w+)`", row)} - {"rule"} == {*LIMITS}
+
+
+def test_the_quick_start_names_every_command():
+    text = (ROOT / "docs" / "quick_start.md").read_text()
+    section = text.split("\n## Commands\n")[1].split("\n## ")[0].split(" In a ")[0]
+    named = {q.removeprefix("carpark_mj ") for q in re.findall(r"`([^`]+)`", section)}
+    assert named - {"--help"} == {*PROGRAMS}
 
 
 def test_settings_named_in_the_docs_exist():

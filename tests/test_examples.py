@@ -54,7 +54,7 @@ def test_ppo_in_one_file_learns_from_pictures(monkeypatch):
         (("--discount", "2"), "discount must lie in [0, 1], not 2.0"),
         (("--gae-lambda", "nan"), "gae_lambda must lie in [0, 1], not nan"),
         (("--entropy", "-1"), "entropy must be at least 0, not -1.0"),
-        (("--lots", "many"), "--lots: invalid literal for int() with base 10: 'many'"),
+        (("--lots", "many"), "--lots takes a whole number, not 'many'"),
         (("--out", "no/a.png"), "cannot use no/a.png: No such file or directory"),
     ],
 )

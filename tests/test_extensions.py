@@ -75,6 +75,18 @@ def test_an_extension_that_does_not_import_is_named(extension):
             load_extensions()
 
 
+def test_one_that_is_not_found_is_told_from_one_that_misses_a_module(
+    extension, monkeypatch
+):
+    extension("trial_needy", "import nowhere_to_be_found")
+    with pytest.raises(ValueError, match="nowhere_to_be_found") as caught:
+        load_extensions()
+    assert "PYTHONPATH" not in str(caught.value)
+    monkeypatch.setenv(VARIABLE, "trial_lost")
+    with pytest.raises(ValueError, match=r"trial_lost.*PYTHONPATH"):
+        load_extensions()
+
+
 def test_installed_extensions_are_looked_for_once(monkeypatch):
     calls = []
     monkeypatch.setattr(

@@ -17,6 +17,7 @@ from carpark_mj.fleet.checks import parked_cars_needed
 from carpark_mj.layouts import layout_config
 from carpark_mj.policy import pretrained
 from carpark_mj.policy.acting import AnyPolicy
+from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.named import POLICIES
 from carpark_mj.policy.networks import Policy
@@ -65,7 +66,13 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
             raise ValueError(f"stochastic has no effect with {name}: leave it out")
         env = environment(named) if named else EnvConfig()
         return Driver(env, Path("runs") / name, POLICIES[name])
-    loaded = load_policy(name, deterministic)
+    try:
+        loaded = load_policy(name, deterministic)
+    except CheckpointError as error:
+        if Path(name).exists():
+            raise
+        untrained = ", ".join(POLICIES)
+        raise CheckpointError(f"{error}; untrained ones: {untrained}") from error
     env = _observed_alike(loaded.env, environment(named)) if named else loaded.env
 
     def make_policy(env: ParkingEnv) -> Policy:

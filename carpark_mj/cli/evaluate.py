@@ -29,8 +29,9 @@ class EvaluateConfig:
     """Settings of `carpark_mj evaluate`.
 
     Attributes:
-        run: pretrained policy, run folder or checkpoint file; or give `--policy`.
-        policy: the same, or `zero`, `random` or `planner`.
+        run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
+            `planner`.
+        policy: the same, as a flag.
         environment: name of an environment, for example `metadrive`; see
             `carpark_mj.registry`. Default: that of the run. A run's policy observes in
             it what it was trained to.
@@ -148,10 +149,11 @@ def prepare(config: EvaluateConfig) -> Task:
         ValueError: impossible settings.
         OSError: the output folder cannot be written.
     """
-    if bool(config.run) == bool(config.policy):
+    if config.run and config.policy:
+        raise ValueError("give RUN or --policy RUN, not both")
+    if not (config.run or config.policy):
         raise ValueError(
-            "give a run folder or --policy zero|random|planner|RUN"
-            + (", not both" if config.run else "")
+            "give a pretrained policy, a run folder, zero, random or planner"
         )
     name = config.run or config.policy
     driver = find_driver(name, config.environment, not config.stochastic)

@@ -155,7 +155,7 @@ class LayoutsConfig:
         layouts: names or layout files; all families if none.
         plot: picture to write, with two lots of each random layout named, or one of
             every family.
-        check: number of keys of each layout to check.
+        check: number of lots of each layout to check.
         vehicle: preset or file of the car that must fit into bays and spawn regions of
             the checked lots; by default their design car.
         run: number of scenes of each layout to run.
@@ -179,7 +179,7 @@ class LayoutsConfig:
         for name in ("check", "run"):
             if not 0 <= getattr(self, name) <= MAX_KEYS:
                 raise ValueError(
-                    f"--{name} takes 0 to {MAX_KEYS} keys, not {getattr(self, name)}"
+                    f"--{name} takes 0 to {MAX_KEYS} lots, not {getattr(self, name)}"
                 )
         require_seed(self.seed)
         if not (self.plot or self.check or self.run or self.save):
@@ -241,7 +241,8 @@ def look(config: LayoutsConfig) -> bool:
                 continue
             found = inspect(layout, number, config.seed)
             sound = sound and not found
-            print(f"{name}: {number} keys, {len(found)} {what}", flush=True)
+            lots = "1 lot" if number == 1 else f"{number} lots"
+            print(f"{name}: {lots}, {len(found)} {what}", flush=True)
             print("".join(f"  {problem}\n" for problem in found[:10]), end="")
     return sound
 

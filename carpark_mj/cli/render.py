@@ -102,8 +102,8 @@ class RenderConfig:
         require_seed(self.seed)
         if bool(self.run) == self.gallery:
             raise ValueError(
-                "give a run folder, zero, random or planner, or --gallery"
-                + (", not both" if self.run else "")
+                "give a pretrained policy, a run folder, zero, random or planner, "
+                "or --gallery" + (", not both" if self.run else "")
             )
         if self.gallery:
             shown = ("run", "out", "gallery", "width", "seed")
@@ -266,7 +266,9 @@ def _write_frames(
     begun = time.monotonic()
     pictures = map(draw, track(indices, "rendering", transient=True))
     count = write_video(out, pictures, frames_per_second(recording) / stride)
-    return f"{count} frames at {count / (time.monotonic() - begun):.1f} frames/s"
+    return (
+        f"{count} frames, {count / (time.monotonic() - begun):.1f} rendered per second"
+    )
 
 
 def _gallery(config: RenderConfig) -> Path:

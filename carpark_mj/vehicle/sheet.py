@@ -119,7 +119,9 @@ def _checked(given: dict[str, Any]) -> dict[str, Any]:
     if unknown := sorted(str(name) for name in given if name not in known):
         raise ValueError(f"unknown {unknown}; a car has {sorted(known)}")
     if missing := [name for name in REQUIRED if name not in given]:
-        raise ValueError(f"{', '.join(missing)} missing: a car needs {REQUIRED}")
+        raise ValueError(
+            f"{', '.join(missing)} missing: a car needs {', '.join(REQUIRED)}"
+        )
     tyre = given.pop("tyre", {})
     if not isinstance(tyre, dict):
         raise ValueError(f"tyre must be an object of {[*_TYRE]}, not {tyre!r}")

@@ -5,10 +5,11 @@ import io
 import math
 import re
 import sys
-from typing import Literal
+from typing import Annotated, Literal
 
 import jax
 import pytest
+import tyro
 
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -44,12 +45,16 @@ class Settings:
         eye: what is seen.
         span: from where to where.
         part: of the span.
+        size: of the eye.
+        at: x, y and z.
     """
 
     count: int = 3
     eye: Near | Far = dataclasses.field(default_factory=Near)
     span: Range = (0.0, 1.0)
     part: Range | None = None
+    size: float | None = None
+    at: tuple[float, float, float] | None = None
 
 
 def test_the_flags_of_a_union_are_those_of_the_default():
@@ -62,7 +67,12 @@ def test_the_flags_of_a_union_are_those_of_the_default():
 
 WIDE = "x" * 300
 BAD = {
-    "value": (["--count", "a"], "--count: invalid literal for int() with base 10: 'a'"),
+    "value": (["--count", "1.5"], "--count takes a whole number, not '1.5'"),
+    "value or none": (["--size", "a"], "--size takes None or a number, not 'a'"),
+    "values": (
+        ["--at", "1", "2", "a"],
+        "--at takes None or 3 numbers, not '1', '2', 'a'",
+    ),
     "refused": (["--eye.far-reach", "11"], "far_reach must be at most 10, not 11.0"),
     "choice": (["--eye.kind", "none"], "invalid choice 'none' for argument"),
     "near miss": (
@@ -86,6 +96,25 @@ def test_a_bad_flag_is_one_sentence(case, encoding, monkeypatch):
     assert not re.search(r"[\n│╭─]|---|helptext", told)
 
 
+def test_what_is_missing_is_named_with_its_meaning():
+    @dataclasses.dataclass(frozen=True)
+    class Copy:
+        """Copies.
+
+        Attributes:
+            file: file to read.
+            out: file to write.
+        """
+
+        file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+        out: str
+
+    with pytest.raises(ValueError, match=r"--out STR is missing: file to write$"):
+        read_flags(Copy, ["a"])
+    with pytest.raises(ValueError, match=r"^FILE is missing: file to read; --out STR"):
+        read_flags(Copy, [])
+
+
 def test_a_range_is_two_numbers():
     read = read_flags(Settings, ["--span", "-1", "2", "--part", "0.5", "1"])
     assert (read.span, read.part) == ((-1.0, 2.0), (0.5, 1.0))
@@ -101,7 +130,9 @@ def test_a_short_help_lists_some_and_names_the_others(capsys):
     assert stop.value.code == 0
     printed = capsys.readouterr().out
     assert "how many there are" in printed
-    assert "which --help-all explains: --eye.*, --span, --part\n" in printed
+    assert (
+        "which --help-all explains: --eye.*, --span, --part, --size, --at\n" in printed
+    )
     assert "--eye.reach" not in printed
     for arguments, short in ((["--help-all"], ("count",)), (["--help"], ())):
         with pytest.raises(SystemExit):

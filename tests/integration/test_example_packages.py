@@ -108,4 +108,4 @@ def test_without_its_package_a_name_is_refused_in_one_line(
 
 def test_courts_are_checked_by_their_name():
     done = run("layouts", "court", "--check", "20", extensions=("court",))
-    assert (done.returncode, done.stdout) == (0, "court: 20 keys, 0 problems\n")
+    assert (done.returncode, done.stdout) == (0, "court: 20 lots, 0 problems\n")

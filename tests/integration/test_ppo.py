@@ -304,7 +304,7 @@ BAD = {
     "unwritable": (("--runs-dir", "/proc/runs"), "/proc/runs"),
     "unknown preset": (("--preset", "nope"), "unknown preset 'nope'"),
     "unknown flag": (("--num-lot", "3"), "perhaps you meant --num-lots"),
-    "no number": (("--seed", "x"), "--seed: invalid literal"),
+    "no number": (("--seed", "x"), "--seed takes a whole number"),
     "a name outside": (("--name", "../../x"), "not '../../x'"),
     "a blank name": (("--name", " "), "not ' '"),
     "no folder of runs": (("--runs-dir", ""), "runs_dir must name a folder"),
@@ -341,12 +341,13 @@ def test_bad_input_is_one_clear_sentence_and_leaves_nothing(
 
 
 EVALUATION_BAD = {
-    "nothing": ((), "give a run folder or --policy zero|random|planner|RUN\n"),
+    "nothing": ((), "give a pretrained policy, a run folder"),
     "two": (
         ("square", "--policy", "zero"),
-        "or --policy zero|random|planner|RUN, not both",
+        "give RUN or --policy RUN, not both",
     ),
     "missing run": (("nowhere",), "no run folder or checkpoint at nowhere"),
+    "misspelled": (("plannr",), "planner, random, zero"),
     "no episodes": (("--policy", "zero", "--episodes", "0"), "episodes must be at"),
     "unwritable": (
         ("--policy", "zero", "--out", "/proc/x"),

@@ -317,7 +317,7 @@ def test_scenes_run_without_a_warning(name):
 def test_the_command_checks_and_draws(tmp_path, capsys):
     target = tmp_path / "plan.png"
     assert main(["dead_end", "--plot", str(target), "--check", "2"]) == 0
-    assert "dead_end: 2 keys, 0 problems" in capsys.readouterr().out
+    assert "dead_end: 2 lots, 0 problems" in capsys.readouterr().out
     assert target.read_bytes()[:4] == b"\x89PNG"
     assert main(["ring", "--check", "1"]) == 2
     assert "unknown layout 'ring'" in capsys.readouterr().err

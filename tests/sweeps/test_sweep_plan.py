@@ -100,7 +100,7 @@ def test_runs_that_end_by_the_clock_train_alone():
         (["--set", "clip=0.1,0.10"], "clip=0.10: the same settings as cpu, clip=0.1"),
         (["--set", "clip=0.1", "clip=0.2"], "clip is given twice"),
         (["--set", "num_agents=1,0"], "num_agents=0: num_agents must be at least 1"),
-        (["--set", "num_agents=two"], "cpu: --env.num-agents: invalid literal"),
+        (["--set", "num_agents=two"], "cpu: --env.num-agents takes a whole number"),
         (
             ["--set", "num_agents=2,21"],
             "num_agents=21: num_parked_cars must be at most",
