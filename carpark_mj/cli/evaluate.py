@@ -129,6 +129,7 @@ def main(config: EvaluateConfig) -> Evaluation:
         OSError: the output folder cannot be written.
     """
     task = prepare(config)
+    print("compiling ...", flush=True)
     result = evaluate(
         task.env,
         task.policy,

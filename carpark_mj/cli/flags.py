@@ -234,13 +234,14 @@ def _sentence(box: str) -> str:
     # Under the title: within the frame, or below a rule where there is no UTF-8.
     start = 1 if lines[0].startswith("╭") else 2
     message = [*itertools.takewhile(_is_text, lines[start:])]
-    if message[0].startswith("Missing from "):
+    if message and message[0].startswith("Missing from "):
         return _missing(message[1:])
     sentence = re.sub(r"^Error parsing (\w+: )?", "", " ".join(message))
     if unread := re.match(_UNREAD, sentence):
         flag, words = unread.groups()
-        kinds = next(line for line in lines if line.startswith(f"{flag} "))
-        return f"{flag} takes {_kinds(kinds.split(maxsplit=1)[1])}, not {words}"
+        kinds = next((line for line in lines if line.startswith(f"{flag} ")), "")
+        if kinds:
+            return f"{flag} takes {_kinds(kinds.split(maxsplit=1)[1])}, not {words}"
     sentence = re.sub(r"(?<=Expected one of )\((.*)\)", _choices, sentence)
     meant = re.search(r"Perhaps you meant:\s*(--\S+)", "\n".join(lines))
     return f"{sentence}; perhaps you meant {meant[1]}" if meant else sentence

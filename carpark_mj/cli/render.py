@@ -200,6 +200,7 @@ def main(config: RenderConfig) -> Path:
     env = ParkingEnv(env_config)
     seconds = config.seconds if config.frame is None else config.frame
     num_steps = max(1, round(seconds / env_config.sim.ctrl_dt))
+    print("compiling ...", flush=True)
     recording = record(env, driver.policy(env), num_steps, config.seed)
     with contextlib.ExitStack() as stack:
         if rig is not None:

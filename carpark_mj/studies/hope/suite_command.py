@@ -176,6 +176,7 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     if config.combine:
         episodes, drives = read_runs([Path(name) for name in config.combine])
     else:
+        print("compiling ...", flush=True)
         episodes, drives, drawn = _drive_all(config)
     if config.videos:  # of combined folders
         for level in {row["level"] for row in episodes}:
