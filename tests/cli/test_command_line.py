@@ -295,7 +295,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_lots_are_drawn(
 @pytest.mark.parametrize("flag", ["--check", "--run"])
 def test_more_lots_than_anybody_can_wait_for_are_refused(flag, capsys):
     assert layouts.main(["square", flag, f"1{'0' * 30}"]) == 2
-    assert f"{flag} takes 0 to 10000000 keys" in capsys.readouterr().err
+    assert f"{flag} takes 0 to 10000000 " in capsys.readouterr().err
 
 
 def test_a_check_for_writability_leaves_the_old_file_and_nothing_else(tmp_path):
