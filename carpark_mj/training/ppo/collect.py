@@ -115,10 +115,17 @@ def collect(
         jnp.zeros_like,
         Totals(info["episode_done"], info["episode_metrics"], info["reward_terms"]),
     )
-    (env_state, totals), (taken, *others) = jax.lax.scan(
+    (env_state, totals), (taken, present, advice, near) = jax.lax.scan(
         step, (env_state, zeros), jax.random.split(key, length)
     )
-    return env_state, Rollout(*taken, env_state.obs, *others), totals
+    rollout = Rollout(
+        *taken,
+        final_observation=env_state.obs,
+        weight=present,
+        advice=advice,
+        near=near,
+    )
+    return env_state, rollout, totals
 
 
 def drop_absent(
