@@ -43,7 +43,7 @@ from carpark_mj.layouts.types import Layout
 
 PROGRAM = "carpark_mj layouts"
 CHUNK = 250  # layouts drawn at once
-MAX_KEYS = 10_000_000  # of each layout; they take an hour or more
+MAX_LOTS = 10_000_000  # of each layout; they take an hour or more
 PICTURES = (".png", ".pdf", ".svg")
 NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
 
@@ -177,9 +177,9 @@ class LayoutsConfig:
 
     def __post_init__(self) -> None:
         for name in ("check", "run"):
-            if not 0 <= getattr(self, name) <= MAX_KEYS:
+            if not 0 <= getattr(self, name) <= MAX_LOTS:
                 raise ValueError(
-                    f"--{name} takes 0 to {MAX_KEYS} lots, not {getattr(self, name)}"
+                    f"--{name} takes 0 to {MAX_LOTS} lots, not {getattr(self, name)}"
                 )
         require_seed(self.seed)
         if not (self.plot or self.check or self.run or self.save):

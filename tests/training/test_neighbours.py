@@ -14,6 +14,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.training.ppo import epochs
+from carpark_mj.training.ppo import learner as learner_module
 from carpark_mj.training.ppo.advantages import compute_advantages
 from carpark_mj.training.ppo.collect import Rollout, collect
 from carpark_mj.training.ppo.config import PPOConfig
@@ -130,13 +131,13 @@ def test_neighbours_are_those_from_before_the_step():
 LOTS, AGENTS, TIME = 6, 3, 4
 
 
-def learned(monkeypatch, share, near, weight, reward=None):
-    """Advantages with the share at its end, and those of each alone, (time, kept).
+def learned(monkeypatch, share, near, weight, reward=None, done=1.0):
+    """Advantages with the share, and those of each alone, (time, kept), and weights.
 
-    Rewards (time,) are those of all agents; None = at random.
+    Rewards (time,) are those of all agents; None = at random. `done` is the progress.
     """
     config = PPOConfig(
-        num_steps=1,
+        num_steps=1_000_000,
         num_lots=LOTS,
         num_minibatches=1,
         num_epochs=1,
@@ -148,7 +149,7 @@ def learned(monkeypatch, share, near, weight, reward=None):
     learner = Learner(config)
     networks, key = learner.networks, jax.random.key(0)
     state: Any = SimpleNamespace(
-        update=jnp.int32(config.num_updates),
+        update=jnp.int32(done * config.num_updates),
         seconds=0.0,
         normalizer=init_normalizer(learner.inputs),
         policy=networks.policy_network.init(key),
@@ -193,15 +194,38 @@ def learned(monkeypatch, share, near, weight, reward=None):
     return np.asarray(steps.advantage), np.asarray(own), np.asarray(steps.weight)
 
 
-def test_advantages_to_learn_from_have_the_neighbours_share(monkeypatch):
+@pytest.mark.parametrize(("done", "part"), [(0.0, 0.0), (0.4, 0.25), (1.0, 0.5)])
+def test_advantages_to_learn_from_have_the_share_of_the_progress(
+    monkeypatch, done, part
+):
     all_near = jnp.ones((TIME, LOTS * AGENTS, AGENTS), bool)
     near = all_near & ~jnp.tile(jnp.eye(AGENTS, dtype=bool), (LOTS, 1))
-    together, own, _ = learned(monkeypatch, 0.5, near, None)
+    together, own, _ = learned(monkeypatch, 0.5, near, None, done=done)
     lot = own.reshape(TIME, LOTS, AGENTS)
     theirs = (lot.sum(axis=-1, keepdims=True) - lot) / (AGENTS - 1)
-    np.testing.assert_allclose(together, own + 0.5 * theirs.reshape(own.shape), 1e-5)
+    expected = own + part * theirs.reshape(own.shape)
+    np.testing.assert_allclose(together, expected, atol=5e-3)  # whole updates
+
+
+def test_without_a_share_nobody_is_near_and_advantages_are_the_own(monkeypatch):
     together, own, _ = learned(monkeypatch, 0.0, None, None)
     np.testing.assert_array_equal(together, own)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_training_asks_for_neighbours_where_they_have_a_share(monkeypatch, share):
+    def asked(*given, **more):
+        del given
+        return more["with_neighbours"]
+
+    monkeypatch.setattr(learner_module, "collect", asked)
+    monkeypatch.setattr(learner_module, "make_policy", lambda *given, **more: None)
+    state: Any = SimpleNamespace(
+        update=jnp.int32(0), seconds=0.0, normalizer=None, policy=None, env=None
+    )
+    config = PPOConfig(curriculum=CurriculumConfig(neighbour_share=share))
+    found: Any = Learner(config)._collect(state, jax.random.key(0))
+    assert found == (share > 0.0)
 
 
 def test_shares_are_of_the_own_lot_where_absent_agents_are_dropped(monkeypatch):

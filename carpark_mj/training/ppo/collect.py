@@ -33,7 +33,7 @@ class Rollout:
             else 1.0; None = all 1.
         advice: actions of a teacher; None = there is none.
         near: (time, agents, agents of a lot) bool before the step, see `neighbours`;
-            None = nobody asks.
+            None = not asked for.
     """
 
     observation: jax.Array

@@ -67,7 +67,8 @@ def learn(
         normalizer = update_normalizer(
             inputs, normalizer, rollout.observation, rollout.weight, AXIS
         )
-    share, near = neighbour_share(config.curriculum, progress), rollout.near
+    share = neighbour_share(config.curriculum, progress)
+    near: Any = rollout.near  # with a share it is given
     rollout = dataclasses.replace(rollout, near=None)
     num_agents = rollout.reward.shape[1]
     kept = jnp.arange(num_agents)
@@ -75,7 +76,7 @@ def learn(
         key, drop_key = jax.random.split(key)
         count = num_learned(config, num_agents)
         rollout, kept = drop_absent(rollout, count, drop_key)
-        if near is not None:  # the advantages of those dropped are not computed
+        if share is not None:  # the advantages of those dropped are not computed
             is_kept = jnp.zeros(num_agents, bool).at[kept].set(True)
             of_lots = is_kept.reshape(-1, near.shape[-1])
             near &= jnp.repeat(of_lots, near.shape[-1], axis=0)
@@ -103,7 +104,7 @@ def learn(
             discount(config, progress),
             config.gae_lambda,
         )
-        if share is not None and near is not None:
+        if share is not None:
             everyone = jnp.zeros(near.shape[:2]).at[:, kept].set(advantage)
             advantage += share * neighbours_mean(near, everyone)[:, kept]
         return Minibatch(

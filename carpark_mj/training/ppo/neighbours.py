@@ -1,7 +1,7 @@
 """Shares of the neighbours' advantages: agents that learn to drive for each other.
 
-Advantages and not rewards: those of an agent that parks end with its episode, so that
-sharing them would teach to stay. An advantage is 0 on average wherever the agent is.
+Advantages and not rewards: an agent that parks would lose its neighbours' rewards, and
+learn to stay. Advantages are 0 on average, wherever it is.
 """
 
 import jax
