@@ -43,7 +43,7 @@ _OBSERVATION = ContinuousObservation(
     own_car=True,
     lines=True,
     route=True,
-    rays=RayConfig(72),  # one every 5 degrees
+    rays=RayConfig(72, near=1.0),  # one every 5 degrees, twice: far and near
 )
 ANYWHERE = EnvConfig(
     layout="square,square_compact,street,street_parallel,angled,lot,garage_row,dead_end",

@@ -194,15 +194,22 @@ class RayConfig(CheckedConfig):
             none. Each measures the distance from the car's outline to the nearest wall,
             disc, parked car or agent.
         reach: longest distance measured [m].
+        near: distance [m] up to which it is observed a second time, divided by this, so
+            that centimetres are visible, too; at most `reach`, 0 = not.
     """
 
     count: int = 0
     reach: float = 10.0
+    near: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_whole(self, 0, "count")
         require_positive(self, "reach")
+        if not 0.0 <= self.near <= self.reach:
+            raise ValueError(
+                f"near must lie in [0, {self.reach}], the reach, not {self.near}"
+            )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,20 +13,29 @@ from carpark_mj.observations.fields import Field
 from carpark_mj.observations.parts import Part, Sight
 from carpark_mj.types import Motion
 
-RAYS = "rays"  # name of the field
+RAYS = "rays"  # names of the fields
+RAYS_NEAR = "rays_near"
 CHUNK = 8  # obstacles whose rays are computed at a time in a crowded lot
 
 
 def rays_part(config: RayConfig) -> Part:
-    """The field `rays`."""
+    """The field `rays`, and `rays_near` if the rays are to be seen in centimetres."""
 
     def fill(sight: Sight) -> dict[str, jax.Array]:
-        return {RAYS: cast_rays(config, sight.motion, sight.obstacles)}
+        free = cast_rays(config, sight.motion, sight.obstacles)
+        if not config.near:
+            return {RAYS: free}
+        near = jnp.minimum(free * (config.reach / config.near), 1.0)
+        return {RAYS: free, RAYS_NEAR: near}
 
     meaning = (
         f"free distance along bearings from ahead to the left [{config.reach:g} m]"
     )
-    return Part((Field(RAYS, config.count, 0.0, 1.0, meaning),), fill)
+    fields = (Field(RAYS, config.count, 0.0, 1.0, meaning),)
+    if config.near:
+        meaning = f"the same [{config.near:g} m], clipped"
+        fields += (Field(RAYS_NEAR, config.count, 0.0, 1.0, meaning),)
+    return Part(fields, fill)
 
 
 def cast_rays(

@@ -115,6 +115,7 @@ def test_the_entities_of_a_group_have_the_same_fields_side_by_side(
         ({"rays": RayConfig()}, -24),
         ({"rays": RayConfig(31)}, 7),
         ({"rays": RayConfig(24, reach=3.0)}, 0),
+        ({"rays": RayConfig(24, near=1.0)}, 24),
         ({"lane": True}, 4),  # present, 2 of its heading, one-way
         ({"own_car": True}, 5),  # 2 of its size, wheelbase, axle, turning radius
         ({"lines": True}, 4),  # a number for each side

@@ -238,3 +238,28 @@ def test_rays_are_a_field_of_the_observation():
         parked_cars=parked_in(there, [0, 1], 2.0),
     )
     np.testing.assert_allclose(observe_jit(config, again), seen, atol=5e-6)
+
+
+def test_near_rays_are_the_same_distances_divided_by_the_near_one():
+    observation = ContinuousObservation(
+        0, 0, rings=RingConfig(), rays=RayConfig(4, reach=8.0, near=1.0)
+    )
+    config = config_of(observation)
+    assert [field.name for field in make_fields(config)[-2:]] == ["rays", "rays_near"]
+    # 0.05 m ahead, 3.5 m left and nothing behind: beyond a metre; 0.75 m right.
+    layout = lot(
+        [(50.0, 50.0, 0.0)],
+        walls=[(3.05, 0.0, 0.0), (0.0, 5.5, 0.0), (0.0, -2.75, 0.0)],
+        wall_size=[(2.0, 2.0), (2.0, 2.0), (2.0, 2.0)],
+    )
+    state = state_of(layout, cars([(0.0, 0.0, 0.0)]), 0)
+    seen = fields_of(observe_jit(config, state), config)
+    metres = [[0.05, 3.5, 8.0, 0.75]]
+    np.testing.assert_allclose(seen["rays"], np.divide(metres, 8.0), atol=1e-6)
+    np.testing.assert_allclose(seen["rays_near"], np.minimum(metres, 1.0), atol=1e-5)
+
+
+@pytest.mark.parametrize("near", [-1.0, 10.5, math.nan])
+def test_near_rays_lie_within_the_reach(near):
+    with pytest.raises(ValueError, match=str(near)):
+        RayConfig(4, near=near)

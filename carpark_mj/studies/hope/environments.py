@@ -33,7 +33,7 @@ HOPE = dataclasses.replace(
         tracked_parked_cars=0,
         own_car=True,
         lines=True,
-        rays=RayConfig(72),
+        rays=RayConfig(72, near=1.0),
     ),
     randomization=RandomizationConfig(),
     sensors=SensorConfig(),

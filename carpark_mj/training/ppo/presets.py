@@ -71,6 +71,7 @@ ANYWHERE = dataclasses.replace(
         reverse_ratio=0.3,
         target_rate=0.99,
         discount_end=0.997,
+        neighbour_share=0.25,
     ),
     networks=NetworkConfig((256, 256, 256), (256, 256, 256), min_std=0.1),
     env=environment("anywhere"),
@@ -87,7 +88,10 @@ CONSIDERATE = dataclasses.replace(
     entropy_cost=2e-3,
     discount=0.997,
     curriculum=dataclasses.replace(
-        ANYWHERE.curriculum, crash_scale=4.0, discount_end=0.0
+        ANYWHERE.curriculum,
+        crash_scale=4.0,
+        discount_end=0.0,
+        neighbour_share=0.0,
     ),
     env=environment("considerate"),
 )
@@ -101,7 +105,10 @@ SEES = dataclasses.replace(
     num_minibatches=8,
     learning_rate=5e-4,
     curriculum=dataclasses.replace(
-        ANYWHERE.curriculum, teacher="anywhere", teacher_until=0.9
+        ANYWHERE.curriculum,
+        neighbour_share=0.0,
+        teacher="anywhere",
+        teacher_until=0.9,
     ),
     networks=NetworkConfig((256, 256), (256, 256, 256), min_std=0.1),
     env=environment("sees"),

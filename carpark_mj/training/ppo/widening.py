@@ -17,7 +17,7 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.fields import ORDERED, Field
-from carpark_mj.observations.rays import RAYS
+from carpark_mj.observations.rays import RAYS, RAYS_NEAR
 from carpark_mj.observations.sets import OWN, observation_sets, part_name
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.config import PPOConfig
@@ -120,14 +120,16 @@ def _places(networks: NetworkConfig, env: EnvConfig) -> dict[str, list[str]]:
 def _numbers(field: Field) -> list[str]:
     """Names of a field's numbers: of rays by bearing, so that 24 are among 72."""
     size = field.size
-    if field.name == RAYS:
-        return [f"{RAYS} {Fraction(k, size)} of a turn" for k in range(size)]
+    if field.name in (RAYS, RAYS_NEAR):
+        return [f"{field.name} {Fraction(k, size)} of a turn" for k in range(size)]
     return [f"{field.name} {k}" for k in range(size)]
 
 
 def _without_count(field: Field) -> Field:
     """The field, but for how many rays there are."""
-    return dataclasses.replace(field, size=0) if field.name == RAYS else field
+    return (
+        dataclasses.replace(field, size=0) if field.name in (RAYS, RAYS_NEAR) else field
+    )
 
 
 def _spread(
