@@ -81,7 +81,13 @@ def test_hope_is_the_task_of_the_suite():
     assert same == HOPE
 
 
-def test_the_shipped_policy_anywhere_has_the_environment_of_its_name():
-    shipped = load_policy("anywhere").env
-    assert shipped == environment("anywhere")
-    assert len(shipped.fleet.agents) == 6
+@pytest.mark.parametrize("name", ["anywhere", "hope", "sees"])
+def test_shipped_policies_have_the_environments_of_their_names(name):
+    assert load_policy(name).env == environment(name)
+
+
+def test_the_shipped_considerate_was_trained_without_rays_within_a_metre():
+    shipped, today = load_policy("considerate").env, environment("considerate")
+    rays = dataclasses.replace(today.observation.rays, near=0.0)
+    seen = dataclasses.replace(today.observation, rays=rays)
+    assert shipped == dataclasses.replace(today, observation=seen) != today

@@ -194,8 +194,9 @@ class RayConfig(CheckedConfig):
             none. Each measures the distance from the car's outline to the nearest wall,
             disc, parked car or agent.
         reach: longest distance measured [m].
-        near: distance [m] up to which it is observed a second time, divided by this, so
-            that centimetres are visible, too; at most `reach`, 0 = not.
+        near: distance [m] up to which the free distance is observed a second time, in
+            units of this distance, so that centimetres are visible; at most `reach`,
+            0 = not observed twice.
     """
 
     count: int = 0

@@ -33,7 +33,9 @@ def rays_part(config: RayConfig) -> Part:
     )
     fields = (Field(RAYS, config.count, 0.0, 1.0, meaning),)
     if config.near:
-        meaning = f"the same [{config.near:g} m], clipped"
+        meaning = (
+            f"free distance along the bearings of `rays` [{config.near:g} m], clipped"
+        )
         fields += (Field(RAYS_NEAR, config.count, 0.0, 1.0, meaning),)
     return Part(fields, fill)
 

@@ -194,7 +194,7 @@ EVERYTHING = ContinuousObservation(
     share=ShareConfig(steering=True, priority=True),
     lines=True,
     own_car=True,
-    rays=RayConfig(8),
+    rays=RayConfig(8, near=4.0),
     lane=True,
 )
 FIXED = EnvConfig(
@@ -238,7 +238,7 @@ CONSUMERS = {
     "tracked bays": ("bay_0_position", "bay_0_distance"),
     "who is near tracked bays": ("bay_0_nearest_agent", "bay_0_claim"),
     "rings": ("ring_9m",),
-    "rays": ("rays",),
+    "rays": ("rays", "rays_near"),
 }
 
 

@@ -257,16 +257,17 @@ def test_statistics_of_new_fields_have_unit_variance_and_go_on(other):
     np.testing.assert_allclose(again.std[new] ** 2, 0.5 + 1.5**2, rtol=1e-3)
 
 
-def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path):
+@pytest.mark.parametrize("near", [0.0, 1.0])
+def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path, near):
     folder, theirs = other
-    assert TINY.env.observation.rays.count == 24
-    seen = ContinuousObservation(rays=RayConfig(72))
+    assert TINY.env.observation.rays == RayConfig(24)
+    seen = ContinuousObservation(rays=RayConfig(72, near=near))
     env = dataclasses.replace(TINY.env, observation=seen)
     config = dataclasses.replace(TINY, env=env, warm_start=str(folder))
     narrow, wide = Learner(TINY), Learner(config)
     state = jax.device_get(load_or_init(wide, [tmp_path]))
-    # Every third of 72 bearings is one of 24.
-    kept = columns(config, lambda name: name != "rays")
+    # Every third of 72 bearings is one of 24; who has not seen them near ignores them.
+    kept = columns(config, lambda name: name not in ("rays", "rays_near"))
     rays = columns(config, lambda name: name == "rays")
     kept = np.sort(np.concatenate([kept, rays[::3]]))
     rng = np.random.default_rng(2)
@@ -281,6 +282,30 @@ def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path):
         )
     )
     np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-5)
+
+
+def test_near_rays_keep_their_bearings():
+    few, many = (
+        dataclasses.replace(
+            TINY.env, observation=ContinuousObservation(rays=RayConfig(count, near=1.0))
+        )
+        for count in (24, 72)
+    )
+
+    def near(env):
+        """Whether the agent's own numbers are near rays."""
+        own = [field for field in make_fields(env) if not field.group]
+        names = [field.name for field in own for _ in range(field.size)]
+        return np.array(names) == "rays_near"
+
+    theirs = Learner(dataclasses.replace(TINY, env=few)).init().normalizer
+    numbered = np.arange(near(few).size, dtype=np.float32)
+    theirs = theirs | {"own": theirs["own"].replace(mean=numbered)}
+    config = dataclasses.replace(TINY, env=many)
+    wide = widen(config, few, {"normalizer": theirs}, {"normalizer": {}})["normalizer"]
+    found = np.asarray(wide["own"].mean)[near(many)]
+    np.testing.assert_array_equal(found[::3], numbered[near(few)])
+    np.testing.assert_array_equal(np.delete(found, np.s_[::3]), 0.0)
 
 
 @pytest.mark.parametrize("rays", [RayConfig(36), RayConfig(72, reach=20.0)])

@@ -167,7 +167,7 @@ class PPOConfig(RunConfig):
         if self.curriculum.neighbour_share and self.env.num_agents == 1:
             raise ValueError(
                 f"curriculum.neighbour_share {self.curriculum.neighbour_share} needs "
-                "env.num_agents of at least 2, not 1"
+                "env.num_agents of at least 2, not 1; 0 shares nothing"
             )
         if self.critic_steps and self.critic_updates >= self.num_updates:
             raise ValueError(

@@ -91,7 +91,7 @@ CONSIDERATE = dataclasses.replace(
         ANYWHERE.curriculum,
         crash_scale=4.0,
         discount_end=0.0,
-        neighbour_share=0.0,
+        neighbour_share=0.0,  # not tried
     ),
     env=environment("considerate"),
 )
@@ -106,7 +106,7 @@ SEES = dataclasses.replace(
     learning_rate=5e-4,
     curriculum=dataclasses.replace(
         ANYWHERE.curriculum,
-        neighbour_share=0.0,
+        neighbour_share=0.0,  # not tried; one agent alone has no neighbours
         teacher="anywhere",
         teacher_until=0.9,
     ),
