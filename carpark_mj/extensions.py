@@ -88,6 +88,8 @@ class Registry(Mapping[str, T], Generic[T]):
         return self._parts[name]
 
     def __contains__(self, name: object) -> bool:
+        if not isinstance(name, str):  # from a file; a list could not even be looked up
+            return False
         for home in self._homes:
             if name in self._parts:
                 return True

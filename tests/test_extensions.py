@@ -39,6 +39,15 @@ def test_so_are_names_that_no_flag_can_hold(name):
         Registry("car").register(name, 1)
 
 
+@pytest.mark.parametrize("name", [["mini"], None, 1, {"a": 1}])
+def test_what_is_no_name_is_unknown(name):
+    registry = Registry("car")
+    registry.register("mini", 1)
+    assert name not in registry
+    with pytest.raises(ValueError, match=r"unknown car .*choose from .'mini'"):
+        registry[name]
+
+
 def test_an_unknown_name_imports_the_extensions(extension):
     registry = Registry("car")
     sys.modules["trial_registry"] = type(sys)("trial_registry")
