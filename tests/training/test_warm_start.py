@@ -284,30 +284,6 @@ def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path, near):
     np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-5)
 
 
-def test_near_rays_keep_their_bearings():
-    few, many = (
-        dataclasses.replace(
-            TINY.env, observation=ContinuousObservation(rays=RayConfig(count, near=1.0))
-        )
-        for count in (24, 72)
-    )
-
-    def near(env):
-        """Whether the agent's own numbers are near rays."""
-        own = [field for field in make_fields(env) if not field.group]
-        names = [field.name for field in own for _ in range(field.size)]
-        return np.array(names) == "rays_near"
-
-    theirs = Learner(dataclasses.replace(TINY, env=few)).init().normalizer
-    numbered = np.arange(near(few).size, dtype=np.float32)
-    theirs = theirs | {"own": theirs["own"].replace(mean=numbered)}
-    config = dataclasses.replace(TINY, env=many)
-    wide = widen(config, few, {"normalizer": theirs}, {"normalizer": {}})["normalizer"]
-    found = np.asarray(wide["own"].mean)[near(many)]
-    np.testing.assert_array_equal(found[::3], numbered[near(few)])
-    np.testing.assert_array_equal(np.delete(found, np.s_[::3]), 0.0)
-
-
 @pytest.mark.parametrize("rays", [RayConfig(36), RayConfig(72, reach=20.0)])
 def test_rays_of_other_bearings_or_reach_are_refused(other, tmp_path, rays):
     seen = ContinuousObservation(rays=rays)

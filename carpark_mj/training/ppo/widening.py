@@ -23,6 +23,7 @@ from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.config import PPOConfig
 
 HIDDEN = "hidden"  # of `hidden_0`, the first layer behind the encoder
+_BY_BEARING = (RAYS, RAYS_NEAR)  # fields whose numbers have bearings
 
 
 def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
@@ -120,16 +121,14 @@ def _places(networks: NetworkConfig, env: EnvConfig) -> dict[str, list[str]]:
 def _numbers(field: Field) -> list[str]:
     """Names of a field's numbers: of rays by bearing, so that 24 are among 72."""
     size = field.size
-    if field.name in (RAYS, RAYS_NEAR):
+    if field.name in _BY_BEARING:
         return [f"{field.name} {Fraction(k, size)} of a turn" for k in range(size)]
     return [f"{field.name} {k}" for k in range(size)]
 
 
 def _without_count(field: Field) -> Field:
     """The field, but for how many rays there are."""
-    return (
-        dataclasses.replace(field, size=0) if field.name in (RAYS, RAYS_NEAR) else field
-    )
+    return dataclasses.replace(field, size=0) if field.name in _BY_BEARING else field
 
 
 def _spread(
