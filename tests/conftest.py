@@ -22,7 +22,6 @@ quick = (
 os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}".strip()
 os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = "0"
 gc.set_threshold(200_000, 20, 50)  # tracing makes many objects, few of them garbage
-MAX_MAPS = 20_000  # memory maps of a process after a file
 MAX_KEPT = 2e9  # bytes of compiled programs; a run leaves 0.1e9
 
 
@@ -62,16 +61,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def released_programs() -> Iterator[None]:
-    """Releases compiled programs between files where there are many.
+    """Releases a file's compiled programs behind it.
 
     Each takes tens of memory maps, of which Linux allows a process 65,530: beyond
-    them the next program to load ends it with a segmentation fault. Until then files
-    share what they compile, even the small programs of single operations.
+    them the next program to load ends it with a segmentation fault.
     """
     yield
-    maps = Path("/proc/self/maps")
-    if not maps.exists() or maps.read_bytes().count(b"\n") > MAX_MAPS:
-        jax.clear_caches()
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")
