@@ -22,7 +22,7 @@ quick = (
 os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}".strip()
 os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = "0"
 gc.set_threshold(200_000, 20, 50)  # tracing makes many objects, few of them garbage
-MAX_MAPS = 4000  # memory maps of a process between files, some 2 GB
+MAX_MAPS = 4000  # memory maps of a process between files, 2 GB [est]
 MAX_KEPT = 2e9  # bytes of compiled programs; a run leaves 0.1e9
 
 

@@ -187,7 +187,7 @@ def test_two_hosts_train_like_two_devices_of_one(finished, environment):
 
 
 def test_seeds_side_by_side_are_runs_like_any_other(finished, environment, tmp_path):
-    """Their numbers are those of single runs: `tests/training/test_group.py`."""
+    """That a run has the numbers of one alone is seen in `tests/training`."""
     start = (*TINY, "--runs-dir", str(tmp_path), "--name")
     stop = ("--time-limit", "1e-4")  # reached in the first update
     done = run(environment, "train/ppo.py", *start, "group", "--seeds", "0..1", *stop)
@@ -202,13 +202,17 @@ def test_seeds_side_by_side_are_runs_like_any_other(finished, environment, tmp_p
         }
         assert len(metrics(folder)) == UPDATES
         assert checkpoint(folder).name == checkpoint(finished[0]).name
-    with (
-        np.load(checkpoint(Path(folders[1]))) as a,
-        np.load(checkpoint(finished[0])) as b,
-    ):
-        assert {n: (a[n].shape, a[n].dtype) for n in set(a.files) - {"header"}} == {
-            n: (b[n].shape, b[n].dtype) for n in set(b.files) - {"header"}
-        }
+    configs = [json.loads((Path(f) / "config.json").read_text()) for f in folders]
+    assert [config["config"]["seed"] for config in configs] == [0, 1]
+    first, second, alone = (
+        np.load(checkpoint(folder)) for folder in (*map(Path, folders), finished[0])
+    )
+    names = sorted(set(alone.files) - {"header"})
+    assert sorted(set(second.files) - {"header"}) == names
+    for name in names:
+        assert second[name].shape == alone[name].shape
+        assert second[name].dtype == alone[name].dtype
+    assert any((first[name] != second[name]).any() for name in names)
     done = run(environment, "eval/evaluate.py", folders[0], "--episodes", "8")
     assert done.returncode == 0, done.stderr
 
