@@ -146,23 +146,28 @@ class EnvConfig(OldNames):
             )
         spawn = self.spawn
         if self.goals.drive_out and (
-            spawn.close_ratio or spawn.conflict_ratio or spawn.reverse_ratio
+            spawn.close_ratio
+            or spawn.conflict_ratio
+            or spawn.reverse_ratio
+            or spawn.astray_ratio
         ):
             raise ValueError(
                 "goals.drive_out needs starts at random: spawn.close_ratio, "
-                "conflict_ratio and reverse_ratio = 0"
+                "conflict_ratio, reverse_ratio and astray_ratio = 0"
             )
         if self.goals.drive_out and (self.num_parked_cars or self.fleet.agents):
             raise ValueError(
                 "goals.drive_out needs bays without parked cars that fit every agent: "
                 "num_parked_cars = 0 and no fleet.agents"
             )
-        reverse = self.spawn.reverse_ratio
-        if reverse and (self.goals.dynamic or not physics.steers):
-            raise ValueError(
-                f"spawn.reverse_ratio {reverse} needs fixed goals and cars that steer: "
-                f"goals.dynamic = False, and a physics other than {physics.back_end}"
-            )
+        for name in ("reverse_ratio", "astray_ratio"):
+            ratio = getattr(self.spawn, name)
+            if ratio and (self.goals.dynamic or not physics.steers):
+                raise ValueError(
+                    f"spawn.{name} {ratio} needs fixed goals and cars that steer: "
+                    f"goals.dynamic = False, and a physics other than "
+                    f"{physics.back_end}"
+                )
         if self.randomization.is_on and not physics.randomized:
             raise ValueError(
                 f"randomization has no effect in {physics.back_end} physics, whose "

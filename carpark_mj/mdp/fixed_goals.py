@@ -13,6 +13,7 @@ from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.geometry import norm, point_box_distance
 from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.mdp.bays import marked
+from carpark_mj.mdp.spawning.astray import AstrayDraws, astray_pose, astray_shapes
 from carpark_mj.mdp.spawning.collision_course import (
     CourseDraws,
     Targets,
@@ -48,6 +49,7 @@ class PlaceDraws(NamedTuple):
         course_goal: (attempts, 2, bays) the goals of attempts at a collision course.
         course: for the attempts.
         reverse: for a start on a path out of the goal's bay.
+        astray: for a start in it.
     """
 
     goal: Any
@@ -55,6 +57,7 @@ class PlaceDraws(NamedTuple):
     course_goal: Any
     course: CourseDraws
     reverse: ReverseDraws
+    astray: AstrayDraws
 
 
 def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDraws:
@@ -62,7 +65,8 @@ def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDr
     course, goal = course_shapes(config, num_agents), (2, num_bays)
     course_goal = (*course.target[:1], *goal)
     start, reverse = spawn_shapes(config), reverse_shapes(config)
-    return PlaceDraws(goal, start, course_goal, course, reverse)
+    astray = astray_shapes(config)
+    return PlaceDraws(goal, start, course_goal, course, reverse, astray)
 
 
 class FixedGoals:
@@ -156,11 +160,14 @@ class FixedGoals:
         goal_pose = layout.bay_pose[placing.goal[agent]]
         pose = spawn_pose(config, layout, around, goal_pose, draws.start)
         pose = redraw(config, layout, around, pose, key)
-        if not config.reverse_ratio:
-            return pose
-        out, found = reverse_pose(inputs, placing, around, agent, draws.reverse)
-        reverse = draw_kind(config, draws.start.kind).reverse & found
-        return jnp.where(reverse, out, pose)
+        kind = draw_kind(config, draws.start.kind)
+        if config.reverse_ratio:
+            out, found = reverse_pose(inputs, placing, around, agent, draws.reverse)
+            pose = jnp.where(kind.reverse & found, out, pose)
+        if config.astray_ratio:
+            near, found = astray_pose(inputs, placing, around, agent, draws.astray)
+            pose = jnp.where(kind.astray & found, near, pose)
+        return pose
 
     def new_goal(
         self,

@@ -1,8 +1,9 @@
 """Where an agent starts: at random in the spawn regions, or close to its goal.
 
-Other starts are in `collision_course` and `reverse`.
+Other starts are in `collision_course`, `reverse` and `astray`.
 """
 
+import itertools
 from typing import Any, NamedTuple
 
 import jax
@@ -40,11 +41,13 @@ class SpawnKind(NamedTuple):
         close: close to a goal.
         conflict: with another agent, on course for a collision or about a bay.
         reverse: on a path out of the goal's bay.
+        astray: in the goal's bay.
     """
 
     close: jax.Array
     conflict: jax.Array
     reverse: jax.Array
+    astray: jax.Array
 
 
 def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
@@ -62,13 +65,14 @@ def at_random_after(tries: jax.Array, draws: SpawnDraws) -> SpawnDraws:
 
 def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
     """Kinds of starts (...), at most one each; `number` (...) decides."""
-    rest = number - config.close_ratio
-    last = rest - config.conflict_ratio
-    return SpawnKind(
-        close=number < config.close_ratio,
-        conflict=(rest >= 0.0) & (rest < config.conflict_ratio),
-        reverse=(rest >= 0.0) & (last >= 0.0) & (last < config.reverse_ratio),
+    ratios = (
+        config.close_ratio,
+        config.conflict_ratio,
+        config.reverse_ratio,
+        config.astray_ratio,
     )
+    kind = sum(number >= end for end in itertools.accumulate(ratios))
+    return SpawnKind(*(kind == k for k in range(len(ratios))))
 
 
 def spawn_pose(

@@ -61,9 +61,8 @@ def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
 
 def training_env(config: PPOConfig) -> EnvConfig:
     """The environment with the starts of the curriculum."""
-    spawn, curriculum = config.env.spawn, config.curriculum
-    if curriculum.conflict_ratio:
-        spawn = dataclasses.replace(spawn, conflict_ratio=curriculum.conflict_ratio)
-    if curriculum.reverse_ratio:
-        spawn = dataclasses.replace(spawn, reverse_ratio=curriculum.reverse_ratio)
+    names = ("conflict_ratio", "reverse_ratio", "astray_ratio")
+    asked = {name: getattr(config.curriculum, name) for name in names}
+    changes = {name: ratio for name, ratio in asked.items() if ratio}
+    spawn = dataclasses.replace(config.env.spawn, **changes)
     return dataclasses.replace(config.env, spawn=spawn)

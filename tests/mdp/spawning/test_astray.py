@@ -1,0 +1,126 @@
+"""Astray starts: in the goal bay, free of everything, and not parked."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from helpers.rules import LIMITS
+from helpers.scenes import cars, lot, polygons
+from helpers.states import parked_at
+
+from carpark_mj.config import EnvConfig, GoalConfig, SpawnConfig
+from carpark_mj.mdp.bays import BayFits
+from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
+from carpark_mj.mdp.spawning.astray import FARTHEST, MARGIN, astray_shapes
+from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing
+from carpark_mj.mdp.terminations import is_parked
+from carpark_mj.vehicle import COMPACT, make_vehicle
+
+ASTRAY = SpawnConfig(close_ratio=0.0, astray_ratio=1.0)
+BAY = (20.0, 0.0, 0.5)
+COUNT = 1500
+
+
+def starts(layout, spawn=ASTRAY, parked=None):
+    """Poses (COUNT, 3) of one car whose goal is bay 0, in a lot that begins."""
+    parked = parked_at() if parked is None else parked
+    goals = FixedGoals(EnvConfig(spawn=spawn))
+    car = jax.tree.map(lambda x: jnp.asarray(x)[None], make_vehicle(COMPACT))
+    inputs = SpawnInputs(layout, parked, None, None, BayFits(), car)
+    placing = start_placing(
+        jnp.array([0]), parked.bay, jnp.zeros((1, 3)), jnp.array([True])
+    )
+
+    def one(key):
+        return goals.place_first(inputs, placing, jnp.array(0), key).pose_w[0]
+
+    return np.asarray(
+        jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(3), COUNT))
+    )
+
+
+def in_bay(pose, bay=BAY):
+    """Offset along and across, and heading either way round, in the bay's frame."""
+    off = (pose[:, 0] - bay[0] + 1j * (pose[:, 1] - bay[1])) * np.exp(-1j * bay[2])
+    turned = pose[:, 2] - bay[2]
+    return off.real, off.imag, np.arctan(np.tan(turned)), np.cos(turned)
+
+
+SIZE = (COMPACT.length, COMPACT.width)
+# A bay with 0.1 m of room on each side.
+TIGHT = lot(
+    [BAY, (20.0, 40.0, 0.0)],
+    bay_size=(SIZE[0] + 0.2, SIZE[1] + 0.2),
+    spawn_size=(1.0, 1.0),
+)
+
+
+def test_they_are_in_the_bay_both_ways_round_and_not_within_its_lines():
+    pose = starts(TIGHT)
+    along, across, askew, way = in_bay(pose)
+    for values, most in zip((along, across, askew), FARTHEST, strict=True):
+        assert 0.9 * most < np.abs(values).max() < most + 1e-3
+        assert abs(values.mean()) < 0.1 * most
+    assert 0.4 < (way > 0).mean() < 0.6
+    bay = polygons(np.array([BAY]), np.array([TIGHT.bay_size[0]]))[0]
+    assert not shapely.contains(bay, polygons(pose, SIZE)).any()
+    bays = (
+        np.broadcast_to(BAY, pose.shape),
+        np.broadcast_to(TIGHT.bay_size[0], (COUNT, 2)),
+    )
+    standing = cars(pose, size=SIZE)
+    inside = [name for name, limits in LIMITS.items() if limits.inside_lines]
+    assert "strict" in inside
+    for rule in inside:
+        assert not np.asarray(is_parked(rule, standing, *bays)).any()
+
+
+def test_they_keep_clear_of_what_stands_beside_the_bay():
+    width = TIGHT.bay_size[0, 1]
+    aside = (
+        BAY[0] - np.sin(BAY[2]) * (width / 2 + 0.2),
+        np.cos(BAY[2]) * (width / 2 + 0.2),
+    )
+    walled = lot(
+        TIGHT.bay_pose,
+        [(*aside, BAY[2])],
+        bay_size=TIGHT.bay_size[0],
+        wall_size=(8.0, 0.2),
+        spawn_size=(1.0, 1.0),
+    )
+    pose = starts(walled)
+    wall = polygons(np.array([[*aside, BAY[2]]]), np.array([[8.0, 0.2]]))[0]
+    gaps = shapely.distance(wall, polygons(pose, SIZE))
+    assert MARGIN - 1e-3 < gaps.min() < MARGIN + 0.1
+    assert in_bay(pose)[1].mean() < -0.02  # farther from the wall
+
+
+def test_where_a_car_is_always_within_the_lines_the_start_is_random():
+    wide = lot(
+        TIGHT.bay_pose, bay_size=(SIZE[0] + 2.0, SIZE[1] + 2.0), spawn_size=(1.0, 1.0)
+    )
+    assert np.abs(starts(wide)[:, :2]).max() <= 0.5
+
+
+def test_their_share_is_the_ratio():
+    mixed = dataclasses.replace(ASTRAY, close_ratio=0.1, astray_ratio=0.3)
+    x = starts(TIGHT, mixed)[:, 0]
+    # Deviation 1.2 %: five of them. Others start within 1 m of the origin.
+    assert (x > 5.0).mean() == pytest.approx(0.3, abs=0.06)
+
+
+def test_without_them_no_number_is_drawn_for_them():
+    assert all(np.prod(shape) == 0 for shape in astray_shapes(SpawnConfig()))
+    on, off = (place_shapes(SpawnConfig(astray_ratio=r), 2, 3) for r in (0.1, 0.0))
+    assert on._replace(astray=off.astray) == off
+
+
+@pytest.mark.parametrize(
+    "settings", [{"physics": "grid"}, {"goals": GoalConfig(dynamic=True)}]
+)
+def test_they_need_fixed_goals_and_cars_that_steer(settings):
+    with pytest.raises(ValueError, match=r"spawn.astray_ratio 0.1 needs fixed goals"):
+        EnvConfig(spawn=SpawnConfig(astray_ratio=0.1), **settings)
