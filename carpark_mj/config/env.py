@@ -149,18 +149,18 @@ class EnvConfig(OldNames):
             spawn.close_ratio
             or spawn.conflict_ratio
             or spawn.reverse_ratio
-            or spawn.astray_ratio
+            or spawn.misaligned_ratio
         ):
             raise ValueError(
                 "goals.drive_out needs starts at random: spawn.close_ratio, "
-                "conflict_ratio, reverse_ratio and astray_ratio = 0"
+                "conflict_ratio, reverse_ratio and misaligned_ratio = 0"
             )
         if self.goals.drive_out and (self.num_parked_cars or self.fleet.agents):
             raise ValueError(
                 "goals.drive_out needs bays without parked cars that fit every agent: "
                 "num_parked_cars = 0 and no fleet.agents"
             )
-        for name in ("reverse_ratio", "astray_ratio"):
+        for name in ("reverse_ratio", "misaligned_ratio"):
             ratio = getattr(self.spawn, name)
             if ratio and (self.goals.dynamic or not physics.steers):
                 raise ValueError(

@@ -28,8 +28,8 @@ class SpawnConfig(CheckedConfig):
             to its goal, and from the meeting point to that goal [m].
         reverse_ratio: share of spawns on a collision-free path sampled backwards from
             the goal; a training aid.
-        astray_ratio: share of spawns in the goal bay, over its lines by centimetres or
-            askew; a training aid. All remaining spawns are random.
+        misaligned_ratio: share of spawns in the goal bay, over its lines by
+            centimetres or askew; a training aid. All remaining spawns are random.
         min_distance: desired distance to other agents' centres [m]; 7.38 m is Tanner's
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
@@ -50,7 +50,7 @@ class SpawnConfig(CheckedConfig):
     conflict_ratio: float = 0.0
     conflict_distance: float = 7.38
     reverse_ratio: float = 0.0
-    astray_ratio: float = 0.0
+    misaligned_ratio: float = 0.0
     min_distance: float = 7.38
     num_candidates: int = 16
     max_redraws: int = 0
@@ -60,7 +60,7 @@ class SpawnConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        names = ("close_ratio", "conflict_ratio", "reverse_ratio", "astray_ratio")
+        names = ("close_ratio", "conflict_ratio", "reverse_ratio", "misaligned_ratio")
         require_ratio(self, *names)
         ratios = [getattr(self, name) for name in names]
         if math.fsum(ratios) > 1.0:

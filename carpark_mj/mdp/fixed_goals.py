@@ -13,7 +13,6 @@ from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.geometry import norm, point_box_distance
 from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.mdp.bays import marked
-from carpark_mj.mdp.spawning.astray import AstrayDraws, astray_pose, astray_shapes
 from carpark_mj.mdp.spawning.collision_course import (
     CourseDraws,
     Targets,
@@ -21,6 +20,11 @@ from carpark_mj.mdp.spawning.collision_course import (
     course_shapes,
 )
 from carpark_mj.mdp.spawning.draws import draw_uniform, pick
+from carpark_mj.mdp.spawning.misaligned import (
+    MisalignedDraws,
+    misaligned_pose,
+    misaligned_shapes,
+)
 from carpark_mj.mdp.spawning.placing import (
     Placing,
     SpawnInputs,
@@ -49,7 +53,7 @@ class PlaceDraws(NamedTuple):
         course_goal: (attempts, 2, bays) the goals of attempts at a collision course.
         course: for the attempts.
         reverse: for a start on a path out of the goal's bay.
-        astray: for a start in it.
+        misaligned: for a start in it.
     """
 
     goal: Any
@@ -57,7 +61,7 @@ class PlaceDraws(NamedTuple):
     course_goal: Any
     course: CourseDraws
     reverse: ReverseDraws
-    astray: AstrayDraws
+    misaligned: MisalignedDraws
 
 
 def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDraws:
@@ -65,8 +69,8 @@ def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDr
     course, goal = course_shapes(config, num_agents), (2, num_bays)
     course_goal = (*course.target[:1], *goal)
     start, reverse = spawn_shapes(config), reverse_shapes(config)
-    astray = astray_shapes(config)
-    return PlaceDraws(goal, start, course_goal, course, reverse, astray)
+    misaligned = misaligned_shapes(config)
+    return PlaceDraws(goal, start, course_goal, course, reverse, misaligned)
 
 
 class FixedGoals:
@@ -164,9 +168,11 @@ class FixedGoals:
         if config.reverse_ratio:
             out, found = reverse_pose(inputs, placing, around, agent, draws.reverse)
             pose = jnp.where(kind.reverse & found, out, pose)
-        if config.astray_ratio:
-            near, found = astray_pose(inputs, placing, around, agent, draws.astray)
-            pose = jnp.where(kind.astray & found, near, pose)
+        if config.misaligned_ratio:
+            near, found = misaligned_pose(
+                inputs, placing, around, agent, draws.misaligned
+            )
+            pose = jnp.where(kind.misaligned & found, near, pose)
         return pose
 
     def new_goal(

@@ -1,6 +1,6 @@
 """Where an agent starts: at random in the spawn regions, or close to its goal.
 
-Other starts are in `collision_course`, `reverse` and `astray`.
+Other starts are in `collision_course`, `reverse` and `misaligned`.
 """
 
 import itertools
@@ -41,13 +41,13 @@ class SpawnKind(NamedTuple):
         close: close to a goal.
         conflict: with another agent, on course for a collision or about a bay.
         reverse: on a path out of the goal's bay.
-        astray: in the goal's bay.
+        misaligned: in the goal's bay.
     """
 
     close: jax.Array
     conflict: jax.Array
     reverse: jax.Array
-    astray: jax.Array
+    misaligned: jax.Array
 
 
 def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
@@ -69,7 +69,7 @@ def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
         config.close_ratio,
         config.conflict_ratio,
         config.reverse_ratio,
-        config.astray_ratio,
+        config.misaligned_ratio,
     )
     kind = sum(number >= end for end in itertools.accumulate(ratios))
     return SpawnKind(*(kind == k for k in range(len(ratios))))

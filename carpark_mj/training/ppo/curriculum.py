@@ -61,7 +61,7 @@ def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
 
 def training_env(config: PPOConfig) -> EnvConfig:
     """The environment with the starts of the curriculum."""
-    names = ("conflict_ratio", "reverse_ratio", "astray_ratio")
+    names = ("conflict_ratio", "reverse_ratio", "misaligned_ratio")
     asked = {name: getattr(config.curriculum, name) for name in names}
     changes = {name: ratio for name, ratio in asked.items() if ratio}
     spawn = dataclasses.replace(config.env.spawn, **changes)

@@ -22,8 +22,8 @@ class CurriculumConfig(CheckedConfig):
             environment.
         reverse_ratio: share of spawns where a car has got to that drove out of the goal
             bay; 0 = as in the environment.
-        astray_ratio: share of spawns in the goal bay, over its lines by centimetres or
-            askew; 0 = as in the environment.
+        misaligned_ratio: share of spawns in the goal bay, over its lines by
+            centimetres or askew; 0 = as in the environment.
         target_rate: rate of parked episodes by whose shortfall half of a mixture's new
             lots are drawn (`lot_life`), and their numbers of agents with them; 0 = all
             are drawn as the mixture says.
@@ -41,7 +41,7 @@ class CurriculumConfig(CheckedConfig):
     discount_end: float = 0.0
     conflict_ratio: float = 0.0
     reverse_ratio: float = 0.0
-    astray_ratio: float = 0.0
+    misaligned_ratio: float = 0.0
     target_rate: float = 0.0
     neighbour_share: float = 0.0
     teacher: str = ""
@@ -54,7 +54,7 @@ class CurriculumConfig(CheckedConfig):
         require_ratio(
             self, "crash_until", "conflict_ratio", "reverse_ratio", "target_rate"
         )
-        require_ratio(self, "astray_ratio", "teacher_until")
+        require_ratio(self, "misaligned_ratio", "teacher_until")
         if not 0.0 <= self.discount_end < 1.0:
             raise ValueError(
                 f"discount_end must lie in [0, 1), not {self.discount_end}"

@@ -69,7 +69,7 @@ ANYWHERE = dataclasses.replace(
         _CURRICULUM,
         conflict_ratio=0.2,
         reverse_ratio=0.3,
-        astray_ratio=0.1,
+        misaligned_ratio=0.1,
         target_rate=0.99,
         discount_end=0.997,
         neighbour_share=0.25,
@@ -92,7 +92,7 @@ CONSIDERATE = dataclasses.replace(
         ANYWHERE.curriculum,
         crash_scale=4.0,
         discount_end=0.0,
-        astray_ratio=0.0,  # not tried
+        misaligned_ratio=0.0,  # not tried
         neighbour_share=0.0,  # not tried
     ),
     env=environment("considerate"),
@@ -108,7 +108,7 @@ SEES = dataclasses.replace(
     learning_rate=5e-4,
     curriculum=dataclasses.replace(
         ANYWHERE.curriculum,
-        astray_ratio=0.0,  # not tried
+        misaligned_ratio=0.0,  # not tried
         neighbour_share=0.0,  # not tried; one agent alone has no neighbours
         teacher="anywhere",
         teacher_until=0.9,

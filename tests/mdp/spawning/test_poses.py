@@ -179,16 +179,16 @@ def test_with_a_close_ratio_of_0_the_goal_makes_no_difference():
 
 def test_starts_are_of_one_kind_at_most_in_their_ratios():
     config = SpawnConfig(
-        close_ratio=0.2, conflict_ratio=0.4, reverse_ratio=0.25, astray_ratio=0.1
+        close_ratio=0.2, conflict_ratio=0.4, reverse_ratio=0.25, misaligned_ratio=0.1
     )
     numbers = jax.random.uniform(jax.random.key(2), (COUNT,))
-    close, crash, reverse, astray = kinds = draw_kind(config, numbers)
+    close, crash, reverse, misaligned = kinds = draw_kind(config, numbers)
     assert sum(kind.astype(int) for kind in kinds).max() == 1
     # Deviations 0.6 %, 0.8 %, 0.7 % and 0.5 %: five of them.
     assert close.mean() == pytest.approx(0.2, abs=0.032)
     assert crash.mean() == pytest.approx(0.4, abs=0.04)
     assert reverse.mean() == pytest.approx(0.25, abs=0.035)
-    assert astray.mean() == pytest.approx(0.1, abs=0.025)
+    assert misaligned.mean() == pytest.approx(0.1, abs=0.025)
 
 
 @pytest.mark.parametrize("config", [RANDOM, CLOSE])

@@ -1,4 +1,4 @@
-"""Astray starts: in the agent's goal bay, over its lines by centimetres or askew.
+"""Misaligned starts: in the agent's goal bay, over its lines by centimetres or askew.
 
 From there a car has to manoeuvre on the spot, where it otherwise rarely gets to.
 """
@@ -18,7 +18,7 @@ FARTHEST = (0.5, 0.4, 0.15)  # along the bay and across [m], and askew [rad]
 MARGIN = 0.05  # m kept to walls, discs and parked cars
 
 
-class AstrayDraws(NamedTuple):
+class MisalignedDraws(NamedTuple):
     """Uniform numbers in [0, 1) for one start, with n poses.
 
     Attributes:
@@ -32,18 +32,18 @@ class AstrayDraws(NamedTuple):
     score: Any
 
 
-def astray_shapes(config: SpawnConfig) -> AstrayDraws:
+def misaligned_shapes(config: SpawnConfig) -> MisalignedDraws:
     """Shapes of the numbers of a start, for `draw_uniform`."""
-    n = CANDIDATES if config.astray_ratio else 0
-    return AstrayDraws((n, 3), (n,), (n,))
+    n = CANDIDATES if config.misaligned_ratio else 0
+    return MisalignedDraws((n, 3), (n,), (n,))
 
 
-def astray_pose(
+def misaligned_pose(
     inputs: SpawnInputs,
     placing: Placing,
     around: Surroundings,
     agent: jax.Array,
-    draws: AstrayDraws,
+    draws: MisalignedDraws,
 ) -> tuple[jax.Array, jax.Array]:
     """Draws a start in the goal bay of one agent, not within its lines.
 

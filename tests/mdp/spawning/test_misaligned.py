@@ -1,4 +1,4 @@
-"""Astray starts: in the goal bay, free of everything, and not parked."""
+"""Misaligned starts: in the goal bay, free of everything, and not parked."""
 
 import dataclasses
 
@@ -14,17 +14,17 @@ from helpers.states import parked_at
 from carpark_mj.config import EnvConfig, GoalConfig, SpawnConfig
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
-from carpark_mj.mdp.spawning.astray import FARTHEST, MARGIN, astray_shapes
+from carpark_mj.mdp.spawning.misaligned import FARTHEST, MARGIN, misaligned_shapes
 from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
-ASTRAY = SpawnConfig(close_ratio=0.0, astray_ratio=1.0)
+MISALIGNED = SpawnConfig(close_ratio=0.0, misaligned_ratio=1.0)
 BAY = (20.0, 0.0, 0.5)
 COUNT = 1500
 
 
-def starts(layout, spawn=ASTRAY, parked=None):
+def starts(layout, spawn=MISALIGNED, parked=None):
     """Poses (COUNT, 3) of one car whose goal is bay 0, in a lot that begins."""
     parked = parked_at() if parked is None else parked
     goals = FixedGoals(EnvConfig(spawn=spawn))
@@ -106,21 +106,23 @@ def test_where_a_car_is_always_within_the_lines_the_start_is_random():
 
 
 def test_their_share_is_the_ratio():
-    mixed = dataclasses.replace(ASTRAY, close_ratio=0.1, astray_ratio=0.3)
+    mixed = dataclasses.replace(MISALIGNED, close_ratio=0.1, misaligned_ratio=0.3)
     x = starts(TIGHT, mixed)[:, 0]
     # Deviation 1.2 %: five of them. Others start within 1 m of the origin.
     assert (x > 5.0).mean() == pytest.approx(0.3, abs=0.06)
 
 
 def test_without_them_no_number_is_drawn_for_them():
-    assert all(np.prod(shape) == 0 for shape in astray_shapes(SpawnConfig()))
-    on, off = (place_shapes(SpawnConfig(astray_ratio=r), 2, 3) for r in (0.1, 0.0))
-    assert on._replace(astray=off.astray) == off
+    assert all(np.prod(shape) == 0 for shape in misaligned_shapes(SpawnConfig()))
+    on, off = (place_shapes(SpawnConfig(misaligned_ratio=r), 2, 3) for r in (0.1, 0.0))
+    assert on._replace(misaligned=off.misaligned) == off
 
 
 @pytest.mark.parametrize(
     "settings", [{"physics": "grid"}, {"goals": GoalConfig(dynamic=True)}]
 )
 def test_they_need_fixed_goals_and_cars_that_steer(settings):
-    with pytest.raises(ValueError, match=r"spawn.astray_ratio 0.1 needs fixed goals"):
-        EnvConfig(spawn=SpawnConfig(astray_ratio=0.1), **settings)
+    with pytest.raises(
+        ValueError, match=r"spawn.misaligned_ratio 0.1 needs fixed goals"
+    ):
+        EnvConfig(spawn=SpawnConfig(misaligned_ratio=0.1), **settings)
