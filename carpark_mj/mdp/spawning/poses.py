@@ -71,7 +71,8 @@ def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
         config.reverse_ratio,
         config.misaligned_ratio,
     )
-    kind = sum(number >= end for end in itertools.accumulate(ratios))
+    ends = jnp.asarray(list(itertools.accumulate(ratios)), jnp.float32)
+    kind = (number[..., None] >= ends).sum(-1)
     return SpawnKind(*(kind == k for k in range(len(ratios))))
 
 
