@@ -196,20 +196,35 @@ def policy_actions(loaded: LoadedPolicy, observation: np.ndarray) -> np.ndarray:
         return np.asarray(_actions(as_argument(loaded.policy), observation))
 
 
-def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
+def rounding_error(
+    loaded: LoadedPolicy, observation: np.ndarray, exact: np.ndarray | None = None
+) -> float:
     """Error of a policy's actions in float32 against the same policy in float64.
 
     Args:
         loaded: the policy.
         observation: (batch, size).
+        exact: the observation before it was rounded; default: it was not.
 
     Returns:
         The largest difference of any number of an action; inf if one is not finite.
     """
     found, policy = policy_actions(loaded, observation), as_argument(loaded.policy)
-    policy, observation = jax.tree.map(_in_float64, (policy, observation))
+    exact = observation if exact is None else exact
+    policy, exact = jax.tree.map(_in_float64, (policy, exact))
     with jax.enable_x64(True):
-        return largest(found, np.asarray(_actions(policy, observation)))
+        return largest(found, np.asarray(_actions(policy, exact)))
+
+
+def before_rounding(observation: np.ndarray, seed: int) -> np.ndarray:
+    """Observations (batch, size) in float64 that float32 could round to the given.
+
+    Each number is one unit of float32's last place above or below, of 1 where it is
+    smaller: numbers of an observation are differences of larger ones.
+    """
+    value = observation.astype(np.float64)
+    unit = np.finfo(np.float32).eps * np.maximum(np.abs(value), 1.0)
+    return value + unit * np.random.default_rng(seed).choice([-1.0, 1.0], value.shape)
 
 
 @jax.jit
