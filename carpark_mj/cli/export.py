@@ -31,11 +31,11 @@ from carpark_mj.policy.onnx_car import (
 )
 from carpark_mj.policy.onnx_export import (
     OUTPUT,
-    before_rounding,
     describe_action,
     largest,
     largest_difference,
     make_model,
+    nudged,
     onnx_inputs,
     policy_actions,
     random_observations,
@@ -164,7 +164,7 @@ def _write_car(out: Path, loaded: LoadedPolicy, config: ExportConfig) -> None:
     spent = (time.process_time() - start) / CHECKED
     observation = seen["observation"]
     difference = largest(action, policy_actions(loaded, observation))
-    exact = before_rounding(observation, config.seed)  # the model makes its own
+    exact = nudged(observation, config.seed)  # the model computes its own
     rounding = rounding_error(loaded, observation, exact)
     found = _require_alike("of a roll-out", difference, rounding)
     _write(out, model)
@@ -187,7 +187,7 @@ def _require_alike(kind: str, difference: float, rounding: float) -> str:
         )
     return (
         f"largest difference to the policy on {CHECKED:,} observations {kind}: "
-        f"{difference:.2g}; of float32 to float64: {rounding:.2g}"
+        f"{difference:.2g}; error of float32: {rounding:.2g}"
     )
 
 

@@ -20,7 +20,7 @@ from carpark_mj.config.physics import SimConfig
 from carpark_mj.config.randomization import RandomizationConfig
 from carpark_mj.config.rewards import RewardConfig
 from carpark_mj.config.spawning import SpawnConfig
-from carpark_mj.config.terminations import EpisodeConfig
+from carpark_mj.config.terminations import EpisodeConfig, find_rules
 from carpark_mj.config.vehicles import with_parameters
 from carpark_mj.renamed import OldNames
 
@@ -161,13 +161,20 @@ class EnvConfig(OldNames):
                 "num_parked_cars = 0 and no fleet.agents"
             )
         for name in ("reverse_ratio", "misaligned_ratio"):
-            ratio = getattr(self.spawn, name)
+            ratio = getattr(spawn, name)
             if ratio and (self.goals.dynamic or not physics.steers):
                 raise ValueError(
                     f"spawn.{name} {ratio} needs fixed goals and cars that steer: "
                     f"goals.dynamic = False, and a physics other than "
                     f"{physics.back_end}"
                 )
+        rules = find_rules(self.episode.parked_rule)
+        if spawn.misaligned_ratio and not all(rule.inside_lines for rule in rules):
+            raise ValueError(
+                f"spawn.misaligned_ratio {spawn.misaligned_ratio} needs a parked rule "
+                "that asks for the lines of the bay, as strict, not "
+                f"{self.episode.parked_rule}"
+            )
         if self.randomization.is_on and not physics.randomized:
             raise ValueError(
                 f"randomization has no effect in {physics.back_end} physics, whose "

@@ -53,7 +53,7 @@ class PlaceDraws(NamedTuple):
         course_goal: (attempts, 2, bays) the goals of attempts at a collision course.
         course: for the attempts.
         reverse: for a start on a path out of the goal's bay.
-        misaligned: for a start in it.
+        misaligned: for a start in the goal's bay.
     """
 
     goal: Any

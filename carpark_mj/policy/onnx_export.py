@@ -204,7 +204,7 @@ def rounding_error(
     Args:
         loaded: the policy.
         observation: (batch, size).
-        exact: the observation before it was rounded; default: it was not.
+        exact: the observation in float64, if it is not what was given (`nudged`).
 
     Returns:
         The largest difference of any number of an action; inf if one is not finite.
@@ -216,11 +216,11 @@ def rounding_error(
         return largest(found, np.asarray(_actions(policy, exact)))
 
 
-def before_rounding(observation: np.ndarray, seed: int) -> np.ndarray:
-    """Observations (batch, size) in float64 that float32 could round to the given.
+def nudged(observation: np.ndarray, seed: int) -> np.ndarray:
+    """Observations (batch, size) in float64, off by about what float32 costs them.
 
-    Each number is one unit of float32's last place above or below, of 1 where it is
-    smaller: numbers of an observation are differences of larger ones.
+    Each number is larger or smaller by float32's epsilon, times its size if that is
+    more than 1: most numbers are differences of larger ones.
     """
     value = observation.astype(np.float64)
     unit = np.finfo(np.float32).eps * np.maximum(np.abs(value), 1.0)

@@ -84,6 +84,8 @@ IMPOSSIBLE = [
     ),
     (SpawnConfig, {"reverse_ratio": 0.9}, r"reverse_ratio .* 1, not 0.2 \+ 0.0 \+ 0.9"),
     (SpawnConfig, {"reverse_ratio": -0.1}, "reverse_ratio must lie in .* not -0.1"),
+    (SpawnConfig, {"misaligned_ratio": 0.9}, r"misaligned_ratio .* 0.0 \+ 0.9"),
+    (SpawnConfig, {"misaligned_ratio": 1.1}, "misaligned_ratio must lie in .* not 1.1"),
     (
         SpawnConfig,
         {"conflict_distance": math.nan},

@@ -15,7 +15,7 @@ from helpers.observing import observed
 from helpers.rules import LIMITS
 from helpers.scenes import cars
 from helpers.sliding import SlidePhysics
-from helpers.states import hand_cars, parked_in, state_of
+from helpers.states import hand_cars, parked_at, parked_in, state_of
 
 from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.config import (
@@ -34,9 +34,12 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.json_file import layout_text, read_json
 from carpark_mj.layouts.plot import plot_layouts
+from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.spawning.draws import draw_uniform
+from carpark_mj.mdp.spawning.misaligned import misaligned_pose, misaligned_shapes
+from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.mdp.spawning.reverse import parked_right, paths_out, reverse_shapes
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import ContinuousObservation
@@ -165,17 +168,42 @@ def test_the_planner_has_one_way_round_where_there_is_one():
     np.testing.assert_array_equal(_poses_in_bay(goal[None]), goal[None])
 
 
-def test_reverse_starts_drive_out_of_where_the_car_must_park():
+def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
     shapes = reverse_shapes(SpawnConfig(close_ratio=0.0, reverse_ratio=1.0))
     draws = draw_uniform(shapes, jax.random.key(0))
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     for end, facing in ((BayEnd.NOSE_FIRST, {-1.0}), (BayEnd.TAIL_FIRST, {1.0})):
-        right = parked_right(draws, jnp.int32(end))
+        nose_out = parked_right(layout, jnp.int32(end), draws.nose_out)
+        right = draws._replace(nose_out=nose_out)
         paths = paths_out(car, jnp.int32(0), jnp.zeros(3), right)
         assert set(np.round(np.cos(paths[:, 0, 2]), 5)) == facing
     np.testing.assert_array_equal(
-        parked_right(draws, jnp.int32(BayEnd.EITHER)).nose_out, draws.nose_out
+        parked_right(layout, jnp.int32(BayEnd.EITHER), draws.nose_out), draws.nose_out
     )
+
+
+def test_misaligned_starts_stand_as_the_car_must_park(layout):
+    spawn = SpawnConfig(close_ratio=0.0, misaligned_ratio=1.0)
+    shapes = misaligned_shapes(spawn)
+    car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
+    inputs = SpawnInputs(layout, parked_at(), None, None, BayFits(), car)
+
+    def start(goal, key):
+        alone = jnp.array([True])
+        placing = start_placing(goal[None], parked_at().bay, jnp.zeros((1, 3)), alone)
+        around = surroundings(inputs, placing, jnp.array(0))
+        draws = draw_uniform(shapes, key)
+        return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
+
+    keys = jax.random.split(jax.random.key(0), 64)
+    pose, found = jax.vmap(lambda goal: jax.vmap(lambda key: start(goal, key))(keys))(
+        jnp.arange(3)
+    )
+    assert found.all()
+    nose_in = np.cos(pose[..., 2]) < 0.0
+    assert 0.3 < nose_in[0].mean() < 0.7
+    assert nose_in[1].all()
+    assert not nose_in[2].any()
 
 
 @pytest.mark.parametrize("dynamic", [False, True])

@@ -108,6 +108,7 @@ def _check(state):
         ({"num_parked_cars": 1}, "needs bays without parked cars"),
         ({"fleet": FleetConfig(agents=("van",))}, "and no fleet.agents"),
         ({"spawn": SpawnConfig()}, "drive_out needs starts at random"),
+        ({"spawn": SpawnConfig(0.0, misaligned_ratio=0.1)}, "needs starts at random"),
         ({"num_agents": 12}, "num_agents must be at most 11"),
     ],
 )

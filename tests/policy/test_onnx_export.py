@@ -26,10 +26,10 @@ from carpark_mj.policy.networks import (
 )
 from carpark_mj.policy.normalizer import init_normalizer, update_normalizer
 from carpark_mj.policy.onnx_export import (
-    before_rounding,
     join_inputs,
     largest_difference,
     make_model,
+    nudged,
     onnx_inputs,
     random_observations,
     rounding_error,
@@ -179,10 +179,10 @@ def test_rounding_is_that_of_float32_and_small_for_small_sums():
     assert rounding_error(untrained(table), observations(table, 100)) == 0.0
 
 
-def test_an_observation_was_rounded_before():
+def test_what_an_observation_costs_in_float32_changes_actions():
     seen = observations(ENVS["fixed"], 100)
     unit = np.finfo(np.float32).eps * np.maximum(np.abs(seen), 1.0, dtype=np.float64)
-    exact = before_rounding(seen, 0)
+    exact = nudged(seen, 0)
     np.testing.assert_allclose(np.abs(exact - seen), unit, rtol=1e-6)
     steep = dataclasses.replace(  # doubles are exact
         untrained(ENVS["fixed"]), policy=lambda seen, key: (64.0 * seen[:, :2], {})

@@ -66,14 +66,15 @@ def test_without_a_curriculum_nothing_changes():
 
 
 def test_the_training_s_environment_differs_in_its_starts_only():
-    starts = CurriculumConfig(conflict_ratio=0.3, reverse_ratio=0.2)
+    ratios = {"conflict_ratio": 0.3, "reverse_ratio": 0.2, "misaligned_ratio": 0.1}
+    starts = CurriculumConfig(**ratios)
     config = PPOConfig(curriculum=starts, env=EnvConfig(num_agents=3))
     env = training_env(config)
-    spawn = dataclasses.replace(config.env.spawn, conflict_ratio=0.3, reverse_ratio=0.2)
+    spawn = dataclasses.replace(config.env.spawn, **ratios)
     assert env == dataclasses.replace(config.env, spawn=spawn)
     assert Learner(config).env.env.config == env
-    # One of them alone leaves the other as it is in the environment.
-    only = dataclasses.replace(starts, reverse_ratio=0.0)
+    # One of them alone leaves the others as they are in the environment.
+    only = CurriculumConfig(conflict_ratio=0.3)
     env = training_env(dataclasses.replace(config, curriculum=only))
     assert env.spawn == dataclasses.replace(config.env.spawn, conflict_ratio=0.3)
 
@@ -126,6 +127,7 @@ def test_at_a_scale_of_one_the_rewards_are_the_environment_s(unrolls):
         ({"discount_end": 1.0}, r"discount_end must lie in \[0, 1\), not 1.0"),
         ({"conflict_ratio": 2.0}, r"conflict_ratio must lie in \[0, 1\], not 2.0"),
         ({"reverse_ratio": -0.1}, r"reverse_ratio must lie in \[0, 1\], not -0.1"),
+        ({"misaligned_ratio": 2.0}, r"misaligned_ratio must lie in \[0, 1\], not 2.0"),
     ],
 )
 def test_impossible_curricula_are_refused(changes, message):

@@ -1,6 +1,6 @@
 """Misaligned starts: in the agent's goal bay, over its lines by centimetres or askew.
 
-From there a car has to manoeuvre on the spot, where it otherwise rarely gets to.
+From there a car has to manoeuvre on the spot, which it otherwise rarely has to.
 """
 
 from typing import Any, NamedTuple
@@ -12,6 +12,7 @@ from carpark_mj.config import SpawnConfig
 from carpark_mj.geometry import box_inside, to_world
 from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, Surroundings
+from carpark_mj.mdp.spawning.reverse import parked_right
 
 CANDIDATES = 16  # poses per start, of which one that is free is taken
 FARTHEST = (0.5, 0.4, 0.15)  # along the bay and across [m], and askew [rad]
@@ -47,6 +48,8 @@ def misaligned_pose(
 ) -> tuple[jax.Array, jax.Array]:
     """Draws a start in the goal bay of one agent, not within its lines.
 
+    It overlaps no other agent, but may be right beside one.
+
     Args:
         inputs: the lot, and the parameters of the cars.
         placing: all agents; of this one the goal is drawn.
@@ -63,7 +66,8 @@ def misaligned_pose(
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
     size = inputs.cars.size[agent]
     off = (2.0 * draws.off - 1.0) * jnp.asarray(FARTHEST)
-    turned = jnp.where(draws.nose_out < 0.5, jnp.pi, 0.0)
+    nose_out = parked_right(layout, goal, draws.nose_out)
+    turned = jnp.where(nose_out < 0.5, jnp.pi, 0.0)
     pose = to_world(bay_pose, off.at[:, 2].add(turned))
     good = ~around.blocks(pose, size + 2 * MARGIN) & around.free(pose)
     good = good & ~box_inside(pose, size, bay_pose, bay_size) & placing.found[agent]

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import SpawnConfig
 from carpark_mj.geometry import box_inside, norm, wrap_angle
-from carpark_mj.layouts.types import BayEnd
+from carpark_mj.layouts.types import BayEnd, Layout
 from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs, Surroundings
 from carpark_mj.types import Vehicle
@@ -82,8 +82,8 @@ def reverse_pose(
     layout, goal = inputs.layout, placing.goal[agent]
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
     size = inputs.cars.size[agent]
-    if layout.bay_end is not None:
-        draws = parked_right(draws, layout.bay_end[goal])
+    nose_out = parked_right(layout, goal, draws.nose_out)
+    draws = draws._replace(nose_out=nose_out)
     paths = paths_out(inputs.cars, agent, bay_pose, draws)
 
     blocked = around.blocks(paths.reshape(-1, 3), size + 2 * MARGIN)
@@ -102,11 +102,16 @@ def reverse_pose(
     return path[pick(good, draws.point)], good.any()
 
 
-def parked_right(draws: ReverseDraws, end: jax.Array) -> ReverseDraws:
-    """Draws of paths on which the car has the right `BayEnd` () in the bay."""
-    nose_out = jnp.where(end == BayEnd.NOSE_FIRST, 0.0, draws.nose_out)
-    nose_out = jnp.where(end == BayEnd.TAIL_FIRST, 1.0, nose_out)
-    return draws._replace(nose_out=nose_out)
+def parked_right(layout: Layout, bay: jax.Array, nose_out: jax.Array) -> jax.Array:
+    """Which way round cars stand (n,) in a bay () of those drawn, by its `BayEnd`.
+
+    Numbers below 0.5 are cars with their nose in.
+    """
+    if layout.bay_end is None:
+        return nose_out
+    end = layout.bay_end[bay]
+    nose_out = jnp.where(end == BayEnd.NOSE_FIRST, 0.0, nose_out)
+    return jnp.where(end == BayEnd.TAIL_FIRST, 1.0, nose_out)
 
 
 def paths_out(

@@ -1,4 +1,4 @@
-"""Misaligned starts: in the goal bay, free of everything, and not parked."""
+"""Misaligned starts: in the goal bay, free of everything, and not within its lines."""
 
 import dataclasses
 
@@ -11,11 +11,17 @@ from helpers.rules import LIMITS
 from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at
 
-from carpark_mj.config import EnvConfig, GoalConfig, SpawnConfig
+from carpark_mj.config import EnvConfig, EpisodeConfig, GoalConfig, SpawnConfig
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
-from carpark_mj.mdp.spawning.misaligned import FARTHEST, MARGIN, misaligned_shapes
-from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing
+from carpark_mj.mdp.spawning.draws import draw_uniform
+from carpark_mj.mdp.spawning.misaligned import (
+    FARTHEST,
+    MARGIN,
+    misaligned_pose,
+    misaligned_shapes,
+)
+from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
@@ -98,6 +104,35 @@ def test_they_keep_clear_of_what_stands_beside_the_bay():
     assert in_bay(pose)[1].mean() < -0.02  # farther from the wall
 
 
+def test_they_overlap_neither_an_agent_nor_a_parked_car():
+    beside = [(-np.sin(BAY[2]) * y, np.cos(BAY[2]) * y) for y in (2.2, -2.2)]
+    near = np.array([[BAY[0] + x, BAY[1] + y, BAY[2]] for x, y in beside])
+    parked = parked_at(near[:1], SIZE)
+    both = jax.tree.map(
+        lambda x: jnp.stack([jnp.asarray(x)] * 2), make_vehicle(COMPACT)
+    )
+    sizes = jnp.broadcast_to(jnp.array(SIZE), (2, 2))
+    inputs = SpawnInputs(TIGHT, parked, sizes, sizes, BayFits(), both)
+    placing = start_placing(
+        jnp.array([0, 1]),
+        parked.bay,
+        jnp.stack([jnp.zeros(3), jnp.asarray(near[1])]),
+        jnp.array([True, False]),
+    )
+    around = surroundings(inputs, placing, jnp.array(0))
+
+    def one(key):
+        draws = draw_uniform(misaligned_shapes(MISALIGNED), key)
+        return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
+
+    pose, found = jax.vmap(one)(jax.random.split(jax.random.key(4), COUNT))
+    assert found.mean() > 0.9
+    own = polygons(np.asarray(pose)[np.asarray(found)], SIZE)
+    cars_beside = polygons(near, SIZE)
+    assert shapely.distance(cars_beside[0], own).min() > MARGIN - 1e-3
+    assert 0.0 < shapely.distance(cars_beside[1], own).min() < MARGIN
+
+
 def test_where_a_car_is_always_within_the_lines_the_start_is_random():
     wide = lot(
         TIGHT.bay_pose, bay_size=(SIZE[0] + 2.0, SIZE[1] + 2.0), spawn_size=(1.0, 1.0)
@@ -116,6 +151,13 @@ def test_without_them_no_number_is_drawn_for_them():
     assert all(np.prod(shape) == 0 for shape in misaligned_shapes(SpawnConfig()))
     on, off = (place_shapes(SpawnConfig(misaligned_ratio=r), 2, 3) for r in (0.1, 0.0))
     assert on._replace(misaligned=off.misaligned) == off
+
+
+@pytest.mark.parametrize("rule", ["tanner", "strict,precise"])
+def test_a_rule_that_does_not_ask_for_lines_is_refused(rule):
+    episode = EpisodeConfig(parked_rule=rule)
+    with pytest.raises(ValueError, match=f"asks for the lines.*not {rule}"):
+        EnvConfig(spawn=SpawnConfig(misaligned_ratio=0.1), episode=episode)
 
 
 @pytest.mark.parametrize(
