@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.cli.export import ExportConfig, environment_rows
+from carpark_mj.cli.export import main as export
 from carpark_mj.config import EnvConfig, RingConfig, UltrasoundConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation, observe
@@ -73,6 +74,11 @@ def test_it_acts_as_the_policy_does_in_the_environment(name, counts):
     expected = policy_actions(loaded, seen)
     np.testing.assert_allclose(action, expected, atol=1e-5, rtol=0)
     assert np.ptp(expected, axis=0).min() > 0.5
+
+
+def test_the_shipped_anywhere_is_exported(tmp_path):
+    config = ExportConfig("anywhere", str(tmp_path / "car.onnx"), from_state=True)
+    assert export(config).stat().st_size > 1e6
 
 
 def test_the_model_says_what_it_takes():

@@ -108,6 +108,31 @@ def test_a_model_that_acts_otherwise_is_not_written(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_model_with_the_observation_inside_is_checked_too(
+    trained, tmp_path, capsys, monkeypatch, quick
+):
+    out = tmp_path / "car.onnx"
+    flags = [str(trained), "--from-state", "--out", str(out)]
+    assert exit_code(export, flags) == 0
+    assert "200 observations of a roll-out: " in capsys.readouterr().out
+    assert out.exists()
+    make = command.make_car_model
+
+    def wrong(loaded, rows):
+        policy = loaded.policy
+        other = lambda seen, key: (policy(seen, key)[0] + 2e-3, {})  # noqa: E731
+        return make(dataclasses.replace(loaded, policy=other), rows)
+
+    monkeypatch.setattr(command, "make_car_model", wrong)
+    out.unlink()
+    assert exit_code(export, flags) == 2
+    assert "differs from the policy by 0.002" in told(capsys)
+    assert not out.exists()
+    # It may, where float32 costs the observation as much.
+    monkeypatch.setattr(command, "nudged", lambda seen, seed: seen + 1.0)
+    assert exit_code(export, flags) == 0
+
+
 def test_observations_of_a_rollout_are_those_of_agents_that_drive(trained):
     loaded = loading.load_policy(trained)
     env = dataclasses.replace(loaded.env, num_agents=3, min_agents=1)
