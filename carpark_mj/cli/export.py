@@ -28,14 +28,14 @@ from carpark_mj.policy.onnx_car import (
     make_car_model,
     make_session,
     require_outside,
+    sensitivity,
 )
 from carpark_mj.policy.onnx_export import (
     OUTPUT,
     describe_action,
-    largest,
+    differences,
     largest_difference,
     make_model,
-    nudged,
     onnx_inputs,
     policy_actions,
     random_observations,
@@ -163,9 +163,11 @@ def _write_car(out: Path, loaded: LoadedPolicy, config: ExportConfig) -> None:
     action = decisions(session, seen)
     spent = (time.process_time() - start) / CHECKED
     observation = seen["observation"]
-    difference = largest(action, policy_actions(loaded, observation))
-    exact = nudged(observation, config.seed)  # the model computes its own
-    rounding = rounding_error(loaded, observation, exact)
+    difference = differences(action, policy_actions(loaded, observation))
+    rounding = np.maximum(
+        rounding_error(loaded, observation),
+        sensitivity(loaded, rows, seen, config.seed),
+    )
     found = _require_alike("of a roll-out", difference, rounding)
     _write(out, model)
     print(f"{found}\n{1e3 * spent:.2f} ms a decision on one core")
@@ -173,21 +175,30 @@ def _write_car(out: Path, loaded: LoadedPolicy, config: ExportConfig) -> None:
     Console().print(_table(loaded, inputs, ()))
 
 
-def _require_alike(kind: str, difference: float, rounding: float) -> str:
+def _require_alike(
+    kind: str, difference: np.ndarray | float, rounding: np.ndarray | float
+) -> str:
     """What to print of a model that acts like its policy.
+
+    Args:
+        kind: of the observations.
+        difference: of actions, the largest or (count,).
+        rounding: what float32 costs them, likewise.
 
     Raises:
         ValueError: it does not.
     """
-    most = max(TOLERANCE, ROUNDING * rounding)
-    if not difference <= most:
+    difference, rounding = np.broadcast_arrays(difference, rounding)
+    most = np.maximum(TOLERANCE, ROUNDING * rounding)
+    if not (difference <= most).all():
+        k = np.argmax(difference / most)
         raise ValueError(
-            f"the model differs from the policy by {difference:.2g} on observations "
-            f"{kind}, at most {most:.2g} is allowed: not written"
+            f"the model differs from the policy by {difference.flat[k]:.2g} on "
+            f"observations {kind}, at most {most.flat[k]:.2g} is allowed: not written"
         )
     return (
         f"largest difference to the policy on {CHECKED:,} observations {kind}: "
-        f"{difference:.2g}; error of float32: {rounding:.2g}"
+        f"{difference.max():.2g}; error of float32: {np.median(rounding):.2g}"
     )
 
 

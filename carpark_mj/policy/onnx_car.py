@@ -16,12 +16,13 @@ from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.compose import join
 from carpark_mj.policy.loading import LoadedPolicy
-from carpark_mj.policy.onnx_export import OUTPUT, describe_action
+from carpark_mj.policy.onnx_export import OUTPUT, describe_action, differences
 from carpark_mj.policy.onnx_program import make_graph
 from carpark_mj.policy.outside import sight_of
 from carpark_mj.policy.plain_inputs import INPUTS, PlainInput, Rows
 
 METADATA = "carpark_mj"  # key of the model's metadata, as JSON
+NUDGES = 4
 
 
 def require_outside(config: EnvConfig) -> None:
@@ -91,6 +92,47 @@ def decide(
     assert isinstance(encoder, ContinuousObservation)
     observation = join(loaded.env, encoder.see(loaded.env, sight), 1)
     return loaded.policy(observation, jax.random.key(0))[0][0], observation[0]
+
+
+def sensitivity(
+    loaded: LoadedPolicy, rows: Rows, known: dict[str, np.ndarray], seed: int
+) -> np.ndarray:
+    """What float32 may cost the actions of a model in each of `count` states.
+
+    The observation is computed by cancelling sums, so that it depends on the order of
+    operations by more than its own last place.
+
+    Args:
+        loaded: the policy.
+        rows: of the model.
+        known: inputs (count, *shape) by name; those that are missing are 0.
+        seed: of the directions in which the inputs are off.
+
+    Returns:
+        (count,) the most that an action changes, of `NUDGES` times in which each input
+        is off by one unit in its last place.
+    """
+    count = len(next(iter(known.values())))
+    given = {
+        x.name: known.get(x.name, np.zeros((count, *x.shape(rows)), x.dtype))
+        for x in INPUTS
+    }
+    act = jax.jit(jax.vmap(lambda values: decide(loaded, rows, values)[0]))
+    expected, random = np.asarray(act(given)), np.random.default_rng(seed)
+
+    def nudged(value: np.ndarray) -> np.ndarray:
+        if value.dtype != np.float32:
+            return value
+        way = random.choice(np.array([-np.inf, np.inf], np.float32), value.shape)
+        return np.nextafter(value, way)
+
+    return np.max(
+        [
+            differences(np.asarray(act(jax.tree.map(nudged, given))), expected)
+            for _ in range(NUDGES)
+        ],
+        axis=0,
+    )
 
 
 def inputs_of(model: Any) -> list[PlainInput]:

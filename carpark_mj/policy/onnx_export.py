@@ -196,35 +196,20 @@ def policy_actions(loaded: LoadedPolicy, observation: np.ndarray) -> np.ndarray:
         return np.asarray(_actions(as_argument(loaded.policy), observation))
 
 
-def rounding_error(
-    loaded: LoadedPolicy, observation: np.ndarray, exact: np.ndarray | None = None
-) -> float:
+def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
     """Error of a policy's actions in float32 against the same policy in float64.
 
     Args:
         loaded: the policy.
         observation: (batch, size).
-        exact: the observation in float64, if it is not what was given (`nudged`).
 
     Returns:
         The largest difference of any number of an action; inf if one is not finite.
     """
     found, policy = policy_actions(loaded, observation), as_argument(loaded.policy)
-    exact = observation if exact is None else exact
-    policy, exact = jax.tree.map(_in_float64, (policy, exact))
+    policy, observation = jax.tree.map(_in_float64, (policy, observation))
     with jax.enable_x64(True):
-        return largest(found, np.asarray(_actions(policy, exact)))
-
-
-def nudged(observation: np.ndarray, seed: int) -> np.ndarray:
-    """Observations (batch, size) in float64, off by about what float32 costs them.
-
-    Each number is larger or smaller by float32's epsilon, times its size if that is
-    more than 1: most numbers are differences of larger ones.
-    """
-    value = observation.astype(np.float64)
-    unit = np.finfo(np.float32).eps * np.maximum(np.abs(value), 1.0)
-    return value + unit * np.random.default_rng(seed).choice([-1.0, 1.0], value.shape)
+        return largest(found, np.asarray(_actions(policy, observation)))
 
 
 @jax.jit
@@ -240,8 +225,13 @@ def _in_float64(leaf: Any) -> Any:
 
 def largest(found: np.ndarray, expected: np.ndarray) -> float:
     """The largest difference of any number; inf if one is not finite."""
+    return float(differences(found, expected).max())
+
+
+def differences(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """The largest difference (batch,) of actions (batch, size); inf: not finite."""
     difference = np.abs(found.astype(np.float64) - expected)
-    return float(np.where(np.isfinite(difference), difference, np.inf).max())
+    return np.where(np.isfinite(difference), difference, np.inf).max(axis=-1)
 
 
 def _act(loaded: LoadedPolicy, observation: jax.Array) -> jax.Array:

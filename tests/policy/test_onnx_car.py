@@ -21,6 +21,7 @@ from carpark_mj.policy.onnx_car import (
     make_car_model,
     make_session,
     require_outside,
+    sensitivity,
 )
 from carpark_mj.policy.onnx_export import policy_actions
 from carpark_mj.policy.outside import plain_values
@@ -79,6 +80,23 @@ def test_it_acts_as_the_policy_does_in_the_environment(name, counts):
 def test_the_shipped_anywhere_is_exported(tmp_path):
     config = ExportConfig("anywhere", str(tmp_path / "car.onnx"), from_state=True)
     assert export(config).stat().st_size > 1e6
+
+
+def test_an_action_depends_on_the_last_places_of_its_inputs():
+    loaded = load_policy("hope")
+    rows = environment_rows(loaded.env, {})
+    known, _ = states(ParkingEnv(loaded.env), rows, 8)
+    near = sensitivity(loaded, rows, known, 0)
+    assert near.shape == (8,)
+    assert (near > 0).all()
+    assert near.max() < 1e-3
+    steep = dataclasses.replace(
+        loaded,
+        policy=lambda seen, key: (lambda a: (1e3 * a[0], a[1]))(
+            loaded.policy(seen, key)
+        ),
+    )
+    np.testing.assert_allclose(sensitivity(steep, rows, known, 0), 1e3 * near, rtol=0.2)
 
 
 def test_the_model_says_what_it_takes():

@@ -29,7 +29,6 @@ from carpark_mj.policy.onnx_export import (
     join_inputs,
     largest_difference,
     make_model,
-    nudged,
     onnx_inputs,
     random_observations,
     rounding_error,
@@ -177,18 +176,6 @@ def test_rounding_is_that_of_float32_and_small_for_small_sums():
     assert 2**-12 < lost <= 2**-11
     table = ENVS["table"]
     assert rounding_error(untrained(table), observations(table, 100)) == 0.0
-
-
-def test_what_an_observation_costs_in_float32_changes_actions():
-    seen = observations(ENVS["fixed"], 100)
-    unit = np.finfo(np.float32).eps * np.maximum(np.abs(seen), 1.0, dtype=np.float64)
-    exact = nudged(seen, 0)
-    np.testing.assert_allclose(np.abs(exact - seen), unit, rtol=1e-6)
-    steep = dataclasses.replace(  # doubles are exact
-        untrained(ENVS["fixed"]), policy=lambda seen, key: (64.0 * seen[:, :2], {})
-    )
-    assert rounding_error(steep, seen) == 0.0
-    assert rounding_error(steep, seen, exact) == pytest.approx(64.0 * unit[:, :2].max())
 
 
 def test_numbers_that_are_not_finite_are_a_difference():
