@@ -11,10 +11,8 @@ import sys
 from typing import Any
 
 from carpark_mj.registration import register_environments
-from carpark_mj.renamed import name_old_modules
 
 register_environments()
-name_old_modules()
 
 # Python is about to run `python -m carpark_mj.NAME`, and imports the package first.
 if sys.argv[:1] == ["-m"]:

@@ -11,15 +11,14 @@ The core imports none of them, and every program finds all of them.
 """
 
 import dataclasses
+import difflib
 import functools
 import importlib
 import importlib.metadata
 import os
 import pkgutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
-
-from carpark_mj.renamed import refuse_part
 
 GROUP = "carpark_mj.extensions"
 VARIABLE = "CARPARK_MJ_EXTENSIONS"
@@ -27,6 +26,14 @@ VARIABLE = "CARPARK_MJ_EXTENSIONS"
 T = TypeVar("T")
 _loaded: set[str] = set()
 _broken: dict[str, str] = {}  # why an extension cannot be imported
+
+
+def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
+    """The message about an unknown name, with the known name that is closest to it."""
+    names = sorted(known)
+    near = difflib.get_close_matches(str(name), names, 1)
+    meant = f"; did you mean {near[0]!r}?" if near else ""
+    return f"unknown {kind} {name!r}; choose from {names}{meant}"
 
 
 class Registry(Mapping[str, T], Generic[T]):
@@ -81,10 +88,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 cannot be imported.
         """
         if name not in self:
-            refuse_part(self._kind, name)
-            raise ValueError(
-                f"unknown {self._kind} {name!r}; choose from {sorted(self._parts)}"
-            )
+            raise ValueError(unknown_name(self._kind, name, self._parts))
         return self._parts[name]
 
     def __contains__(self, name: object) -> bool:

@@ -33,7 +33,6 @@ OPTIONS: Any = {"xla_backend_optimization_level": 1}
 def configs() -> dict[str, EnvConfig]:
     """Every environment by name; `name/mjx` is stepped by `mjx.step`."""
     found = {"default": EnvConfig(), **ENVIRONMENTS}
-    found = {n: c for n, c in found.items() if isinstance(c, EnvConfig)}
     mjx = {
         f"{name}/mjx": dataclasses.replace(
             config, sim=dataclasses.replace(config.sim, stepper="mjx")
@@ -73,7 +72,7 @@ def fingerprint(config: EnvConfig) -> dict[str, str]:
 
 def main() -> int:
     """Prints what differs; exit code 1 if anything does."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Digests of every environment")
     parser.add_argument("--out", type=Path, help="file for the digests")
     parser.add_argument("--against", type=Path, help="file of another checkout")
     parser.add_argument("--only", nargs="*", help="environments")

@@ -14,7 +14,6 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 
 # The floors of the house, from the ground: a room imports those below it only.
 FLOORS = (
-    ("renamed",),
     ("extensions",),
     ("precision", "pytrees", "config", "files", "reading"),
     ("geometry",),

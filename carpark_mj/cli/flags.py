@@ -33,7 +33,6 @@ from carpark_mj.config import (
     term_settings,
 )
 from carpark_mj.config.checks import Range
-from carpark_mj.renamed import refuse_flags
 
 Config = TypeVar("Config")
 
@@ -146,7 +145,6 @@ def read_flags(
         except SystemExit:
             if not box.getvalue():
                 raise
-    refuse_flags(default or cls, arguments)
     raise ValueError(_sentence(box.getvalue()))
 
 

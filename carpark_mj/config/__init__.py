@@ -3,8 +3,6 @@
 Impossible settings raise a one-sentence `ValueError` at construction.
 """
 
-from typing import TYPE_CHECKING
-
 from carpark_mj.config.back_ends import (
     PHYSICS,
     PhysicsChoice,
@@ -51,10 +49,6 @@ from carpark_mj.config.terminations import (
     ParkedRule,
     find_rules,
 )
-from carpark_mj.renamed import old_names
-
-if not TYPE_CHECKING:  # for which a module with this has every name
-    __getattr__ = old_names(__name__)
 
 __all__ = [
     "CONTACT_SIM_DT",

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from carpark_mj.renamed import OldNames
+from carpark_mj.extensions import unknown_name
 
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
 # JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
@@ -25,7 +25,7 @@ def require_choice(name: str, value: str, literal: object) -> None:
 def require_name(name: str, value: str, known: Iterable[str]) -> None:
     """Refuses a value that is not among the known names."""
     if value not in (names := sorted(known)):
-        raise ValueError(f"unknown {name} {value!r}; choose from {names}")
+        raise ValueError(unknown_name(name, value, names))
 
 
 def require_whole(config: object, minimum: int, *names: str) -> None:
@@ -144,7 +144,7 @@ def require_unset(config: Any, where: str, *names: str) -> None:
             )
 
 
-class CheckedConfig(OldNames):
+class CheckedConfig:
     """Base of configs: every field is of the type that it declares.
 
     A config with checks of its own makes them after `super().__post_init__()`.

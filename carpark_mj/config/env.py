@@ -22,11 +22,10 @@ from carpark_mj.config.rewards import RewardConfig
 from carpark_mj.config.spawning import SpawnConfig
 from carpark_mj.config.terminations import EpisodeConfig, find_rules
 from carpark_mj.config.vehicles import with_parameters
-from carpark_mj.renamed import OldNames
 
 
 @dataclasses.dataclass(frozen=True)
-class EnvConfig(OldNames):
+class EnvConfig:
     """A parking environment.
 
     Attributes:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from carpark_mj.config.reward_terms import ExtraTerms, is_fixed
-from carpark_mj.renamed import refuse_settings
+from carpark_mj.extensions import unknown_name
 
 Config = TypeVar("Config")
 _DATA = "data"
@@ -88,9 +88,5 @@ def _names(config: Any) -> list[str]:
 def _require_setting(config: Any, name: str) -> str:
     """The name, which must be that of a setting of the config."""
     if name not in (names := _names(config)):
-        refuse_settings(type(config), [name])
-        raise ValueError(
-            f"{type(config).__name__} has no setting {name!r}: it has "
-            f"{', '.join(names) or 'none'}"
-        )
+        raise ValueError(unknown_name(f"{type(config).__name__} setting", name, names))
     return name

@@ -24,7 +24,6 @@ from carpark_mj.layouts.types import (
     layout_maxima,
     pad_layout,
 )
-from carpark_mj.renamed import old_names
 
 if TYPE_CHECKING:
     from carpark_mj.layouts.angled import AngledConfig
@@ -53,10 +52,9 @@ else:
     }
 
     def __getattr__(name: str) -> Any:
-        if name in _HOMES:
-            home = importlib.import_module(f"{__name__}.{_HOMES[name]}")
-            return getattr(home, name)
-        return old_names(__name__)(name)
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
 
 
 __all__ = [

@@ -24,10 +24,10 @@ from carpark_mj.config import (
 from carpark_mj.config.checks import require_type
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.config.obstacles import MOVERS, Mover
+from carpark_mj.extensions import unknown_name
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.pretrained import describe_names
-from carpark_mj.renamed import refuse_settings
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
@@ -52,10 +52,8 @@ def from_dict(cls: Any, data: Any) -> Any:
         raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
     hints = typing.get_type_hints(cls)
     names = {field.name for field in dataclasses.fields(cls)}
-    refuse_settings(cls, data)
-    unknown = sorted(set(data) - names)
-    if unknown:
-        raise ValueError(f"{cls.__name__} has no {unknown}")
+    for unknown in sorted(set(data) - names):
+        raise ValueError(unknown_name(f"{cls.__name__} setting", unknown, names))
     values = {name: _value(name, hints[name], value) for name, value in data.items()}
     for name, value in values.items():
         require_type(name, value, _WIDER.get(hints[name], hints[name]))

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from carpark_mj.config import REWARD_TERMS, ExtraTerms, term_settings
-from carpark_mj.renamed import refuse_flags
 
 MAX_VALUES = 10_000  # of a range; more are a slip of the keyboard
 # What a sweep itself sets in every run.
@@ -80,7 +79,6 @@ def find_field(name: str, config: Any) -> str:
             f"{name!r} is several settings: give one of {', '.join(found)}"
         )
     if not found:
-        refuse_flags(config, [f"--{wanted}"])
         near = difflib.get_close_matches(
             wanted, [path.rpartition(".")[2] for path in known] + known, n=1
         )

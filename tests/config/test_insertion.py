@@ -14,14 +14,14 @@ def test_values_are_found_by_their_paths_and_the_config_stays_as_it_is():
 
 
 @pytest.mark.parametrize(
-    ("path", "sentence"),
+    ("path", "close"),
     [
-        ("rewards.park", "EnvConfig has no setting 'rewards': it has layout, vehicle"),
-        ("reward.park.x", "float has no setting 'x': it has none"),
-        ("reward.", "RewardConfig has no setting '': it has park"),
-        ("reward.parking", "RewardConfig has no setting 'parking': it has park, crash"),
+        ("rewards.park", "'reward'"),
+        ("reward.parking", "'park'"),
+        ("reward.park.x", "'x'"),
+        ("reward.", "'park'"),
     ],
 )
-def test_misspelt_paths_are_refused_with_what_there_is(path, sentence):
-    with pytest.raises(ValueError, match=sentence):
+def test_misspelt_paths_are_refused(path, close):
+    with pytest.raises(ValueError, match=close):
         insert(EnvConfig(), {path: 1.0})
