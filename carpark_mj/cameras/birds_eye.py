@@ -13,7 +13,7 @@ from carpark_mj.cameras.ground import SHOWS, Place, cover, is_near
 from carpark_mj.cameras.hits import fold
 from carpark_mj.cameras.rig import BODY, Seen
 from carpark_mj.cameras.trace import Seat, seat
-from carpark_mj.config.checks import CheckedConfig, require_positive, require_whole
+from carpark_mj.config.checks import CheckedConfig, Count, Positive
 from carpark_mj.layouts.dimensions import LINE_WIDTH
 from carpark_mj.types import State
 
@@ -29,13 +29,8 @@ class BirdsEye(CheckedConfig):
         span: length of a side [m].
     """
 
-    pixels: int = 84
-    span: float = 21.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_whole(self, 1, "pixels")
-        require_positive(self, "span")
+    pixels: Count = 84
+    span: Positive = 21.0
 
 
 def see_from_above(config: BirdsEye, state: State) -> jax.Array:

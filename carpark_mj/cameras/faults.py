@@ -4,6 +4,7 @@ Faults last for an episode; noise is new in every picture.
 """
 
 import dataclasses
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -11,11 +12,11 @@ from flax import struct
 
 from carpark_mj.cameras.rig import Rig
 from carpark_mj.config.checks import (
+    Bounds,
     CheckedConfig,
+    Natural,
+    NonNegative,
     Range,
-    require_at_least,
-    require_range,
-    require_whole,
 )
 from carpark_mj.geometry.se2 import norm
 
@@ -34,20 +35,13 @@ class FaultConfig(CheckedConfig):
         colour_noise: standard deviation of the noise on colours, which lie in [0, 1].
     """
 
-    turn: float = 0.0
-    shift: float = 0.0
-    spots: int = 0
-    spot_size: float = 0.1
-    exposure: Range = (1.0, 1.0)
-    depth_noise: float = 0.0
-    colour_noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_at_least(self, 0.0, "turn", "shift", "depth_noise", "colour_noise")
-        require_at_least(self, 0.0, "spot_size")
-        require_whole(self, 0, "spots")
-        require_range("exposure", self.exposure, 0.0, float("inf"))
+    turn: NonNegative = 0.0
+    shift: NonNegative = 0.0
+    spots: Natural = 0
+    spot_size: NonNegative = 0.1
+    exposure: Annotated[Range, Bounds(ge=0.0)] = (1.0, 1.0)
+    depth_noise: NonNegative = 0.0
+    colour_noise: NonNegative = 0.0
 
 
 @struct.dataclass

@@ -7,7 +7,16 @@ import numbers
 import reprlib
 from collections.abc import Callable, Iterable
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from carpark_mj.extensions import unknown_name
 
@@ -15,6 +24,54 @@ Range = tuple[float, float]  # lowest and highest value; equal = fixed
 # JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
 LARGEST_WHOLE = 2**31 - 1
 LARGEST, SMALLEST = 3.4028235e38, 1.1754944e-38
+
+
+class Bounds(NamedTuple):
+    """Bounds of a field, in its annotation: `Annotated[float, Bounds(ge=0.0)]`.
+
+    Every number of a tuple lies within them, and a `Range` rises.
+
+    Attributes:
+        ge: least value.
+        gt: value that it must exceed.
+        le: greatest value.
+        lt: value that it must not reach.
+        unit: for messages.
+    """
+
+    ge: float = -math.inf
+    gt: float = -math.inf
+    le: float = math.inf
+    lt: float = math.inf
+    unit: str = ""
+
+    def admit(self, value: Any) -> bool:
+        """Whether a number, or every number of a tuple, lies within the bounds."""
+        if isinstance(value, tuple):
+            return all(map(self.admit, value))
+        return self.ge <= value <= self.le and self.gt < value < self.lt
+
+    def __str__(self) -> str:
+        return f"{self._words()} {self.unit}".rstrip()
+
+    def _words(self) -> str:
+        least, most = max(self.ge, self.gt), min(self.le, self.lt)
+        if least == -math.inf and most == math.inf:
+            return "be finite"
+        if most == math.inf:
+            return "be positive" if self.gt == 0.0 else f"be at least {least:g}"
+        if least == -math.inf:
+            return f"be at most {most:g}"
+        left, right = "[("[self.gt == least], "])"[self.lt == most]
+        return f"lie in {left}{least:g}, {most:g}{right}"
+
+
+Positive = Annotated[float, Bounds(gt=0.0)]
+NonNegative = Annotated[float, Bounds(ge=0.0)]
+Ratio = Annotated[float, Bounds(ge=0.0, le=1.0)]
+Finite = Annotated[float, Bounds()]
+Count = Annotated[int, Bounds(ge=1)]
+Natural = Annotated[int, Bounds(ge=0)]
 
 
 def require_choice(name: str, value: str, literal: object) -> None:
@@ -145,13 +202,53 @@ def require_unset(config: Any, where: str, *names: str) -> None:
 
 
 class CheckedConfig:
-    """Base of configs: every field is of the type that it declares.
+    """Base of configs: every field is of its declared type and within its `Bounds`.
 
     A config with checks of its own makes them after `super().__post_init__()`.
     """
 
     def __post_init__(self) -> None:
         require_types(self)
+        require_bounds(self)
+
+
+def require_bounds(config: Any) -> None:
+    """Refuses attributes of a dataclass beyond the bounds that their types declare.
+
+    Raises:
+        ValueError: naming the attribute, its value and what is allowed.
+    """
+    for name, (hint, bounds) in _bounded(type(config)).items():
+        value = getattr(config, name)
+        if value is None:
+            continue
+        if not _fits(value):
+            raise ValueError(f"{name} must be finite and fit 32 bits, not {value!r}")
+        rises = hint != Range or value[0] <= value[1]
+        if not (bounds.admit(value) and rises):
+            order = "be a range (low, high) and " * (hint == Range)
+            raise ValueError(f"{name} must {order}{bounds}, not {value!r}")
+
+
+def _fits(value: Any) -> bool:
+    """Whether JAX represents a number, or every number of a tuple, in 32 bits."""
+    if isinstance(value, tuple):
+        return all(map(_fits, value))
+    if isinstance(value, numbers.Integral):
+        return abs(int(value)) <= LARGEST_WHOLE
+    return value == 0.0 or SMALLEST <= abs(value) <= LARGEST
+
+
+@functools.cache
+def _bounded(cls: Any) -> dict[str, tuple[Any, Bounds]]:
+    """Plain types and bounds of the fields of a dataclass that declare any."""
+    found: dict[str, tuple[Any, Bounds]] = {}
+    for name, hint in get_type_hints(cls, include_extras=True).items():
+        for part in (hint, *get_args(hint)):  # `Annotated[...] | None`
+            for bounds in getattr(part, "__metadata__", ()):
+                if isinstance(bounds, Bounds):
+                    found[name] = get_args(part)[0], bounds
+    return found
 
 
 def require_types(config: Any, **hints: Any) -> None:

@@ -1,13 +1,16 @@
 """The environment's configuration."""
 
 import dataclasses
+from typing import Annotated
 
 from carpark_mj.config.back_ends import PhysicsChoice, PhysicsConfig, physics_config
 from carpark_mj.config.checks import (
+    Bounds,
+    Count,
+    Natural,
     Range,
-    require_range,
+    require_bounds,
     require_types,
-    require_whole,
 )
 from carpark_mj.config.fleet import FleetConfig, JitterConfig
 from carpark_mj.config.giving_way import GivingWayConfig
@@ -71,10 +74,10 @@ class EnvConfig:
 
     layout: LayoutChoice = "square"
     vehicle: str = "compact"
-    num_agents: int = 2
-    min_agents: int | None = None
-    num_parked_cars: int = 16
-    occupancy: Range | None = None
+    num_agents: Count = 2
+    min_agents: Count | None = None
+    num_parked_cars: Natural = 16
+    occupancy: Annotated[Range, Bounds(ge=0.0, le=1.0)] | None = None
     fleet: FleetConfig = dataclasses.field(default_factory=FleetConfig)
     jitter: JitterConfig = dataclasses.field(default_factory=JitterConfig)
     movers: tuple[MoverChoice, ...] = ()
@@ -105,20 +108,15 @@ class EnvConfig:
             movers=tuple[Mover | str, ...],
             physics=PhysicsConfig | str,
         )
+        require_bounds(self)
         object.__setattr__(self, "vehicle", with_parameters(self.vehicle))
         make_movers(self.movers)  # refuses unknown names
         physics = self.physics_config
-        require_whole(self, 1, "num_agents")
-        if self.min_agents is not None:
-            require_whole(self, 1, "min_agents")
-            if self.min_agents > self.num_agents:
-                raise ValueError(
-                    f"min_agents must be at most num_agents {self.num_agents}, not "
-                    f"{self.min_agents}"
-                )
-        require_whole(self, 0, "num_parked_cars")
-        if self.occupancy is not None:
-            require_range("occupancy", self.occupancy, 0.0, 1.0)
+        if (self.min_agents or 1) > self.num_agents:
+            raise ValueError(
+                f"min_agents must be at most num_agents {self.num_agents}, not "
+                f"{self.min_agents}"
+            )
         if self.giving_way.scheme is not None and not self.goals.dynamic:
             raise ValueError(
                 f"giving_way.scheme {self.giving_way.scheme!r} needs dynamic goals, "

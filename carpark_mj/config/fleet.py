@@ -2,8 +2,9 @@
 
 import dataclasses
 import math
+from typing import Annotated
 
-from carpark_mj.config.checks import CheckedConfig, Range, require_range
+from carpark_mj.config.checks import Bounds, CheckedConfig, Range
 from carpark_mj.config.vehicles import with_parameters
 
 
@@ -21,9 +22,9 @@ class FleetConfig(CheckedConfig):
     """
 
     agents: tuple[str, ...] = ()
-    agent_weights: tuple[float, ...] = ()
+    agent_weights: Annotated[tuple[float, ...], Bounds(gt=0.0)] = ()
     parked_cars: tuple[str, ...] = ()
-    parked_weights: tuple[float, ...] = ()
+    parked_weights: Annotated[tuple[float, ...], Bounds(gt=0.0)] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -40,8 +41,6 @@ class FleetConfig(CheckedConfig):
                     f"{weights} must be one for each of the {count} presets in "
                     f"{names}, not {given}"
                 )
-            if any(not (math.isfinite(w) and w > 0) for w in given):
-                raise ValueError(f"{weights} must be positive, not {given}")
 
     @property
     def is_on(self) -> bool:
@@ -63,22 +62,15 @@ class JitterConfig(CheckedConfig):
         scale: factor on the car's length and width.
     """
 
-    along: Range = (0.0, 0.0)
-    across: Range = (0.0, 0.0)
-    heading: Range = (0.0, 0.0)
-    scale: Range = (1.0, 1.0)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        # Beyond a quarter turn a car faces the other way; below half or above twice
-        # its size it is another kind of car.
-        for name, least, most in (
-            ("along", -math.inf, math.inf),
-            ("across", -math.inf, math.inf),
-            ("heading", -math.pi / 2, math.pi / 2),
-            ("scale", 0.5, 2.0),
-        ):
-            require_range(f"jitter.{name}", getattr(self, name), least, most)
+    along: Annotated[Range, Bounds()] = (0.0, 0.0)
+    across: Annotated[Range, Bounds()] = (0.0, 0.0)
+    # Beyond a quarter turn a car faces the other way.
+    heading: Annotated[Range, Bounds(ge=-math.pi / 2, le=math.pi / 2, unit="rad")] = (
+        0.0,
+        0.0,
+    )
+    # Below half or above twice its size it is another kind of car.
+    scale: Annotated[Range, Bounds(ge=0.5, le=2.0)] = (1.0, 1.0)
 
     @property
     def moves(self) -> bool:

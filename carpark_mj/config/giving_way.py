@@ -1,10 +1,9 @@
 """Giving way: what agents know of each other, and when they should give up a goal."""
 
 import dataclasses
-import math
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
-from carpark_mj.config.checks import CheckedConfig
+from carpark_mj.config.checks import Bounds, CheckedConfig
 from carpark_mj.config.insertion import data
 
 Scheme = Literal["L,L,S", "L,L,A", "G,L,S", "G,L,A", "G,G,S", "G,G,A"]
@@ -47,12 +46,10 @@ class GivingWayConfig(CheckedConfig):
     """
 
     scheme: Scheme | None = None
-    bad_goal: float = data(0.0)
+    bad_goal: Annotated[float, Bounds(le=0.0)] = data(0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.bad_goal) and self.bad_goal <= 0.0):
-            raise ValueError(f"bad_goal must be at most 0, not {self.bad_goal}")
         if self.scheme is None and self.bad_goal:
             raise ValueError(
                 f"bad_goal {self.bad_goal} needs a scheme, one of "

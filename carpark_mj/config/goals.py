@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.config.checks import CheckedConfig, require_finite, require_whole
+from carpark_mj.config.checks import CheckedConfig, Count, Finite
 from carpark_mj.config.insertion import data
 
 TOLERANCE = 1e-9  # by which (3.5) may fail, for 0.1 + 0.2 is not 0.3
@@ -25,14 +25,10 @@ class GoalConfig(CheckedConfig):
     """
 
     dynamic: bool = False
-    num_tracked_bays: int = 1
+    num_tracked_bays: Count = 1
     slots_by_distance: bool = False
     may_repeat: bool = False
     drive_out: bool = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_whole(self, 1, "num_tracked_bays")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,15 +48,11 @@ class GoalRewards(CheckedConfig):
             no longer tracked pays the same, as in the reference implementation.
     """
 
-    continue_explore: float = data(-0.002)
-    stop_explore: float = data(0.0)
-    continue_goal: float = data(0.0)
-    change_goal: float = data(-0.05)
-    stop_goal: float | None = data(None)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_finite(self, *(field.name for field in dataclasses.fields(self)))
+    continue_explore: Finite = data(-0.002)
+    stop_explore: Finite = data(0.0)
+    continue_goal: Finite = data(0.0)
+    change_goal: Finite = data(-0.05)
+    stop_goal: Finite | None = data(None)
 
     @property
     def stop(self) -> float:

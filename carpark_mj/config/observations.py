@@ -4,13 +4,15 @@ import abc
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 from carpark_mj.config.checks import (
+    Bounds,
     CheckedConfig,
-    require_at_least,
-    require_positive,
-    require_whole,
+    Count,
+    Natural,
+    NonNegative,
+    Positive,
 )
 from carpark_mj.extensions import Registry
 
@@ -148,20 +150,16 @@ class RingConfig(CheckedConfig):
             0 at the start of an episode.
     """
 
-    diameters: tuple[float, ...] = ()
-    cap: int = 2
+    diameters: Annotated[tuple[float, ...], Bounds(gt=0.0)] = ()
+    cap: Count = 2
     cars: bool = False
-    history: int = 0
+    history: Natural = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if any(not (math.isfinite(d) and d > 0) for d in self.diameters):
-            raise ValueError(f"ring diameters must be positive, not {self.diameters}")
         if len({f"{d:g}" for d in self.diameters}) < len(self.diameters):
             # Fields are named by the diameters.
             raise ValueError(f"ring diameters must be different, not {self.diameters}")
-        require_whole(self, 1, "cap")
-        require_whole(self, 0, "history")
         if self.history and not self.diameters:
             raise ValueError(f"ring history {self.history} needs ring diameters")
 
@@ -199,17 +197,15 @@ class RayConfig(CheckedConfig):
             0 = not observed twice.
     """
 
-    count: int = 0
-    reach: float = 10.0
-    near: float = 0.0
+    count: Natural = 0
+    reach: Positive = 10.0
+    near: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(self, 0, "count")
-        require_positive(self, "reach")
-        if not 0.0 <= self.near <= self.reach:
+        if self.near > self.reach:
             raise ValueError(
-                f"near must lie in [0, {self.reach}], the reach, not {self.near}"
+                f"near must be at most the reach {self.reach}, not {self.near}"
             )
 
 
@@ -226,17 +222,13 @@ class UltrasoundConfig(CheckedConfig):
     """
 
     on: bool = False
-    reach: float = 5.0
-    dead_zone: float = 0.15
-    cone: float = math.radians(60.0)
-    noise: float = 0.01
+    reach: Positive = 5.0
+    dead_zone: NonNegative = 0.15
+    cone: Annotated[float, Bounds(gt=0.0, lt=math.pi, unit="rad")] = math.radians(60.0)
+    noise: NonNegative = 0.01
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(self, "reach", "cone")
-        require_at_least(self, 0.0, "dead_zone", "noise")
-        if self.cone >= math.pi:
-            raise ValueError(f"cone must be less than pi rad, not {self.cone}")
         if self.dead_zone >= self.reach:
             raise ValueError(
                 f"dead_zone must be less than the reach {self.reach} m, not "
@@ -262,21 +254,22 @@ class SensorConfig(CheckedConfig):
         odometry_turn: the same of the heading per turn [rad/rad].
     """
 
-    position_noise: float = 0.0
-    heading_noise: float = 0.0
-    speed_noise: float = 0.0
-    delay_min: int = 0
-    delay_max: int = 0
-    odometry_scale: float = 0.0
-    odometry_veer: float = 0.0
-    odometry_turn: float = 0.0
+    position_noise: NonNegative = 0.0
+    heading_noise: NonNegative = 0.0
+    speed_noise: NonNegative = 0.0
+    delay_min: Natural = 0
+    delay_max: Natural = 0
+    odometry_scale: NonNegative = 0.0
+    odometry_veer: NonNegative = 0.0
+    odometry_turn: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_at_least(self, 0.0, "position_noise", "heading_noise", "speed_noise")
-        require_at_least(self, 0.0, "odometry_scale", "odometry_veer", "odometry_turn")
-        require_whole(self, 0, "delay_min")
-        require_whole(self, self.delay_min, "delay_max")
+        if self.delay_max < self.delay_min:
+            raise ValueError(
+                f"delay_max must be at least delay_min {self.delay_min}, not "
+                f"{self.delay_max}"
+            )
 
     @property
     def is_on(self) -> bool:

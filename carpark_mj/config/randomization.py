@@ -1,10 +1,11 @@
 """What differs between cars: domain randomization."""
 
 import dataclasses
-import math
+from typing import Annotated
 
-from carpark_mj.config.checks import CheckedConfig, Range, require_range
+from carpark_mj.config.checks import Bounds, CheckedConfig, Range
 
+_Range = Annotated[Range, Bounds()]
 ADDED = ("steering_offset", "steering_lag")  # to the nominal value, which may be 0
 
 
@@ -27,19 +28,14 @@ class RandomizationConfig(CheckedConfig):
         steering_lag: added to the steering's time constant [s].
     """
 
-    mass: Range = (1.0, 1.0)
-    cg_x: Range = (1.0, 1.0)
-    cg_height: Range = (1.0, 1.0)
-    friction: Range = (1.0, 1.0)
-    tyre_stiffness: Range = (1.0, 1.0)
-    brake_gain: Range = (1.0, 1.0)
-    steering_offset: Range = (0.0, 0.0)
-    steering_lag: Range = (0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, value in self.ranges().items():
-            require_range(f"randomization.{name}", value, -math.inf, math.inf)
+    mass: _Range = (1.0, 1.0)
+    cg_x: _Range = (1.0, 1.0)
+    cg_height: _Range = (1.0, 1.0)
+    friction: _Range = (1.0, 1.0)
+    tyre_stiffness: _Range = (1.0, 1.0)
+    brake_gain: _Range = (1.0, 1.0)
+    steering_offset: _Range = (0.0, 0.0)
+    steering_lag: _Range = (0.0, 0.0)
 
     def ranges(self) -> dict[str, Range]:
         """Ranges by name, in a fixed order."""

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from carpark_mj.config.checks import CheckedConfig, require_at_least
+from carpark_mj.config.checks import CheckedConfig, NonNegative
 from carpark_mj.config.goals import GoalRewards
 from carpark_mj.config.insertion import data
 from carpark_mj.config.reward_terms import ExtraTerms, check_extra
@@ -44,14 +44,14 @@ class RewardConfig(CheckedConfig):
         goals: signed rewards for choosing and losing goals; dynamic goals only.
     """
 
-    park: float = data(4.0)
-    crash: float = data(2.5)
-    time: float = data(1.0)
-    progress: float = data(0.2)
+    park: NonNegative = data(4.0)
+    crash: NonNegative = data(2.5)
+    time: NonNegative = data(1.0)
+    progress: NonNegative = data(0.2)
     route: bool = False
-    reeds_shepp_reach: float = data(0.0)
-    alignment: float = data(0.5)
-    closeness: float = data(15.0)
+    reeds_shepp_reach: NonNegative = data(0.0)
+    alignment: NonNegative = data(0.5)
+    closeness: NonNegative = data(15.0)
     extra: Extra = dataclasses.field(default_factory=ExtraTerms)
     goals: GoalRewards = dataclasses.field(default_factory=GoalRewards)
 
@@ -60,7 +60,6 @@ class RewardConfig(CheckedConfig):
             object.__setattr__(self, "extra", ExtraTerms(self.extra))
         super().__post_init__()
         own = {field.name for field in dataclasses.fields(self)}
-        require_at_least(self, 0.0, *sorted(own - {"extra", "goals", "route"}))
         goals = {field.name for field in dataclasses.fields(self.goals)}
         check_extra(self.extra, own | goals | {"lost_goal", "bad_goal"})
 

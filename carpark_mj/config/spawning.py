@@ -6,9 +6,10 @@ from typing import Literal
 
 from carpark_mj.config.checks import (
     CheckedConfig,
-    require_at_least,
-    require_ratio,
-    require_whole,
+    Count,
+    Natural,
+    NonNegative,
+    Ratio,
 )
 
 RelocationRule = Literal["furthest", "random", "any"]
@@ -46,30 +47,25 @@ class SpawnConfig(CheckedConfig):
             kinds; otherwise they are random. With fixed goals they are of all kinds.
     """
 
-    close_ratio: float = 0.2
-    close_distance: float = 5.625
-    conflict_ratio: float = 0.0
-    conflict_distance: float = 7.38
-    reverse_ratio: float = 0.0
-    misaligned_ratio: float = 0.0
-    min_distance: float = 7.38
-    num_candidates: int = 16
-    max_redraws: int = 0
-    spacing: float = 0.0
+    close_ratio: Ratio = 0.2
+    close_distance: NonNegative = 5.625
+    conflict_ratio: Ratio = 0.0
+    conflict_distance: NonNegative = 7.38
+    reverse_ratio: Ratio = 0.0
+    misaligned_ratio: Ratio = 0.0
+    min_distance: NonNegative = 7.38
+    num_candidates: Count = 16
+    max_redraws: Natural = 0
+    spacing: NonNegative = 0.0
     relocation: RelocationRule = "furthest"
     kinds_at_reset: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         names = ("close_ratio", "conflict_ratio", "reverse_ratio", "misaligned_ratio")
-        require_ratio(self, *names)
         ratios = [getattr(self, name) for name in names]
         if math.fsum(ratios) > 1.0:
             raise ValueError(
                 f"{' + '.join(names)} must be at most 1, not "
                 f"{' + '.join(map(str, ratios))}"
             )
-        distances = ("close_distance", "conflict_distance", "min_distance", "spacing")
-        require_at_least(self, 0.0, *distances)
-        require_whole(self, 1, "num_candidates")
-        require_whole(self, 0, "max_redraws")

@@ -5,12 +5,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from carpark_mj.config.checks import (
-    CheckedConfig,
-    require_at_least,
-    require_positive,
-    require_whole,
-)
+from carpark_mj.config.checks import CheckedConfig, Count, NonNegative, Positive
 from carpark_mj.config.insertion import data
 from carpark_mj.extensions import Registry
 
@@ -39,23 +34,21 @@ class ParkedRule(CheckedConfig):
             steer.
     """
 
-    offset: float | None = None
-    distance: float | None = None
-    from_end: float | None = None
+    offset: Positive | None = None
+    distance: Positive | None = None
+    from_end: Positive | None = None
     inside_lines: bool = False
-    heading: float | None = None
-    speed: float | None = None
+    heading: Positive | None = None
+    speed: Positive | None = None
     test: Callable[..., Any] | None = None
     before_crash: bool = False
     before_timeout: bool = True
-    slack: float = 0.0
+    slack: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         limits = ("offset", "distance", "from_end", "heading", "speed")
         given = [name for name in limits if getattr(self, name) is not None]
-        require_positive(self, *given)
-        require_at_least(self, 0.0, "slack")
         if not (given or self.inside_lines or self.test):
             raise ValueError(
                 f"a parked rule must have a limit, one of {', '.join(limits)}, "
@@ -112,19 +105,16 @@ class EpisodeConfig(CheckedConfig):
     """
 
     parked_rule: str = "strict"
-    max_steps: int = 200
-    hitbox_scale: float = data(1.0)
-    kerb_speed: float = 0.0
-    wheel_stops: float = 0.0
+    max_steps: Count = 200
+    hitbox_scale: Positive = data(1.0)
+    kerb_speed: NonNegative = 0.0
+    wheel_stops: NonNegative = 0.0
     respawn: bool = True
     final_observation: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         find_rules(self.parked_rule)  # refuses unknown names
-        require_whole(self, 1, "max_steps")
-        require_positive(self, "hitbox_scale")
-        require_at_least(self, 0.0, "kerb_speed", "wheel_stops")
         if self.wheel_stops and not self.kerb_speed:
             raise ValueError(
                 f"wheel_stops {self.wheel_stops} needs a kerb_speed above 0 at which "

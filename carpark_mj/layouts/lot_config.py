@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from carpark_mj.config import LayoutConfig
-from carpark_mj.config.checks import Range, require_at_least
+from carpark_mj.config.checks import Natural, Range
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import least_lane
 from carpark_mj.layouts.ranges import IntRange, require_ranges
@@ -60,14 +60,14 @@ class LotSettings(LayoutConfig):
     bay_length: Range = standards.BAY_LENGTH
     extra_aisle: Range = (-1.0, 0.0)
     cross_aisle: Range = standards.TWO_WAY_AISLE
-    num_accessible: int = 2
-    num_family: int = 1
+    num_accessible: Natural = 2
+    num_family: Natural = 1
     row_ends: RowEnds = "islands"
     end_width: Range = standards.ISLAND_WIDTH
-    pillar_every: int = 0
+    pillar_every: Natural = 0
     num_entrances: IntRange = (1, 2)
     boundary: Boundary = "wall"
-    wall_thickness: float = standards.WALL_THICKNESS
+    wall_thickness: standards.Thickness = standards.WALL_THICKNESS
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "lot"
 
@@ -80,8 +80,6 @@ class LotSettings(LayoutConfig):
         require_ranges(self, 2 * least_lane(self.car), "cross_aisle")
         require_ranges(self, -3.0, "extra_aisle")
         require_ranges(self, 0.1, "end_width")
-        require_at_least(self, 0, "num_accessible", "num_family", "pillar_every")
-        require_at_least(self, 0.01, "wall_thickness")
         if self.angle[1] > 90.0:
             raise ValueError(f"angle must be at most 90 deg, not {self.angle}")
         if self.two_way and self.angle[0] < 90.0:

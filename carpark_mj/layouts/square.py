@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from carpark_mj.config import LayoutConfig, register_layout
-from carpark_mj.config.checks import require_at_least, require_whole
+from carpark_mj.config.checks import Count, NonNegative
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
@@ -36,20 +36,17 @@ class SquareConfig(LayoutConfig):
         family: fixed.
     """
 
-    bays_per_side: int = 9
-    bay_width: float = 3.375
-    bay_length: float = 5.625
-    wall_gap: float = 0.28125
-    block_inset: float = 0.28125
-    wall_thickness: float = 2.0
-    spawn_margin: float = 3.375
+    bays_per_side: Count = 9
+    bay_width: NonNegative = 3.375
+    bay_length: NonNegative = 5.625
+    wall_gap: NonNegative = 0.28125
+    block_inset: NonNegative = 0.28125
+    wall_thickness: NonNegative = 2.0
+    spawn_margin: NonNegative = 3.375
     family: str = "square"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(self, 1, "bays_per_side")
-        require_at_least(self, 0, "bay_width", "bay_length", "wall_gap", "block_inset")
-        require_at_least(self, 0, "wall_thickness", "spawn_margin")
         car = DesignCar()
         if self.bay_width < car.width or self.bay_length < car.length:
             raise ValueError(

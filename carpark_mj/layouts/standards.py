@@ -11,11 +11,11 @@ lengths of [rast] are from general knowledge of these documents.
 
 import dataclasses
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from carpark_mj.config.checks import CheckedConfig, Range, require_within
+from carpark_mj.config.checks import Bounds, CheckedConfig, Positive, Range
 
 FOOT = 0.3048  # m
 # Of any bay, in length and width [m]: for a motorcycle and for a lorry with a trailer.
@@ -36,6 +36,7 @@ PILLAR_CLEARANCE = 0.1  # m between a pillar and the lines beside it [est]
 BOLLARD_RADIUS = 0.1  # m [est]
 WALL_GAP = 0.3  # m between a bay's far end and the wall behind it [est]
 WALL_THICKNESS = 0.25  # m [est]
+Thickness = Annotated[float, Bounds(ge=0.01)]  # m, of walls
 
 # Parking angle [deg] and width of a one-way aisle [m]; [us], conventional cars.
 AISLE_ANGLES = (30.0, 40.0, 45.0, 50.0, 60.0, 70.0, 80.0, 90.0)
@@ -59,31 +60,20 @@ class DesignCar(CheckedConfig):
         max_steering: full lock of the bicycle model's wheel [rad].
     """
 
-    length: float = 4.255
-    width: float = 1.799
-    wheelbase: float = 2.637
-    rear_overhang: float = 0.76
-    max_steering: float = math.radians(34.187)
+    length: Annotated[float, Bounds(ge=1.0, le=25.0, unit="m")] = 4.255
+    width: Annotated[float, Bounds(ge=0.5, le=5.0, unit="m")] = 1.799
+    wheelbase: Positive = 2.637
+    rear_overhang: Positive = 0.76
+    max_steering: Annotated[float, Bounds(gt=0.0, lt=math.pi / 2, unit="rad")] = (
+        math.radians(34.187)
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(
-                    f"{field.name} of the car must be positive, not {value}"
-                )
-        require_within(self, 1.0, 25.0, "m", "length")
-        require_within(self, 0.5, 5.0, "m", "width")
         if self.wheelbase + self.rear_overhang > self.length:
             raise ValueError(
                 f"wheelbase {self.wheelbase} m and rear overhang {self.rear_overhang} "
                 f"m exceed the car's length of {self.length} m"
-            )
-        if self.max_steering >= math.pi / 2:
-            raise ValueError(
-                f"max_steering of the car must be below 90 deg, not "
-                f"{math.degrees(self.max_steering):.1f} deg"
             )
 
     @property

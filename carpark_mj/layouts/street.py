@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import LayoutConfig, register_layout
-from carpark_mj.config.checks import Range, require_at_least
+from carpark_mj.config.checks import Range
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import (
     Group,
@@ -50,7 +50,7 @@ class StreetConfig(LayoutConfig):
     bay_length: Range = standards.BAY_LENGTH
     aisle_width: Range = standards.TWO_WAY_AISLE
     end_length: Range = (4.0, 7.0)
-    wall_thickness: float = standards.WALL_THICKNESS
+    wall_thickness: standards.Thickness = standards.WALL_THICKNESS
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "street"
 
@@ -60,7 +60,6 @@ class StreetConfig(LayoutConfig):
         require_ranges(self, self.car.width, "bay_width")
         require_ranges(self, self.car.length, "bay_length")
         require_ranges(self, 0.0, "aisle_width", "end_length")
-        require_at_least(self, 0.01, "wall_thickness")
         least = self._entry(0).least(self.car)
         require_aisle(self.aisle_width, max(least, 2 * least_lane(self.car)))
 

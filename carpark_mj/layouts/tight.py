@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import LayoutConfig
-from carpark_mj.config.checks import require_at_least
 from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import Group, lanes, spawns_in
 from carpark_mj.layouts.ranges import draw
@@ -38,12 +37,11 @@ class TightConfig(LayoutConfig):
 
     level: Level = "normal"
     orientation: Orientation = "perpendicular"
-    wall_thickness: float = standards.WALL_THICKNESS
+    wall_thickness: standards.Thickness = standards.WALL_THICKNESS
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_at_least(self, 0.01, "wall_thickness")
         entry = self._entry(0)
         require_aisle((entry.aisle, entry.aisle), entry.least(self.car))
 

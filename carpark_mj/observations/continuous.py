@@ -5,7 +5,7 @@ import dataclasses
 import jax
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_whole
+from carpark_mj.config.checks import Natural
 from carpark_mj.config.observations import (
     ENCODERS,
     ObservationConfig,
@@ -53,8 +53,8 @@ class ContinuousObservation(ObservationConfig):
         encoding: name of the encoder; as a flag it chooses another.
     """
 
-    tracked_agents: int = 6
-    tracked_parked_cars: int = 4
+    tracked_agents: Natural = 6
+    tracked_parked_cars: Natural = 4
     share: ShareConfig = dataclasses.field(default_factory=ShareConfig)
     global_information: bool = False
     own_car: bool = False
@@ -66,15 +66,12 @@ class ContinuousObservation(ObservationConfig):
     ultrasound: UltrasoundConfig = dataclasses.field(default_factory=UltrasoundConfig)
     lane: bool = False
     route: bool = False
-    tracked_movers: int = 0
+    tracked_movers: Natural = 0
     in_sight: bool = False
     encoding: str = "continuous"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(
-            self, 0, "tracked_agents", "tracked_parked_cars", "tracked_movers"
-        )
         if self.in_sight and not self.tracked_movers:
             raise ValueError("in_sight needs tracked_movers, at least 1, not 0")
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
 from jax.tree_util import Partial
 
-from carpark_mj.config.checks import CheckedConfig, require_positive, require_whole
+from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Positive
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import OWN, ObservationSets, observation_sets
@@ -41,24 +41,14 @@ class NetworkConfig(CheckedConfig):
             With a small value a policy may stop exploring.
     """
 
-    policy_layers: tuple[int, ...] = (128, 128)
-    value_layers: tuple[int, ...] = (128, 128)
+    policy_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
+    value_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
     encoder: EncoderName = "set"
-    own_size: int = 128
-    entity_size: int = 64
-    picture_size: int = 64
-    min_std: float = MIN_STD
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("policy_layers", "value_layers"):
-            if any(size < 1 for size in getattr(self, name)):
-                raise ValueError(
-                    f"{name} must be positive sizes, not {getattr(self, name)}"
-                )
-        require_whole(self, 1, "own_size", "entity_size")
-        require_whole(self, 2, "picture_size")  # the first convolution has half of it
-        require_positive(self, "min_std")
+    own_size: Count = 128
+    entity_size: Count = 64
+    # The first convolution has half of it.
+    picture_size: Annotated[int, Bounds(ge=2)] = 64
+    min_std: Positive = MIN_STD
 
 
 def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> ObservationSets:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from carpark_mj.config.checks import require_at_least
+from carpark_mj.config.checks import Count, Natural, require_bounds
 from carpark_mj.sweeps.axes import read_axis
 from carpark_mj.sweeps.executor import Cluster
 from carpark_mj.sweeps.manage import Where
@@ -42,19 +42,18 @@ class SweepConfig:
 
     base: Annotated[str, tyro.conf.arg(metavar="PRESET")]
     set: tuple[str, ...] = ()
-    repeats: int = 1
+    repeats: Count = 1
     seed: int = 0
     name: str = ""
     runs_dir: str = "runs"
     stochastic: bool = False
     cluster: Cluster = "local"
-    jobs: int = 0
-    side_by_side: int = 8
+    jobs: Natural = 0
+    side_by_side: Count = 8
     slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
 
     def __post_init__(self) -> None:
-        require_at_least(self, 1, "repeats", "side_by_side")
-        require_at_least(self, 0, "jobs")
+        require_bounds(self)
         # The rules of a run's name, folder and seeds.
         RunConfig(name=self.name, runs_dir=self.runs_dir, seed=self.seed)
         RunConfig(seed=self.seed + self.repeats - 1)

@@ -8,7 +8,7 @@ from typing import Any
 import submitit
 from submitit.core.utils import FailedJobError
 
-from carpark_mj.config.checks import require_at_least
+from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
 from carpark_mj.files import write_json
 from carpark_mj.reading import read_object
 from carpark_mj.sweeps.environment import import_path
@@ -17,7 +17,7 @@ from carpark_mj.sweeps.work import Work
 
 
 @dataclasses.dataclass(frozen=True)
-class SlurmConfig:
+class SlurmConfig(CheckedConfig):
     """What is asked of Slurm for every run.
 
     Attributes:
@@ -36,15 +36,11 @@ class SlurmConfig:
     account: str = ""
     qos: str = ""
     constraint: str = ""
-    time: int = 240
-    requeues: int = 10
-    gpus_per_node: int = 1
-    cpus_per_task: int = 4
-    mem_gb: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_at_least(self, 1, "time", "cpus_per_task")
-        require_at_least(self, 0, "requeues", "gpus_per_node", "mem_gb")
+    time: Count = 240
+    requeues: Natural = 10
+    gpus_per_node: Natural = 1
+    cpus_per_task: Count = 4
+    mem_gb: NonNegative = 0.0
 
     @property
     def parameters(self) -> dict[str, Any]:

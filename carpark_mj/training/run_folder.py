@@ -17,8 +17,8 @@ from jax.errors import JaxRuntimeError
 from carpark_mj.cli.common import USER_ERRORS
 from carpark_mj.config.checks import (
     CheckedConfig,
-    require_at_least,
-    require_positive,
+    NonNegative,
+    Positive,
 )
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import write_json
@@ -46,14 +46,12 @@ class RunConfig(CheckedConfig):
     name: str = ""
     runs_dir: str = "runs"
     resume: str = ""
-    time_limit: float = 0.0
+    time_limit: NonNegative = 0.0
     seed: int = 0
-    checkpoint_minutes: float = 1.0
+    checkpoint_minutes: Positive = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_at_least(self, 0, "time_limit")
-        require_positive(self, "checkpoint_minutes")
         require_seed(self.seed)
         if self.name and not _is_folder_name(self.name):
             raise ValueError(

@@ -1,6 +1,7 @@
 """Settings of PPO training."""
 
 import dataclasses
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -9,9 +10,12 @@ from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig, data
 from carpark_mj.config.checks import (
     LARGEST_WHOLE,
-    require_at_least,
-    require_positive,
-    require_ratio,
+    Bounds,
+    Count,
+    Natural,
+    NonNegative,
+    Positive,
+    Ratio,
 )
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
@@ -82,69 +86,39 @@ class PPOConfig(RunConfig):
     preset: str = "auto"
     warm_start: str = ""
     num_steps: int = 40_000_000
-    minutes: float = 0.0
-    num_lots: int = 64
-    lot_life: int = 16
-    unroll_length: int = 64
-    num_minibatches: int = 16
-    num_epochs: int = 4
-    learning_rate: float = data(1.5e-3)
-    learning_rate_end: float = data(2e-4)
-    entropy_cost: float = data(5e-3)
-    entropy_cost_end: float = data(1e-3)
-    clip: float = data(0.2)
-    clip_end: float = data(0.2)
-    discount: float = data(0.99)
-    gae_lambda: float = data(0.92)
-    max_grad_norm: float = 1.0
+    minutes: NonNegative = 0.0
+    num_lots: Count = 64
+    lot_life: Natural = 16
+    unroll_length: Count = 64
+    num_minibatches: Count = 16
+    num_epochs: Count = 4
+    learning_rate: Positive = data(1.5e-3)
+    learning_rate_end: NonNegative = data(2e-4)
+    entropy_cost: NonNegative = data(5e-3)
+    entropy_cost_end: NonNegative = data(1e-3)
+    clip: Positive = data(0.2)
+    clip_end: NonNegative = data(0.2)
+    discount: Ratio = data(0.99)
+    gae_lambda: Ratio = data(0.92)
+    max_grad_norm: Positive = 1.0
     half_precision: bool = False
     variant: str = "brax"
-    averaged_updates: int = 32
+    averaged_updates: Count = 32
     critic_steps: int = 0
-    eval_episodes: int = 1024
-    video_seconds: float = 20.0
+    eval_episodes: Annotated[int, Bounds(ge=0, le=MAX_EPISODES)] = 1024
+    video_seconds: Annotated[float, Bounds(ge=0.0, le=MAX_SECONDS)] = 20.0
     curriculum: CurriculumConfig = dataclasses.field(default_factory=CurriculumConfig)
     networks: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
     env: EnvConfig = dataclasses.field(default_factory=EnvConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_at_least(
-            self,
-            1,
-            "num_lots",
-            "unroll_length",
-            "num_minibatches",
-            "num_epochs",
-            "averaged_updates",
-        )
-        require_positive(self, "learning_rate", "max_grad_norm", "clip")
-        require_ratio(self, "discount", "gae_lambda")
-        require_at_least(
-            self,
-            0,
-            "minutes",
-            "lot_life",
-            "learning_rate_end",
-            "entropy_cost",
-            "entropy_cost_end",
-            "clip_end",
-        )
         # Updates are counted in int32.
         most = LARGEST_WHOLE * self.steps_per_update
         for name, least in (("num_steps", 1), ("critic_steps", 0)):
             if not least <= getattr(self, name) <= most:
                 raise ValueError(
                     f"{name} must lie in [{least}, {most}], not {getattr(self, name)}"
-                )
-        # Refused now, not when the training is over.
-        for name, most in (
-            ("eval_episodes", MAX_EPISODES),
-            ("video_seconds", MAX_SECONDS),
-        ):
-            if not 0 <= getattr(self, name) <= most:
-                raise ValueError(
-                    f"{name} must lie in [0, {most}], not {getattr(self, name)}"
                 )
         if self.discount == 1.0 and self.curriculum.discount_end:
             raise ValueError(

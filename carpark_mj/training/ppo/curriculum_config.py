@@ -1,8 +1,9 @@
 """Settings of the curricula: what training does that evaluation never does."""
 
 import dataclasses
+from typing import Annotated
 
-from carpark_mj.config.checks import CheckedConfig, require_at_least, require_ratio
+from carpark_mj.config.checks import Bounds, CheckedConfig, NonNegative, Ratio
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,26 +37,14 @@ class CurriculumConfig(CheckedConfig):
         teacher_until: progress at which that weight, falling linearly, is 0.
     """
 
-    crash_scale: float = 1.0
-    crash_until: float = 0.7
-    discount_end: float = 0.0
-    conflict_ratio: float = 0.0
-    reverse_ratio: float = 0.0
-    misaligned_ratio: float = 0.0
-    target_rate: float = 0.0
-    neighbour_share: float = 0.0
+    crash_scale: NonNegative = 1.0
+    crash_until: Ratio = 0.7
+    discount_end: Annotated[float, Bounds(ge=0.0, lt=1.0)] = 0.0
+    conflict_ratio: Ratio = 0.0
+    reverse_ratio: Ratio = 0.0
+    misaligned_ratio: Ratio = 0.0
+    target_rate: Ratio = 0.0
+    neighbour_share: NonNegative = 0.0
     teacher: str = ""
-    teacher_cost: float = 1.0
-    teacher_until: float = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_at_least(self, 0.0, "crash_scale", "neighbour_share", "teacher_cost")
-        require_ratio(
-            self, "crash_until", "conflict_ratio", "reverse_ratio", "target_rate"
-        )
-        require_ratio(self, "misaligned_ratio", "teacher_until")
-        if not 0.0 <= self.discount_end < 1.0:
-            raise ValueError(
-                f"discount_end must lie in [0, 1), not {self.discount_end}"
-            )
+    teacher_cost: NonNegative = 1.0
+    teacher_until: Ratio = 0.5
