@@ -4,7 +4,6 @@
 `describe_faults` puts those of one layout into sentences.
 """
 
-from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -132,9 +131,7 @@ def list_faults(layout: Layout, car_size: tuple[float, float]) -> list[Fault]:
 
 
 def describe_faults(
-    layout: Layout,
-    car_size: tuple[float, float] | None = None,
-    lines: Mapping[str, Sequence[int]] | None = None,
+    layout: Layout, car_size: tuple[float, float] | None = None
 ) -> list[str]:
     """Faults of one layout, a sentence each; runs on the host.
 
@@ -149,7 +146,6 @@ def describe_faults(
         layout: no batch dimension.
         car_size: length and width of the largest car [m]; the design car's if None,
             `ANY_CAR` for what does not depend on cars.
-        lines: of the layout's file, on which rows `bay`, `lane` and `spawn` begin.
 
     Returns:
         Empty if the layout is valid.
@@ -159,10 +155,7 @@ def describe_faults(
         return found
     for words, kinds, places in list_faults(layout, car_size or DesignCar().size):
         rows = places[:3, 0] if len(kinds) == 1 else places[:3]
-        told = f"{words}: {rows.tolist()}" if kinds else words
-        if lines is not None and kinds:
-            told += f", the first on line {lines[kinds[0]][int(rows.flat[0])]}"
-        found.append(told)
+        found.append(f"{words}: {rows.tolist()}" if kinds else words)
     return found
 
 

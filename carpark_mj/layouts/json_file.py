@@ -14,20 +14,20 @@ Metres and radians; `Layout` explains the fields. Kinds are `standard`, `accessi
 The end of a car that goes into a bay first is `either`, `nose_first` or `tail_first`.
 `bays`, `spawns` and `extent` are needed; `kind` and `end` are by default the first of
 their lists, `one_way` true and `spread`, 0 to π, 0.1. Files of another version and
-invalid layouts (`layouts.checks`) are refused; messages about a row name its line.
+invalid layouts (`layouts.checks`) are refused; messages name the row, as `bays[3]`.
 """
 
 import enum
 import json
 import math
 from collections.abc import Mapping
-from json import scanner
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from carpark_mj.config.layouts import LAYOUT_FORMATS
+from carpark_mj.extensions import unknown_name
 from carpark_mj.layouts import build
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
@@ -55,20 +55,20 @@ def read_json(path: Path) -> Layout:
     """Reads a layout.
 
     Raises:
-        ValueError: no such file, or a fault in it; the message names the line.
+        ValueError: no such file, or a fault in it; the message names the row.
     """
-    layout, lines = read_unchecked(path)
+    layout = read_unchecked(path)
     # Which cars there will be only an environment knows.
-    if faults := describe_faults(layout, ANY_CAR, lines):
+    if faults := describe_faults(layout, ANY_CAR):
         raise ValueError(f"{path} is not a valid layout: {'; '.join(faults)}")
     return layout
 
 
-def read_unchecked(path: Path) -> tuple[Layout, dict[str, list[int]]]:
-    """Reads a layout, which may have faults, and lines as `parse_layout` does.
+def read_unchecked(path: Path) -> Layout:
+    """Reads a layout, which may have faults.
 
     Raises:
-        ValueError: no such file, or one of another format; the message names the line.
+        ValueError: no such file, or one of another format; the message names the row.
     """
     try:
         return parse_layout(read_text(path))
@@ -80,42 +80,11 @@ def read_unchecked(path: Path) -> tuple[Layout, dict[str, list[int]]]:
         ) from None
     except RecursionError:
         raise ValueError(f"{path}: brackets are nested too deeply") from None
-    except _RowError as error:
-        raise ValueError(f"{path}, line {error.line}: {error}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 LAYOUT_FORMATS.register("json", read_json)
-
-
-class _RowError(ValueError):
-    def __init__(self, line: int, message: str) -> None:
-        super().__init__(message)
-        self.line = line
-
-
-class _Object(dict[str, Any]):
-    """An object of the file, and the line on which it begins."""
-
-    line = 1
-
-
-class _Decoder(json.JSONDecoder):
-    """Records in every object the line on which it begins."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        parse = self.parse_object
-
-        def located(text_and_end: tuple[str, int], *args: Any) -> tuple[Any, int]:
-            text, end = text_and_end
-            value, after = parse(text_and_end, *args)
-            found = _Object(value)
-            found.line = text.count("\n", 0, end) + 1
-            return found, after
-
-        self.parse_object = located
-        # The scanner in C ignores `parse_object`; the one in Python calls it.
-        self.scan_once = scanner.py_make_scanner(self)  # pyright: ignore
 
 
 def layout_text(layout: Layout) -> str:
@@ -186,81 +155,67 @@ def _default(part: str, form: Any) -> Any:
     return (_names(form) or [_DEFAULTS.get(part)])[0]
 
 
-def parse_layout(text: str) -> tuple[Layout, dict[str, list[int]]]:
+def parse_layout(text: str) -> Layout:
     """Parses a layout, which may have faults.
 
-    Returns:
-        The layout, and the lines on which its rows begin, by their kinds.
-
     Raises:
-        ValueError: not JSON, or not of the format.
+        ValueError: not JSON, or not of the format; the message names the row.
     """
-    data = json.loads(text, cls=_Decoder)
-    if not isinstance(data, _Object):
-        raise _RowError(1, f"a layout is an object, not {type(data).__name__}")
-    line = data.line
+    data = json.loads(text)
+    if not isinstance(data, dict):
+        raise ValueError(f"a layout is an object, not {type(data).__name__}")
     if data.get("format") != FORMAT:
-        raise _RowError(line, f"format must be {FORMAT!r}, not {data.get('format')!r}")
+        raise ValueError(f"format must be {FORMAT!r}, not {data.get('format')!r}")
     if missing := [name for name in _NEEDED if name not in data]:
-        raise _RowError(line, f"{', '.join(missing)} missing")
+        raise ValueError(f"{', '.join(missing)} missing")
     if unknown := sorted(set(data) - {*_SCHEMA, *_NEEDED}):
-        raise _RowError(
-            line, f"unknown {unknown}; a layout has {sorted({*_SCHEMA, *_NEEDED})}"
-        )
-    groups, lines = {}, {}
+        raise ValueError(unknown_name("list", unknown[0], {*_SCHEMA, *_NEEDED}))
+    groups: dict[str, dict[str, np.ndarray]] = {}
     for name, schema in _SCHEMA.items():
         rows = data.get(name, [])
         if not isinstance(rows, list):
-            raise _RowError(line, f"{name} must be a list of objects, not {rows!r}")
+            raise ValueError(f"{name} must be a list of objects, not {rows!r}")
         if rows:
-            columns, places = _columns(name, schema, rows, line)
-            if name == "bays" and not columns["end"].any():
-                del columns["end"]
-            groups[name] = columns
-            lines[name.removesuffix("s")] = places
-    extent = _number(line, "extent", data["extent"], 2)
-    return build.from_columns(np.array(extent), groups), lines
+            groups[name] = _columns(name, schema, rows)
+            if name == "bays" and not groups[name]["end"].any():
+                del groups[name]["end"]
+    return build.from_columns(np.array(_number("extent", data["extent"], 2)), groups)
 
 
 def _columns(
-    name: str, schema: dict[str, Any], rows: list[Any], line: int
-) -> tuple[dict[str, np.ndarray], list[int]]:
+    name: str, schema: dict[str, Any], rows: list[Any]
+) -> dict[str, np.ndarray]:
     columns: dict[str, list[Any]] = {part: [] for part in schema}
-    lines: list[int] = []
     for index, row in enumerate(rows):
-        if not isinstance(row, _Object):
-            raise _RowError(line, f"{name}[{index}] must be an object, not {row!r}")
-        place = row.line
-        lines.append(place)
+        what = f"{name}[{index}]"
+        if not isinstance(row, dict):
+            raise ValueError(f"{what} must be an object, not {row!r}")
         if unknown := sorted(set(row) - set(schema)):
-            raise _RowError(
-                place, f"{name}[{index}] has unknown {unknown}; allowed {list(schema)}"
-            )
+            raise ValueError(unknown_name(f"entry of {what}", unknown[0], schema))
         for part, form in schema.items():
-            what = f"{name}[{index}].{part}"
-            if part not in row:
-                if isinstance(form, int) and part not in _DEFAULTS:
-                    raise _RowError(place, f"{what} is missing")
-                columns[part].append(_DEFAULTS.get(part, 0))
-            elif isinstance(form, int):
-                columns[part].append(_number(place, what, row[part], form))
-            elif form is bool:
-                if not isinstance(row[part], bool):
-                    raise _RowError(
-                        place, f"{what} must be true or false, not {row[part]!r}"
-                    )
-                columns[part].append(row[part])
-            else:
-                names = _names(form)
-                if row[part] not in names:
-                    raise _RowError(
-                        place, f"unknown {what} {row[part]!r}; choose from {names}"
-                    )
-                columns[part].append(names.index(row[part]))
-    return {part: np.array(values) for part, values in columns.items()}, lines
+            columns[part].append(_value(f"{what}.{part}", part, form, row))
+    return {part: np.array(values) for part, values in columns.items()}
 
 
-def _number(line: int, what: str, value: Any, count: int) -> Any:
+def _value(what: str, part: str, form: Any, row: dict[str, Any]) -> Any:
+    """The value of a field of a row: numbers, a flag, or the number of a kind."""
+    if part not in row:
+        if isinstance(form, int) and part not in _DEFAULTS:
+            raise ValueError(f"{what} is missing")
+        return _DEFAULTS.get(part, 0)
+    value = row[part]
+    if isinstance(form, int):
+        return _number(what, value, form)
+    if form is bool:
+        if not isinstance(value, bool):
+            raise ValueError(f"{what} must be true or false, not {value!r}")
+        return value
+    if value not in (names := _names(form)):
+        raise ValueError(unknown_name(what, value, names))
+    return names.index(value)
+
+
+def _number(what: str, value: Any, count: int) -> Any:
     """A finite number, or a list of so many."""
     values = [value] if count == 1 else value
     good = isinstance(values, list) and len(values) == count
@@ -269,18 +224,17 @@ def _number(line: int, what: str, value: Any, count: int) -> Any:
         for x in values
     ):
         wanted = "a number" if count == 1 else f"{count} numbers"
-        raise _RowError(line, f"{what} must be {wanted}, not {value!r}")
+        raise ValueError(f"{what} must be {wanted}, not {value!r}")
     if max(map(abs, values)) > FARTHEST:
-        raise _RowError(line, f"{what} must be at most {FARTHEST:g}, not {value!r}")
+        raise ValueError(f"{what} must be at most {FARTHEST:g}, not {value!r}")
     if what.endswith(".pose") and abs(values[2]) > 2 * math.pi + 1e-3:
-        raise _RowError(
-            line,
+        raise ValueError(
             f"{what} must have a heading within [-2 pi, 2 pi] rad, not {values[2]}: "
-            "headings are in radians",
+            "headings are in radians"
         )
     part = what.rsplit(".", 1)[-1]
     if part in _POSITIVE and min(values) <= 0:
-        raise _RowError(line, f"{what} must be positive, not {value!r}")
+        raise ValueError(f"{what} must be positive, not {value!r}")
     if part in _DEVIATIONS and not 0 <= value <= _HALF_TURN:
-        raise _RowError(line, f"{what} must lie in [0, {math.pi:.4g}], not {value!r}")
+        raise ValueError(f"{what} must lie in [0, {math.pi:.4g}], not {value!r}")
     return value

@@ -198,7 +198,7 @@ def folder(tmp_path, monkeypatch):
 REFUSED = [
     ("", "nothing to edit: give FILE.json, or --out for a new lot"),
     ("none.json", "cannot read none.json: No such file or directory"),
-    ("bad.json", "bad.json, line 1: bays, spawns, extent missing"),
+    ("bad.json", "bad.json: bays, spawns, extent missing"),
     ("lot.csv", "layouts are edited in .json files, not lot.csv"),
     ("--out lot.json", "lot.json exists: edit it by `carpark_mj layouts edit lot"),
     ("--out no/lot.json", "cannot use no/lot.json: No such file or directory"),

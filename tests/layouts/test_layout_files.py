@@ -103,45 +103,43 @@ def changed(**changes):
 
 
 BAD_JSON = [
-    (changed(format="carpark_mj layout 2"), 1, "format must be 'carpark_mj layout 1'"),
-    ({k: v for k, v in HAND.items() if k != "extent"}, 1, "extent missing"),
-    (changed(slots=[]), 1, r"unknown \['slots'\]"),
-    (changed(format={}), 1, r"format must be '.*', not \{\}$"),
-    (changed(walls={"a": 1}), 1, r"must be a list of objects, not \{'a': 1\}$"),
-    (changed(extent=[10]), 1, r"extent must be 2 numbers, not \[10\]"),
-    (changed(bays=[*HAND["bays"], {"pose": [0, 0, 0]}]), 5, r"bays\[1\].size is miss"),
-    (changed(bays=[{"pose": [0, 0], "size": [5, 2]}]), 4, r"bays\[0\].pose must be 3"),
-    (changed(walls=[{"pose": [0, "x", 0], "size": [1, 1]}]), 7, r"walls\[0\].pose"),
-    (changed(discs=[{"centre": [0, 0], "radius": math.nan}]), 10, "must be a number"),
-    (changed(discs=[{"centre": [0, 0], "radius": -1}]), 10, "must be positive, not -1"),
-    (changed(bays=[{"pose": [0, 0, 0], "size": [5, 0]}]), 4, "size must be positive"),
-    (changed(extent=[-10, 10]), 1, r"extent must be positive, not \[-10, 10\]"),
-    (changed(walls=[{"pose": [0, 9e9, 0], "size": [1, 1]}]), 7, "at most 10000"),
-    (changed(walls=[{"pose": [0, 10**400, 0], "size": [1, 1]}]), 7, "at most 10000"),
-    (changed(discs=[{"centre": [0, 0], "radius": 1, "r": 2}]), 10, r"unknown \['r'\]"),
-    (changed(walls=[{**HAND["walls"][0], "kind": "hedge"}]), 7, "'hedge'; choose"),
-    (changed(lanes=[{**HAND["lanes"][0], "one_way": 1}]), 13, "true or false, not 1"),
+    (changed(format="carpark_mj layout 2"), "format must be 'carpark_mj layout 1'"),
+    ({k: v for k, v in HAND.items() if k != "extent"}, "extent missing"),
+    (changed(slots=[]), "unknown list 'slots'"),
+    (changed(format={}), r"format must be '.*', not \{\}$"),
+    (changed(walls={"a": 1}), r"must be a list of objects, not \{'a': 1\}$"),
+    (changed(extent=[10]), r"extent must be 2 numbers, not \[10\]"),
+    (changed(bays=[*HAND["bays"], {"pose": [0, 0, 0]}]), r"bays\[1\].size is miss"),
+    (changed(bays=[{"pose": [0, 0], "size": [5, 2]}]), r"bays\[0\].pose must be 3"),
+    (changed(walls=[{"pose": [0, "x", 0], "size": [1, 1]}]), r"walls\[0\].pose"),
+    (changed(discs=[{"centre": [0, 0], "radius": math.nan}]), "must be a number"),
+    (changed(discs=[{"centre": [0, 0], "radius": -1}]), "must be positive, not -1"),
+    (changed(bays=[{"pose": [0, 0, 0], "size": [5, 0]}]), "size must be positive"),
+    (changed(extent=[-10, 10]), r"extent must be positive, not \[-10, 10\]"),
+    (changed(walls=[{"pose": [0, 9e9, 0], "size": [1, 1]}]), "at most 10000"),
+    (changed(walls=[{"pose": [0, 10**400, 0], "size": [1, 1]}]), "at most 10000"),
+    (changed(discs=[{"centre": [0, 0], "radius": 1, "r": 2}]), r"discs.0. 'r'"),
+    (changed(walls=[{**HAND["walls"][0], "kind": "hedge"}]), "'hedge'; choose"),
+    (changed(lanes=[{**HAND["lanes"][0], "one_way": 1}]), "true or false, not 1"),
     (
         changed(bays=[{"pose": [0, 6, -90], "size": [5, 2]}]),
-        4,
         r"bays\[0\].pose .* rad, not -90: headings are in radians",
     ),
     (
         changed(spawns=[{**HAND["spawns"][0], "spread": -3}]),
-        16,
         r"\[0, 3.142\], not -3",
     ),
-    (changed(spawns=[{**HAND["spawns"][0], "spread": 4}]), 16, "spread must lie in"),
-    (changed(spawns=[3]), 1, r"spawns\[0\] must be an object, not 3"),
+    (changed(spawns=[{**HAND["spawns"][0], "spread": 4}]), "spread must lie in"),
+    (changed(spawns=[3]), r"spawns\[0\] must be an object, not 3"),
 ]
 
 
-@pytest.mark.parametrize(("data", "line", "message"), BAD_JSON)
-def test_bad_json_layouts_are_told_what_and_where(data, line, message, tmp_path):
+@pytest.mark.parametrize(("data", "message"), BAD_JSON)
+def test_bad_json_layouts_are_told_what_and_where(data, message, tmp_path):
     path = written(tmp_path, data)
     with pytest.raises(ValueError, match=message) as caught:
         FromFileConfig(path=str(path))
-    assert f"{path}, line {line}: " in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
     assert not re.search(r"\n|\\n", str(caught.value))
 
 
@@ -151,7 +149,7 @@ def test_text_that_is_no_json_names_the_line(tmp_path):
     with pytest.raises(ValueError, match=r"line 3: not JSON \(Expecting value\)"):
         make_layout(str(path))
     path.write_text("[1, 2]")
-    with pytest.raises(ValueError, match="line 1: a layout is an object, not list"):
+    with pytest.raises(ValueError, match="a layout is an object, not list"):
         make_layout(str(path))
     path.write_text("[" * 100_000)
     with pytest.raises(ValueError, match="brackets are nested too deeply"):
@@ -202,13 +200,8 @@ def test_a_start_whose_headings_turn_backwards_is_no_layout(tmp_path):
 def test_an_invalid_layout_is_refused(tmp_path):
     bay = HAND["bays"][0]
     path = written(tmp_path, changed(bays=[bay, bay]))
-    with pytest.raises(
-        ValueError,
-        match=r"valid layout: bays overlap: \[\[0, 1\]\], the first on line \d",
-    ) as caught:
+    with pytest.raises(ValueError, match=r"bays overlap: \[\[0, 1\]\]"):
         make_layout(str(path))
-    line = int(str(caught.value).split()[-1])
-    assert "pose" in path.read_text().splitlines()[line - 1]
 
 
 def test_a_lot_in_centimetres_is_refused(tmp_path):
@@ -224,9 +217,7 @@ def test_a_lot_in_centimetres_is_refused(tmp_path):
     rows = ("bays", "walls", "discs", "lanes", "spawns")
     data = {name: [enlarged(row) for row in HAND[name]] for name in rows}
     path = written(tmp_path, changed(**data, extent=[1000, 1000]))
-    with pytest.raises(
-        ValueError, match=r"bays are not 1 to 30 m .* on line \d"
-    ) as told:
+    with pytest.raises(ValueError, match=r"bays are not 1 to 30 m") as told:
         make_layout(str(path))
     assert "\n" not in str(told.value)
 
