@@ -1,145 +1,182 @@
-"""From measurements of several rounds to a markdown table and a CSV."""
+"""Jobs of the benchmark, each measured in a process of its own, and their table."""
 
 import csv
 import dataclasses
 import io
+import json
+import os
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Literal
 
-from carpark_mj.benchmarking.checkouts import Checkout
-from carpark_mj.benchmarking.records import Job, Measurement
 from carpark_mj.files import write_atomically
 
-# How the rounds of one checkout are summarized. Other work on the machine can only
-# slow a program down, so the best round says most about it.
+What = Literal["env", "ppo", "physics"]
+Clock = Literal["wall", "cpu"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """The measurement of one process.
+
+    Attributes:
+        what: environment steps, whole PPO updates, or the physics alone.
+        variant: layout of `env`, preset of `ppo`, tyres or stepper of `physics`.
+        lots: simulated at once; for `physics`, cars.
+        num_agents: in each lot of `env`; `ppo` and `physics` have their own.
+        num_parked_cars: in each lot of `env`.
+        steps: control steps per timing; `ppo` times updates instead.
+        timings: of which the best counts.
+        clock: by which they are taken.
+        runs: of `ppo`, side by side in one program.
+    """
+
+    what: What
+    variant: str
+    lots: int
+    num_agents: int
+    num_parked_cars: int
+    steps: int
+    timings: int
+    clock: Clock
+    runs: int = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Measurement:
+    """Results of a process.
+
+    Attributes:
+        device: the GPU's name, or the number of CPU cores.
+        jax: version.
+        mujoco: version.
+        what: measured, with the preset and runs of `ppo` or the tyres and substep of
+            `physics`.
+        layout: of the lots; empty for `physics`.
+        agents: in each lot.
+        lots: simulated at once.
+        rate: units per second of the clock.
+        unit: counted unit, per second of which clock.
+        compile_s: tracing, lowering and compiling the program [s of the clock].
+        first_step_s: from the start of the process to that of the first call [s of the
+            clock].
+        peak_memory_mb: of the first GPU, or of the process on a CPU [1e6 bytes].
+    """
+
+    device: str
+    jax: str
+    mujoco: str
+    what: str
+    layout: str
+    agents: int
+    lots: int
+    rate: float
+    unit: str
+    compile_s: float
+    first_step_s: float
+    peak_memory_mb: float
+
+
+# Other work on the machine can only slow a program down: the best round counts.
 BEST: dict[str, Callable[[Sequence[float]], float]] = {
     "rate": max,
     "compile_s": min,
     "first_step_s": min,
     "peak_memory_mb": max,
 }
-COLUMNS = (
-    "what",
-    "layout",
-    "agents",
-    "lots",
-    "checkout",
-    "rate",
-    "unit",
-    "compile [s]",
-    "first step [s]",
-    "peak memory [MB]",
+_HEAD = (
+    "| what | layout | agents | lots | rate | unit | compile [s] | first step [s] | "
+    "peak memory [MB] |"
 )
-CSV_COLUMNS = (
-    "checkout",
-    "commit",
-    "round",
-    *(field.name for field in dataclasses.fields(Measurement)),
-)
+_CSV_COLUMNS = ("round", *(field.name for field in dataclasses.fields(Measurement)))
+
+# The measurements of every job, one of each round.
+Rounds = dict[Job, list[Measurement]]
 
 
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """A measurement, with what and when it was made.
-
-    Attributes:
-        job: what was asked for.
-        checkout: measured.
-        round: counted from 1.
-        measurement: the numbers.
-    """
-
-    job: Job
-    checkout: Checkout
-    round: int
-    measurement: Measurement
+class WorkerError(Exception):
+    """A measurement failed, possibly out of memory."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Ratio:
-    """This checkout's number by the other's.
-
-    Attributes:
-        best: of the best rounds.
-        low: least of the rounds, in which both were measured one after the other.
-        high: most of them.
-    """
-
-    best: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        """As the table prints it."""
-        return f"{self.best:.3f} ({self.low:.3f} … {self.high:.3f})"
-
-
-def values(rows: Sequence[Row], name: str) -> list[float]:
-    """A number of each row."""
-    return [getattr(row.measurement, name) for row in rows]
-
-
-def ratio(ours: Sequence[Row], theirs: Sequence[Row], name: str) -> Ratio:
-    """Compares a number of two checkouts.
+def measure(jobs: Sequence[Job], repeats: int, out: str = "") -> Rounds:
+    """Measures all jobs in turn; prints progress on stderr.
 
     Args:
-        ours: rows of one job in this checkout, by round.
-        theirs: in the other, as many.
-        name: of the number, a key of `BEST`.
+        jobs: of each round.
+        repeats: rounds.
+        out: CSV file of all measurements, written after each; empty = none.
+
+    Raises:
+        ValueError: impossible settings.
+        WorkerError: a process failed.
+        OSError: the CSV cannot be written.
     """
-    mine, other = values(ours, name), values(theirs, name)
-    pairs = [a / b for a, b in zip(mine, other, strict=True)]
-    return Ratio(BEST[name](mine) / BEST[name](other), min(pairs), max(pairs))
+    found: Rounds = {job: [] for job in jobs}
+    if out:  # refuses an impossible path before anything is measured
+        write_csv(Path(out), found)
+    for number in range(1, repeats + 1):
+        for job in jobs:
+            result = run_job(job)
+            found[job].append(result)
+            if out:
+                write_csv(Path(out), found)
+            print(
+                f"round {number} of {repeats}: {result.what} {result.layout}, "
+                f"{job.lots:,} lots: {result.rate:,.0f} {result.unit}, compiled in "
+                f"{result.compile_s:.1f} s",
+                file=sys.stderr,
+            )
+    return found
 
 
-def table_rows(rows: Sequence[Row]) -> list[list[str]]:
-    """Cells of the table: a line for each job and checkout, and one of their ratios."""
-    cells: list[list[str]] = []
-    for job in dict.fromkeys(row.job for row in rows):
-        by_checkout: dict[Checkout, list[Row]] = {}
-        for row in rows:
-            if row.job == job:
-                by_checkout.setdefault(row.checkout, []).append(row)
-        cells += [checkout_cells(measured) for measured in by_checkout.values()]
-        if len(by_checkout) == 2:
-            ours, theirs = by_checkout.values()
-            compared = {name: str(ratio(ours, theirs, name)) for name in BEST}
-            cells.append([*cells[-2][:4], "ratio", *numbers(compared, "")])
-    return cells
+def run_job(job: Job) -> Measurement:
+    """Measures a job in a fresh process, without kept compiled programs.
+
+    Raises:
+        ValueError: settings that are refused.
+        WorkerError: the process failed otherwise.
+    """
+    request = {"job": dataclasses.asdict(job), "started": time.time()}
+    environment = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "false"}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-m", "carpark_mj.benchmarking.worker", json.dumps(request)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode == 0:
+        return Measurement(**json.loads(done.stdout.splitlines()[-1]))
+    message = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
+    if done.returncode == 2:
+        raise ValueError(message[0])
+    if done.returncode < 0:  # its stderr does not explain the signal
+        message = [f"killed by signal {-done.returncode}, possibly out of memory"]
+    raise WorkerError(
+        f"could not measure {job.what} {job.variant} with {job.lots} lots: {message[0]}"
+    )
 
 
-def checkout_cells(rows: Sequence[Row]) -> list[str]:
-    """Cells of one job in one checkout."""
-    about = rows[0].measurement
-    best = {name: f"{BEST[name](values(rows, name)):,.1f}" for name in BEST}
-    best["rate"] = f"{BEST['rate'](values(rows, 'rate')):,.0f}"
-    name, commit = rows[0].checkout.name, rows[0].checkout.commit
-    return [
-        about.what,
-        about.layout,
-        str(about.agents),
-        f"{about.lots:,}",
-        f"{name} ({commit})" if commit and commit != name else name,
-        *numbers(best, about.unit),
-    ]
-
-
-def numbers(cells: dict[str, str], unit: str) -> list[str]:
-    """The last cells of a line, the unit behind the rate."""
-    rate, *others = (cells[name] for name in BEST)
-    return [rate, unit, *others]
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The table, under a line that names device and versions."""
-    about = rows[0].measurement
+def markdown(rounds: Rounds) -> str:
+    """The table of the best rounds, under a line that names device and versions."""
+    about = next(iter(rounds.values()))[0]
     lines = [f"{about.device}, JAX {about.jax}, MuJoCo {about.mujoco}", ""]
-    lines += ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
-    lines += ["| " + " | ".join(cells) + " |" for cells in table_rows(rows)]
+    lines += [_HEAD, "|" + "---|" * (_HEAD.count("|") - 1)]
+    for results in rounds.values():
+        one = results[0]
+        best = [f([getattr(r, name) for r in results]) for name, f in BEST.items()]
+        rate, *others = best
+        cells = [one.what, one.layout, str(one.agents), f"{one.lots:,}"]
+        cells += [f"{rate:,.0f}", one.unit, *(f"{number:,.1f}" for number in others)]
+        lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
+def write_csv(path: Path, rounds: Rounds) -> None:
     """Writes every measurement, one a line.
 
     Raises:
@@ -147,8 +184,8 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for row in rows:
-        numbers = dataclasses.astuple(row.measurement)
-        writer.writerow([row.checkout.name, row.checkout.commit, row.round, *numbers])
+    writer.writerow(_CSV_COLUMNS)
+    for results in rounds.values():
+        for number, result in enumerate(results, start=1):
+            writer.writerow([number, *dataclasses.astuple(result)])
     write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))

@@ -1,52 +1,44 @@
 """Measures performance: steps, training, physics, compilation and memory.
 
-carpark_mj benchmark                                   # this checkout
+carpark_mj benchmark
 carpark_mj benchmark --what env --batches 512 4096
 carpark_mj benchmark --what env --layouts lot --num-agents 1 4 16
 carpark_mj benchmark --what ppo --preset tanner-fixed --runs 1 4 16
-carpark_mj benchmark --against main~1 --out benchmark.csv
-carpark_mj benchmark --peer highway-env --batches 1024  # pip install ".[sb3,peers]"
 
 `env` counts agent steps of the whole environment under random actions, `ppo` those of
 training end to end, `physics` substeps of cars alone: on brush tyres, on the same by
 `mjx.step`, and on contact tyres, each at the longest substep at which it passes the
-physics report. Every measurement runs in its own process, without compiled programs.
-With `--against` two checkouts take turns, and the ratio of this one's numbers to the
-other's is printed: of the best rounds, with the range over the rounds. Compare only
-figures of one run. With `--peer` the adapters to other libraries take turns with the
-core they wrap, or with another gym.
+physics report. Every measurement runs in its own process, without kept compiled
+programs. Compare only figures of one run.
 """
 
-import contextlib
 import dataclasses
-import signal
 import sys
 from collections.abc import Sequence
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
-from carpark_mj.benchmarking.checkouts import here, other_checkout
-from carpark_mj.benchmarking.peers import Peer, comparison, subjects, take_turns
-from carpark_mj.benchmarking.records import Clock, Job, What
-from carpark_mj.benchmarking.report import markdown
-from carpark_mj.benchmarking.run import WorkerError, measure
+from carpark_mj.benchmarking.report import (
+    Clock,
+    Job,
+    What,
+    WorkerError,
+    markdown,
+    measure,
+)
 from carpark_mj.cli.common import enable_output_fusion
-from carpark_mj.cli.process import patient_interrupts
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_count, require_whole
+from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Natural
 
 Cars = Literal["brush", "mjx.step", "contact"]
+Counts = Annotated[tuple[int, ...], Bounds(ge=1)]
 
 
 @dataclasses.dataclass(frozen=True)
-class BenchmarkConfig:
+class BenchmarkConfig(CheckedConfig):
     """Settings of `carpark_mj benchmark`.
 
     Attributes:
         what: what to measure.
-        against: another checkout to take turns with: its folder, or a commit, branch
-            or tag of this repository; empty = none.
-        peer: compare the adapters instead: with the `core`, their compiled step, or
-            with highway-env's parking.
         batches: numbers of lots simulated in parallel; for `physics`, of cars.
         layouts: names of the layouts of `env`.
         cars: cars of `physics`, by tyres or stepper.
@@ -58,33 +50,28 @@ class BenchmarkConfig:
         steps: control steps of 0.2 s per timing of `env` and `physics`; `ppo` times
             updates.
         timings: timings in each process; the best is reported.
-        clock: `wall`, or `cpu`: CPU seconds of all threads of the process, to compare
-            checkouts on a busy machine.
+        clock: `wall`, or `cpu`: CPU seconds of all threads of the process, for busy
+            machines.
         repeats: number of rounds; each measures everything once.
         out: CSV file of all measurements, written after each; empty = none.
     """
 
     what: tuple[What, ...] = get_args(What)
-    against: str = ""
-    peer: Peer | None = None
-    batches: tuple[int, ...] = (128,)
+    batches: Counts = (128,)
     layouts: tuple[str, ...] = (str(EnvConfig.layout),)
     cars: tuple[Cars, ...] = get_args(Cars)
-    num_agents: tuple[int, ...] = (EnvConfig.num_agents,)
-    num_parked_cars: int = EnvConfig.num_parked_cars
+    num_agents: Counts = (EnvConfig.num_agents,)
+    num_parked_cars: Natural = EnvConfig.num_parked_cars
     preset: str = "auto"
-    runs: tuple[int, ...] = (1,)
-    steps: int = 20
-    timings: int = 10
+    runs: Counts = (1,)
+    steps: Count = 20
+    timings: Count = 10
     clock: Clock = "wall"
-    repeats: int = 3
+    repeats: Count = 3
     out: str = ""
 
     def __post_init__(self) -> None:
-        require_whole(self, 1, "steps", "timings", "repeats")
-        for name in ("batches", "runs", "num_agents"):
-            for number in getattr(self, name):
-                require_count(name, number, 1)
+        super().__post_init__()
         for name in ("what", "batches", "layouts", "cars", "num_agents", "runs"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must name at least one")
@@ -114,24 +101,12 @@ class BenchmarkConfig:
 
 def main(config: BenchmarkConfig) -> int:
     """Measures and prints the table; returns 1 if a process failed."""
-    if config.peer is not None:
-        for lots in config.batches:
-            with subjects(config.peer, lots) as found:
-                print(comparison(take_turns(found, config.repeats)))
-        return 0
-    with contextlib.ExitStack() as stack:
-        measured = [here()]
-        if config.against:
-            # Interrupted or terminated, it removes the checkout that it made.
-            stack.enter_context(patient_interrupts())
-            signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-            measured.append(stack.enter_context(other_checkout(config.against)))
-        try:
-            rows = measure(config.jobs(), measured, config.repeats, config.out)
-        except WorkerError as error:
-            print(f"benchmark: {error}", file=sys.stderr)
-            return 1
-    print(markdown(rows))
+    try:
+        rounds = measure(config.jobs(), config.repeats, config.out)
+    except WorkerError as error:
+        print(f"benchmark: {error}", file=sys.stderr)
+        return 1
+    print(markdown(rounds))
     return 0
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from camera_suite.lots import environment
 from carpark_mj import ParkingEnv
-from carpark_mj.benchmarking.timing import CLOCKS, best_time
+from carpark_mj.benchmarking.worker import CLOCKS, best_time
 from carpark_mj.cameras import (
     RIGS,
     BirdsEye,

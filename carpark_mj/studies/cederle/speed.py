@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.benchmarking.timing import best_time
+from carpark_mj.benchmarking.worker import best_time
 from carpark_mj.cli.common import enable_output_fusion
 from carpark_mj.config.checks import require_whole
 from carpark_mj.studies.cederle.junction import JunctionConfig, JunctionEnv

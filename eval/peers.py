@@ -1,4 +1,7 @@
-"""Compares adapters with the core, and other gyms with adapters, in one session.
+"""Compares adapters with the core, and highway-env with adapters, in one session.
+
+    python eval/peers.py core --lots 1024 --rounds 8
+    python eval/peers.py highway-env --lots 1024    # pip install ".[sb3,peers]"
 
 All are compiled first. Then they take turns, so that other work on the machine affects
 all of them alike; the best turn of each counts.
@@ -7,12 +10,13 @@ all of them alike; the best turn of each counts.
 # Extras that the type checker does without.
 # pyright: reportMissingImports=false
 
+import argparse
 import contextlib
 import dataclasses
 import os
 import time
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import gymnasium
 import jax
@@ -191,3 +195,18 @@ def comparison(measured: Sequence[Rates]) -> str:
             f"{max(each.rates):,.0f} | {ratio} |"
         )
     return "\n".join(lines)
+
+
+def main() -> None:
+    """Prints the comparison."""
+    parser = argparse.ArgumentParser(description="Speed of adapters and of other gyms")
+    parser.add_argument("peer", choices=get_args(Peer))
+    parser.add_argument("--lots", type=int, default=128)
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parser.parse_args()
+    with subjects(options.peer, options.lots) as found:
+        print(comparison(take_turns(found, options.rounds)))
+
+
+if __name__ == "__main__":
+    main()

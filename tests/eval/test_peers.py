@@ -2,7 +2,7 @@
 
 import pytest
 
-from carpark_mj.benchmarking.peers import (
+from peers import (
     Rates,
     Subject,
     comparison,
@@ -39,7 +39,7 @@ def test_a_missing_library_is_named(monkeypatch):
     def missing(*_):
         raise ModuleNotFoundError("no", name="highway_env")
 
-    monkeypatch.setattr("carpark_mj.benchmarking.peers.highway", missing)
+    monkeypatch.setattr("peers.highway", missing)
     with (
         pytest.raises(ValueError, match="needs highway_env: pip install"),
         subjects("highway-env", 2),
