@@ -10,11 +10,10 @@ Environments are stepped with random actions for fixed keys; those with tyres on
 steppers of the physics. `--only` names some of them.
 """
 
-import argparse
 import dataclasses
 import hashlib
-import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import run_command
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.files import write_json
+from carpark_mj.reading import read_object
 from carpark_mj.registry import ENVIRONMENTS
 
 STEPS = 8
@@ -70,28 +74,47 @@ def fingerprint(config: EnvConfig) -> dict[str, str]:
     return {**found, "state": digest(state), "steps": digest(steps)}
 
 
-def main() -> int:
+@dataclasses.dataclass(frozen=True)
+class FingerprintsConfig(CheckedConfig):
+    """Settings of the fingerprints.
+
+    Attributes:
+        out: file for the digests; empty = none.
+        against: file of another checkout; empty = none.
+        only: names of environments; empty = all.
+    """
+
+    out: str = ""
+    against: str = ""
+    only: tuple[str, ...] = ()
+
+
+def compare(config: FingerprintsConfig) -> int:
     """Prints what differs; exit code 1 if anything does."""
-    parser = argparse.ArgumentParser(description="Digests of every environment")
-    parser.add_argument("--out", type=Path, help="file for the digests")
-    parser.add_argument("--against", type=Path, help="file of another checkout")
-    parser.add_argument("--only", nargs="*", help="environments")
-    options = parser.parse_args()
-    known = json.loads(options.against.read_text()) if options.against else {}
+    known = read_object(Path(config.against)) if config.against else {}
     found: dict[str, dict[str, str]] = {}
     wrong = 0
-    for name, config in sorted(configs().items()):
-        if options.only and name not in options.only:
+    for name, env in sorted(configs().items()):
+        if config.only and name not in config.only:
             continue
-        found[name] = fingerprint(config)
+        found[name] = fingerprint(env)
         old = known.get(name, {})
         other = [part for part in found[name] if found[name][part] != old.get(part)]
         wrong += bool(known and other)
         verdict = f"differs: {', '.join(other)}" if other else "equal"
         print(f"{name:24} {verdict if known else found[name]['steps']}", flush=True)
-        if options.out:
-            options.out.write_text(json.dumps(found, indent=1) + "\n")
+        if config.out:
+            write_json(Path(config.out), found)
     return min(wrong, 1)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+
+    def command() -> object:
+        return compare(read_flags(FingerprintsConfig, arguments, description=__doc__))
+
+    return run_command("fingerprints", command)
 
 
 if __name__ == "__main__":

@@ -10,19 +10,23 @@ all of them alike; the best turn of each counts.
 # Extras that the type checker does without.
 # pyright: reportMissingImports=false
 
-import argparse
 import contextlib
 import dataclasses
 import os
+import sys
 import time
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import jax
 import numpy as np
+import tyro
 
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import run_command
 from carpark_mj.config import EnvConfig, EpisodeConfig
+from carpark_mj.config.checks import CheckedConfig, Count
 from carpark_mj.wrappers.batch import Batch, NumpyBatch
 from carpark_mj.wrappers.options import shared_env
 
@@ -197,16 +201,31 @@ def comparison(measured: Sequence[Rates]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Prints the comparison."""
-    parser = argparse.ArgumentParser(description="Speed of adapters and of other gyms")
-    parser.add_argument("peer", choices=get_args(Peer))
-    parser.add_argument("--lots", type=int, default=128)
-    parser.add_argument("--rounds", type=int, default=3)
-    options = parser.parse_args()
-    with subjects(options.peer, options.lots) as found:
-        print(comparison(take_turns(found, options.rounds)))
+@dataclasses.dataclass(frozen=True)
+class PeersConfig(CheckedConfig):
+    """Settings of the comparison.
+
+    Attributes:
+        peer: `core`, the compiled step that adapters wrap, or `highway-env`.
+        lots: simulated at once.
+        rounds: turns of each program.
+    """
+
+    peer: Annotated[Peer, tyro.conf.Positional]
+    lots: Count = 128
+    rounds: Count = 3
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Prints the comparison; returns the exit code."""
+
+    def command() -> object:
+        config = read_flags(PeersConfig, arguments, description=__doc__)
+        with subjects(config.peer, config.lots) as found:
+            print(comparison(take_turns(found, config.rounds)))
+
+    return run_command("peers", command)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
