@@ -19,7 +19,6 @@ RENAMED: dict[str, str] = {
     "RewardConfig.smoothness_by_speed": "extra.smoothness.by_speed",
     "RewardConfig.reverse": "extra.reverse",
     "EvaluateConfig.span": "horizon",
-    "JunctionConfig.restart": "respawn",
     "RewardConfig.reeds_shepp": "reeds_shepp_reach",
     "ShareConfig.order": "priority",
     **dict.fromkeys(
@@ -47,59 +46,17 @@ RENAMED: dict[str, str] = {
     "SceneConfig.junction": "carpark_mj study junction_scene",
     "layout compact": "square_compact",
     "layout tanner": "square",
-    "carpark_mj.cli.suite": "carpark_mj.studies.hope.suite_command",
-    "carpark_mj.config.BayPart": "carpark_mj.studies.tanner.observation.BayPart",
     "carpark_mj.config.ContinuousObservation": (
         "carpark_mj.observations.ContinuousObservation"
     ),
-    "carpark_mj.config.GridConfig": "carpark_mj.studies.tanner.grid_config.GridConfig",
-    "carpark_mj.config.IndexObservation": (
-        "carpark_mj.studies.tanner.indices.IndexObservation"
-    ),
-    "carpark_mj.config.TannerObservation": (
-        "carpark_mj.studies.tanner.observation.TannerObservation"
-    ),
-    "carpark_mj.config.ViewConfig": "carpark_mj.studies.tanner.view.ViewConfig",
-    "carpark_mj.config.grid": "carpark_mj.studies.tanner.grid_config",
     "carpark_mj.config.register_rule": "carpark_mj.config.PARKED_RULES",
     "carpark_mj.config.reward_preset": "carpark_mj.config.REWARDS",
-    "carpark_mj.evaluation.moving_car": "carpark_mj.studies.hope.moving_car",
     "carpark_mj.evaluation.rollout": "carpark_mj.evaluation.evaluator",
-    "carpark_mj.evaluation.suite": "carpark_mj.studies.hope.suite",
-    "carpark_mj.evaluation.suite_cases": "carpark_mj.studies.hope.suite_cases",
-    "carpark_mj.junction": "carpark_mj.studies.cederle.junction",
     "carpark_mj.layouts.COMPACT": "carpark_mj.layouts.SQUARE_COMPACT",
     "carpark_mj.layouts.TANNER": "carpark_mj.layouts.SQUARE",
-    "carpark_mj.layouts.HopeConfig": "carpark_mj.studies.hope.layouts.HopeConfig",
-    "carpark_mj.layouts.MetaDriveConfig": (
-        "carpark_mj.studies.metadrive.layouts.MetaDriveConfig"
-    ),
-    "carpark_mj.layouts.SlotsConfig": "carpark_mj.studies.pandita.layouts.SlotsConfig",
-    "carpark_mj.layouts.TpcapConfig": "carpark_mj.studies.tpcap.layouts.TpcapConfig",
     "carpark_mj.layouts.generate": "the method generate of a layout's config",
-    "carpark_mj.layouts.held_out": "carpark_mj.studies.hope.held_out",
-    "carpark_mj.layouts.hope": "carpark_mj.studies.hope.layouts",
-    "carpark_mj.layouts.metadrive": "carpark_mj.studies.metadrive.layouts",
-    "carpark_mj.layouts.slots": "carpark_mj.studies.pandita.layouts",
-    "carpark_mj.layouts.tpcap": "carpark_mj.studies.tpcap.files",
-    "carpark_mj.layouts.tpcap_cases": "carpark_mj.studies.tpcap.layouts",
-    "carpark_mj.observations.indices": "carpark_mj.studies.tanner.indices",
-    "carpark_mj.observations.tanner": "carpark_mj.studies.tanner.observation",
-    "carpark_mj.physics.grid": "carpark_mj.studies.tanner.grid",
-    "carpark_mj.physics.highway": "carpark_mj.studies.pandita.highway",
-    "carpark_mj.rendering.junction_stage": "carpark_mj.studies.cederle.rendering.stage",
-    "carpark_mj.rendering.junction_video": "carpark_mj.studies.cederle.rendering.video",
     "carpark_mj.rendering.rollout": "carpark_mj.rendering.recording",
-    "carpark_mj.wrappers.gymnasium_slots": "carpark_mj.studies.pandita.slots_env",
     "carpark_mj.wrappers.joint": "carpark_mj.tasks.joint",
-    "carpark_mj.wrappers.slots": "carpark_mj.studies.pandita.task",
-    "carpark_mj.wrappers.junction": "carpark_mj.studies.cederle.adapters.common",
-    **{
-        f"carpark_mj.wrappers.junction_{name}": (
-            f"carpark_mj.studies.cederle.adapters.{name}"
-        )
-        for name in ("benchmarl", "jaxmarl", "pettingzoo", "torchrl")
-    },
     **{
         f"carpark_mj.{old}": f"carpark_mj.{new}"
         for old, new in {

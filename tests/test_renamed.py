@@ -32,7 +32,6 @@ from carpark_mj.extensions import Registry
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.renamed import RENAMED, OldNames
-from carpark_mj.studies.cederle.junction import JunctionConfig
 from carpark_mj.sweeps.axes import read_axis
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
@@ -46,7 +45,6 @@ CONFIGS: dict[str, Any] = {
         EnvConfig,
         EvaluateConfig,
         GoalRewards,
-        JunctionConfig,
         LayoutsConfig,
         PPOConfig,
         RewardConfig,

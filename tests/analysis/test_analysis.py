@@ -28,7 +28,7 @@ from carpark_mj.cli.analysis import MAX_ROWS, analyse
 from carpark_mj.programs import analysis
 from carpark_mj.training.ppo.parts import PRESETS
 
-BASE = PRESETS["tanner-fixed"]
+BASE = PRESETS["square"]
 
 
 def record(agents, seed, parked, **settings):

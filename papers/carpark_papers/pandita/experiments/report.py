@@ -1,0 +1,115 @@
+"""The experiments in slots as a table: the thesis, our results, a verdict."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carpark_mj.analysis.seeds import ENOUGH, always
+from carpark_mj.evaluation.aggregation import wilson_interval
+from carpark_mj.files import write_atomically
+from carpark_mj.reading import read_csv
+from carpark_papers.jobs import Job
+from carpark_papers.pandita.experiments.slots import (
+    DIAGONAL,
+    PARALLEL,
+    VERTICAL,
+    Claim,
+    SlotsExperiment,
+)
+from carpark_papers.pandita.sac.phases import read_phase
+from carpark_papers.pandita.sac.pictures import plot_matrix
+from carpark_papers.pandita.sac.transfer import success_matrix, transfer
+
+KINDS = (VERTICAL, DIAGONAL, PARALLEL)
+
+# Rows of `deployments.csv` of the runs, by experiment.
+Results = Mapping[SlotsExperiment, Sequence[Sequence[dict[str, Any]]]]
+
+
+def read_deployments(job: Job) -> list[dict[str, Any]]:
+    """Rows of a finished run, with numbers parsed."""
+    return [
+        {
+            name: text if name in ("kind", "policy") else row.number(name)
+            for name, text in row.cells.items()
+        }
+        for row in read_csv(job.folder / "deployments.csv", "kind", "policy")
+    ]
+
+
+def verdict(claims: Sequence[Claim], success: Mapping[str, Sequence[float]]) -> str:
+    """Whether the seeds agree with the claims about every kind.
+
+    Args:
+        claims: of the thesis.
+        success: rates of the deterministic policies by kind, one for each seed.
+    """
+    if not claims:
+        return "not tried in the thesis"
+    seeds = min(len(success[claim.kind]) for claim in claims)
+    if seeds < ENOUGH:
+        return f"not decided: {seeds} seeds"
+    found: list[str] = []
+    for claim in claims:
+        parks = always(success[claim.kind])
+        if parks is not claim.parks:
+            word = {True: "parks", False: "fails", None: "mixed"}[parks]
+            found.append(f"{claim.kind} {word}")
+    return f"differs: {', '.join(found)}" if found else "agrees"
+
+
+def final_success(
+    runs: Sequence[Sequence[dict[str, Any]]], policy: str
+) -> dict[str, list[float]]:
+    """Success rates after the last phase by kind, one for each run."""
+    last = [success_matrix(rows, KINDS, policy)[-1] for rows in runs]
+    return {kind: [row[k] for row in last] for k, kind in enumerate(KINDS)}
+
+
+def write_report(path: Path, results: Results) -> None:
+    """Writes a markdown table with a row per experiment."""
+    head = ("experiment", "trained", "thesis", *KINDS, "backward transfer", "verdict")
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for experiment, runs in results.items():
+        likeliest = final_success(runs, "deterministic")
+        sampled = final_success(runs, "sampled")
+        cells = [experiment.name, experiment.title, experiment.statement]
+        cells += [_cell(likeliest[kind], sampled[kind]) for kind in KINDS]
+        cells.append(_backward(experiment, runs))
+        cells.append(verdict(experiment.claims, likeliest))
+        lines.append(f"| {' | '.join(cells)} |")
+    text = "\n".join(lines) + "\n"
+    write_atomically(path, lambda temporary: temporary.write_text(text))
+
+
+def write_matrix(
+    path: Path, experiment: SlotsExperiment, runs: Sequence[Sequence[dict[str, Any]]]
+) -> Path:
+    """Draws the success matrix of an experiment, the mean of its seeds."""
+    matrix = np.mean([success_matrix(rows, KINDS) for rows in runs], axis=0)
+    names = ["untrained", *(kinds.replace(",", ", ") for kinds, _ in experiment.stages)]
+    return plot_matrix(path, matrix, names, KINDS)
+
+
+def _backward(
+    experiment: SlotsExperiment, runs: Sequence[Sequence[dict[str, Any]]]
+) -> str:
+    """The mean backward transfer of the seeds, of several phases."""
+    phases = [read_phase(text) for text in experiment.phases(1.0)]
+    if len(phases) == 1:
+        return ""
+    found = [transfer(success_matrix(rows, KINDS), KINDS, phases) for rows in runs]
+    return f"{np.mean([each.backward for each in found]):+.2f}"
+
+
+def _cell(likeliest: Sequence[float], sampled: Sequence[float]) -> str:
+    """The share of seeds with its interval, and that of sampled actions."""
+    if not likeliest:
+        return ""
+    low, high = wilson_interval(sum(likeliest), len(likeliest))
+    return (
+        f"{np.mean(likeliest):.0%} ({low:.0%} to {high:.0%}), sampled "
+        f"{np.mean(sampled):.0%}"
+    )

@@ -1,0 +1,37 @@
+"""The page of Slots-v0: tables of the code, a snippet that runs."""
+
+import pytest
+from helpers import environment_pages as pages
+
+from carpark_papers.pandita.environments import PANDITA
+from carpark_papers.pandita.slots_env import SLOTS_OPTIONS, SlotsEnv
+
+NAME = "carpark_mj/Slots-v0"
+TEXT = pages.read("slots")
+DEFAULTS = {
+    "config": "pandita",
+    "layout": PANDITA.layout,
+    "parked_cars": PANDITA.num_parked_cars,
+}
+
+
+@pytest.mark.parametrize(
+    ("marker", "expected"),
+    [
+        ("summary", pages.summary),
+        ("actions", pages.actions),
+        ("observation", pages.observation),
+        ("rewards", pages.pose),
+    ],
+)
+def test_a_table_of_slots_is_the_generated_one(marker, expected):
+    pages.assert_generated(NAME, TEXT, marker, expected)
+
+
+def test_the_page_of_slots_lists_all_arguments():
+    listed = {option: repr(DEFAULTS.get(option)) for option in SLOTS_OPTIONS}
+    pages.assert_arguments(TEXT, SlotsEnv, listed)
+
+
+def test_the_example_of_slots_runs():
+    pages.run_example(TEXT)
