@@ -42,7 +42,7 @@ RENAMED: dict[str, str] = {
     ),
     "ContinuousObservation.view": "a setting of the encoding 'tanner'",
     "ShareConfig.goal_headings": "a setting of the encoding 'tanner'",
-    "LayoutsConfig.held_out": "the function carpark_mj.studies.hope.held_out.write",
+    "LayoutsConfig.held_out": "the function carpark_mj.suite.levels.write",
     "SceneConfig.junction": "carpark_mj study junction_scene",
     "layout compact": "square_compact",
     "layout tanner": "square",

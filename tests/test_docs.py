@@ -42,7 +42,7 @@ from carpark_mj.policy.plain_inputs import markdown_inputs
 from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.programs.benchmark import BenchmarkConfig
 from carpark_mj.registry import ENVIRONMENTS
-from carpark_mj.studies.hope.suite_command import SuiteConfig
+from carpark_mj.suite.command import SuiteConfig
 from carpark_mj.sweeps.config import SweepConfig
 from carpark_mj.training.hosts import read_hosts
 from carpark_mj.training.ppo.arguments import read_runs

@@ -32,7 +32,7 @@ class EnvConfig(OldNames):
     Attributes:
         layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `square_compact`
             (the same with 2.5 m x 5.0 m bays), a random family such as `street`, or any
-            other of `LAYOUTS`, to which studies and other packages add theirs. Or a
+            other of `LAYOUTS`, to which other packages add theirs. Or a
             layout file (.json). A comma-separated list is a mixture. From Python also
             the config of a family, see `carpark_mj.layouts`.
         vehicle: a name in `carpark_mj.vehicle.VEHICLES`, or a vehicle file (.yaml,

@@ -9,7 +9,7 @@ from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.registry import ANYWHERE
-from carpark_mj.studies.metadrive.environments import METADRIVE
+from carpark_mj.suite.metadrive import METADRIVE
 
 RUN = EnvConfig(num_agents=5, min_agents=3)
 

@@ -19,8 +19,8 @@ from carpark_mj.planning.driving import (
 from carpark_mj.planning.paths import CRUISE, centre
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.planning.search import SearchConfig
-from carpark_mj.studies.hope.suite import CaseEvaluator, suite_env
-from carpark_mj.studies.hope.suite_cases import pick_cases
+from carpark_mj.suite.evaluation import CaseEvaluator, suite_env
+from carpark_mj.suite.levels import pick_cases
 from carpark_mj.vehicle import make_vehicle
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 2))

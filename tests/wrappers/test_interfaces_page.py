@@ -22,9 +22,7 @@ def test_a_snippet_runs(snippet):
     exec(snippet.replace("64", "2"), {})  # fewer lots
 
 
-@pytest.mark.parametrize(
-    ("table", "names"), [("ids", OURS), ("options", OPTIONS)]
-)
+@pytest.mark.parametrize(("table", "names"), [("ids", OURS), ("options", OPTIONS)])
 def test_a_table_names_them_all(table, names):
     text = PAGE.split(f"<!-- {table} -->\n")[1].split(f"<!-- end of {table} -->")[0]
     rows = re.findall(r"^\| `([^`]+)`", text, re.MULTILINE)
