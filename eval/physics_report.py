@@ -30,7 +30,7 @@ class ReportConfig:
     """Settings of `python eval/physics_report.py`.
 
     Attributes:
-        presets: vehicle presets to test; default: all but those of the suite and papers (`tpcap`,
+        presets: vehicle presets to test; default: all but those for one task (`tpcap`,
             `tanner`, `highway`).
         tyres: tyre models to test.
         out: folder of the report.
