@@ -16,8 +16,11 @@ from carpark_papers.cederle.junction.config import RasterConfig, RewardRules
 from carpark_papers.pandita.sac.config import SACConfig
 from carpark_papers.tanner.indices import IndexObservation
 from carpark_papers.tanner.observation import TannerObservation
-from carpark_papers.tanner.q_learning.config import QLearningConfig
-from carpark_papers.tanner.q_learning.presets import Q_PRESETS, Q_SUMMARIES
+from carpark_papers.tanner.q_learning.config import (
+    Q_PRESETS,
+    Q_SUMMARIES,
+    QLearningConfig,
+)
 
 TRAINERS = (QLearningConfig, SACConfig)
 CLASSES = (

@@ -17,12 +17,10 @@ from carpark_papers.cederle.scene import JunctionSceneConfig
 from carpark_papers.cederle.speed import JunctionSpeedConfig
 from carpark_papers.cederle.training.families import presets_of
 from carpark_papers.pandita.experiments.program import SlotsStudyConfig
-from carpark_papers.pandita.sac.config import SACConfig
-from carpark_papers.pandita.sac.presets import SAC_PRESETS
+from carpark_papers.pandita.sac.config import SAC_PRESETS, SACConfig
 from carpark_papers.tanner.environments import TANNER_FIXED
-from carpark_papers.tanner.experiments.config import StudyConfig
-from carpark_papers.tanner.q_learning.config import QLearningConfig
-from carpark_papers.tanner.q_learning.presets import Q_PRESETS
+from carpark_papers.tanner.experiments.program import StudyConfig
+from carpark_papers.tanner.q_learning.config import Q_PRESETS, QLearningConfig
 
 START = "carpark_mj study "
 PAGES = [*PAGES, ROOT / "papers" / "README.md"]

@@ -45,11 +45,11 @@ def test_every_combination_has_every_seed_and_its_own_folder():
 
 
 def test_settings_of_one_value_are_in_no_name():
-    plan = Plan("square", axes("num_agents=2", "smoothness.by_speed=1"))
+    plan = Plan("square", axes("num_agents=2", "closeness=1"))
     [run] = checked_runs(plan)
     assert run.name == "seed=0"
     assert settings_of(run).env.num_agents == 2
-    assert settings_of(run).env.reward.extra["smoothness.by_speed"] == 1.0
+    assert settings_of(run).env.reward.closeness == 1.0
 
 
 def test_settings_can_change_together():

@@ -17,8 +17,8 @@ from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.scene.export import scene_xml
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
+from carpark_papers.cederle.junction.cars import road_car
 from carpark_papers.cederle.junction.scene import HALF, drivable_junction
-from carpark_papers.cederle.junction.steered_car import road_car
 
 
 @dataclasses.dataclass(frozen=True)

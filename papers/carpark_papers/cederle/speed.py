@@ -19,8 +19,8 @@ from carpark_mj.benchmarking.timing import best_time
 from carpark_mj.cli.common import enable_output_fusion
 from carpark_mj.config.checks import require_whole
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
-from carpark_papers.cederle.junction.actions import ACTIONS
 from carpark_papers.cederle.junction.config import CarModel, Encoding
+from carpark_papers.cederle.junction.rules import ACTIONS
 
 
 @dataclasses.dataclass(frozen=True)

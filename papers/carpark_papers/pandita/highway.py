@@ -1,4 +1,4 @@
-"""highway-env's car: the kinematic bicycle as its `Vehicle.step` integrates it.
+"""The back end `highway`: the kinematic bicycle as highway-env's car integrates it.
 
 The equations are those of `bicycle`, but the axles stand at the bumpers, steering and
 acceleration are those asked for, forwards and backwards alike, and a substep is one of
@@ -10,15 +10,39 @@ car's parameters; the preset `highway` has highway-env's. Its `sim_dt` is 1 / 15
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import PHYSICS
+from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.physics.bicycle import BicyclePhysics, BicycleState, Carry, slip_angle
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.vehicle import Vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class HighwayConfig(PhysicsConfig):
+    """highway-env's car, which obeys at once and has a road's speed limits."""
+
+    back_end: str = "highway"
+    actuated = False
+    randomized = False
+    keeps_ranges = False
+
+    def make(self, config: EnvConfig, layout: Any, vehicle: Any) -> Any:
+        """Builds it; it has no ground but a plane."""
+        del layout, vehicle
+        return HighwayPhysics(config.sim)
+
+    def largest_turn(self, vehicle: Any, ctrl_dt: float) -> Any:
+        """From lock to lock."""
+        del ctrl_dt
+        return 2.0 * vehicle.max_steering
+
+
+PHYSICS.register("highway", HighwayConfig())
 
 
 class HighwayPhysics(BicyclePhysics):

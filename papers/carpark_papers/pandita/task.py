@@ -1,4 +1,7 @@
-"""The task of Pandita 2022: twelve numbers observed, and the ends of the thesis.
+"""The car, the task and the environments of Pandita 2022.
+
+Numbers are those of version 1.12, `vehicle/kinematics.py` and the ranges of
+`envs/parking_env.py`; `highway` physics reads nothing else.
 
 Where the thesis and its program differ this is the program: the power of the norm is
 0.5 (2 in the text), the goal is reached below 0.08 (0.09 and 0.10), the penalty of a
@@ -7,6 +10,7 @@ terminal state here, though it was one there.
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import jax
@@ -17,13 +21,38 @@ from carpark_mj.config import (
     PARKED_RULES,
     REWARDS,
     EnvConfig,
+    EpisodeConfig,
     ObservationConfig,
     ParkedRule,
+    SimConfig,
+    SpawnConfig,
 )
 from carpark_mj.observations import Field
 from carpark_mj.observations.sensors import observed
+from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.tasks.goal_pose import FEATURES, car_features, goal_features, near
 from carpark_mj.types import State
+from carpark_mj.vehicle import COMPACT, register_vehicle
+from carpark_mj.vehicle.parameters import kerb_to_kerb
+
+register_vehicle(
+    "highway",
+    dataclasses.replace(
+        COMPACT,
+        length=5.0,
+        width=2.0,
+        rear_overhang=(5.0 - COMPACT.wheelbase) / 2,
+        turning_circle=kerb_to_kerb(
+            COMPACT.wheelbase, COMPACT.track_width, COMPACT.tyre_width, math.pi / 4
+        ),
+        max_acceleration=5.0,
+        max_deceleration=5.0,
+        max_speed=40.0,
+        max_reverse_speed=40.0,
+        steering_rate=1000.0,  # at once
+    ),
+)
+
 
 GOAL_FEATURES = tuple(
     dataclasses.replace(field, name=f"goal_{field.name}", reveals_goal=True)
@@ -55,3 +84,24 @@ ENCODERS.register("pandita", PanditaObservation)
 REWARD = REWARDS.register("pandita", dataclasses.replace(REWARDS["pose"], crash=4.0))
 # A goal reached in the last step is a timeout.
 PARKED_RULES.register("pandita", ParkedRule(test=near(0.08), before_timeout=False))
+
+
+# Pandita 2022: highway-env's car in a lot where all other slots are taken; 150 steps at
+# 5 Hz.
+PANDITA = EnvConfig(
+    layout="slots",
+    vehicle="highway",
+    num_agents=1,
+    num_parked_cars=11,
+    physics="highway",
+    sim=SimConfig(sim_dt=1 / 15, trace_dt=1 / 15),
+    spawn=SpawnConfig(close_ratio=0.0),
+    episode=EpisodeConfig(parked_rule="pandita", max_steps=150),
+    reward=REWARD,
+    observation=PanditaObservation(),
+)
+# The same for real cars.
+SLOTS = dataclasses.replace(PANDITA, vehicle="compact", physics="mjx", sim=SimConfig())
+
+ENVIRONMENTS.register("pandita", PANDITA)
+ENVIRONMENTS.register("slots", SLOTS)

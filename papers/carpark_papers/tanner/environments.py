@@ -1,4 +1,4 @@
-"""The environments of Tanner 2022 (arXiv 2206.13338).
+"""The car, the reward and the environments of Tanner 2022 (arXiv 2206.13338).
 
 Tables are those of the appendix C of Tanner 2022. Where its text and the reference
 implementation disagree, or do not say, the choice is:
@@ -36,6 +36,7 @@ implementation disagree, or do not say, the choice is:
 import dataclasses
 
 from carpark_mj.config import (
+    REWARDS,
     WORLD_UNIT,
     EnvConfig,
     EpisodeConfig,
@@ -45,9 +46,28 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.registry import ENVIRONMENTS
+from carpark_mj.vehicle import COMPACT, register_vehicle
 from carpark_papers.tanner.indices import IndexObservation
 from carpark_papers.tanner.observation import TannerObservation
-from carpark_papers.tanner.rewards import TANNER
+
+# 7.9 x 3.9 world units: the colliders are 0.1 smaller than what is drawn.
+register_vehicle(
+    "tanner",
+    dataclasses.replace(COMPACT, length=7.9 * WORLD_UNIT, width=3.9 * WORLD_UNIT),
+)
+
+
+TANNER = RewardConfig(
+    park=1.0,
+    crash=1.0,
+    time=0.2,
+    progress=0.0,
+    alignment=0.0,
+    closeness=0.0,
+    extra={"approach": 0.15, "smoothness": 0.05, "reverse": 0.1},
+)
+REWARDS.register("tanner", TANNER)
+
 
 # Tables C.1 and C.2; 216 table entries: 3 levels of speed, 8 bearings, 9 actions.
 TANNER_QLEARNING = EnvConfig(

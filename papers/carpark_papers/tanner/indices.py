@@ -25,8 +25,12 @@ from carpark_mj.observations.rings import (
 )
 from carpark_mj.observations.sensors import observed
 from carpark_mj.types import State
-from carpark_papers.tanner.grid_config import GridConfig, grid_scale
-from carpark_papers.tanner.grid_numbers import bearing_index, speed_level
+from carpark_papers.tanner.grid import (
+    GridConfig,
+    bearing_index,
+    grid_scale,
+    speed_level,
+)
 
 
 @dataclasses.dataclass(frozen=True)

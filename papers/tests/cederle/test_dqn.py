@@ -16,9 +16,14 @@ from carpark_mj.policy import runs
 from carpark_mj.training.run_folder import open_run
 from carpark_papers.cederle.dqn.config import DQNConfig
 from carpark_papers.cederle.dqn.learner import DQNLearner
-from carpark_papers.cederle.dqn.networks import QNetwork, to_agents, to_learners
 from carpark_papers.cederle.dqn.train import load_or_init, train
-from carpark_papers.cederle.dqn.update import Transition, td_errors
+from carpark_papers.cederle.dqn.update import (
+    QNetwork,
+    Transition,
+    td_errors,
+    to_agents,
+    to_learners,
+)
 
 TINY = DQNConfig(
     name="tiny",

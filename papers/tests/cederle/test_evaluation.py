@@ -11,7 +11,6 @@ import pytest
 from flax import struct
 
 from carpark_papers.cederle.junction import JunctionConfig, RewardRules, scenario
-from carpark_papers.cederle.junction.actions import KEEP_LANE, SLOW_DOWN
 from carpark_papers.cederle.junction.evaluation import (
     MAX_STEPS,
     NEVER,
@@ -22,6 +21,7 @@ from carpark_papers.cederle.junction.evaluation import (
     evaluation_env,
     summarize,
 )
+from carpark_papers.cederle.junction.rules import KEEP_LANE, SLOW_DOWN
 
 WAY = 4.0  # m, at which the junction ends; a car drives 1 m per step
 

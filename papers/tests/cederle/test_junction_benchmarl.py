@@ -17,15 +17,17 @@ from torchrl.envs import Compose, TransformedEnv
 from carpark_mj.policy import runs
 from carpark_papers.cederle.adapters.torchrl import TorchRLJunction
 from carpark_papers.cederle.benchmarl import train
-from carpark_papers.cederle.benchmarl.build import HeldActions, make_task
-from carpark_papers.cederle.benchmarl.config import BenchMARLConfig
-from carpark_papers.cederle.benchmarl.episodes import Evaluation, GreedyPolicy
-from carpark_papers.cederle.benchmarl.presets import benchmarl_presets
-from carpark_papers.cederle.benchmarl.run import train_run
-from carpark_papers.cederle.benchmarl.train import Training
-from carpark_papers.cederle.junction.actions import KEEP_LANE, SLOW_DOWN
+from carpark_papers.cederle.benchmarl.build import (
+    Evaluation,
+    GreedyPolicy,
+    HeldActions,
+    make_task,
+)
+from carpark_papers.cederle.benchmarl.config import BenchMARLConfig, benchmarl_presets
+from carpark_papers.cederle.benchmarl.train import Training, train_run
 from carpark_papers.cederle.junction.evaluation import NEVER
-from carpark_papers.cederle.training.video import record
+from carpark_papers.cederle.junction.rules import KEEP_LANE, SLOW_DOWN
+from carpark_papers.cederle.training.evaluations import record
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of libraries
 

@@ -16,10 +16,7 @@ from carpark_papers.cederle.training.evaluations import (
     verdict,
     write_evaluations,
 )
-from carpark_papers.cederle.training.families import (
-    presets_of,
-    read_junction_settings,
-)
+from carpark_papers.cederle.training.families import presets_of, read_junction_settings
 
 
 @pytest.mark.parametrize("algorithm", Algorithm.__args__)

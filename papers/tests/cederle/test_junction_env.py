@@ -8,7 +8,7 @@ import pytest
 from helpers.rolling import check_roll_out
 
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv, RewardRules
-from carpark_papers.cederle.junction.actions import (
+from carpark_papers.cederle.junction.rules import (
     INDEX,
     SCALAR,
     parse,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import shapely
 
-from carpark_papers.cederle.junction.roads import CONNECTIONS
-from carpark_papers.cederle.junction.routes import (
+from carpark_papers.cederle.junction.roads import (
+    CONNECTIONS,
     Route,
     heading_at,
     point_at,

@@ -13,8 +13,7 @@ from carpark_mj.scene.export import try_out
 from carpark_mj.scene.parts import HULL_GROUP
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import RasterConfig
-from carpark_papers.cederle.junction.plot import write_plan
-from carpark_papers.cederle.junction.rasteriser import (
+from carpark_papers.cederle.junction.observations import (
     ASPHALT,
     GRASS,
     OTHER_CAR,
@@ -22,9 +21,9 @@ from carpark_papers.cederle.junction.rasteriser import (
     PAINT,
     draw,
 )
-from carpark_papers.cederle.junction.scene import drivable_junction
-from carpark_papers.cederle.rendering.stage import JunctionStage
+from carpark_papers.cederle.junction.scene import drivable_junction, write_plan
 from carpark_papers.cederle.scene import JunctionSceneConfig, main
+from carpark_papers.cederle.video import JunctionStage
 
 ENV = junctions.env(scenario="3av-hd", cars="bicycle")
 POSES = [[7.0, 1.65, np.pi], [1.65, -16.0, np.pi / 2], [-9.0, -1.65, 0.0]]

@@ -7,23 +7,25 @@ import pytest
 from helpers.programs import exit_code
 
 from carpark_papers.cederle.experiments import program as junction_study
-from carpark_papers.cederle.experiments.cells import (
+from carpark_papers.cederle.experiments.claims import CLAIMS, Claim, compare
+from carpark_papers.cederle.experiments.report import (
+    draw_curves,
+    published_curve,
+    verdict,
+    write_report,
+)
+from carpark_papers.cederle.experiments.runs import (
     BESIDE,
     CELLS,
+    Outcome,
     Published,
     cells_of,
-)
-from carpark_papers.cederle.experiments.claims import CLAIMS, Claim, compare
-from carpark_papers.cederle.experiments.curves import draw_curves, published_curve
-from carpark_papers.cederle.experiments.report import verdict, write_report
-from carpark_papers.cederle.experiments.runs import (
-    Outcome,
     is_finished,
     make_job,
     read_outcome,
     tail,
 )
-from carpark_papers.cederle.junction.scenarios import scenario
+from carpark_papers.cederle.junction.config import scenario
 from carpark_papers.cederle.training.families import read_junction_settings
 
 

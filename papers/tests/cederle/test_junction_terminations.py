@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from carpark_mj.geometry import box_corners
-from carpark_papers.cederle.junction.terminations import collide, detect_events
+from carpark_papers.cederle.junction.rules import collide, detect_events
 
 ENV = junctions.env(scenario="2av-hd")
 WEST, EAST, SOUTH = np.pi, 0.0, -np.pi / 2

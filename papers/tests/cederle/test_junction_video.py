@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from carpark_papers.cederle import video
 from carpark_papers.cederle.dqn.config import DQNConfig
-from carpark_papers.cederle.junction.actions import KEEP_LANE, SLOW_DOWN
-from carpark_papers.cederle.rendering import video
-from carpark_papers.cederle.training.video import record, write_video
+from carpark_papers.cederle.junction.rules import KEEP_LANE, SLOW_DOWN
+from carpark_papers.cederle.training.evaluations import record, write_video
 
 CONFIG = DQNConfig(scenario="2av-hd", video_episodes=2, eval_jitter=0.0)
 

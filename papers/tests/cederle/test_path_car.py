@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import SimConfig
-from carpark_papers.cederle.junction.path_car import BRAKING, PathCars
-from carpark_papers.cederle.junction.roads import CONNECTIONS
-from carpark_papers.cederle.junction.routes import Route, project, stack_routes
+from carpark_papers.cederle.junction.cars import BRAKING, PathCars
+from carpark_papers.cederle.junction.roads import (
+    CONNECTIONS,
+    Route,
+    project,
+    stack_routes,
+)
 
 ROUTES = stack_routes([Route(*ends) for ends in CONNECTIONS])
 CARS = PathCars(SimConfig(ctrl_dt=0.1))

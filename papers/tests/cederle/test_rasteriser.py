@@ -10,7 +10,7 @@ import shapely
 
 from carpark_mj.geometry import box_corners
 from carpark_papers.cederle.junction import RasterConfig
-from carpark_papers.cederle.junction.rasteriser import (
+from carpark_papers.cederle.junction.observations import (
     ASPHALT,
     GRASS,
     OTHER_CAR,

@@ -9,9 +9,8 @@ from carpark_papers.cederle.junction import (
     JunctionEnv,
     RasterConfig,
 )
-from carpark_papers.cederle.junction.config import RewardRules
-from carpark_papers.cederle.junction.routes import Route
-from carpark_papers.cederle.junction.scenarios import Mission, Scenario
+from carpark_papers.cederle.junction.config import Mission, RewardRules, Scenario
+from carpark_papers.cederle.junction.roads import Route
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,15 @@ from carpark_mj.geometry import box_corners
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import preset
-from carpark_papers.cederle.junction.follow import GAIN
-from carpark_papers.cederle.junction.path_car import BRAKING
-from carpark_papers.cederle.junction.roads import CONNECTIONS, SPEED_LIMIT, on_road
-from carpark_papers.cederle.junction.routes import Route, project, stack_routes
-from carpark_papers.cederle.junction.steered_car import SteeredCars
+from carpark_papers.cederle.junction.cars import BRAKING, GAIN, SteeredCars
+from carpark_papers.cederle.junction.roads import (
+    CONNECTIONS,
+    SPEED_LIMIT,
+    Route,
+    on_road,
+    project,
+    stack_routes,
+)
 
 NAMES = list(CONNECTIONS)
 ROUTES = stack_routes([Route(*ends) for ends in NAMES])

@@ -17,7 +17,6 @@ from carpark_mj.policy import checkpoints, runs
 from carpark_mj.training.run_folder import open_run
 from carpark_papers.pandita.sac import agent as agents
 from carpark_papers.pandita.sac import program as sac
-from carpark_papers.pandita.sac import replay
 from carpark_papers.pandita.sac.config import SACConfig
 from carpark_papers.pandita.sac.deploy import choose_action
 from carpark_papers.pandita.sac.train import Training, train
@@ -156,9 +155,9 @@ def test_a_balanced_buffer_gives_phases_equal_shares(folder):
 
 def test_a_cleared_buffer_has_nothing_to_sample(folder):
     agent = Training(TINY, folder).agent
-    assert replay.is_ready(agent.replay_buffer)
-    replay.clear(agent.replay_buffer)
-    assert not replay.is_ready(agent.replay_buffer)
+    assert agents.is_ready(agent.replay_buffer)
+    agents.clear(agent.replay_buffer)
+    assert not agents.is_ready(agent.replay_buffer)
     updates = agent._n_updates
     agent.train(2, 32)
     assert agent._n_updates == updates

@@ -3,8 +3,8 @@
 import pytest
 from helpers import environment_pages as pages
 
-from carpark_papers.pandita.environments import PANDITA
 from carpark_papers.pandita.slots_env import SLOTS_OPTIONS, SlotsEnv
+from carpark_papers.pandita.task import PANDITA
 
 NAME = "carpark_mj/Slots-v0"
 TEXT = pages.read("slots")

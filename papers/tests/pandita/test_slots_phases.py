@@ -12,11 +12,8 @@ from carpark_mj.layouts import layout_config
 from carpark_papers.pandita.experiments import program as slots_study
 from carpark_papers.pandita.layouts import SlotsConfig
 from carpark_papers.pandita.sac import program as sac
-from carpark_papers.pandita.sac.config import SACConfig
-from carpark_papers.pandita.sac.deploy import deploy
-from carpark_papers.pandita.sac.phases import Phase, read_phase
-from carpark_papers.pandita.sac.presets import SAC_PRESETS
-from carpark_papers.pandita.sac.transfer import success_matrix, transfer
+from carpark_papers.pandita.sac.config import SAC_PRESETS, Phase, SACConfig, read_phase
+from carpark_papers.pandita.sac.deploy import deploy, success_matrix, transfer
 
 KINDS = ("slots", "slots_diagonal", "slots_parallel")
 

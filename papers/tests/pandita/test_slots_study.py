@@ -2,17 +2,18 @@
 
 import pytest
 
-from carpark_papers.pandita.experiments.curves import draw_curves, write_curves
-from carpark_papers.pandita.experiments.jobs import make_job
 from carpark_papers.pandita.experiments.report import (
     KINDS,
+    draw_curves,
     final_success,
     verdict,
+    write_curves,
     write_report,
 )
 from carpark_papers.pandita.experiments.slots import (
     EXPERIMENTS,
     Claim,
+    make_job,
     slots_experiment,
 )
 from carpark_papers.pandita.sac.config import SACConfig

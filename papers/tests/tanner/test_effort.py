@@ -10,8 +10,7 @@ from helpers.transitions import no_events, transition
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.progress import Effort, effort
 from carpark_mj.vehicle import COMPACT, make_vehicle
-from carpark_papers.tanner.grid import GridPhysics, GridState
-from carpark_papers.tanner.grid_config import FINE
+from carpark_papers.tanner.grid import FINE, GridPhysics, GridState
 
 LOT = lot([(0.0, 0.0, 0.0)])
 

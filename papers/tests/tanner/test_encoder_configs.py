@@ -12,8 +12,7 @@ from carpark_mj.config import (
     GoalConfig,
 )
 from carpark_papers.tanner.indices import IndexObservation
-from carpark_papers.tanner.observation import TannerObservation, TannerShare
-from carpark_papers.tanner.view import ViewConfig
+from carpark_papers.tanner.observation import TannerObservation, TannerShare, ViewConfig
 
 DYNAMIC = GoalConfig(dynamic=True)
 

@@ -21,8 +21,7 @@ from carpark_mj.registry import ENVIRONMENTS, environment
 from carpark_mj.vehicle import make_vehicle, preset
 from carpark_mj.wrappers.spaces import observation_space
 from carpark_papers.tanner.environments import TANNER_QLEARNING
-from carpark_papers.tanner.grid import GridPhysics
-from carpark_papers.tanner.grid_config import COARSE, FINE, GridConfig
+from carpark_papers.tanner.grid import COARSE, FINE, GridConfig, GridPhysics
 
 BOX = make_vehicle(preset("tanner"))
 KEEP = 1  # the coarse grid's middle choice: no acceleration, no turn

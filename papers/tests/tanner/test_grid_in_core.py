@@ -47,7 +47,7 @@ from carpark_papers.tanner.environments import (
     TANNER_FIXED,
     TANNER_QLEARNING,
 )
-from carpark_papers.tanner.grid_config import FINE
+from carpark_papers.tanner.grid import FINE
 from carpark_papers.tanner.observation import TannerObservation
 
 

@@ -25,8 +25,12 @@ from carpark_papers.tanner.environments import (
 from carpark_papers.tanner.q_learning import program as q_learning
 from carpark_papers.tanner.q_learning import train
 from carpark_papers.tanner.q_learning.config import QLearningConfig
-from carpark_papers.tanner.q_learning.curve import rolling_mean, write_metrics
-from carpark_papers.tanner.q_learning.learner import QLearner, Training
+from carpark_papers.tanner.q_learning.train import (
+    QLearner,
+    Training,
+    rolling_mean,
+    write_metrics,
+)
 
 # Best actions of the study's four recorded Q-tables, by its smallest share of random
 # actions (omarathon/rl-multi-agent-car-parking, q-learning-results): a digit for every

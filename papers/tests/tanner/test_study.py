@@ -17,24 +17,22 @@ from carpark_mj.sweeps.outcomes import Outcome, open_sweep, write_outcome
 from carpark_mj.sweeps.plan import checked_runs, runs, settings_of
 from carpark_mj.training.settings import list_settings
 from carpark_papers.tanner.experiments import program as study
-from carpark_papers.tanner.experiments.budget import (
-    Cost,
-    choose,
-    cost,
-    measured_rate,
-)
 from carpark_papers.tanner.experiments.figures import (
     ELSEWHERE,
     EXPERIMENTS,
     FIGURES,
     experiment_of,
     plan_of,
-)
-from carpark_papers.tanner.experiments.published import (
     published_runs,
     published_values,
+    verdict,
 )
-from carpark_papers.tanner.experiments.verdicts import verdict
+from carpark_papers.tanner.experiments.program import (
+    Cost,
+    choose,
+    cost,
+    measured_rate,
+)
 
 EACH = pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda e: e.name)
 

@@ -23,10 +23,9 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.observations import make_fields, observation_size, observe
 from carpark_mj.types import NO_BAY
 from carpark_papers.tanner.environments import TANNER_QLEARNING
-from carpark_papers.tanner.grid_config import FINE
+from carpark_papers.tanner.grid import FINE
 from carpark_papers.tanner.indices import IndexObservation
-from carpark_papers.tanner.observation import TannerObservation, TannerShare
-from carpark_papers.tanner.view import ViewConfig
+from carpark_papers.tanner.observation import TannerObservation, TannerShare, ViewConfig
 
 CONFIG = TannerObservation()
 GRID = FINE

@@ -17,8 +17,7 @@ from carpark_mj.observations import observe
 from carpark_mj.observations.tracking import tracks, tracks_parked_cars
 from carpark_mj.types import NO_BAY
 from carpark_papers.tanner.indices import IndexObservation
-from carpark_papers.tanner.observation import TannerObservation
-from carpark_papers.tanner.view import ViewConfig, in_view
+from carpark_papers.tanner.observation import TannerObservation, ViewConfig, in_view
 
 # Around (2, 1), facing north: ahead, left, right, behind, at 4, 5, 6, 3 m.
 AROUND = jnp.array([(2.0, 5.0), (-3.0, 1.0), (8.0, 1.0), (2.0, -2.0)])

@@ -13,9 +13,9 @@ from carpark_mj.rendering.stage import Stage
 from carpark_mj.vehicle import VehicleParameters, preset
 from carpark_mj.wrappers.screen import Screen
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
-from carpark_papers.cederle.junction.steered_car import road_car
+from carpark_papers.cederle.junction.cars import road_car
 from carpark_papers.cederle.junction.types import State
-from carpark_papers.cederle.rendering.stage import JunctionStage
+from carpark_papers.cederle.video import JunctionStage
 
 
 def junction_env(**options: Any) -> JunctionEnv:

@@ -1,4 +1,4 @@
-"""A run of BenchMARL with the log, evaluations and checkpoints of all trainers here."""
+"""Runs of BenchMARL's algorithms at the junction, from start to end."""
 
 # Its types do not fit its own use, and it may be absent.
 # pyright: basic, reportMissingImports=false, reportIncompatibleMethodOverride=false
@@ -6,7 +6,10 @@
 import contextlib
 import dataclasses
 import io
+import logging
 import math
+import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -19,24 +22,25 @@ from tensordict import TensorDictBase
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.training.loop import Loop
 from carpark_mj.training.metrics_log import MetricsLog
-from carpark_mj.training.run_folder import read_header
+from carpark_mj.training.run_folder import open_run, read_header
 from carpark_mj.wrappers.torchrl import GROUP
 from carpark_papers.cederle.benchmarl.build import (
+    Evaluation,
+    GreedyPolicy,
     make_algorithm,
     make_model,
     make_settings,
     make_task,
 )
 from carpark_papers.cederle.benchmarl.config import BenchMARLConfig
-from carpark_papers.cederle.benchmarl.episodes import Evaluation, GreedyPolicy
 from carpark_papers.cederle.junction.evaluation import summarize
 from carpark_papers.cederle.training.evaluations import (
     progress,
     summary,
     verdict,
     write_evaluations,
+    write_video,
 )
-from carpark_papers.cederle.training.video import write_video
 
 
 class Stopped(KeyboardInterrupt):
@@ -192,3 +196,24 @@ class Monitor(Callback):
         """Of the last iteration."""
         mean = self._returns if self._episodes else math.nan
         return {"episodes": self._episodes, "episode/return": mean, **self._losses}
+
+
+# Read when they are imported: our bar is the one shown, and JAX shares a GPU.
+os.environ.setdefault("TQDM_DISABLE", "1")
+os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+
+
+def train_run(config: BenchMARLConfig) -> tuple[Path, bool]:
+    """Trains a run; returns its folder and whether it is finished.
+
+    Raises:
+        ValueError: impossible settings.
+        CheckpointError: a checkpoint to resume from is damaged.
+    """
+    with open_run(config) as folder, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="No episode terminated")
+        warnings.filterwarnings("ignore", category=DeprecationWarning)
+        logging.getLogger("torchrl").setLevel(logging.WARNING)
+        print(f"run {folder}")
+        print("compiling ...", flush=True)
+        return folder, Training(config, folder).train()

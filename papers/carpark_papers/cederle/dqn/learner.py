@@ -8,22 +8,25 @@ import jax.numpy as jnp
 
 from carpark_mj.evaluation.keys import training_key
 from carpark_papers.cederle.dqn.config import DQNConfig
-from carpark_papers.cederle.dqn.networks import make_network, to_agents, to_learners
-from carpark_papers.cederle.dqn.state import Report, Training
 from carpark_papers.cederle.dqn.update import (
     Learner,
+    Report,
+    Training,
     Transition,
     make_buffer,
+    make_network,
     make_optimizer,
+    to_agents,
+    to_learners,
     update,
 )
 from carpark_papers.cederle.junction import JunctionEnv
-from carpark_papers.cederle.junction.actions import ACTIONS
 from carpark_papers.cederle.junction.evaluation import (
     Outcomes,
     evaluate,
     evaluation_env,
 )
+from carpark_papers.cederle.junction.rules import ACTIONS
 
 
 class DQNLearner:

@@ -1,4 +1,4 @@
-"""A deep Q-learning run: chunks of steps, evaluations in between, checkpoints."""
+"""Deep Q-learning runs at the junction, from start to end."""
 
 import contextlib
 import dataclasses
@@ -9,19 +9,20 @@ import jax
 
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.training.loop import Loop
+from carpark_mj.training.memory import num_bytes, require_memory
 from carpark_mj.training.metrics_log import MetricsLog
-from carpark_mj.training.run_folder import read_header
+from carpark_mj.training.run_folder import open_run, read_header
 from carpark_papers.cederle.dqn.config import DQNConfig
 from carpark_papers.cederle.dqn.learner import DQNLearner
-from carpark_papers.cederle.dqn.state import Report, Training
+from carpark_papers.cederle.dqn.update import Report, Training
 from carpark_papers.cederle.junction.evaluation import summarize
 from carpark_papers.cederle.training.evaluations import (
     progress,
     summary,
     verdict,
     write_evaluations,
+    write_video,
 )
-from carpark_papers.cederle.training.video import write_video
 
 DQN_ALGORITHM = "dqn"  # `algorithm` in the header of a checkpoint
 
@@ -127,3 +128,16 @@ def _row(chunk: int, env_steps: int, report: Report) -> dict[str, float]:
         "episode/return": mean,
         "loss": float(report.loss),
     }
+
+
+def train_run(config: DQNConfig) -> tuple[Path, bool]:
+    """Trains a run; returns its folder and whether it is finished.
+
+    Raises:
+        ValueError: impossible settings, or more than fits into memory.
+        CheckpointError: a checkpoint to resume from is damaged.
+    """
+    learner = DQNLearner(config)
+    require_memory(num_bytes(jax.eval_shape(learner.init)), "buffer_size")
+    with open_run(config) as folder:
+        return folder, train(config, learner, folder)

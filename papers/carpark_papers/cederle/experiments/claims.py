@@ -13,8 +13,7 @@ import numpy as np
 
 from carpark_mj.analysis.seeds import ENOUGH
 from carpark_mj.analysis.statistics import CONFIDENCE, RESAMPLES
-from carpark_papers.cederle.experiments.cells import CENTRAL, DQN, Cell
-from carpark_papers.cederle.experiments.runs import Outcome
+from carpark_papers.cederle.experiments.runs import CENTRAL, DQN, Cell, Outcome
 
 Key = tuple[str, str]  # table, name of a cell
 Runs = Mapping[Cell, Sequence[Outcome]]

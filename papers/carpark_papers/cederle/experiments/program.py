@@ -16,7 +16,7 @@ from pathlib import Path
 
 from carpark_mj.config.checks import require_at_least, require_whole
 from carpark_mj.files import require_writable
-from carpark_papers.cederle.experiments.cells import CELLS, SCENARIOS, cells_of
+from carpark_papers.cederle.experiments.runs import CELLS, SCENARIOS, cells_of
 from carpark_papers.cederle.training.config import JunctionPreset
 from carpark_papers.jobs import require_minutes, run_jobs
 
@@ -66,8 +66,7 @@ def describe() -> None:
 
 def report(config: JunctionStudyConfig) -> Path:
     """Writes tables and learning curves of all finished runs."""
-    from carpark_papers.cederle.experiments.curves import write_curves
-    from carpark_papers.cederle.experiments.report import write_report
+    from carpark_papers.cederle.experiments.report import write_curves, write_report
     from carpark_papers.cederle.experiments.runs import make_job, read_outcome
 
     folder = Path(config.runs_dir)

@@ -17,18 +17,15 @@ from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.precision import float32_only
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.vehicle import preset
-from carpark_papers.cederle.junction import (
-    actions,
-    observations,
-    rasteriser,
-    rewards,
-    terminations,
-)
+from carpark_papers.cederle.junction import observations, rules
+from carpark_papers.cederle.junction.cars import Cars, PathCars, SteeredCars
 from carpark_papers.cederle.junction.config import JunctionConfig
-from carpark_papers.cederle.junction.path_car import Cars, PathCars
-from carpark_papers.cederle.junction.roads import SPEED_LIMIT
-from carpark_papers.cederle.junction.routes import point_at, project, stack_routes
-from carpark_papers.cederle.junction.steered_car import SteeredCars
+from carpark_papers.cederle.junction.roads import (
+    SPEED_LIMIT,
+    point_at,
+    project,
+    stack_routes,
+)
 from carpark_papers.cederle.junction.types import State, Task, TimeStep
 
 
@@ -36,9 +33,9 @@ class JunctionEnv:
     """Automated cars, and perhaps a human-driven one, cross a T-junction.
 
     - observation: (num_agents, *observation_shape), float32 vectors or uint8 images.
-    - action: (num_agents,) or (num_agents, 1), an index of `actions.ACTIONS`, or a
+    - action: (num_agents,) or (num_agents, 1), an index of `rules.ACTIONS`, or a
       number that stands for one.
-    - reward: (num_agents,), `rewards`.
+    - reward: (num_agents,), see `rules.reward`.
     - episodes belong to the junction: with `JunctionConfig.end` "any" it is over as
       soon as one agent is done, with "all" when all are.
 
@@ -97,7 +94,7 @@ class JunctionEnv:
     @property
     def action_spec(self) -> ActionSpec:
         """One index, or one number."""
-        return actions.INDEX if self.config.action == "index" else actions.SCALAR
+        return rules.INDEX if self.config.action == "index" else rules.SCALAR
 
     @float32_only
     def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
@@ -146,7 +143,7 @@ class JunctionEnv:
             key=key,
         )
         if self.config.probe:
-            slow = jnp.full(n, actions.SLOW_DOWN)
+            slow = jnp.full(n, rules.SLOW_DOWN)
             state = dataclasses.replace(self._move(state, slow), step=state.step)
         return state
 
@@ -163,11 +160,11 @@ class JunctionEnv:
             The next state, and what agents get from the step.
         """
         config, before, n = self.config, state, self.num_agents
-        state = self._move(before, actions.parse(self.action_spec, action))
-        events = terminations.detect_events(state, config.max_steps)
+        state = self._move(before, rules.parse(self.action_spec, action))
+        events = rules.detect_events(state, config.max_steps)
         unpaid = before.unpaid + (state.along - before.along)[:n]
-        progress, unpaid = rewards.pay_progress(jnp.where(before.active, unpaid, 0.0))
-        reward = rewards.reward(config.rewards, progress, events)
+        progress, unpaid = rules.pay_progress(jnp.where(before.active, unpaid, 0.0))
+        reward = rules.reward(config.rewards, progress, events)
         done = events.terminal | events.timed_out | events.diverged
         if config.end == "any":
             done = jnp.broadcast_to(done.any(), done.shape)
@@ -207,9 +204,9 @@ class JunctionEnv:
     def _move(self, state: State, action: jax.Array) -> State:
         """The state after the cars have moved; agents that had finished have left."""
         n, routes = self.num_agents, state.task.routes
-        keep = jnp.full(self.num_cars - n, actions.KEEP_LANE, action.dtype)
-        action = jnp.where(state.active, action, actions.SLOW_DOWN)
-        target = actions.target_speeds(jnp.concatenate([action, keep]))
+        keep = jnp.full(self.num_cars - n, rules.KEEP_LANE, action.dtype)
+        action = jnp.where(state.active, action, rules.SLOW_DOWN)
+        target = rules.target_speeds(jnp.concatenate([action, keep]))
         cars = self._cars.step(state.cars, routes, target)
         motion = self._cars.read(cars)
         along = project(routes, motion.xy)[0]
@@ -224,7 +221,7 @@ class JunctionEnv:
         )
 
     def _draw(self, state: State) -> jax.Array:
-        return rasteriser.draw(self.config.raster, state)
+        return observations.draw(self.config.raster, state)
 
     def _observe(self, state: State) -> jax.Array:
         return observations.observe(state) if state.frames is None else state.frames

@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_papers.cederle.junction.config import JunctionConfig
+from carpark_papers.cederle.junction.config import JunctionConfig, Scenario
 from carpark_papers.cederle.junction.env import JunctionEnv
-from carpark_papers.cederle.junction.scenarios import Scenario
 from carpark_papers.cederle.junction.types import State
 
 Policy = Callable[[jax.Array], jax.Array]  # observations to actions, of all agents

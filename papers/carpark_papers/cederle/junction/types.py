@@ -10,7 +10,7 @@ import jax
 from flax import struct
 
 from carpark_mj.types import Motion
-from carpark_papers.cederle.junction.routes import Routes
+from carpark_papers.cederle.junction.roads import Routes
 
 
 @struct.dataclass

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any, get_args
 
 from carpark_mj.training.settings import named, read_settings, stored
-from carpark_papers.cederle.benchmarl.presets import (
+from carpark_papers.cederle.benchmarl.config import (
     BENCHMARL_SUMMARIES,
     benchmarl_presets,
 )
-from carpark_papers.cederle.dqn.presets import DQN_SUMMARIES, dqn_presets
+from carpark_papers.cederle.dqn.config import DQN_SUMMARIES, dqn_presets
 from carpark_papers.cederle.training.config import (
     RUN_SETTINGS,
     Algorithm,
@@ -67,7 +67,7 @@ def train_run(config: JunctionRunConfig) -> tuple[Path, bool]:
     name = family(config.algorithm)
     libraries, extra = EXTRAS[name]
     try:
-        loop = importlib.import_module(f"carpark_papers.cederle.{name}.run")
+        loop = importlib.import_module(f"carpark_papers.cederle.{name}.train")
     except ModuleNotFoundError as error:
         if error.name not in libraries:
             raise

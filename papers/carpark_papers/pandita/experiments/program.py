@@ -17,10 +17,10 @@ from pathlib import Path
 from carpark_mj.config.checks import require_at_least, require_positive, require_whole
 from carpark_mj.files import require_writable
 from carpark_papers.jobs import Job, require_minutes, run_jobs
-from carpark_papers.pandita.experiments.jobs import make_job
 from carpark_papers.pandita.experiments.slots import (
     EXPERIMENTS,
     SlotsExperiment,
+    make_job,
     slots_experiment,
 )
 from carpark_papers.pandita.sac.config import SACPreset
@@ -71,9 +71,9 @@ def describe() -> None:
 
 def report(folder: Path, jobs: dict[SlotsExperiment, list[Job]]) -> Path:
     """Writes the table, the matrices and the learning curves of finished runs."""
-    from carpark_papers.pandita.experiments.curves import write_curves
     from carpark_papers.pandita.experiments.report import (
         read_deployments,
+        write_curves,
         write_matrix,
         write_report,
     )

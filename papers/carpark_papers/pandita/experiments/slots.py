@@ -1,6 +1,9 @@
-"""The twelve experiments of Pandita 2022, chapter 5, and further ones."""
+"""The experiments of Pandita 2022, and those beyond, with their trainings."""
 
 import dataclasses
+from pathlib import Path
+
+from carpark_papers.jobs import Job
 
 EPISODE = 150  # steps: an "episode" of the thesis's arguments is as many steps
 VERTICAL, DIAGONAL, PARALLEL = "slots", "slots_diagonal", "slots_parallel"
@@ -186,3 +189,19 @@ def slots_experiment(name: str) -> SlotsExperiment:
             return experiment
     names = ", ".join(experiment.name for experiment in EXPERIMENTS)
     raise ValueError(f"unknown experiment {name!r}; choose from {names}")
+
+
+def make_job(
+    experiment: SlotsExperiment, preset: str, scale: float, seed: int, folder: Path
+) -> Job:
+    """The training of an experiment with a seed, in a folder below `folder`."""
+    phases = experiment.phases(scale)
+    slug = "+".join(phase.replace(",", "-").replace(":", "_") for phase in phases)
+    extra = "".join(experiment.flags).replace("--", "-")
+    name = f"{experiment.replay}-{slug}{extra}-{seed}"
+    if preset != "study":
+        name = f"{preset}-{name}"
+    flags = ("--preset", preset, "--name", name, "--runs-dir", str(folder))
+    flags += ("--seed", str(seed), "--video-seconds", "0", "--phases", *phases)
+    flags += ("--replay", experiment.replay, *experiment.flags)
+    return Job("sac", folder / name, flags)

@@ -1,6 +1,7 @@
-"""Settings of SAC training."""
+"""Phases, settings and presets of SAC training."""
 
 import dataclasses
+import re
 from typing import Literal
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
@@ -13,12 +14,79 @@ from carpark_mj.config.checks import (
     require_ratio,
     require_whole,
 )
-from carpark_mj.layouts import layout_config
+from carpark_mj.layouts import MixtureConfig, layout_config
 from carpark_mj.registry import environment
 from carpark_mj.training.run_folder import RunConfig
 from carpark_papers.pandita.layouts import SlotsConfig
-from carpark_papers.pandita.sac.phases import Phase, mixture, read_phase
 from carpark_papers.pandita.slots_env import slots_config
+
+_TEXT = re.compile(r"(?P<kinds>[^:]+):(?P<count>-?\d+)(?P<unit>steps|episodes)?")
+
+
+@dataclasses.dataclass(frozen=True)
+class Phase:
+    """A stretch of training on one kind of lot, or on several interleaved.
+
+    Exactly one of `steps` and `episodes` is given.
+
+    Attributes:
+        kinds: names of layouts; every episode draws one of them.
+        steps: transitions of all cars together.
+        episodes: that end, of all cars together.
+    """
+
+    kinds: tuple[str, ...]
+    steps: int = 0
+    episodes: int = 0
+
+    def __post_init__(self) -> None:
+        if min(self.steps, self.episodes) < 0 or bool(self.steps) == bool(
+            self.episodes
+        ):
+            raise ValueError(
+                f"a phase needs steps or episodes, at least 1, not {self.steps} steps "
+                f"and {self.episodes} episodes"
+            )
+        for kind in self.kinds:
+            layout_config(kind)
+
+    def __str__(self) -> str:
+        return ", ".join(self.kinds)
+
+    def progress(self, steps: int, episodes: int) -> float:
+        """Share of the phase, in [0, 1], after some steps and episodes of it."""
+        return min(1.0, steps / self.steps if self.steps else episodes / self.episodes)
+
+
+def read_phase(text: str) -> Phase:
+    """Reads `KINDS:COUNT`, `KINDS:COUNTsteps` or `KINDS:COUNTepisodes`.
+
+    Args:
+        text: kinds are separated by commas: `slots,slots_diagonal:250episodes`.
+
+    Raises:
+        ValueError: another form, an unknown kind, or no steps.
+    """
+    found = _TEXT.fullmatch(text)
+    if not found:
+        raise ValueError(
+            "a phase is KINDS:STEPS or KINDS:COUNTepisodes, for example "
+            f"slots,slots_diagonal:30000, not {text!r}"
+        )
+    kinds = tuple(kind.strip() for kind in found["kinds"].split(","))
+    count = int(found["count"])
+    try:
+        return Phase(kinds, **{found["unit"] or "steps": count})
+    except ValueError as error:
+        raise ValueError(f"phase {text!r}: {error}") from None
+
+
+def mixture(layouts: list[LayoutConfig], weights: list[float]) -> LayoutConfig:
+    """One lot, or a random one of several."""
+    if len(layouts) == 1:
+        return layouts[0]
+    return MixtureConfig(tuple(layouts), tuple(weights))
+
 
 SACPreset = Literal["slots", "study", "pandita"]
 Replay = Literal["her", "plain", "none"]
@@ -186,3 +254,38 @@ class SACConfig(RunConfig):
     def env_of(self, layout: LayoutConfig) -> EnvConfig:
         """The environment of some lots; every slot but the goal's is taken."""
         return slots_config({"config": environment(self.environment), "layout": layout})
+
+
+SAC_PRESETS: dict[str, SACConfig] = {
+    "slots": SACConfig(),
+    # The budgets of Pandita 2022 with smaller networks and batches than his, but twice
+    # as many gradient steps, and falling learning rates: at a constant rate the
+    # deterministic policy parks or crashes from one update to the next.
+    "study": SACConfig(
+        preset="study",
+        phases=("slots:15000",),
+        num_cars=4,
+        gradient_steps=8,
+        learning_rate_end=1e-4,
+    ),
+    # His hyperparameters; highway-env's example has the same. Of those that he leaves
+    # at the defaults of Stable-Baselines3: 100 random steps, one gradient step.
+    "pandita": SACConfig(
+        preset="pandita",
+        phases=("slots:15000",),
+        num_cars=1,
+        gradient_steps=1,
+        batch_size=1024,
+        buffer_size=1_000_000,
+        random_steps=100,
+        learning_rate_end=1e-3,
+        tau=0.05,
+        hidden=(512, 512, 512),
+    ),
+}
+
+SAC_SUMMARIES = {
+    "slots": "vertical slots, many cars at once",
+    "study": "budgets of Pandita 2022, small networks",
+    "pandita": "settings of Pandita 2022, hours on a CPU",
+}

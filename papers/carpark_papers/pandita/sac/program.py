@@ -27,8 +27,11 @@ def run(arguments: Sequence[str] | None = None) -> None:
     enable_output_fusion()
     keep_compiled_programs()
     from carpark_mj.training.settings import read_settings
-    from carpark_papers.pandita.sac.config import RUN_SETTINGS
-    from carpark_papers.pandita.sac.presets import SAC_PRESETS, SAC_SUMMARIES
+    from carpark_papers.pandita.sac.config import (
+        RUN_SETTINGS,
+        SAC_PRESETS,
+        SAC_SUMMARIES,
+    )
 
     config = read_settings(
         SAC_PRESETS["slots"],
@@ -39,7 +42,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
         SAC_SUMMARIES,
     )
     try:
-        from carpark_papers.pandita.sac.run import train_run
+        from carpark_papers.pandita.sac.train import train_run
     except ModuleNotFoundError as error:
         if error.name not in ("sbx", "stable_baselines3", "torch"):
             raise

@@ -1,15 +1,65 @@
-"""The figures of Tanner 2022, chapter 5: trainings and metrics of each.
+"""The figures of Tanner 2022, chapter 5: trainings, published values, verdicts.
+
+`tanner_2022.csv` has the 329 PPO runs of arXiv 2206.13338's result files: a row each,
+metrics over the last 20 % of the steps by the names of `carpark_mj.evaluation`. Points
+per step became m/s (0.5625 m / 16 points in 0.2 s), levels of turning rad/s (15 deg in
+0.2 s), world units metres (0.5625 m). Runs without global information are labelled
+(L,L,.): their result file names no context, and they behave like (G,L,.).
 
 The values of the swept settings are those of the published runs, `tanner_2022.csv`.
 """
 
+import csv
 import dataclasses
-from collections.abc import Mapping
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
+from carpark_mj.analysis.points import Point, show
+from carpark_mj.analysis.runs import Record
+from carpark_mj.analysis.statistics import Spread, spread
+from carpark_mj.files import write_atomically
 from carpark_mj.sweeps.axes import Axis
 from carpark_mj.sweeps.plan import Plan
 from carpark_mj.types import OUTCOMES
-from carpark_papers.tanner.experiments.published import published_values
+
+PATH = Path(__file__).parent / "tanner_2022.csv"
+SOURCE = "Tanner 2022"
+
+
+def published_runs(figures: Sequence[str]) -> list[Record]:
+    """The runs behind some figures."""
+    return [record for behind, record in _read() if behind == "+".join(figures)]
+
+
+def published_values(figures: Sequence[str], field: str) -> tuple[str, ...]:
+    """The values that a setting has in them, smallest first."""
+    values = {record.settings[field] for record in published_runs(figures)}
+    return tuple(sorted(values, key=_order))
+
+
+@functools.cache
+def _read() -> tuple[tuple[str, Record], ...]:
+    found: list[tuple[str, Record]] = []
+    with PATH.open(newline="") as file:
+        for row in csv.DictReader(file):
+            figures, words, repeat = (
+                row.pop(name) for name in ("figures", "settings", "repeat")
+            )
+            settings = dict(word.split("=", 1) for word in words.split())
+            metrics = {name: float(value) for name, value in row.items() if value}
+            name = f"{words} {repeat}"
+            found.append((figures, Record(name, settings, metrics, int(repeat))))
+    return tuple(found)
+
+
+def _order(value: str) -> tuple[bool, float, str]:
+    try:
+        return False, float(value), ""
+    except ValueError:
+        return True, 0.0, value
+
 
 # As many episodes as docs/study.md has always compared; the study counts some 60,000 in
 # the last fifth of a training.
@@ -232,3 +282,71 @@ def _axis(field: str, values: tuple[str, ...]) -> Axis:
         (_SCHEME, _GLOBAL),
         tuple((value, seen[value.startswith("G")]) for value in values),
     )
+
+
+ENOUGH = 3  # runs for an interval
+
+
+def verdict(ours: Sequence[float], theirs: Sequence[float]) -> str:
+    """Whether runs agree: intervals of the interquartile mean overlap.
+
+    Fewer than three published runs are not decided; the verdict says whether they lie
+    among ours.
+    """
+    ours, theirs = ([x for x in xs if not math.isnan(x)] for xs in (ours, theirs))
+    if not ours or not theirs:
+        return "not decided: not run" if not ours else "not published"
+    if len(ours) < ENOUGH:
+        return f"not decided: {len(ours)} of ours"
+    if len(theirs) < ENOUGH:
+        inside = all(min(ours) <= x <= max(ours) for x in theirs)
+        where = "within ours" if inside else "outside ours"
+        return f"not decided: {len(theirs)} published, {where}"
+    mine, other = spread([ours]), spread([theirs])
+    if mine.low <= other.high and other.low <= mine.high:
+        return "agrees"
+    return f"differs: {'more' if mine.iqm > other.iqm else 'less'}"
+
+
+def write_verdicts(
+    path: Path,
+    points: Sequence[Point],
+    by: Sequence[str],
+    metrics: Sequence[str],
+) -> None:
+    """Writes a markdown table: a row per metric and point, ours, published, verdict.
+
+    Args:
+        path: file.
+        points: of two sources, ours first.
+        by: settings that the points differ in.
+        metrics: to compare.
+    """
+    sources = list(dict.fromkeys(point.source for point in points))
+    found = {(point.source, point.values): point for point in points}
+    lines = [
+        f"| metric | {' | '.join(by)} | {' | '.join(sources)} | verdict |",
+        "|" + "---|" * (2 + len(by) + len(sources)),
+    ]
+    for metric in metrics:
+        for values in dict.fromkeys(point.values for point in points):
+            numbers = [
+                found[source, values].numbers(metric)
+                if (source, values) in found
+                else []
+                for source in sources
+            ]
+            cells = [metric, *map(show, values)]
+            cells += [_cell(spread([each])) for each in numbers]
+            cells.append(verdict(*numbers) if len(numbers) == 2 else "")
+            lines.append(f"| {' | '.join(cells)} |")
+    text = "\n".join(lines) + "\n"
+    write_atomically(path, lambda temporary: temporary.write_text(text))
+
+
+def _cell(found: Spread) -> str:
+    if not found.runs:
+        return ""
+    if math.isnan(found.low):
+        return f"{found.iqm:.4g}"
+    return f"{found.iqm:.4g} ({found.low:.4g} to {found.high:.4g}, {found.runs} runs)"

@@ -1,4 +1,4 @@
-"""Settings of tabular Q-learning."""
+"""Settings and presets of Q-learning in Tanner 2022."""
 
 import dataclasses
 from typing import Literal
@@ -6,7 +6,11 @@ from typing import Literal
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_at_least, require_ratio
 from carpark_mj.training.run_folder import RunConfig
-from carpark_papers.tanner.environments import TANNER_QLEARNING
+from carpark_papers.tanner.environments import (
+    TANNER_QLEARNING,
+    TANNER_QLEARNING_RECORDED,
+    TANNER_QLEARNING_RINGS,
+)
 
 QLearningPreset = Literal[
     "tanner-qlearning", "tanner-qlearning-recorded", "tanner-qlearning-rings"
@@ -78,3 +82,29 @@ class QLearningConfig(RunConfig):
     def total_episodes(self) -> int:
         """Episodes of each seed, training and evaluation."""
         return self.episodes + self.eval_episodes
+
+
+Q_PRESETS: dict[str, QLearningConfig] = {
+    "tanner-qlearning": QLearningConfig(),
+    "tanner-qlearning-recorded": QLearningConfig(
+        preset="tanner-qlearning-recorded",
+        bootstrap_terminals=True,
+        env=TANNER_QLEARNING_RECORDED,
+    ),
+    "tanner-qlearning-rings": QLearningConfig(
+        preset="tanner-qlearning-rings",
+        episodes=300_000,
+        eval_episodes=150_000,
+        window=5000,
+        env=TANNER_QLEARNING_RINGS,
+    ),
+}
+
+Q_SUMMARIES = {
+    name: f"{figure}, {Q_PRESETS[name].total_episodes:,} episodes"
+    for name, figure in (
+        ("tanner-qlearning", "figure 5.1"),
+        ("tanner-qlearning-recorded", "figure 5.1 as recorded"),
+        ("tanner-qlearning-rings", "figure 5.2"),
+    )
+}

@@ -27,12 +27,12 @@ def run(arguments: Sequence[str] | None = None) -> None:
     from carpark_mj.training.run_folder import open_run
     from carpark_mj.training.settings import read_settings
     from carpark_papers.tanner.q_learning.config import (
+        Q_PRESETS,
+        Q_SUMMARIES,
         RUN_SETTINGS,
         QLearningConfig,
     )
-    from carpark_papers.tanner.q_learning.learner import QLearner
-    from carpark_papers.tanner.q_learning.presets import Q_PRESETS, Q_SUMMARIES
-    from carpark_papers.tanner.q_learning.train import train
+    from carpark_papers.tanner.q_learning.train import QLearner, train
 
     config = read_settings(
         QLearningConfig(), Q_PRESETS, arguments, __doc__, RUN_SETTINGS, Q_SUMMARIES
