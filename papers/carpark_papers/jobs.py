@@ -1,6 +1,5 @@
 """Runs of a trainer side by side, each in its own process and on its own core."""
 
-import contextlib
 import dataclasses
 import os
 import queue
@@ -9,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent import futures
 from pathlib import Path
 
 from carpark_mj.cli.process import patient_interrupts
@@ -20,11 +20,7 @@ _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 def require_minutes(minutes: float) -> None:
-    """Refuses a time limit that is too short for any run.
-
-    Raises:
-        ValueError: naming the limit and what is allowed.
-    """
+    """Refuses a time limit that is too short for any run."""
     if 0 < minutes <= LEAST:
         raise ValueError(
             f"minutes must be more than {LEAST:g} (shorter runs do not begin), or 0 = "
@@ -81,56 +77,42 @@ def run_jobs(
 ) -> list[Job]:
     """Runs unfinished jobs; returns the failed ones.
 
+    After Ctrl-C, which the runs receive too, no other job begins; once the runs have
+    saved and stopped it raises KeyboardInterrupt.
+
     Args:
         jobs: in the order in which they begin.
         workers: processes at a time, each on a core; 0 = one for every core.
         minutes: after which runs save and stop, to be continued; 0 = no limit.
         clock: gives the time [s].
-
-    Raises:
-        KeyboardInterrupt: Ctrl-C, which the runs receive too.
     """
     cores = sorted(os.sched_getaffinity(0))
     cores = cores[: workers or len(cores)]
-    waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
-    for job in jobs:
-        waiting.put(job)
-    failed: list[Job] = []
-    begun = clock()
+    free: queue.SimpleQueue[int] = queue.SimpleQueue()
+    for core in cores:
+        free.put(core)
+    begun, interrupted = clock(), threading.Event()
 
-    def work(core: int) -> None:
-        while not waiting.empty():
-            left = minutes - (clock() - begun) / 60 if minutes else 0.0
-            if minutes and left < LEAST:
-                return
-            try:
-                job = waiting.get_nowait()
-            except queue.Empty:
-                return
-            code = _run(job, core, left)
-            print(f"{job.folder.name}: {_outcome(job, code)}", flush=True)
-            if code:
-                failed.append(job)
+    def work(job: Job) -> int:
+        left = minutes - (clock() - begun) / 60 if minutes else 0.0
+        if interrupted.is_set() or (minutes and left < LEAST):
+            return 0
+        core = free.get()
+        code = _run(job, core, left)
+        free.put(core)
+        print(f"{job.folder.name}: {_outcome(job, code)}", flush=True)
+        return code
 
-    threads = [threading.Thread(target=work, args=(core,)) for core in cores]
-    for thread in threads:
-        thread.start()
-    with patient_interrupts():
+    with futures.ThreadPoolExecutor(len(cores)) as pool, patient_interrupts():
+        codes = [pool.submit(work, job) for job in jobs]
         try:
-            _wait(threads)
-        except KeyboardInterrupt:  # runs under way save and stop, no other begins
-            with contextlib.suppress(queue.Empty):
-                while True:
-                    waiting.get_nowait()
-            _wait(threads)
+            while futures.wait(codes, POLL).not_done:
+                pass
+        except KeyboardInterrupt:
+            interrupted.set()
+            futures.wait(codes)
             raise
-    return failed
-
-
-def _wait(threads: Sequence[threading.Thread]) -> None:
-    """Until all have ended; an interrupted `Thread.join` leaves them behind."""
-    while any(thread.is_alive() for thread in threads):
-        time.sleep(POLL)
+    return [job for job, code in zip(jobs, codes, strict=True) if code.result()]
 
 
 def _run(job: Job, core: int, minutes: float) -> int:

@@ -45,12 +45,7 @@ class JunctionSceneConfig(SceneOutput):
 
 
 def main(config: JunctionSceneConfig) -> None:
-    """Writes and shows.
-
-    Raises:
-        ValueError: unknown vehicle or scenario.
-        OSError: the file cannot be written, or there is no display or browser view.
-    """
+    """Writes and shows."""
     require_view(config)
     env = JunctionEnv(JunctionConfig(config.scenario))
     state, _ = env.reset(jax.random.key(config.seed))

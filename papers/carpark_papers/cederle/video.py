@@ -104,9 +104,6 @@ def write_drives(path: Path, config: JunctionConfig, drives: Sequence[Drive]) ->
         path: of the `.mp4` or `.gif`.
         config: of the junction.
         drives: the episodes.
-
-    Raises:
-        RenderingError: no GL.
     """
     missing_gl = choose_gl()
     if missing_gl:

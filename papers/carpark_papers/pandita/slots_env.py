@@ -12,12 +12,7 @@ SLOTS_OPTIONS = ("config", "layout", "parked_cars")
 
 
 def slots_config(options: Options) -> EnvConfig:
-    """The configuration of one agent that options ask for.
-
-    Raises:
-        TypeError: an unknown option.
-        ValueError: an impossible one.
-    """
+    """The configuration of one agent that options ask for."""
     config = one_agent(configure({"config": "pandita", **options}, SLOTS_OPTIONS))
     if "parked_cars" not in options and "layout" in options:
         others = layout_config(config.layout).min_bays - 1

@@ -187,9 +187,6 @@ class GridPhysics(FactoredPhysics[GridState]):
         Args:
             grid: granularities.
             sim: whose control period one step takes.
-
-        Raises:
-            ValueError: a slope, a slippery surface or tyres, which have no meaning.
         """
         require_plain_ground(sim, "grid")
         self.grid = self.config = grid

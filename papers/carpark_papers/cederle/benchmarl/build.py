@@ -76,11 +76,7 @@ class Evaluation:
     """Evaluates policies, always in the same episodes."""
 
     def __init__(self, config: BenchMARLConfig) -> None:
-        """Builds the programs.
-
-        Raises:
-            ValueError: impossible settings.
-        """
+        """Builds the programs."""
         self._env = env = evaluation_env(config.junction, config.eval_jitter)
         self._keys = config.evaluation_keys()
         self._begin = jax.jit(jax.vmap(lambda key: begin(env, key)))

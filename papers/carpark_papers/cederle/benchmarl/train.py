@@ -55,12 +55,7 @@ class Training(Experiment):
     """
 
     def __init__(self, config: BenchMARLConfig, folder: Path) -> None:
-        """Builds it, or continues with the newest checkpoint of the run.
-
-        Raises:
-            CheckpointError: a damaged checkpoint.
-            ValueError: impossible settings.
-        """
+        """Builds it, or continues with the newest checkpoint of the run."""
         self._run, self._folder = config, folder
         self._evaluation = Evaluation(config)
         self._monitor = Monitor()
@@ -204,12 +199,7 @@ os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
 def train_run(config: BenchMARLConfig) -> tuple[Path, bool]:
-    """Trains a run; returns its folder and whether it is finished.
-
-    Raises:
-        ValueError: impossible settings.
-        CheckpointError: a checkpoint to resume from is damaged.
-    """
+    """Trains a run; returns its folder and whether it is finished."""
     with open_run(config) as folder, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="No episode terminated")
         warnings.filterwarnings("ignore", category=DeprecationWarning)

@@ -33,11 +33,7 @@ class DQNLearner:
     """The programs of a configuration; all constants, no state."""
 
     def __init__(self, config: DQNConfig) -> None:
-        """Builds the environments.
-
-        Raises:
-            ValueError: impossible settings.
-        """
+        """Builds the environments."""
         self.config = config
         self.env = JunctionEnv(config.junction)
         self._network = make_network(config)

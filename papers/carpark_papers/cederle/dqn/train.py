@@ -77,11 +77,7 @@ def add_evaluation(folder: Path, learner: DQNLearner, run: Run) -> None:
 
 
 def train(config: DQNConfig, learner: DQNLearner, folder: Path) -> bool:
-    """Trains until done, stopped or at the time limit; True when done.
-
-    Raises:
-        CheckpointError: a checkpoint to resume from is damaged.
-    """
+    """Trains until done, stopped or at the time limit; True when done."""
     print(f"run {folder} on {jax.devices()[0].device_kind}")
     print("compiling ...", flush=True)
     loop = Loop(config.algorithm, config)
@@ -131,12 +127,7 @@ def _row(chunk: int, env_steps: int, report: Report) -> dict[str, float]:
 
 
 def train_run(config: DQNConfig) -> tuple[Path, bool]:
-    """Trains a run; returns its folder and whether it is finished.
-
-    Raises:
-        ValueError: impossible settings, or more than fits into memory.
-        CheckpointError: a checkpoint to resume from is damaged.
-    """
+    """Trains a run; returns its folder and whether it is finished."""
     learner = DQNLearner(config)
     require_memory(num_bytes(jax.eval_shape(learner.init)), "buffer_size")
     with open_run(config) as folder:

@@ -105,11 +105,7 @@ CELLS = tuple(
 
 
 def cells_of(table: str) -> tuple[Cell, ...]:
-    """The cells of a table.
-
-    Raises:
-        ValueError: unknown table.
-    """
+    """The cells of a table."""
     if table not in SCENARIOS:
         raise ValueError(f"unknown table {table!r}; choose from {', '.join(SCENARIOS)}")
     return tuple(cell for cell in CELLS if cell.table == table)

@@ -135,11 +135,7 @@ SCENARIOS: dict[str, Scenario] = {
 
 
 def scenario(name: str) -> Scenario:
-    """Looks a scenario up.
-
-    Raises:
-        ValueError: unknown name; the message lists the known ones.
-    """
+    """Looks a scenario up."""
     if name not in SCENARIOS:
         raise ValueError(f"unknown scenario {name!r}; choose from {sorted(SCENARIOS)}")
     return SCENARIOS[name]
@@ -251,11 +247,7 @@ class JunctionConfig(CheckedConfig):
 
     @property
     def traffic(self) -> Scenario:
-        """Missions and human-driven cars.
-
-        Raises:
-            ValueError: there is no such scenario.
-        """
+        """Missions and human-driven cars."""
         if isinstance(self.scenario, Scenario):
             return self.scenario
         return scenario(self.scenario)

@@ -71,9 +71,6 @@ def evaluation_env(config: JunctionConfig, jitter: float) -> JunctionEnv:
     Args:
         config: of the training.
         jitter: of the starts, so that episodes differ [m].
-
-    Raises:
-        ValueError: a jitter that would start a car off its lane.
     """
     return JunctionEnv(
         dataclasses.replace(

@@ -44,9 +44,6 @@ def draw_scenario(axes: Any, name: str) -> None:
     """Draws roads, lanes and missions: a dot at a start, a ring of the goal's reach.
 
     Human-driven cars are black.
-
-    Raises:
-        ValueError: there is no such scenario.
     """
     from matplotlib.patches import Circle, Rectangle
 

@@ -38,12 +38,7 @@ def presets_of(algorithm: Any) -> Mapping[str, JunctionRunConfig]:
 def read_junction_settings(
     arguments: Sequence[str], description: str | None
 ) -> JunctionRunConfig:
-    """Reads the flags, which depend on the algorithm.
-
-    Raises:
-        ValueError: impossible settings.
-        CheckpointError: `--resume` names no run, or one of an older version.
-    """
+    """Reads the flags, which depend on the algorithm."""
     algorithm = named(arguments, "algorithm") or DQN[-1]
     folder = named(arguments, "resume")
     if folder:
@@ -58,12 +53,7 @@ def read_junction_settings(
 
 
 def train_run(config: JunctionRunConfig) -> tuple[Path, bool]:
-    """Trains a run; its folder, and whether it came to its end.
-
-    Raises:
-        ValueError: impossible settings, or a library is missing.
-        CheckpointError: a checkpoint to resume from is damaged.
-    """
+    """Trains a run; its folder, and whether it came to its end."""
     name = family(config.algorithm)
     libraries, extra = EXTRAS[name]
     try:

@@ -179,11 +179,7 @@ EXPERIMENTS = (
 
 
 def slots_experiment(name: str) -> SlotsExperiment:
-    """The experiment of a name.
-
-    Raises:
-        ValueError: there is none.
-    """
+    """The experiment of a name."""
     for experiment in EXPERIMENTS:
         if experiment.name == name:
             return experiment

@@ -63,9 +63,6 @@ def read_phase(text: str) -> Phase:
 
     Args:
         text: kinds are separated by commas: `slots,slots_diagonal:250episodes`.
-
-    Raises:
-        ValueError: another form, an unknown kind, or no steps.
     """
     found = _TEXT.fullmatch(text)
     if not found:
@@ -215,11 +212,7 @@ class SACConfig(RunConfig):
         return tuple(dict.fromkeys((*self.deploy, *trained)))
 
     def layout(self, kind: str) -> LayoutConfig:
-        """The lot of a kind.
-
-        Raises:
-            ValueError: not a kind of slots, or an impossible goal slot or corridor.
-        """
+        """The lot of a kind."""
         config = layout_config(kind)
         if not isinstance(config, SlotsConfig):
             raise ValueError(

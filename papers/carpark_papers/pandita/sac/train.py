@@ -19,7 +19,7 @@ from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.recording import Recording, record, recording_stage
+from carpark_mj.rendering.recording import record, recording_stage
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.snapshot import num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
@@ -174,11 +174,7 @@ class Training:
     """
 
     def __init__(self, config: SACConfig, folder: Path) -> None:
-        """Begins the run, or continues with its newest checkpoint.
-
-        Raises:
-            CheckpointError: a checkpoint to resume from is damaged.
-        """
+        """Begins the run, or continues with its newest checkpoint."""
         self.config, self.folder = config, folder
         self.progress = Progress()
         self.deployments: list[dict[str, Any]] = []
@@ -246,11 +242,7 @@ class Training:
 
 
 def train(config: SACConfig, folder: Path) -> Training | None:
-    """Trains until done, stopped or at the time limit; None if it was stopped.
-
-    Raises:
-        CheckpointError: a checkpoint to resume from is damaged.
-    """
+    """Trains until done, stopped or at the time limit; None if it was stopped."""
     print(f"run {folder} on {jax.devices()[0].device_kind}")
     for name, value in list_settings(config):
         print(f"  {name} = {value}")
@@ -291,11 +283,7 @@ STILL = 1.0  # s for which the end of an episode is shown
 
 
 def write_drives(training: Training, path: Path) -> Path:
-    """Renders the deterministic policy; every kind has its share of the time.
-
-    Raises:
-        RenderingError: no GL.
-    """
+    """Renders the deterministic policy; every kind has its share of the time."""
     config, policy = training.config, training.agent.policy
     missing_gl = choose_gl()
     if missing_gl:
@@ -322,27 +310,16 @@ def _draw(
 ) -> Iterator[np.ndarray]:
     """Frames of an episode, till `STILL` after its end."""
     num_steps = max(1, round(seconds / env.config.sim.ctrl_dt))
-    recording = _until_still(record(env, act, num_steps, seed))
+    recording = record(env, act, num_steps, seed)
+    shown = recording.active.any(axis=1).sum() + round(STILL / recording.ctrl_dt)
+    frames = round(num_frames(recording) * min(1.0, shown / num_steps))
     renderer = LotRenderer(recording_stage(env, recording), "topdown", SIZE)
     try:
         stride = frame_stride(recording, FPS)
-        for index in range(stride - 1, num_frames(recording), stride):
+        for index in range(stride - 1, frames, stride):
             yield draw_frame(recording, renderer, index)
     finally:
         renderer.close()
-
-
-def _until_still(recording: Recording) -> Recording:
-    """The steps of the episode, and a few after its end."""
-    length = int(recording.active.any(axis=1).sum())
-    length += round(STILL / recording.ctrl_dt)
-    cut = {
-        field.name: value[:length]
-        for field in dataclasses.fields(recording)
-        if field.name not in ("layout", "ctrl_dt", "parked_size")
-        and (value := getattr(recording, field.name)) is not None
-    }
-    return dataclasses.replace(recording, **cut)
 
 
 def finish(training: Training) -> None:
@@ -388,12 +365,7 @@ def _words(found: Transfer) -> str:
 
 
 def train_run(config: SACConfig) -> tuple[Path, bool]:
-    """Trains and finishes a run; returns its folder and whether it is finished.
-
-    Raises:
-        ValueError: impossible settings.
-        CheckpointError: a checkpoint to resume from is damaged.
-    """
+    """Trains and finishes a run; returns its folder and whether it is finished."""
     with open_run(config) as folder:
         training = train(config, folder)
         if training:

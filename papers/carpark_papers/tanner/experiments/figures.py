@@ -232,11 +232,7 @@ FIGURES = tuple(f"5.{number}" for number in range(1, 21))
 
 
 def experiment_of(figure: str) -> Experiment:
-    """The experiment of a figure.
-
-    Raises:
-        ValueError: unknown figure, or a figure that is not a sweep.
-    """
+    """The experiment of a figure."""
     for experiment in EXPERIMENTS:
         if figure in experiment.figures:
             return experiment

@@ -23,7 +23,6 @@ def run(arguments: Sequence[str] | None = None) -> None:
     """Trains."""
     enable_output_fusion()
     keep_compiled_programs()
-    from carpark_mj.training.memory import require_memory
     from carpark_mj.training.run_folder import open_run
     from carpark_mj.training.settings import read_settings
     from carpark_papers.tanner.q_learning.config import (
@@ -38,7 +37,6 @@ def run(arguments: Sequence[str] | None = None) -> None:
         QLearningConfig(), Q_PRESETS, arguments, __doc__, RUN_SETTINGS, Q_SUMMARIES
     )
     learner = QLearner(config)  # refuses impossible lots before a folder is made
-    require_memory(learner.least_memory())
     with open_run(config) as folder:
         if train(config, learner, folder):
             print(f"done: {folder}; see {folder / 'learning_curve.png'}")

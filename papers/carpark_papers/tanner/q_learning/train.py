@@ -22,7 +22,6 @@ from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.q_table import action_choices, state_index
 from carpark_mj.training.figure import NAME, two_panels
 from carpark_mj.training.loop import Loop
-from carpark_mj.training.memory import num_bytes
 from carpark_mj.training.run_folder import read_header
 from carpark_mj.types import OUTCOMES, State
 from carpark_papers.tanner.q_learning.config import QLearningConfig
@@ -70,11 +69,7 @@ class QLearner:
     """The compiled training loop of a configuration."""
 
     def __init__(self, config: QLearningConfig) -> None:
-        """Builds the environment.
-
-        Raises:
-            ValueError: it cannot be built, or its observations are not integers.
-        """
+        """Builds the environment."""
         self.config = config
         if not config.env.episode.respawn:
             raise ValueError("Q-learning needs env.episode.respawn = True")
@@ -101,15 +96,6 @@ class QLearner:
         for size in self.choices:
             actions *= size
         return states, actions
-
-    def least_memory(self) -> int:
-        """Bytes that training needs at least: state, episodes, a chunk."""
-        config = self.config
-        agents = config.num_lots * config.env.num_agents
-        steps = config.num_seeds * CHUNK * agents
-        episodes = config.num_seeds * config.total_episodes
-        # A return (4), a length (4) and an outcome (1), with `done` (1) in a chunk.
-        return num_bytes(jax.eval_shape(self.init)) + 9 * episodes + 10 * steps
 
     def init(self) -> Training:
         """All seeds at the start; tables are zero."""
@@ -388,11 +374,7 @@ def save(folder: Path, config: QLearningConfig, run: Run) -> None:
 
 
 def train(config: QLearningConfig, learner: QLearner, folder: Path) -> bool:
-    """Trains until done, stopped or out of time; True when done.
-
-    Raises:
-        CheckpointError: a checkpoint to resume from is damaged.
-    """
+    """Trains until done, stopped or out of time; True when done."""
     states, actions = learner.table_shape
     print(f"run {folder}: {config.num_seeds} tables of {states} x {actions}")
     print("compiling ...", flush=True)
