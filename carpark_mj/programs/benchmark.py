@@ -3,7 +3,7 @@
 carpark_mj benchmark                                   # this checkout
 carpark_mj benchmark --what env --batches 512 4096
 carpark_mj benchmark --what env --layouts lot --num-agents 1 4 16
-carpark_mj benchmark --what ppo --preset tanner-fixed --runs 1 4 16
+carpark_mj benchmark --what ppo --preset square --runs 1 4 16
 carpark_mj benchmark --against main~1 --out benchmark.csv
 carpark_mj benchmark --peer highway-env --batches 1024  # pip install ".[sb3,peers]"
 

@@ -4,7 +4,8 @@ import re
 import shlex
 
 import pytest
-from helpers.pages import PAGES, ROOT, calls, cells, is_importable, section
+from helpers.pages import PAGES, PAPERS, ROOT, calls, cells, is_importable, section
+from test_docs import check_command, commands
 
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import LAYOUTS, REWARDS
@@ -61,6 +62,12 @@ def test_a_command_of_a_paper_exists_and_takes_its_flags(line):
         return
     preset = named(words, "preset")
     read_flags(CONFIGS[name], words, PRESETS[name][preset] if preset else None)
+
+
+@pytest.mark.parametrize("page", PAPERS, ids=lambda page: page.name)
+def test_commands_of_the_core_on_these_pages_take_their_flags(page):
+    for line in commands(page.read_text()):
+        check_command(line)
 
 
 def test_the_environments_of_papers_are_all_named():

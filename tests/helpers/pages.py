@@ -10,6 +10,11 @@ PAGES = [
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
+# Pages of carpark_papers, whose commands need it.
+PAPERS = [
+    ROOT / "docs" / f"{name}.md"
+    for name in ("study", "q_learning", "slots", "junction", "environments/slots")
+]
 
 
 def section(page, name):

@@ -11,7 +11,7 @@ import pytest
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.policy.baselines import zero_policy
-from carpark_mj.registry import ANYWHERE, environment
+from carpark_mj.registry import ANYWHERE
 from carpark_mj.suite.command import SuiteConfig
 from carpark_mj.suite.evaluation import (
     CaseEvaluator,
@@ -267,8 +267,3 @@ def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
 def test_impossible_settings_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         SuiteConfig(**settings)
-
-
-def test_a_policy_of_the_grid_has_no_case_to_drive():
-    with pytest.raises(ValueError, match="steers a car, not one of grid physics"):
-        suite_env(environment("tanner-qlearning"), "strict")

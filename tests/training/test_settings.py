@@ -33,8 +33,8 @@ def test_a_preset_gives_the_defaults_and_flags_change_them():
 
 
 def test_settings_need_to_fit_the_named_preset_only():
-    # 128 lots x 7 agents divide by 28, the default's 128 x 2 do not.
-    assert read("--preset", "tanner-fixed", "--num-minibatches", "28").num_lots == 128
+    # 8192 lots x 7 agents divide by 28, the default's 128 x 2 do not.
+    assert read("--preset", "square", "--num-minibatches", "28").num_lots == 8192
     with pytest.raises(ValueError, match="256 must be a multiple of"):
         read("--num-minibatches", "28")
 
@@ -48,9 +48,9 @@ def test_agents_that_stay_put_are_refused():
 
 def test_the_help_is_of_the_named_preset(capsys):
     with pytest.raises(SystemExit) as stop:
-        read("--preset", "tanner-fixed-original", "--help")
+        read("--preset", "square", "--help")
     assert stop.value.code == 0
-    assert "12800000" in capsys.readouterr().out
+    assert "3700000000" in capsys.readouterr().out
 
 
 def test_the_short_help_lists_the_run_and_names_the_rest(capsys):

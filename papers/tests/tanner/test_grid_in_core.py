@@ -39,6 +39,7 @@ from carpark_mj.policy.onnx_export import (
 )
 from carpark_mj.policy.outside import require_outside
 from carpark_mj.registry import environment
+from carpark_mj.suite.evaluation import suite_env
 from carpark_mj.types import NO_BAY
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.gymnasium_goal import goal_config
@@ -70,11 +71,13 @@ def test_settings_of_cars_that_steer_are_refused(settings, message):
         EnvConfig(physics="grid", num_parked_cars=0, **settings)
 
 
-def test_the_planner_and_deployment_refuse_the_grid():
+def test_planner_deployment_and_suite_refuse_the_grid():
     with pytest.raises(ValueError, match="brakes, not those of grid physics"):
         planner_policy(ParkingEnv(environment("tanner-fixed")))
     with pytest.raises(ValueError, match="reads the whole state"):
         require_outside(TANNER_DYNAMIC)
+    with pytest.raises(ValueError, match="steers a car, not one of grid physics"):
+        suite_env(TANNER_QLEARNING, "strict")
 
 
 def test_on_the_grid_controls_are_indices_too():
