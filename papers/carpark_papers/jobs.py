@@ -12,20 +12,13 @@ from concurrent import futures
 from pathlib import Path
 
 from carpark_mj.cli.process import patient_interrupts
+from carpark_mj.config.checks import require_at_least, require_whole
+from carpark_mj.files import require_writable
 
 LEAST = 1.0  # min that must be left for a run to begin
 POLL = 0.1  # s between looks at the runs
 # One core each: libraries that would start a thread for every core of the machine.
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-
-
-def require_minutes(minutes: float) -> None:
-    """Refuses a time limit that is too short for any run."""
-    if 0 < minutes <= LEAST:
-        raise ValueError(
-            f"minutes must be more than {LEAST:g} (shorter runs do not begin), or 0 = "
-            f"no limit, not {minutes}"
-        )
 
 
 def is_evaluated(folder: Path) -> bool:
@@ -113,6 +106,48 @@ def run_jobs(
             futures.wait(codes)
             raise
     return [job for job, code in zip(jobs, codes, strict=True) if code.result()]
+
+
+@dataclasses.dataclass(frozen=True)
+class RepeatConfig:
+    """Settings of a program that repeats the trainings of a paper over seeds.
+
+    Attributes:
+        all: all of them.
+        list: list them and train none.
+        seeds: runs of every training.
+        minutes: time after which runs save and stop [min], more than 1; 0 = no limit.
+        workers: number of runs at a time, each on one core; 0 = one for every core.
+        runs_dir: folder of the runs.
+    """
+
+    all: bool = False
+    list: bool = False
+    seeds: int = 5
+    minutes: float = 0.0
+    workers: int = 0
+    runs_dir: str = "runs"
+
+    def __post_init__(self) -> None:
+        require_whole(self, 1, "seeds")
+        require_whole(self, 0, "workers")
+        require_at_least(self, 0, "minutes")
+        if 0 < self.minutes <= LEAST:
+            raise ValueError(
+                f"minutes must be more than {LEAST:g} (shorter runs do not begin), or "
+                f"0 = no limit, not {self.minutes}"
+            )
+
+    def repeat(self, jobs: Sequence[Job], report: Callable[[], Path]) -> int:
+        """Runs what is not finished, then reports; the exit code, 1 if runs failed."""
+        left = [job for job in jobs if not job.is_done]
+        print(f"{len(jobs)} runs, {len(jobs) - len(left)} of them done", flush=True)
+        folder = Path(self.runs_dir)
+        folder.mkdir(parents=True, exist_ok=True)
+        require_writable(folder / "report.md")  # refused before the work
+        failed = run_jobs(left, self.workers, self.minutes)
+        print(f"wrote {report()}")
+        return 1 if failed else 0
 
 
 def _run(job: Job, core: int, minutes: float) -> int:

@@ -61,7 +61,7 @@ def test_a_command_of_a_paper_exists_and_takes_its_flags(line):
         read_flags(type(start), words, start)
         return
     preset = named(words, "preset")
-    read_flags(CONFIGS[name], words, PRESETS[name][preset] if preset else None)
+    read_flags(CONFIGS[name], words, PRESETS.get(name, {}).get(preset))
 
 
 @pytest.mark.parametrize("page", PAPERS, ids=lambda page: page.name)

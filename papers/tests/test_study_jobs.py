@@ -85,7 +85,7 @@ STUDIES = pytest.mark.parametrize(
 def test_a_time_in_which_no_run_begins_is_refused(
     script, flags, minutes, code, tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(script, "run_jobs", lambda *arguments: [])
+    monkeypatch.setattr(jobs, "run_jobs", lambda *arguments: [])
     flags = [*flags, "--runs-dir", str(tmp_path), "--minutes", minutes]
     assert exit_code(script, flags) == code
     said = re.search(rf"minutes must .*{float(minutes)}", capsys.readouterr().err)
@@ -96,7 +96,7 @@ def test_a_time_in_which_no_run_begins_is_refused(
 def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
     script, flags, tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(script, "run_jobs", lambda *arguments: pytest.fail("ran"))
+    monkeypatch.setattr(jobs, "run_jobs", lambda *arguments: pytest.fail("ran"))
     (tmp_path / "file").touch()
     assert (
         exit_code(script, [*flags, "--runs-dir", str(tmp_path / "file" / "runs")]) == 2

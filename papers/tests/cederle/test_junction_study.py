@@ -239,7 +239,7 @@ def test_the_study_runs_what_is_left_and_reports_what_is_done(tmp_path, monkeypa
                 write_run(folder, [50.0] * 4 + [101.0])
     begun = []
     monkeypatch.setattr(
-        junction_study, "run_jobs", lambda jobs, *_: begun.extend(jobs) or []
+        "carpark_papers.jobs.run_jobs", lambda jobs, *_: begun.extend(jobs) or []
     )
     flags = ["--table", "6.1", "--seeds", "2", "--runs-dir", str(tmp_path)]
     assert exit_code(junction_study, flags) == 0
@@ -254,7 +254,7 @@ def test_the_study_runs_what_is_left_and_reports_what_is_done(tmp_path, monkeypa
 
 
 def test_failed_runs_give_the_exit_code_1(tmp_path, monkeypatch):
-    monkeypatch.setattr(junction_study, "run_jobs", lambda jobs, *_: [jobs[0]])
+    monkeypatch.setattr("carpark_papers.jobs.run_jobs", lambda jobs, *_: [jobs[0]])
     assert exit_code(junction_study, ["--all", "--runs-dir", str(tmp_path)]) == 1
 
 

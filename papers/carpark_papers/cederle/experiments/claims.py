@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from carpark_mj.analysis.seeds import ENOUGH
 from carpark_mj.analysis.statistics import CONFIDENCE, RESAMPLES
 from carpark_papers.cederle.experiments.runs import CENTRAL, DQN, Cell, Outcome
+from carpark_papers.reports import ENOUGH
 
 Key = tuple[str, str]  # table, name of a cell
 Runs = Mapping[Cell, Sequence[Outcome]]

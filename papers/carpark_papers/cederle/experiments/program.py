@@ -14,43 +14,29 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-from carpark_mj.config.checks import require_at_least, require_whole
-from carpark_mj.files import require_writable
 from carpark_papers.cederle.experiments.runs import CELLS, SCENARIOS, cells_of
 from carpark_papers.cederle.training.config import JunctionPreset
-from carpark_papers.jobs import require_minutes, run_jobs
+from carpark_papers.jobs import RepeatConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class JunctionStudyConfig:
+class JunctionStudyConfig(RepeatConfig):
     """Settings of `carpark_mj study junction_tables`.
+
+    The settings of `RepeatConfig` come first.
 
     Attributes:
         table: number of a table in the thesis.
-        all: all tables.
-        list: list the cells and train none.
-        seeds: runs of every cell.
         preset: preset of `carpark_mj study junction`; `ippo` and `mappo` have
             `parallel` only.
-        minutes: time after which runs save and stop [min], more than 1; 0 = no limit.
-        workers: number of runs at a time, each on one core; 0 = one for every core.
-        runs_dir: folder of the runs.
     """
 
-    table: str = ""
-    all: bool = False
-    list: bool = False
-    seeds: int = 5
-    preset: JunctionPreset = "parallel"
-    minutes: float = 0.0
-    workers: int = 0
     runs_dir: str = "runs/junction_study"
+    table: str = ""
+    preset: JunctionPreset = "parallel"
 
     def __post_init__(self) -> None:
-        require_whole(self, 1, "seeds")
-        require_whole(self, 0, "workers")
-        require_at_least(self, 0, "minutes")
-        require_minutes(self.minutes)
+        super().__post_init__()
         if bool(self.table) + self.all + self.list != 1:
             raise ValueError("give one of --table NUMBER, --all and --list")
 
@@ -109,10 +95,4 @@ def run(arguments: Sequence[str] | None = None) -> int:
         for cell in order
         for seed in range(config.seeds)
     ]
-    left = [job for job in jobs if not job.is_done]
-    print(f"{len(jobs)} runs, {len(jobs) - len(left)} of them done", flush=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    require_writable(folder / "report.md")  # refused before the work
-    failed = run_jobs(left, config.workers, config.minutes)
-    print(f"wrote {report(config)}")
-    return 1 if failed else 0
+    return config.repeat(jobs, lambda: report(config))

@@ -16,10 +16,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from carpark_mj.analysis.seeds import ENOUGH, always
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import write_atomically
-from carpark_mj.training.panels import make_panels, write_figure
 from carpark_papers.cederle.experiments.claims import CLAIMS, Runs, compare
 from carpark_papers.cederle.experiments.runs import (
     SCENARIOS,
@@ -30,6 +28,7 @@ from carpark_papers.cederle.experiments.runs import (
     tail,
 )
 from carpark_papers.cederle.junction.config import scenario
+from carpark_papers.reports import ENOUGH, always, make_panels, write_figure
 
 PATH = Path(__file__).parent / "cederle_2023.csv"
 THOUSAND = 1e3

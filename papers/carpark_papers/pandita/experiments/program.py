@@ -14,9 +14,8 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-from carpark_mj.config.checks import require_at_least, require_positive, require_whole
-from carpark_mj.files import require_writable
-from carpark_papers.jobs import Job, require_minutes, run_jobs
+from carpark_mj.config.checks import require_positive
+from carpark_papers.jobs import Job, RepeatConfig
 from carpark_papers.pandita.experiments.slots import (
     EXPERIMENTS,
     SlotsExperiment,
@@ -27,37 +26,25 @@ from carpark_papers.pandita.sac.config import SACPreset
 
 
 @dataclasses.dataclass(frozen=True)
-class SlotsStudyConfig:
+class SlotsStudyConfig(RepeatConfig):
     """Settings of `carpark_mj study slots`.
+
+    The settings of `RepeatConfig` come first.
 
     Attributes:
         experiment: number of an experiment, or name of one beyond the thesis.
-        all: all experiments.
-        list: list the experiments and train none.
-        seeds: runs of every training.
         preset: preset of `carpark_mj study sac`.
         scale: factor on the thesis's budgets of steps.
-        minutes: time after which runs save and stop [min], more than 1; 0 = no limit.
-        workers: number of runs at a time, each on one core; 0 = one for every core.
-        runs_dir: folder of the runs.
     """
 
+    runs_dir: str = "runs/slots_study"
     experiment: str = ""
-    all: bool = False
-    list: bool = False
-    seeds: int = 5
     preset: SACPreset = "study"
     scale: float = 1.0
-    minutes: float = 0.0
-    workers: int = 0
-    runs_dir: str = "runs/slots_study"
 
     def __post_init__(self) -> None:
-        require_whole(self, 1, "seeds")
-        require_whole(self, 0, "workers")
+        super().__post_init__()
         require_positive(self, "scale")
-        require_at_least(self, 0, "minutes")
-        require_minutes(self.minutes)
         if bool(self.experiment) + self.all + self.list != 1:
             raise ValueError("give one of --experiment NAME, --all and --list")
 
@@ -123,10 +110,4 @@ def run(arguments: Sequence[str] | None = None) -> int:
         for job in runs
     }
     order = sorted(budget.values(), key=lambda pair: -pair[0])
-    left = [job for _, job in order if not job.is_done]
-    print(f"{len(budget)} runs, {len(budget) - len(left)} of them done", flush=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    require_writable(folder / "report.md")  # refused before the work
-    failed = run_jobs(left, config.workers, config.minutes)
-    print(f"wrote {report(folder, jobs)}")
-    return 1 if failed else 0
+    return config.repeat([job for _, job in order], lambda: report(folder, jobs))

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from carpark_mj.analysis.seeds import ENOUGH, always
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import write_atomically
 from carpark_mj.reading import read_csv
 from carpark_mj.training.curve import smooth
 from carpark_mj.training.metrics_log import read_metrics
-from carpark_mj.training.panels import make_panels, write_figure
 from carpark_papers.jobs import Job
 from carpark_papers.pandita.experiments.slots import (
     DIAGONAL,
@@ -26,6 +24,7 @@ from carpark_papers.pandita.experiments.slots import (
 from carpark_papers.pandita.sac.config import read_phase
 from carpark_papers.pandita.sac.deploy import success_matrix, transfer
 from carpark_papers.pandita.sac.pictures import plot_matrix
+from carpark_papers.reports import ENOUGH, always, make_panels, write_figure
 
 WINDOW = 7  # rows of the moving average
 THOUSAND = 1e3

@@ -1,6 +1,7 @@
-"""A page of small plots, one for each experiment of a study."""
+"""Verdicts of several seeds on a yes-or-no question, and pages of small plots."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -8,9 +9,19 @@ from matplotlib.figure import Figure
 
 from carpark_mj.files import write_atomically
 
+ENOUGH = 5  # seeds for a verdict
+CLEAR = 0.8  # share of seeds, or its complement, that is called always, or never
 COLUMNS = 4
 SIZE = (3.2, 2.4)  # in, of a panel
 DPI = 110
+
+
+def always(rates: Sequence[float]) -> bool | None:
+    """Whether it happens always (True) or never (False); None = neither."""
+    rate = sum(rates) / len(rates)
+    if rate >= CLEAR:
+        return True
+    return False if 1.0 - rate >= CLEAR else None
 
 
 def make_panels(count: int, xlabel: str, ylabel: str) -> tuple[Figure, list[Axes]]:
