@@ -53,10 +53,9 @@ class EnvConfig(OldNames):
         physics: back end, by name. `mjx`: every car is an MJX model of its own, stepped
             as `sim.stepper` says; crashes are found by box tests. `scene`: the whole
             lot in one C MuJoCo world, crashes are its contacts; slow. `bicycle`:
-            kinematic cars whose tyres never slip. In `carpark_papers`: `highway`, without
-            lags (Pandita 2022). `grid`, `grid_coarse`, `grid_recorded`: the grid worlds
-            of Tanner 2022, with integer actions. From Python also the config of a back
-            end, a `PhysicsConfig`.
+            kinematic cars whose tyres never slip. `carpark_papers` adds `highway` and
+            the grid worlds `grid`, `grid_coarse`, `grid_recorded`, with integer
+            actions. From Python also the config of a back end, a `PhysicsConfig`.
         sim: time steps and ground.
         goals: whether the environment or the agents choose the goals.
         giving_way: when agents should give up dynamic goals.
