@@ -1,5 +1,8 @@
 """The page of Slots-v0: tables of the code, a snippet that runs."""
 
+import subprocess
+import sys
+
 import pytest
 from helpers import environment_pages as pages
 
@@ -35,3 +38,12 @@ def test_the_page_of_slots_lists_all_arguments():
 
 def test_the_example_of_slots_runs():
     pages.run_example(TEXT)
+
+
+@pytest.mark.parametrize(
+    "order", ["carpark_papers, gymnasium", "gymnasium, carpark_papers"]
+)
+def test_the_id_is_registered_whichever_is_imported_first(order):
+    code = f"import {order}; assert gymnasium.spec({NAME!r}).vector_entry_point"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
