@@ -61,7 +61,7 @@ def test_the_core_is_imported_without_the_suite_or_extensions():
         "import carpark_mj.registry; "
         "import carpark_mj.training.ppo.presets; "
         "carpark_mj.env.ParkingEnv(); "
-        "print(*(m for m in sys.modules if 'suite' in m or 'carpark_papers' in m))"
+        "print(*(m for m in sys.modules if '_mj.suite' in m or '_papers' in m))"
     )
     ended = subprocess.run(
         [sys.executable, "-c", code],

@@ -7,7 +7,6 @@ import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.files import write_json
-from carpark_mj.registry import SQUARE
 from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS, summaries
 from carpark_mj.training.run_folder import describe
@@ -27,7 +26,7 @@ def test_a_preset_gives_the_defaults_and_flags_change_them():
     expected = dataclasses.replace(
         PRESETS["square"],
         seed=3,
-        env=dataclasses.replace(SQUARE, num_agents=6),
+        env=dataclasses.replace(PRESETS["square"].env, num_agents=6),
     )
     assert changed == expected
 
